@@ -9,11 +9,13 @@ import numpy as np
 
 from geometry.errors import InputError
 from geometry.files import open_file
+from geometry.phrases import Phrase
 from placement.covering import load_instance, save_instance, solve_covering
 from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
 from placement.optimiser.timing import SolverName
 from placement.verification.instances import load_problem
 
+from ..language import mark
 from ..progress import WRITING, StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
@@ -96,13 +98,13 @@ def run_solve(
     """
     if solver.upper() not in ("AUTO", HIGHS):
         raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     instance = load_instance(path, format_name=format_name)
     if out is not None:
         progress(WRITING, 0, 0)
         save_instance(out, instance)
         progress.kept = f"{out} was written"
-    progress("solve", 0, 0)
+    progress(mark("solve"), 0, 0)
     asked = {"budget_cost": budget_cost, "target": target}
     solution = solve_covering(
         instance, budget_units=budget_units, time_limit_s=time_limit_s, gap=gap, **asked
@@ -147,7 +149,7 @@ def run_solve_windows(
     Budgets, target (infinity: all that can be avoided) and memory of tracks are in place of the
     file's own. Raises InputError if the file is damaged, or the question has no answer.
     """
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     problem = load_problem(path)
     if track_memory_s is not None:
         try:
@@ -163,7 +165,9 @@ def run_solve_windows(
     effort = Effort(solver=cast(SolverName, solver), time_limit_s=time_limit_s, gap=gap)
     began_s = time.perf_counter()
     solution = solve_placement(
-        problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)
+        problem,
+        effort=effort,
+        on_stage=lambda stage: progress(Phrase("solve: {goal}", goal=stage), 0, 0),
     )
     first = solution.certificate.stages[0]
     return PlacementSolution(

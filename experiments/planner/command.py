@@ -15,7 +15,7 @@ from placement.question import Question, map_options
 
 from ..cli import options
 from ..cli.running import begin
-from ..language import say, tr
+from ..language import mark, tr
 from ..progress import Interrupted, StageProgress, tell
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def plan(
         raise InputError("--cars", question.cars, "blind or see: the page tells each run once")
     scene, map_file = load_scene(question.scene), _map_file(asked)
     begun = _begun_plan(layout_names, save, scene)
-    progress("setting", 0, 0)
+    progress(mark("setting"), 0, 0)
     setting = with_sight(build_setting(question, scene, compute=compute), compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
@@ -113,24 +113,37 @@ def _serve_page(server: "RunningServer", *, opens: bool, folder: Path) -> None:
     """Serve until the page is closed or by Ctrl-C; a page that leads to it is in the folder."""
     server.start()
     try:
-        ends = tr("Ctrl-C ends it.") if server.keeps_open else say("plan.ends_closed")
+        ends = (
+            tr("Ctrl-C ends it.")
+            if server.keeps_open
+            else tr("It ends when the page is closed, or Ctrl-C.")
+        )
         tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
         if server.host != _LOCAL:
-            tell(say("plan.not_alone", host=server.host), err=True)
+            tell(
+                tr(
+                    "--host {host}: whoever has this address can change the plan.", host=server.host
+                ),
+                err=True,
+            )
         if opens:
             webbrowser.open(_redirect(server.address, folder))
         server.wait()
-        ended = "plan.closed", "plan.closed_saved"
+        ended = tr("The page was closed: ended.")
+        ended_saved = mark("The page was closed: ended; the plan is in {files}.")
     except Interrupted as interrupted:
         if interrupted.signum != signal.SIGINT:
             raise
-        ended = "plan.ended", "plan.ended_saved"
+        ended = tr("Ended.")
+        ended_saved = mark("Ended; the plan is in {files}.")
     finally:
         problem = server.stop()
     if problem:
         tell(f"place-rsus: {problem}", err=True)
     saved = [] if server.session is None else server.session.saved_files()
-    tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
+    if saved:
+        ended = tr(ended_saved, files=tr(" and ").join(saved))
+    tell(ended)
 
 
 def _map_file(question: Question) -> "MapFile | None":

@@ -14,6 +14,7 @@ from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.errors import InputError, check_one_of
 from geometry.frames import to_geographic
+from geometry.phrases import Phrase
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
@@ -31,7 +32,7 @@ from scenarios.weights import WEIGHT_WORDS, default_weights
 from ..cli.options import JUDGED, option_of
 from ..export.json import to_json, to_json_text
 from ..figures.axes import describe_run
-from ..language import said, say, tr
+from ..language import mark, tr
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import centimetres, plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
@@ -90,7 +91,7 @@ def scene_record(
             }
             for index, run in enumerate(setting.runs)
         ],
-        "cases": {run.case.name: said(run.case.title) for run in setting.runs},
+        "cases": {run.case.name: tr(run.case.title) for run in setting.runs},
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": [] if ground is None else _private_areas(ground),
@@ -99,7 +100,7 @@ def scene_record(
 
 def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
     return {
-        **{"id": site.id, "kind": said(site.kind), "place": centimetres(site.position_m[:2])},
+        **{"id": site.id, "kind": tr(site.kind), "place": centimetres(site.position_m[:2])},
         **dict(zip(("low", "high"), site.height_range_m.tolist(), strict=True)),
         "capacity": site.capacity_units,
         "isForbidden": site.use == "forbidden",
@@ -121,7 +122,7 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
     for (approach, position), runs in found.items():
         impacts_m = np.mean([run.vut_position_m[-1] for run in runs], axis=0)
         longest = max(runs, key=lambda run: len(run.time_s))
-        record = {"approach": said(approach), "position": position, "place": centimetres(impacts_m)}
+        record = {"approach": tr(approach), "position": position, "place": centimetres(impacts_m)}
         records.append(record | {"way": centimetres(longest.vut_position_m)})
     return records
 
@@ -136,15 +137,19 @@ def change_question(question: Question, change: ChangeQuestion, begun: Question)
     """
     asked = msgspec.structs.asdict(change)
     given = {name: value for name, value in asked.items() if value is not msgspec.UNSET}
-    for name in ("detector", "weights"):
+    for name in (mark("detector"), mark("weights")):
         if name in given:
             check_one_of(name, given[name], _choices(begun)[name])
     cases = given.get("cases", "")
     if ".toml" in cases.lower() and cases != begun.cases:
-        raise InputError("cases", cases, "sets and names of cases")
+        raise InputError(mark("cases"), cases, mark("sets and names of cases"))
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
-        raise InputError("cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once")
+        raise InputError(
+            mark("cars"),
+            changed.cars,
+            Phrase("{one} or {other}: the page tells each run once", one=BLIND, other=SEE),
+        )
     check_question(replace(changed, detector=DETECTOR_NAMES[0]))
     return changed
 
@@ -154,13 +159,24 @@ def _choices(begun: Question) -> dict[str, list[str]]:
     return {name: [*dict.fromkeys([*words, getattr(begun, name)])] for name, words in known.items()}
 
 
+_MEANINGS = {
+    "case": mark(
+        "Mean over cases, in each over approaches, positions and runs; not over all runs."
+    ),
+    "run": mark("Share of all runs: each counts the same, so cases with more runs count more."),
+    "fhwa-crash-types": mark("Cases count by how often cars hit people so, not by their runs."),
+    "euroncap-rating-2026": mark("Cases count by Euro NCAP's points, not by their runs."),
+}
+"""What weights mean, by their names."""
+
+
 def question_record(question: Question, begun: Question) -> dict[str, Any]:
     """What the page lets choose of a question, and how the numbers are made again elsewhere."""
     names = msgspec.structs.fields(ChangeQuestion)
     weights = question.weights or default_weights(question.cases)
     meaning = tr("Runs count by the weights of {name}.", name=weights)
     if weights in WEIGHT_WORDS:
-        meaning = say(f"meanings.{weights}")
+        meaning = tr(_MEANINGS[weights])
     if question.score != AVOIDED:
         meaning += " " + tr("A run that is not avoided counts by the speed that is left.")
     return {
@@ -227,7 +243,7 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
     sensors, sites = (_sum([one.sum_eur for one in items]) for items in (bill.sensors, bill.sites))
     sums = {"sensors": sensors, "sites": sites, "all": _sum([sensors, sites])}
     words = {name: euros(amount) for name, amount in sums.items()}
-    return words | {"assumed": [*map(said, bill.assumed)]}
+    return words | {"assumed": [*map(tr, bill.assumed)]}
 
 
 def _sum(amounts: Sequence[float | None]) -> float | None:
@@ -307,9 +323,7 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
         return finite_or_none(apr(verdict, axis, mask))
 
     def by(values: Any) -> dict[str, str]:
-        return {
-            said(name): percent(share(values == name)) for name in dict.fromkeys(values.tolist())
-        }
+        return {tr(name): percent(share(values == name)) for name in dict.fromkeys(values.tolist())}
 
     by_case = apr_by_case(verdict, axis).items()
     return {
@@ -367,7 +381,7 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "columns": len(found.east_m),
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
-        "shares": {said(name): percent(value) for name, value in found.shares().items()},
+        "shares": {tr(name): percent(value) for name, value in found.shares().items()},
     }
 
 

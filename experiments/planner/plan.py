@@ -17,6 +17,7 @@ from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import pick, read_table
+from geometry.phrases import Phrase
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance, road_area
 from geometry.sensors import CameraModel, with_fov
@@ -25,7 +26,7 @@ from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.layout import Layout, check_layout, read_layout
 from placement.retrofit import free_name
 
-from ..language import tr
+from ..language import mark, tr
 
 MAX_UNITS = 1000
 MAX_VARIANTS = 12
@@ -48,7 +49,7 @@ _STARTS = {b"\x89PNG\r\n\x1a\n": "image/png", b"\xff\xd8\xff": "image/jpeg", b"G
 def check_count(n: int, where: str, most: int) -> None:
     """Raise InputError for more than there may be."""
     if n > most:
-        refuse(where, f"{n:,}", f"at most {most:,}")
+        refuse(where, Phrase("{n:,}", n=n), Phrase("at most {n:,}", n=most))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,7 +264,9 @@ def read_message(text: bytes) -> Message:
     try:
         message: Message = _DECODER.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("message", Unquoted(error), "one that the page sends") from None
+        raise InputError(
+            mark("message"), Unquoted(error), mark("one that the page sends")
+        ) from None
     return message
 
 
@@ -302,16 +305,18 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
             return add_variant(state, Variant(name=name, units=units))
         case SelectVariant(index=index):
             if not 0 <= index < len(state.variants):
-                raise InputError("variant", index, f"0 to {len(state.variants) - 1}")
+                raise InputError(mark("variant"), index, f"0 to {len(state.variants) - 1}")
             return replace(state, current=index)
         case RenameVariant(name=name):
             name = _printable(name)
             if any(each.name == name for each in state.variants if each is not state.variant):
-                raise InputError("name", name, "a name that no other variant has")
+                raise InputError(mark("name"), name, mark("a name that no other variant has"))
             return state.with_variant(replace(state.variant, name=name))
         case RemoveVariant():
             if len(state.variants) == 1:
-                raise InputError("variant", state.variant.name, "another one: the last one stays")
+                raise InputError(
+                    mark("variant"), state.variant.name, mark("another one: the last one stays")
+                )
             variants = tuple(each for each in state.variants if each is not state.variant)
             return replace(state, variants=variants, current=min(state.current, len(variants) - 1))
 
@@ -319,11 +324,11 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
 def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     units, scene = state.variant.units, stock.scene
     site = _free_site(change.site, units, scene)
-    sensor = pick(stock.models, change.sensor, "sensor")
+    sensor = pick(stock.models, change.sensor, mark("sensor"))
     if change.fov_deg is not None:
         sensor = _with_lens(sensor, change.fov_deg)
     wanted_m = load_candidate_grid().heights_m.max() if change.height_m is None else change.height_m
-    height_m = float(np.clip(_finite("height", wanted_m), *site.height_range_m))
+    height_m = float(np.clip(_finite(mark("height"), wanted_m), *site.height_range_m))
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     east, north = middle - site.position_m[:2]
     towards_deg = math.degrees(math.atan2(north, east)) if east or north else 0.0
@@ -356,7 +361,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     unit = units[index]
     pose, sensor, site_id = unit.pose, unit.sensor, unit.site_id
     if change.sensor is not UNSET:
-        sensor = pick(stock.models, change.sensor, "sensor")
+        sensor = pick(stock.models, change.sensor, mark("sensor"))
         if is_ring(sensor) != is_ring(unit.sensor):  # what scans all round is level by default
             pose = replace(pose, pitch_deg=0.0 if is_ring(sensor) else _DEFAULT_PITCH_DEG)
     if change.fov_deg is not UNSET:
@@ -368,7 +373,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
         site_id = site.id
     if change.height_m is not UNSET:
-        pose = _raised(pose, site_id, _finite("height", change.height_m), scene)
+        pose = _raised(pose, site_id, _finite(mark("height"), change.height_m), scene)
     if change.yaw_deg is not UNSET:
         pose = replace(pose, yaw_deg=_yaw(change.yaw_deg))
     if change.pitch_deg is not UNSET:
@@ -379,8 +384,8 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
 
 def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
     if not isinstance(sensor, CameraModel):
-        raise InputError("lens", fov_deg, "nothing: only cameras have lenses")
-    return with_fov(sensor, _finite("lens", fov_deg), "lens")
+        raise InputError(mark("lens"), fov_deg, mark("nothing: only cameras have lenses"))
+    return with_fov(sensor, _finite(mark("lens"), fov_deg), mark("lens"))
 
 
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
@@ -416,8 +421,12 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     """A pose at another height above the foot of its site, or above the ground below it."""
     foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
-        at = f"the range of {site_id}" if site_id else "above the ground"
-        raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
+        expected = Phrase("{low:g} .. {high:g} m, above the ground", low=low_m, high=high_m)
+        if site_id:
+            expected = Phrase(
+                "{low:g} .. {high:g} m, the range of {site}", low=low_m, high=high_m, site=site_id
+            )
+        raise InputError(mark("height"), height_m, expected)
     east, north = pose.position_m[:2]
     return replace(pose, position_m=np.array([east, north, foot_m + round(height_m, _DECIMALS)]))
 
@@ -428,7 +437,7 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     Where its name is taken, `source`, such as the file's name, is added, and then a number.
     Raises InputError if there are too many, or the name cannot be printed.
     """
-    check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
+    check_count(len(state.variants) + 1, mark("variants"), MAX_VARIANTS)
     names = {each.name for each in state.variants}
     base = _printable(variant.name)
     if base in names and source:
@@ -442,7 +451,7 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
 def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
     ids = [unit.id for unit in units]
     if unit_id not in ids:
-        raise InputError("unit", unit_id, "one that is mounted there")
+        raise InputError(mark("unit"), unit_id, mark("one that is mounted there"))
     return ids.index(unit_id)
 
 
@@ -450,36 +459,42 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
     """A site that may carry one more unit."""
     site = next((site for site in scene.sites if site.id == site_id), None)
     if site is None:
-        raise InputError("site", site_id, f"a site of {scene.name}")
+        raise InputError(mark("site"), site_id, Phrase("a site of {scene}", scene=scene.name))
     if site.use == "forbidden":
-        raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
+        raise InputError(
+            mark("site"), site_id, mark("a site that may carry units: the scene forbids this one")
+        )
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        got = f"a unit more than the {n_there} there"
-        refuse(f"site {site_id}", got, f"at most {site.capacity_units}")
+        got = Phrase("a unit more than the {n} there", n=n_there)
+        refuse(
+            Phrase("site {name}", name=site_id), got, Phrase("at most {n}", n=site.capacity_units)
+        )
     return site
 
 
 def _finite(where: str, value: float) -> float:
     if not math.isfinite(value):
-        raise InputError(where, value, "a finite number")
+        raise InputError(where, value, mark("a finite number"))
     return value
 
 
 def _yaw(yaw_deg: float) -> float:
-    return round(float(wrap_deg(_finite("direction", yaw_deg))), _DECIMALS)
+    return round(float(wrap_deg(_finite(mark("direction"), yaw_deg))), _DECIMALS)
 
 
 def _pitch(pitch_deg: float) -> float:
     if not -90.0 <= pitch_deg <= 90.0:
-        raise InputError("tilt", pitch_deg, "-90 .. 90 degrees")
+        raise InputError(
+            mark("tilt"), pitch_deg, Phrase("{low} .. {high} degrees", low=-90, high=90)
+        )
     return round(float(pitch_deg), _DECIMALS)
 
 
 def _printable(name: str) -> str:
     name = " ".join(name.split())
     if not name or len(name) > _MAX_NAME or not name.isprintable():
-        raise InputError("name", name, f"1 to {_MAX_NAME} letters")
+        raise InputError(mark("name"), name, Phrase("1 to {n} letters", n=_MAX_NAME))
     return name
 
 
@@ -508,24 +523,28 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
-        refuse("pole", "a scene without any", "one whose poles it can be like")
+        refuse(mark("pole"), mark("a scene without any"), mark("one whose poles it can be like"))
     kinds = [(one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing]
     usual = standing[kinds.index(max(kinds, key=kinds.count))]
-    east_m, north_m = (round(_finite("pole", value), 2) for value in place_m)
+    east_m, north_m = (round(_finite(mark("pole"), value), 2) for value in place_m)
     point, foot_m = shapely.Point(east_m, north_m), np.array([east_m, north_m, 0.0])
     if not shapely.dwithin(point, shapely.Polygon(scene.outline_m), _FARTHEST_POLE_M):
-        expected = f"one at most {_FARTHEST_POLE_M:g} m from the junction"
-        refuse("pole", "a place farther away", expected)
+        expected = Phrase("one at most {far:g} m from the junction", far=_FARTHEST_POLE_M)
+        refuse(mark("pole"), mark("a place farther away"), expected)
     foot_m[2] = ground_height_m(scene, foot_m[:2])
     if around := containing_instance(scene, foot_m + [0.0, 0.0, 1.0]):
-        refuse("pole", f"a place inside {around.class_name} {around.id}", "one in the open air")
+        refuse(
+            mark("pole"),
+            Phrase("a place inside {kind} {name}", kind=around.class_name, name=around.id),
+            mark("one in the open air"),
+        )
     if road_area(scene).contains(point):
-        refuse("pole", "a place on the carriageway", "one beside it")
+        refuse(mark("pole"), mark("a place on the carriageway"), mark("one beside it"))
     return replace(usual, id=name, position_m=foot_m, use="free")
 
 
 def _own_pole(state: PlanState, name: str) -> Site:
-    return pick({pole.id: pole for pole in state.poles}, name, "pole")
+    return pick({pole.id: pole for pole in state.poles}, name, mark("pole"))
 
 
 def _put_pole(state: PlanState, change: PutPole, scene: Scene) -> PlanState:
@@ -556,8 +575,13 @@ def _remove_pole(state: PlanState, name: str) -> PlanState:
     pole = _own_pole(state, name)
     for variant in state.variants:
         if unit := next((one for one in variant.units if one.site_id == name), None):
-            got = f"{name}, which carries {unit.id} of {variant.name}"
-            refuse("pole", got, "one that carries nothing")
+            got = Phrase(
+                "{pole}, which carries {unit} of {variant}",
+                pole=name,
+                unit=unit.id,
+                variant=variant.name,
+            )
+            refuse(mark("pole"), got, mark("one that carries nothing"))
     return replace(state, poles=tuple(one for one in state.poles if one is not pole))
 
 
@@ -698,7 +722,11 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     try:
         found = msgspec.json.decode(lie, type=Lie)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
+        raise InputError(
+            Phrase("{file}: points", file=Phrase(where)),
+            Unquoted(error),
+            mark("two points of the image"),
+        ) from None
     return _checked(Background(lie=found, image=content), where)
 
 
@@ -706,29 +734,39 @@ def _read_background(record: Any, where: str) -> Background:
     try:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
-        raise InputError(where, Unquoted(error), "an image and how it lies") from None
+        raise InputError(where, Unquoted(error), mark("an image and how it lies")) from None
     return _checked(found, where)
 
 
 def _checked(background: Background, where: str) -> Background:
     lie, n_bytes = background.lie, len(background.image)
     if n_bytes > MAX_IMAGE_BYTES:
-        refuse(where, f"{n_bytes:,} bytes", f"at most {MAX_IMAGE_BYTES:,}")
+        refuse(where, Phrase("{n:,} bytes", n=n_bytes), Phrase("at most {n:,}", n=MAX_IMAGE_BYTES))
     if not background.media_type:
-        refuse(where, "another format", "PNG, JPEG, WebP or GIF")
+        refuse(where, mark("another format"), mark("PNG, JPEG, WebP or GIF"))
     if not (1 <= lie.width_px <= _MAX_SIDE_PX and 1 <= lie.height_px <= _MAX_SIDE_PX):
-        size = f"{lie.width_px} by {lie.height_px} pixels"
-        refuse(where, size, f"1 to {_MAX_SIDE_PX:,} pixels")
+        size = Phrase("{width} by {height} pixels", width=lie.width_px, height=lie.height_px)
+        refuse(where, size, Phrase("1 to {n:,} pixels", n=_MAX_SIDE_PX))
     first, second = lie.points
     numbers = [value for point in lie.points for value in msgspec.structs.astuple(point)]
     if not all(math.isfinite(value) and abs(value) <= _MAX_COORDINATE_M for value in numbers):
-        raise InputError(f"{where}: points", numbers, f"numbers up to {_MAX_COORDINATE_M:,.0f}")
+        raise InputError(
+            Phrase("{file}: points", file=Phrase(where)),
+            numbers,
+            Phrase("numbers up to {n:,.0f}", n=_MAX_COORDINATE_M),
+        )
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
-        got = f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"
-        expected = f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m"
-        refuse(f"{where}: points", got, expected)
+        got = Phrase(
+            "points {pixels:.1f} px and {metres:.2f} m from each other",
+            pixels=apart_px,
+            metres=apart_m,
+        )
+        expected = Phrase(
+            "at least {pixels:g} px and {metres:g} m", pixels=_LEAST_APART_PX, metres=_LEAST_APART_M
+        )
+        refuse(Phrase("{file}: points", file=Phrase(where)), got, expected)
     return background
 
 
@@ -762,7 +800,7 @@ def read_plan(text: bytes, where: str) -> Plan:
     try:
         document = msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise InputError(where, Unquoted(error), "a layout or a plan as JSON") from None
+        raise InputError(where, Unquoted(error), mark("a layout or a plan as JSON")) from None
     background = None
     if isinstance(document, dict) and document.get("schema") == SCHEMA:
         variants = _read_variants(document.get("variants"), where)
@@ -782,12 +820,16 @@ def read_plan(text: bytes, where: str) -> Plan:
 
 def _read_variants(records: Any, where: str) -> list[Variant]:
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
-        refuse(f"{where}: variants", "none", f"a list of 1 to {MAX_VARIANTS}")
+        refuse(
+            Phrase("{file}: variants", file=Phrase(where)),
+            mark("none"),
+            Phrase("a list of 1 to {n}", n=MAX_VARIANTS),
+        )
     variants = []
     for index, record in enumerate(records):
         at = f"{where}: variants[{index}]"
         if not isinstance(record, dict):
-            raise InputError(at, record, "a layout")
+            raise InputError(at, record, mark("a layout"))
         name = record.get("name")
         if record.get("layout") == [] and isinstance(name, str):
             variants.append(Variant(name=_printable(name)))

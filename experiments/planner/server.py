@@ -18,8 +18,9 @@ from typing import Any
 from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
+from geometry.phrases import Phrase
 
-from ..language import mark, said, tr, words_of
+from ..language import mark, tr, tr_error, words_of
 from ..report.page import page_environment
 from ..scene import CAUSES
 from ..scene.pictures import junction_chooser
@@ -192,7 +193,7 @@ class Pages:
             try:
                 response = await make(request)
             except (InputError, TaskError) as error:
-                response = JSONResponse({"problem": said(str(error))}, 400)
+                response = JSONResponse({"problem": tr_error(error)}, 400)
             except Cancelled:
                 response = JSONResponse({"problem": tr(_STOPPED)}, 409)
             response.headers.setdefault(_POLICY, _STRICT)
@@ -231,10 +232,10 @@ class Pages:
                 text = await socket.receive_text()
                 try:
                     if len(text) > _MAX_MESSAGE_BYTES:
-                        refuse("message", f"{len(text)} bytes", "fewer")
+                        refuse(mark("message"), Phrase("{n} bytes", n=len(text)), mark("fewer"))
                     self._session.handle(text.encode())
                 except InputError as error:
-                    listen({"type": "problem", "text": said(str(error))})
+                    listen({"type": "problem", "text": tr_error(error)})
                 listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
@@ -282,7 +283,9 @@ class Pages:
         if request.method == "POST":
             content = await _body(request, MAX_IMAGE_BYTES)
             points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
-            session.lay_background(build_background(content, points, "image") if content else None)
+            session.lay_background(
+                build_background(content, points, mark("image")) if content else None
+            )
             return JSONResponse({})
         background = session.workspace.background
         if background is None:
@@ -299,7 +302,7 @@ class Pages:
         """
         values = request.query_params
         width_px = min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX)
-        frame = _whole_number(values, "frame", -1)
+        frame = _whole_number(values, mark("frame"), -1)
         try:
             found = await self._session.camera_picture(
                 values.get("unit", ""),
@@ -311,12 +314,12 @@ class Pages:
         except Cancelled:
             found = {"problem": tr(_STOPPED)}
         except InputError as error:
-            found = {"problem": said(str(error))}
+            found = {"problem": tr_error(error)}
         return JSONResponse(found)
 
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
-        frame = _whole_number(values, "frame", -1)
+        frame = _whole_number(values, mark("frame"), -1)
         asked = self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
         picture = await self._session.call("picture", *asked)
         return Response(picture, media_type="image/jpeg")
@@ -340,8 +343,8 @@ class Pages:
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
         suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
         if suffix is None:
-            known = ", ".join(_MAP_SUFFIXES)
-            raise InputError("file", name, f"a name that ends in .json, {known}")
+            known = ", ".join([".json", *_MAP_SUFFIXES])
+            raise InputError(mark("file"), name, Phrase("a name that ends in {ends}", ends=known))
         path = await self._received(request, _plain_name(name, suffix))
         before = self._session.map_file
         try:
@@ -362,7 +365,7 @@ class Pages:
 
     def _map_file(self) -> MapFile:
         if self._session.map_file is None:
-            refuse("map", "none", "one that was dropped on the page before")
+            refuse(mark("map"), mark("none"), mark("one that was dropped on the page before"))
         return self._session.map_file
 
     async def _import(self, request: Request) -> Response:
@@ -376,7 +379,9 @@ class Pages:
             else:
                 names = {one["id"]: one["name"] for one in sent.found.get("junctions", ())}
                 if junction not in names:
-                    raise InputError("junction", junction, f"one of {sent.name}")
+                    raise InputError(
+                        mark("junction"), junction, Phrase("one of {names}", names=sent.name)
+                    )
                 path = str(session.work.scratch / f"scene-{next(self._numbers)}")
                 await session.open_scene(path, names[junction], of=sent, junction=junction)
         except TaskError as error:
@@ -409,7 +414,7 @@ def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
     try:
         return int(values.get(name, str(default))[:9])
     except ValueError:
-        raise InputError(name, values[name], "a whole number") from None
+        raise InputError(name, values[name], mark("a whole number")) from None
 
 
 async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
@@ -418,7 +423,9 @@ async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
     async for chunk in request.stream():
         n_bytes += len(chunk)
         if n_bytes > max_bytes:
-            refuse("file", f"more than {max_bytes:,} bytes", "a smaller one")
+            refuse(
+                mark("file"), Phrase("more than {n:,} bytes", n=max_bytes), mark("a smaller one")
+            )
         yield chunk
 
 

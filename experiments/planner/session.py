@@ -27,7 +27,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..language import said, say, tr
+from ..language import mark, tr, tr_error
 from ..parts.camera_views import live_picture
 from ..parts.player import centimetres, svg_path, unit_records
 from . import plan
@@ -158,7 +158,7 @@ def build_workspace(
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
         work = replace(work, question=replace(work.question, no_look="", no_look_share=None))
-        notice = say("plan.without_private", reason=said(str(error)))
+        notice = tr("without private areas: {reason}", reason=tr_error(error))
         return Workspace(work, setting, title=title, save=save), notice
 
 
@@ -361,7 +361,7 @@ class Session:
             "isKept": self.workspace.save is not None,
             "map": "" if self.map_file is None else self.map_file.name,
             "assumed": [
-                said(f"{one}") for one in self.setting.scene.notes if one.kind == "junction"
+                tr(one.words) for one in self.setting.scene.notes if one.kind == "junction"
             ],
             "mostBytes": {
                 **{"plan": plan.MAX_PLAN_BYTES, "map": MAX_MAP_BYTES},
@@ -381,7 +381,7 @@ class Session:
 
     def _do(self, who: str, stage: str, done: int = 0, total: int = 0) -> None:
         """Show the stage of some work; empty: it has ended."""
-        self._doing = {"type": "doing", "who": who, "stage": said(stage)}
+        self._doing = {"type": "doing", "who": who, "stage": tr(stage)}
         self._doing |= {"done": done, "total": total}
         self.send(self._doing)
 
@@ -402,7 +402,7 @@ class Session:
                 self._ask(change_question(before, message, self._begun))
             case plan.Ask():
                 if self._advice.is_busy:
-                    refuse("the optimiser", "another request", "one at a time")
+                    refuse(mark("the optimiser"), mark("another request"), mark("one at a time"))
                 self._spawn(self._advise(message, self.history.state.variant.units))
             case plan.Cancel():
                 self._spawn(asyncio.to_thread(self._advice.stop))
@@ -420,7 +420,7 @@ class Session:
                 self._changed.set()
             case plan.ChooseSensors(names=names):
                 for name in names:  # files are not named by browsers
-                    pick(self._models, name, "sensors")
+                    pick(self._models, name, mark("sensors"))
                 self._chosen = names
                 self.send({"type": "sensors", "grid": self._chosen})
             case _:
@@ -486,7 +486,7 @@ class Session:
             self._changed.clear()
             workspace = self.workspace
             if workspace.live.n_casts == 0:
-                self._do("rays", "prepare the rays")
+                self._do("rays", mark("prepare the rays"))
                 await asyncio.to_thread(workspace.numbers_by_table, self._first_units())
                 self._do("rays", "")
             if workspace is not self.workspace:  # another scene was opened meanwhile
@@ -508,7 +508,7 @@ class Session:
             except Cancelled:
                 return
             except Exception as error:  # the next change may be one that can be counted
-                self._notice(tr("no numbers: {reason}", reason=said(str(error))))
+                self._notice(tr("no numbers: {reason}", reason=tr_error(error)))
             self._rests.set()
 
     async def _look(self) -> None:
@@ -552,7 +552,7 @@ class Session:
     def _unit(self, unit_id: str) -> CandidatePose:
         unit = next((u for u in self.history.state.variant.units if u.id == unit_id), None)
         if unit is None:
-            raise InputError("unit", unit_id, "one that is mounted there")
+            raise InputError(mark("unit"), unit_id, mark("one that is mounted there"))
         return unit
 
     async def private_view(self, unit_id: str) -> list[list[int]]:
@@ -658,7 +658,7 @@ class Session:
     async def _advise(self, ask: plan.Ask, units: tuple[CandidatePose, ...]) -> None:
         tell = partial(self._do, "optimiser")
         words = [self._words[name] for name in self._chosen]
-        tell("start", 0, 0)
+        tell(mark("start"), 0, 0)
         try:
             may = ",".join(words), self.history.state.poles
             await self._advice.call("choose", *may, on_progress=tell)
@@ -696,7 +696,7 @@ class Session:
     def _take(self, message: plan.TakeProposal) -> None:
         proposal = next((each for each in self._proposals if each.number == message.number), None)
         if proposal is None:
-            raise InputError("proposal", message.number, "one that is shown")
+            raise InputError(mark("proposal"), message.number, mark("one that is shown"))
         state = self.history.state
         if message.as_variant:
             state = plan.add_variant(state, Variant(name=proposal.title, units=proposal.units))
@@ -725,7 +725,7 @@ class Session:
     async def _ask_otherwise(self, work: Work, exact: Worker) -> None:
         """Judge by another question; the layout stays, and Undo leads back."""
         before, workspace, problem = self.workspace, None, ""
-        self._do("setting", "start")
+        self._do("setting", mark("start"))
         try:
             setting = await exact.call("open_setting", on_progress=partial(self._do, "setting"))
             workspace, problem = await asyncio.to_thread(
@@ -820,4 +820,11 @@ class Session:
         self._go_to(self.history.went_on(state).of_newest(_MAX_WORKSPACES), exact)
         if save is not None:
             self._saves.append(save)
-            self._notice(say("plan.plan_at", scene=before.title, file=before.save, new=save))
+            self._notice(
+                tr(
+                    "The plan at {scene} is in {file}; this one: {new}.",
+                    scene=before.title,
+                    file=before.save,
+                    new=save,
+                )
+            )

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 from pyproj.exceptions import CRSError
 
-from geometry.errors import InputError, Unquoted, check_one_of, refuse
+from geometry.errors import InputError, check_one_of, refuse
 from geometry.files import reading
 from geometry.frames import parse_crs
 from geometry.maps.georeferences import transform
+from geometry.phrases import Phrase
 from geometry.scene import Site
 from geometry.scene_files import has_scene, load_scene, save_scene
 from placement.candidates import CandidatePose, build_grid, own_models
@@ -36,7 +37,7 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
-from ..language import language, localized, mark, said, say, set_language, tr
+from ..language import language, localized, mark, set_language, tr, tr_error
 from ..parts.explanation import cause
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress, follow_parent
@@ -78,7 +79,7 @@ class Tasks:
     @cached_property
     def setting(self) -> Setting:
         """Scene and runs, as ``evaluate`` builds them."""
-        self._progress("setting", 0, 0)
+        self._progress(mark("setting"), 0, 0)
         question = self._work.question
         setting = build_setting(question, load_scene(question.scene), compute=self._compute)
         return with_sight(setting, compute=self._compute)
@@ -143,7 +144,7 @@ class Tasks:
 
     def _run_index(self, run_id: str) -> int:
         if run_id not in self.setting.axis.run_ids:
-            raise InputError("run", run_id, "a run of this plan")
+            raise InputError(mark("run"), run_id, mark("a run of this plan"))
         return self.setting.axis.run_ids.index(run_id)
 
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
@@ -156,7 +157,7 @@ class Tasks:
         viewpoint = find_viewpoint(layout, unit_id, run, frame)
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
         if not isinstance(seen, Picture):
-            raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
+            raise InputError(mark("unit"), unit_id, mark("a camera: a LiDAR takes no picture"))
         return to_jpeg(seen.rgb)
 
     def lay_raster(self, path: str, crs: str) -> Background:
@@ -169,10 +170,10 @@ class Tasks:
             import rasterio
             from rasterio.vrt import WarpedVRT
         except ImportError:
-            expected = "rasterio to read it: pip install place-rsus[terrain]"
-            raise InputError(path, Unquoted("an image with a place"), expected) from None
+            expected = mark("rasterio to read it: pip install place-rsus[terrain]")
+            raise InputError(path, Phrase("an image with a place"), expected) from None
         scene, file = self.setting.scene, Path(path)
-        expected = "an image of the junction in 8 bits per colour that says where it lies"
+        expected = mark("an image of the junction in 8 bits per colour that says where it lies")
         driver = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}.get(file.suffix.lower(), "GTiff")
         unplaced = rasterio.errors.NotGeoreferencedWarning
         with (
@@ -184,7 +185,7 @@ class Tasks:
             grid, own = raster.transform, raster.crs.to_wkt() if raster.crs else crs
             is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
             if grid.is_identity or not (own and scene.crs and is_coloured):
-                refuse(path, "another one, or a scene at no place", expected)
+                refuse(path, mark("another one, or a scene at no place"), expected)
             edges = [(x, y) for x in (0, raster.width) for y in (0, raster.height)]
             corners_m = transform([grid @ edge for edge in edges], own, scene.crs)
             low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
@@ -193,7 +194,7 @@ class Tasks:
             west, south = np.maximum(low_m, centre_m - _AERIAL_M).tolist()
             east, north = np.minimum(high_m, centre_m + _AERIAL_M).tolist()
             if not (west < east and south < north):
-                refuse(path, "an image of elsewhere", expected)
+                refuse(path, mark("an image of elsewhere"), expected)
             width, height = (int(np.ceil(span / step_m)) for span in (east - west, north - south))
             has_alpha = any(band.name == "alpha" for band in raster.colorinterp)
             with WarpedVRT(
@@ -277,9 +278,9 @@ class Tasks:
         """The mounting sheet, a PDF with a page for each unit."""
         from ..parts.sheet import mounting_sheet
 
-        self._progress("tolerances", 0, 0)
+        self._progress(mark("tolerances"), 0, 0)
         tolerances = find_tolerances(self.setting, layout.units, compute=self._of_units)
-        self._progress("draw the sheet", 0, 0)
+        self._progress(mark("draw the sheet"), 0, 0)
         return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
 
     def survey(self, path: str, keeps_left: bool | None = None) -> dict[str, Any]:
@@ -289,12 +290,12 @@ class Tasks:
         """
         from ..scene.pictures import junction_map
 
-        self._progress("read", 0, 0)
+        self._progress(mark("read"), 0, 0)
         if has_scene(Path(path)):
             return {"name": load_scene(path).name, "isScene": True, "junctions": []}
         maps, junctions = self._read_map(path, keeps_left)
         if not junctions:
-            refuse(maps[0].name, "no junction", "a map in which roads meet")
+            refuse(maps[0].name, mark("no junction"), mark("a map in which roads meet"))
         return {"name": maps[0].name, "isScene": False, **junction_map(maps, junctions)}
 
     def _read_map(self, path: str, keeps_left: bool | None) -> Any:
@@ -353,7 +354,9 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     gained = ", ".join(filter(None, [share, price]))
     return {
         "title": title,
-        "words": say("plan.answer", gained=gained, proof=_proof(advice)),
+        "words": tr(
+            "On the detection table: {gained}; {proof}.", gained=gained, proof=_proof(advice)
+        ),
         "apr": percent(after.apr),
         "bound": percent(advice.bound),
         "isProven": advice.is_proven,
@@ -369,9 +372,26 @@ def _proof(advice: Advice) -> str:
         return tr("proven: nothing of its kind is better")
     first = None if advice.certificate is None else advice.certificate.stages[0]
     if first is not None and first.name == "cost_eur":
-        known = say("plan.cheapest"), say("plan.cheapest_open", bound=euros(first.bound))
+        known = (
+            tr(
+                "proven: none costs less; of those with the same price not all "
+                "were compared in time"
+            ),
+            tr(
+                "not proven in the time given: nothing for less than {bound} is possible there",
+                bound=euros(first.bound),
+            ),
+        )
     else:
-        known = say("plan.highest"), say("plan.highest_open", bound=percent(advice.bound))
+        known = (
+            tr(
+                "proven: no APR is higher; of those with the same APR not all were compared in time"
+            ),
+            tr(
+                "not proven in the time given: no APR above {bound} is possible there",
+                bound=percent(advice.bound),
+            ),
+        )
     return known[0] if advice.is_proven else known[1]
 
 
@@ -435,7 +455,9 @@ class Worker:
             self.stop()
             if was_stopped:
                 raise Cancelled
-            raise DiedError(say("plan.died", name=method))
+            raise DiedError(
+                tr("the process that did it ({name}) was ended from outside", name=method)
+            )
         raise TaskError(*value)
 
     def stop(self) -> None:
@@ -490,7 +512,7 @@ def _serve(connection: Connection, work: Work, code: str) -> None:
         try:
             answer = ("done", getattr(tasks, method)(*args, **kwargs))
         except InputError as error:
-            answer = ("refused", (said(str(error)), cause_of(error)))
+            answer = ("refused", (tr_error(error), cause_of(error)))
         except Exception as error:
             text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
             answer = ("failed", (text,))

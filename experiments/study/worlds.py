@@ -49,6 +49,7 @@ from placement.wishes import GIVE_UP
 
 from ..figures.axes import BLUE, WIDTH_IN, new_figure, to_png
 from ..figures.plan import plot_plan
+from ..language import mark
 from ..progress import StageProgress
 from ..results.numbers import percent
 from ..results.tables import markdown_table
@@ -273,7 +274,7 @@ def run(study: Study, path: Path, compute: Compute, *, until_s: float = math.inf
 
     wheres = [*study.wheres()]
     for index, where in enumerate(wheres):
-        compute.progress("choose", index, len(wheres))
+        compute.progress(mark("choose"), index, len(wheres))
         known = records.chosen.setdefault(where.name, [])
         have = {one.wanted for one in known}
         missing = [one for one in study.wanted(where) if one not in have]
