@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.files import open_own, trouble_with, write_atomically
+from geometry.phrases import Phrase, pack_phrase, unpack_phrase
 
 _log = logging.getLogger(__name__)
 
@@ -335,6 +336,8 @@ class _Writer:
         """A number, text, or a list; that of a dataclass or an array is its place."""
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Phrase):
+            return pack_phrase(value)
         if isinstance(value, _PLAIN):
             return value
         if isinstance(value, tuple):
@@ -387,6 +390,8 @@ class _Reader:
                 return array
         elif hint is float and type(plain) in (float, int):
             return float(plain)
+        elif hint is Phrase or (hint is str and isinstance(plain, list)):
+            return unpack_phrase(plain)
         elif hint in _PLAIN:
             if type(plain) is hint:
                 return plain

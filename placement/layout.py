@@ -33,6 +33,7 @@ from geometry.maps.place_lists import (
     read_position,
     tell_unknown,
 )
+from geometry.phrases import Phrase
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, calibrated_sensor, with_fov
@@ -111,7 +112,7 @@ class Certificate:
     """How good a layout is proven to be, on the detection table."""
 
     stages: tuple[Stage, ...]  #: in order
-    solver: str  #: name and version
+    solver: Phrase  #: name and version
 
     @property
     def is_proven(self) -> bool:
@@ -324,7 +325,11 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     """
     if layout.scene_name not in ("", scene.name):
         got = f"one made for {layout.scene_name}"
-        refuse(f"layout {layout.name}", got, f"one of {scene.name}, the scene that is looked at")
+        refuse(
+            f"layout {layout.name}",
+            got,
+            Phrase("one of {scene}, the scene that is looked at", scene=scene.name),
+        )
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:

@@ -23,6 +23,7 @@ from geometry.files import (
     read_table,
     read_tables,
 )
+from geometry.phrases import Phrase
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -104,7 +105,7 @@ class Case:
     """
 
     name: str
-    title: str  #: What happens, in words.
+    title: Phrase  #: What happens, in words.
     source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     #: "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
     kind: str
@@ -218,8 +219,13 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
     """
     if not keeps_left:
         return case
-    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", case.title))
-    return replace(case, title="".join(words))
+    return replace(case, title=case.title.map(_mirrored))
+
+
+def _mirrored(text: str) -> str:
+    """A text with left and right exchanged."""
+    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", text))
+    return "".join(words)
 
 
 # ---------- tables of data/cases.toml
@@ -352,7 +358,7 @@ def load_unlaid_cases() -> dict[str, Case]:
     return {
         name: Case(
             name=name,
-            title=entry.title,
+            title=Phrase(entry.title),
             source=entry.source,
             kind="not laid",
             vru=pick_actor(entry.vru, f"{where}: {name}.vru"),
@@ -417,7 +423,11 @@ def _each_impact(name: str, entry: dict[str, Any]) -> Iterator[tuple[str, dict[s
         return
     for percent in [*percents, *beyond]:
         which = {} if percent in percents else {"range": "extended"}
-        title = f"{entry.get('title')}, met at {percent} % of the VUT's width"
+        title = Phrase(
+            "{title}, met at {share} % of the VUT's width",
+            title=Phrase(str(entry.get("title"))),
+            share=percent,
+        )
         # No two signs in a row: 25 % outside of the right edge is "m25".
         called = f"{name}-{percent}".replace("--", "-m")
         yield called, {**entry, "impact_percent": percent, "title": title, **which}
@@ -439,7 +449,9 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
             speeds = read_table(entry, _Speeds, where) if entry else None
             found = _named(name)
             if not found:
-                raise InputError(where, name, "the name of a case, or what several begin with")
+                raise InputError(
+                    where, name, Phrase("the name of a case, or what several begin with")
+                )
             if speeds:
                 found = tuple(replace(one, vut_speeds_kmh=_speeds_kmh(speeds)) for one in found)
             driven += found
@@ -481,11 +493,18 @@ def _whole_entry(
     return {**_whole_entry(table, other, where, seen=(*seen, name)), **entry}
 
 
+def _as_phrase(title: str) -> Phrase:
+    """A title as it is if it has been put together here, else by itself."""
+    if isinstance(title, Phrase):
+        return title
+    return Phrase(title)
+
+
 def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
     speed_kmh = entry.vut_speed_kmh
     return Case(
         name=name,
-        title=entry.title,
+        title=_as_phrase(entry.title),
         source=entry.source,
         kind="recorded",
         vru=pick_actor(entry.vru, f"{where}.vru"),
@@ -497,7 +516,7 @@ def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
 
 
 _SAME = (
-    *("title", "source", "impact_percent", "impact_face", "start_distance_m", "steady_distance_m"),
+    *("source", "impact_percent", "impact_face", "start_distance_m", "steady_distance_m"),
     *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
 )
 """Fields that cases have from their entries as they are, if the entry's kind has them."""
@@ -513,6 +532,7 @@ def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: s
     reference_m = {"reference": vru.reference_ahead_m, "middle": 0.0}
     return Case(
         name=name,
+        title=_as_phrase(entry.title),
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
         vru_speed_kmh=pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh,
@@ -618,7 +638,7 @@ def _alike(case: Case) -> Case:
     return replace(
         case,
         name=case.family,
-        title="",
+        title=Phrase(""),
         source="",
         vut_speeds_kmh=(),
         speed_limits_kmh=(0.0, 0.0),

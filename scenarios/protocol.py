@@ -11,6 +11,7 @@ from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
+from geometry.phrases import Phrase
 from geometry.scene import Lane
 from geometry.scene import Turn as Movement
 
@@ -54,12 +55,16 @@ def stage_by_protocol(
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
-        raise NoRoadError(case.not_laid)
+        raise NoRoadError(Phrase(case.not_laid))
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {approach}")
+        raise NoRoadError(
+            Phrase("no lane leads into the junction from the {arm}", arm=Phrase(approach))
+        )
     if position != AT_ZERO and is_bound(case):
-        raise CannotCarryError("the case is bound to the junction: it has no other positions")
+        raise CannotCarryError(
+            Phrase("the case is bound to the junction: it has no other positions")
+        )
     asked = _Asked(case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh)
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
@@ -113,7 +118,7 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError("the mapped lane does not reach so far")
+            raise NoRoadError(Phrase("the mapped lane does not reach so far"))
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
@@ -166,7 +171,7 @@ def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     arm = asked.arm
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError("no lane leads straight on out of the junction")
+        raise NoRoadError(Phrase("no lane leads straight on out of the junction"))
     yield from _ways_through(
         asked.junction,
         arm,
@@ -217,7 +222,12 @@ def _side(asked: _Asked, line: Line) -> Arm:
     """The arm on the side from which the VRU comes."""
     side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {asked.case.vru_side} side")
+        raise NoRoadError(
+            Phrase(
+                "no lane leads into the junction from the {side} side",
+                side=Phrase(asked.case.vru_side),
+            )
+        )
     return side
 
 
@@ -228,7 +238,12 @@ def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], S
     mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
     ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError(f"no road leads straight across from the {asked.case.vru_side} side")
+        raise NoRoadError(
+            Phrase(
+                "no road leads straight across from the {side} side",
+                side=Phrase(asked.case.vru_side),
+            )
+        )
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
         yield from (partial(_lay_crossing, asked, place, across) for place in every)
@@ -313,9 +328,11 @@ def _set_off(
     encounter = later(0.0)
     early_s = first_contact_s(encounter)
     if not np.isfinite(early_s):
-        raise CannotCarryError("the bodies do not touch")
+        raise CannotCarryError(Phrase("the bodies do not touch"))
     if abs(early_s) > _MAX_EARLY_S:
-        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
+        raise CannotCarryError(
+            Phrase("the bodies would touch {time:.1f} s before they should", time=-early_s)
+        )
     return later(-early_s)
 
 
@@ -367,7 +384,7 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
         begin = lane.centreline_m[0]
         is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
         if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
-            raise NoRoadError("another junction lies there: nobody crosses in its middle")
+            raise NoRoadError(Phrase("another junction lies there: nobody crosses in its middle"))
 
 
 def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]:
@@ -402,8 +419,13 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
     is_led_on = staging.is_vehicle(case.vru) or asked.junction.is_led_on(place.entry_lane)
     if before_lane_m > 0.0 and not is_led_on:
         # At other positions than 0 one reason for many of them.
-        how_far = f"{before_lane_m:.1f} m " if place.ahead_m == 0.0 else ""
-        raise CannotCarryError(f"the VRU would set off {how_far}before the mapped lane begins")
+        why = Phrase("the VRU would set off before the mapped lane begins")
+        if place.ahead_m == 0.0:
+            why = Phrase(
+                "the VRU would set off {distance:.1f} m before the mapped lane begins",
+                distance=before_lane_m,
+            )
+        raise CannotCarryError(why)
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
@@ -449,7 +471,9 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
     entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
     target = ways.arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
+        raise NoRoadError(
+            Phrase("no lane leads out of the junction on the {side} side", side=Phrase(case.turn))
+        )
     lines = _turnings_into(asked, target)
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))
@@ -465,7 +489,7 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
     try:
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
-        raise CannotCarryError(str(error)) from None
+        raise CannotCarryError(error.words) from None
     movement: Movement = "left" if asked.case.turn == "far" else "right"
     joined = ways.joints(junction, asked.arm, target, movement)
     found = [(junction.followed(before), connection, after) for before, connection, after in joined]
@@ -516,9 +540,11 @@ def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
     ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
     if ahead is None or not ahead.entry_lanes:
-        raise NoRoadError("no lane leads towards the VUT from straight ahead")
+        raise NoRoadError(Phrase("no lane leads towards the VUT from straight ahead"))
     if not asked.arm.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
+        raise NoRoadError(
+            Phrase("no lane leads out of the junction to the {arm}", arm=Phrase(asked.arm.name))
+        )
     yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
@@ -596,7 +622,7 @@ def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
         ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
         lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
         if ahead is None or not lanes:
-            raise NoRoadError("no lane lies ahead from which the cyclist could come")
+            raise NoRoadError(Phrase("no lane lies ahead from which the cyclist could come"))
         is_against = case.turn == "near"
         is_in = not is_against
         lane, left_m = lanes[0], -(0.5 * lanes[0].width_m + case.vru_line.left_m)
@@ -629,7 +655,9 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     assert case.start_distance_m is not None
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
-        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+        raise CannotCarryError(
+            Phrase("the VUT would come to the VRU's way before the VRU sets off")
+        )
     return travel_m
 
 

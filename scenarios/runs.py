@@ -11,6 +11,7 @@ from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
@@ -273,7 +274,7 @@ class Refusal:
     #: speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of whoever is met
     #: that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
-    reason: str  #: Why, in words.
+    reason: Phrase  #: Why, in words.
     #: The junction has the roads that the case needs, and it has the speeds asked for: what is
     #: missing is room.
     is_possible: bool = True
@@ -332,7 +333,7 @@ def build_runs(
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
             if case.not_laid:
-                refusals.append(left_out_case(case, approach, case.not_laid, "not laid"))
+                refusals.append(left_out_case(case, approach, Phrase(case.not_laid), "not laid"))
                 continue
             if case.recorded is not None and approach != nearest_arm(case.recorded, junction)[0]:
                 continue
@@ -379,7 +380,7 @@ def _highest_limit_kmh(junction: Junction) -> float | None:
     return max(known) if known and len(known) == len(limits) else None
 
 
-def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
+def left_out_case(case: Case, approach: str, reason: Phrase, left_out: LeftOut) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
     pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
     return _refusal(case, approach, pairs, reason=reason, is_possible=False, left_out=left_out)
@@ -419,7 +420,7 @@ class _Drive:
         Speeds take turns with the positions from `turn` on; None: all of them are driven.
         """
         runs = []
-        reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
+        reasons: dict[tuple[Phrase, bool], list[tuple[float, float]]] = {}
         too_fast: dict[float, list[tuple[float, float]]] = {}
         for speed_kmh, vru_speed_kmh in self._pairs(turn):
             limit_kmh = self._broken_limit_kmh(speed_kmh, vru_speed_kmh)
@@ -430,13 +431,14 @@ class _Drive:
             try:
                 staging = self._stage(case, speed_kmh)
             except CannotCarryError as error:
-                reason = str(error), not isinstance(error, NoRoadError)
+                reason = error.why, not isinstance(error, NoRoadError)
                 reasons.setdefault(reason, []).append((speed_kmh, vru_speed_kmh))
             else:
                 runs.append(self._run(case, speed_kmh, staging))
         limits = {}
         for limit_kmh, pairs in too_fast.items():
-            above = f"faster than the speed limit of {limit_kmh:g} km/h", False
+            why = Phrase("faster than the speed limit of {limit:g} km/h", limit=limit_kmh)
+            above = why, False
             # A road that does not exist is missing at every speed.
             missing = next((one for one in reasons if not one[1] and one not in limits), above)
             reasons.setdefault(missing, []).extend(pairs)
@@ -496,7 +498,11 @@ class _Drive:
     def _stage_recorded(self, case: Case, recorded: RecordedEncounter, speed_kmh: float) -> Staging:
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
         if away_m > load_way_rules().max_recorded_away_m:
-            raise NoRoadError(f"it was recorded {away_m:.0f} m from the junction's lanes")
+            raise NoRoadError(
+                Phrase(
+                    "it was recorded {distance:.0f} m from the junction's lanes", distance=away_m
+                )
+            )
         encounter = recorded.encounter(
             vut=self.vut,
             vut_speed_mps=speed_kmh * MPS_PER_KMH,
@@ -504,7 +510,9 @@ class _Drive:
             vru_speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
         )
         if encounter is None:
-            raise CannotCarryError("at these speeds the recorded ways do not lead to an impact")
+            raise CannotCarryError(
+                Phrase("at these speeds the recorded ways do not lead to an impact")
+            )
         return Staging(encounter=encounter, obstruction=())
 
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:

@@ -12,6 +12,7 @@ import msgspec
 from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
+from ..language import mark
 from ..progress import StageProgress, tell
 from ..results.numbers import grouped, several
 from . import options
@@ -217,7 +218,7 @@ def list_scenarios(call: Call, *, question: Question) -> None:
     from scenarios.cases import ALL_CASES
 
     question = begin(call.progress, question, quiet=call.quiet)
-    call.progress("lay the cases", 0, 0)
+    call.progress(mark("lay the cases"), 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
     once = _driven_once() if ALL_CASES in question.cases.split(",") else []
     call.print(rows, lambda: "\n".join([scenario_table(rows), *once]))

@@ -53,10 +53,7 @@ Examples:
     type=_target,
     metavar="max|SHARE",
     expected="max, or a share of the runs, 0 to 1",
-    help=(
-        "Avoid that share of the runs, or all that can be avoided (max), with the "
-        "fewest units."
-    ),
+    help=("Avoid that share of the runs, or all that can be avoided (max), with the fewest units."),
 )
 @options.option(
     "--track-memory",

@@ -27,7 +27,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..language import mark, said, tr
+from ..language import mark, tr
 from ..results.numbers import layout_words, shortened
 from . import labels
 from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
@@ -328,9 +328,7 @@ def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> 
         label = literal(tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_NAME)))
         units.append(line(label=label, **_OTHER, **camera))
     shown = {instance.class_name for instance in setting.scene.instances} - {"traffic light"}
-    things = [
-        Patch(label=said(name), **CLASS_STYLES[name]) for name in CLASS_STYLES if name in shown
-    ]
+    things = [Patch(label=tr(name), **CLASS_STYLES[name]) for name in CLASS_STYLES if name in shown]
     if any(run.obstruction for run in setting.runs):
         things.append(Patch(label=tr("parked body or wall of single cases"), **PARKED_STYLE))
     doubts = assumed_sites(setting.scene.notes)
@@ -349,7 +347,7 @@ def compass_word(unit: CandidatePose) -> str:
     """Point of the compass to which a unit looks; "all round" of one that looks to none."""
     if is_ring(unit.sensor):
         return tr("all round")
-    return said(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
+    return tr(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
 
 
 def looking_words(unit: CandidatePose) -> str:

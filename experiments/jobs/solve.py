@@ -8,10 +8,12 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
+from geometry.phrases import Phrase
 from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
 from placement.optimiser.timing import SolverName
 from placement.verification.instances import load_problem
 
+from ..language import mark
 from ..progress import StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
@@ -59,7 +61,7 @@ def run_solve(
     Budgets, target (infinity: all that can be avoided) and memory of tracks are in place of the
     file's own. Raises InputError if the file is damaged, or the question has no answer.
     """
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     problem = load_problem(path)
     if track_memory_s is not None:
         try:
@@ -75,7 +77,9 @@ def run_solve(
     effort = Effort(solver=cast(SolverName, solver), time_limit_s=time_limit_s, gap=gap)
     began_s = time.perf_counter()
     solution = solve_placement(
-        problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)
+        problem,
+        effort=effort,
+        on_stage=lambda stage: progress(Phrase("solve: {goal}", goal=stage), 0, 0),
     )
     first = solution.certificate.stages[0]
     return PlacementSolution(

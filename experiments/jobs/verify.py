@@ -40,6 +40,7 @@ from placement.verification.verify import verify_certificate
 
 from ..export.geojson import to_geojson
 from ..export.table import to_csv
+from ..language import mark
 from ..parts import bill_of_materials, certified
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result
@@ -122,7 +123,7 @@ def run_verification(
     """
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     if (folder / certified.JSON_NAME).exists() and not (folder / CERTIFICATE_FILE).exists():
         return _verify_certified(folder, progress)
     stored = load_certificate(folder / CERTIFICATE_FILE)

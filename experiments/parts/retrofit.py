@@ -28,7 +28,7 @@ from placement.retrofit import (
 from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
-from ..language import localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -178,7 +178,7 @@ def run_retrofit(
     wishes = replace(plan.wishes, existing=tuple(unit.id for unit in layout.units))
     plan = replace(plan, candidates=poses.candidates, wishes=wishes)
     setting, prices, problem = plan.setting, wishes.prices, plan.problem
-    progress("retrofit", 0, 0)
+    progress(mark("retrofit"), 0, 0)
     labour = load_labour() if visit_eur is None else _at_price(visit_eur)
     found = find_retrofit(
         problem, poses, labour=labour, budget_eur=question.budget_cost, effort=plan.effort
@@ -207,7 +207,7 @@ def run_retrofit(
         versions=versions(),
     )
     assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*words(result), *map(said, assumed)))
+    result = replace_fields(result, sentences=(*words(result), *map(tr, assumed)))
     return save_files(
         result,
         out,
@@ -261,8 +261,8 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
     for row, name in names.items():
         if unit[row] < 0:
             new = poses.candidates[row]
-            words = say(
-                "retrofit.add",
+            words = tr(
+                "add {unit} at {place}, {height_m:g} m, yaw {yaw}, pitch {pitch} ({sensor})",
                 unit=name,
                 place=new.site_id or tr("a place of its own"),
                 height_m=float(new.pose.position_m[2]),

@@ -5,6 +5,8 @@ from msgspec import UNSET, Struct, UnsetType
 
 from geometry.errors import InputError, Unquoted
 
+from ..language import mark
+
 
 class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
     """A JSON object whose field "do" says which request it is."""
@@ -183,5 +185,6 @@ def read_message(text: bytes) -> Message:
     try:
         message: Message = _DECODER.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("message", Unquoted(error), "one that the page sends") from None
+        expected = mark("one that the page sends")
+        raise InputError(mark("message"), Unquoted(error), expected) from None
     return message

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.phrases import Phrase
 
 from . import timing
 from .allowed_sets import Limits
@@ -42,9 +43,13 @@ class Answer:
     bound: float  # of all feasible points; minus infinity: none, plus infinity: nothing is known
 
 
-def solver_text() -> str:
+def solver_text() -> Phrase:
     """Solver and versions, for a certificate."""
-    return f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
+    return Phrase(
+        "HiGHS {highs} through cvxpy {cvxpy}",
+        highs=version("highspy"),
+        cvxpy=version("cvxpy"),
+    )
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:

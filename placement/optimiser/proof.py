@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.phrases import Phrase
 
 from . import timing
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
@@ -37,7 +38,7 @@ class Search:
     ) -> None:
         self.reduced, self.deadline = reduced, deadline
         self.is_exact = is_exact  # whether walks and models may be used
-        self.proofs: dict[str, None] = {}
+        self.proofs: dict[Phrase, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
         self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])  # all units failed
@@ -459,7 +460,7 @@ class Stages:
                 if units is not None:
                     search.keep(units)
             if self.is_complete:
-                search.proofs["exhaustive enumeration"] = None
+                search.proofs[Phrase("exhaustive enumeration")] = None
         return self.is_complete
 
     def _walk(self, n_failures: int) -> bool:
@@ -484,7 +485,7 @@ class Stages:
             tied = self._find_tied(n_failures)
         else:
             return False
-        search.proofs["branch and bound"] = None
+        search.proofs[Phrase("branch and bound")] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
             best = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)

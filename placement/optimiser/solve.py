@@ -14,6 +14,7 @@ import numpy as np
 from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
@@ -59,7 +60,9 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         raise UnmetError("separation_m", got, "one of them at most")
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        expected = f"at least {n_needed}, the units that are forced or stand at forced sites"
+        expected = Phrase(
+            "at least {n}, the units that are forced or stand at forced sites", n=n_needed
+        )
         raise UnmetError("budget", limits.budget_units, expected)
     needed, what = cost_eur(limits, forced), "the price of the forced units"
     if not len(forced):
@@ -79,7 +82,10 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
             raise UnmetError(
                 floor.name,
                 Unquoted(f"{floor.share:g}"),
-                f"at most {_rounded_down(reached)}, what all candidate poses together reach",
+                Phrase(
+                    "at most {share}, what all candidate poses together reach",
+                    share=_rounded_down(reached),
+                ),
             )
 
 
@@ -198,7 +204,7 @@ def solve_placement(
     pose_index = to_full(reduced, search.units)
     values = objective_values(problem, pose_index)
     stages = tuple(build_stage(one, values[one], bound, s) for one, bound, s in records)
-    solver = " and ".join(search.proofs) or "simple bounds, no solver"
+    solver = _joined([*search.proofs])
     return Solution(
         pose_index=pose_index,
         certificate=Certificate(stages=stages, solver=solver),
@@ -292,11 +298,25 @@ def _solve_large(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
             stages=tuple(stages),
-            solver=f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
-            f"{len(pool)}",
+            solver=Phrase(
+                "{solver}: relaxation of all {n} poses, search among {n_pool}",
+                solver=relaxation_text(),
+                n=n_poses,
+                n_pool=len(pool),
+            ),
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
+
+
+def _joined(proofs: Sequence[Phrase]) -> Phrase:
+    """What a proof rests on, for a certificate."""
+    if not proofs:
+        return Phrase("simple bounds, no solver")
+    first, *others = proofs
+    if not others:
+        return first
+    return Phrase("{proof} and {others}", proof=first, others=_joined(others))
 
 
 def _loose_bounds(every: Search, apr: float, avoided: float) -> dict[Objective, float]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
+from geometry.phrases import Phrase
 from geometry.weather import pick_weather
 
 from ..candidates import CandidatePose
@@ -139,7 +140,7 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 
 
 # ---------- detection tables of sampled worlds
-STAGE = "sampled detection tables"
+STAGE = Phrase("sampled detection tables")
 _log = logging.getLogger(__name__)
 _ROWS = 256  # unpacked at a time
 
@@ -329,11 +330,13 @@ def obtain_table(
         cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
         if cached is not None:
             _log.info("detection table read from %s", path)
-            told = ("detection table (cached)", 0, 0) if sample is None else (STAGE, 1, 1)
-            compute.progress(*told)
+            if sample is None:
+                compute.progress(Phrase("detection table (cached)"), 0, 0)
+            else:
+                compute.progress(STAGE, 1, 1)
             return cached
     if sample is None:
-        compute.progress("detection table", 0, 0)
+        compute.progress(Phrase("detection table"), 0, 0)
     if sample is not None and drawn is not None:
         (table,) = build_drawn_tables(sample, drawn, compute=compute, lasting=share())
     else:
