@@ -50,6 +50,7 @@ Examples:
     ),
 )
 @options.folder_option("layout.json and certified.json")
+@options.sign_option
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
 def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.

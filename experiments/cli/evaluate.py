@@ -27,6 +27,7 @@ Examples:
 @options.layout_option
 @recording_options
 @options.folder_option("a report")
+@options.sign_option
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
     job: Job,
@@ -35,17 +36,26 @@ def evaluate(
     recording: Path | None,
     min_confidence: float,
     out: Path | None,
+    sign: Path | None,
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     if recording is not None:
-        evaluate_recording(job, folder=recording, min_confidence=min_confidence, out=out)
+        asked = {"folder": recording, "min_confidence": min_confidence, "sign": sign}
+        evaluate_recording(job, out=out, **asked)
         return
+    asked_question = job.question
     job = job.begin()
     layout = job.layout(layout_names)
     from ..jobs import evaluation
 
     result = evaluation.run_evaluation(
-        job.question, layout=layout, out=out, command=command_line(), **job.means
+        job.question,
+        layout=layout,
+        out=out,
+        command=command_line(),
+        asked=asked_question,
+        sign=sign,
+        **job.means,
     )
     from .answers import evaluation_parts
 
@@ -74,9 +84,15 @@ Examples:
     type=click.Path(path_type=Path),
     help="Folder for a report; else none.",
 )
+@options.sign_option
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
-    job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None
+    job: Job,
+    *,
+    layouts: tuple[str, ...],
+    more_layouts: tuple[str, ...],
+    out: Path | None,
+    sign: Path | None,
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
@@ -90,11 +106,18 @@ def compare(
     from placement.layout import find_layout
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
+    asked_question = job.question
     job = job.begin()
     from ..jobs import evaluation
 
     result = evaluation.run_comparison(
-        job.question, layouts=found, out=out, command=command_line(), **job.means
+        job.question,
+        layouts=found,
+        out=out,
+        command=command_line(),
+        asked=asked_question,
+        sign=sign,
+        **job.means,
     )
     from .answers import comparison_parts
 

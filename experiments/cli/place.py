@@ -60,9 +60,16 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
     help="Print the report there, too, by chromium or Chrome.",
 )
 @recording_options
+@options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
-    job: Job, *, recording: Path | None, min_confidence: float, out: Path, pdf: Path | None
+    job: Job,
+    *,
+    recording: Path | None,
+    min_confidence: float,
+    out: Path,
+    pdf: Path | None,
+    sign: Path | None,
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
@@ -86,6 +93,7 @@ def cli(
         )
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "chooses": True}
+        asked |= {"sign": sign}
         evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
     browser = None
@@ -95,6 +103,7 @@ def cli(
         from ..report.printing import find_browser
 
         browser = find_browser()
+    asked_question = job.question
     job = job.begin()
     from ..jobs import READY
     from ..side_process import side_process
@@ -104,7 +113,13 @@ def cli(
         from ..jobs import placement
 
         result = placement.run_placement(
-            job.question, out=out, command=command_line(), side=side, **job.means
+            job.question,
+            out=out,
+            command=command_line(),
+            side=side,
+            asked=asked_question,
+            sign=sign,
+            **job.means,
         )
     from .answers import placement_parts
 

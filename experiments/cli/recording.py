@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
-    ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
+    ("recording", "min_confidence", "out", "sign", "as_json", "quiet")
+    + ("question", "save_question_to")
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
     + ("track_memory_s",)
@@ -68,7 +69,7 @@ def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
 
 def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     """The result of a recording for a terminal: the units that were chosen, if any, and all."""
-    from ..parts.proof import stage_table
+    from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 
     lines = sentences(tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs))
@@ -83,7 +84,8 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
             fusion=tr(summary.fusion),
             chosen=chosen,
         )
-        best = Part(words=[words], table=stage_table(summary.stages))
+        conditions = stage_conditions(summary.stages)
+        best = Part(words=[words], table=stage_table(summary.stages), notes=conditions)
         lines = [answer_text([best], is_verbose=True), ""]
         all_units = tr(
             "{fused} of all {n} recorded units: {share} of the accidents prevented.",

@@ -27,7 +27,7 @@ def _target(text: str) -> float | None:
 _EXAMPLES = """\b
 Examples:
   place-rsus solve results/latest/instance.npz              the same question
-  place-rsus solve results/latest/instance.npz --budget 2
+  place-rsus solve results/latest/instance.npz --budget 4
   place-rsus solve results/latest/instance.npz --target 0.9"""
 
 
@@ -95,9 +95,9 @@ Examples:
 def solve(call: Call, /, *, file: Path, target: float | None, **asked: Any) -> None:
     """Solve a placement problem from a file, and prove it.
 
-    The problem (instance.npz of a result folder) is solved as it was asked, unless --budget,
-    --budget-cost or --target asks something else, and with the file's own rule unless
-    --track-memory changes it.
+    The problem (instance.npz of a result folder) is solved as it was asked. --budget,
+    --budget-cost, --target and --track-memory take the place of the file's own; all its other
+    demands hold. --target is reached with the fewest units, however many the file allows.
     """
     questions = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
     asked_for = [words for name, words in questions.items() if options.is_given(name)]
@@ -121,12 +121,17 @@ def solve(call: Call, /, *, file: Path, target: float | None, **asked: Any) -> N
 
 def solution_text(summary: "PlacementSolution") -> str:
     """The answer to a placement problem, with its frames and windows."""
-    from ..parts.proof import stage_table
+    from ..parts.proof import stage_conditions, stage_table
 
+    lines = [f"asked: {'; '.join(summary.question)}; fusion {summary.fusion}"]
+    if summary.replaced:
+        lines.append(f"in place of the file's own: {'; '.join(summary.replaced)}")
     answer = Part(
-        title=f"{summary.file}: {summary.goal} layout, fusion {summary.fusion}",
+        title=f"{summary.file}: {summary.goal} layout",
+        words=lines,
         table=stage_table(summary.stages),
         notes=[
+            *stage_conditions(summary.stages),
             f"chosen: {', '.join(summary.chosen_names)}",
             f"presolve: {summary.presolve_effect}",
             f"solver: {summary.solver}; {summary.seconds:.2f} s",

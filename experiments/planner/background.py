@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Struct
 
 from geometry.errors import InputError, Unquoted, refuse
+from geometry.files import parse_json
 from geometry.phrases import Phrase
 
 from ..language import mark
@@ -94,10 +95,13 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     InputError
         It is none that browsers draw, too large, or the points do not lay it.
     """
+    expected = mark("two points of the image")
     try:
-        found = msgspec.json.decode(lie, type=Lie)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        expected = mark("two points of the image")
+        document = parse_json(lie, _points_of(where), expected)
+        found = msgspec.convert(document, Lie)
+    except InputError as error:
+        raise InputError(_points_of(where), error.got, expected) from None
+    except msgspec.ValidationError as error:
         raise InputError(_points_of(where), Unquoted(error), expected) from None
     return _checked(Background(lie=found, image=content), where)
 

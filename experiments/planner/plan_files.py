@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import read_table
+from geometry.errors import InputError, refuse
+from geometry.files import parse_json, read_table
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from placement.layout import Layout, check_layout, read_layout
@@ -77,10 +77,7 @@ def read_plan(text: bytes, where: str) -> Plan:
     InputError
         It is neither, or has more than there may be.
     """
-    try:
-        document = msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise InputError(where, Unquoted(error), mark("a layout or a plan as JSON")) from None
+    document = parse_json(text, where, mark("a layout or a plan as JSON"))
     background = None
     if isinstance(document, dict) and document.get("schema") == SCHEMA:
         variants = _read_variants(document.get("variants"), where)

@@ -4,6 +4,7 @@ import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import parse_json
 
 from ..language import mark
 
@@ -177,14 +178,16 @@ Message = (
     | ChooseSensors
 )
 """All that a browser can ask for."""
-_DECODER = msgspec.json.Decoder(Message)
 
 
 def read_message(text: bytes) -> Message:
     """A request from its JSON. Raises InputError if it is none of these."""
+    expected = mark("one that the page sends")
     try:
-        message: Message = _DECODER.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        expected = mark("one that the page sends")
+        document = parse_json(text, "message", expected)
+        message: Message = msgspec.convert(document, Message)
+    except InputError as error:
+        raise InputError(mark("message"), error.got, expected) from None
+    except msgspec.ValidationError as error:
         raise InputError(mark("message"), Unquoted(error), expected) from None
     return message

@@ -56,6 +56,7 @@ from .shared import (
     language_option,
     layout_option,
     quiet_option,
+    sign_option,
 )
 from .worded import PROGRAM, Decorator, combined, is_given, option, option_name
 
@@ -94,5 +95,6 @@ __all__ = [
     "question_options",
     "quiet_option",
     "scene_option",
+    "sign_option",
     "with_option_names",
 ]

@@ -152,6 +152,19 @@ def folder_option(files: str) -> Decorator:
     )
 
 
+sign_option = option(
+    "--sign",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="KEY",
+    is_common=False,
+    help=(
+        "Sign the folder with this key by ssh-keygen (OpenSSH); `place-rsus verify "
+        "--key` checks it."
+    ),
+)
+"""Option ``--sign`` of all commands that write a folder of results."""
+
+
 # ---------- several of them, as one value
 
 

@@ -9,6 +9,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from math import lcm
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,6 +21,12 @@ from geometry.errors import InputError, check_one_of
 
 # ---------- ties: what counts as equal
 TOLERANCE = 1.0e-9  # Shares and times that differ by no more are equal: they carry rounding noise
+TIES_OF_TIES = 2.0
+"""The layout found may be a tie worse than the best, and another a tie worse than it."""
+FAR_APART = 2.0 * TIES_OF_TIES * TOLERANCE
+"""Values that differ by more never tie, not even by way of others between them."""
+MOST_DENOMINATOR = 10**6
+"""Weights are looked at as fractions, such as a twentieth of a third, with no larger one."""
 COST_TOLERANCE_EUR = 1.0e-6  # Sums of prices that differ by no more are equal
 
 # ---------- how far a computed number can be believed
@@ -31,6 +39,7 @@ SOLVER_SUM = 1.0e4
 HELD_SLACK = 1.0e-3
 """Of the mean weight: rows that hold an earlier stage are relaxed by it, well above HiGHS's own
 tolerance: asked for the last digit it called feasible problems infeasible. Answers are checked."""
+EXACT = 1.0e-15  # A float64 up to 1 that is a fraction: it has the fraction's first digits
 TINY = 1.0e-300  # Keeps a sum of nothing from being divided by
 MOST_STEPS = 1.0e5
 """A common step is clearly larger than a solver's error if no value is more steps than this."""
@@ -67,6 +76,12 @@ MAX_WALK_UNITS = 16  # A walk through sets of more units does not end
 MAX_PAIR_UNITS = 3  # Units of sets that are gone through pair by pair: two or three
 MAX_TIED = 100_000  # Sets that tie and are kept, to choose among them in later stages
 POOL_POSES = 400  # Of a large table, those among which a layout is looked for: they gain most
+POOL_GROWTH = 4
+"""Of a large table's pool, each time that no layout of it meets the demands."""
+CELLS_PER_SECOND = 2.4e6
+"""Poses x merged frames of a model that is stated and compiled in a second; measured."""
+COMPILED_TO_STATED = 2.5
+"""Seconds to compile a model for HiGHS over those to state it; cvxpy: measured 2.1."""
 BLOCK_SETS = 1 << 12  # Sets that are valued at a time: their margins stay in the cache
 FEW_TASKS = 64  # Fewer tasks are not worth threads
 MANY_SETS = 1 << 12  # Sets that are looked at whatever is asked
@@ -214,6 +229,26 @@ def common_step(amounts: FloatArray) -> float:
     count = positive / positive.min()
     is_whole = np.abs(count - count.round()) <= ROUNDING * count
     return float(positive.min()) if is_whole.all() else 0.0
+
+
+def are_sums_apart(amounts: FloatArray) -> bool:
+    """True if no two sums of some of the amounts differ by little, but by rounding.
+
+    Amounts are looked at as fractions: sums differ by multiples of their common
+    denominator's inverse, which must exceed :data:`FAR_APART`.
+
+    >>> are_sums_apart(np.array([1 / 3, 1 / 6, 0.5])), are_sums_apart(np.array([1.0, 1e-9]))
+    (True, False)
+    """
+    denominator = 1
+    for amount in np.unique(amounts).tolist():
+        fraction = Fraction(amount).limit_denominator(MOST_DENOMINATOR)
+        if abs(float(fraction) - amount) > EXACT * max(1.0, amount):
+            return False
+        denominator = lcm(denominator, fraction.denominator)
+        if denominator * FAR_APART > 1.0:
+            return False
+    return True
 
 
 def settle(value: float, bound: float, limit: float, *, step: float = 0.0) -> float:
