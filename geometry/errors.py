@@ -8,15 +8,18 @@ from .phrases import Phrase
 
 _MAX_CHARACTERS = 200  # of a value in a message
 _MAX_NUMBER = 1.0e15  # beyond, a value is shown as text
-_MAX_WORDS = 2_000  # characters of our own words, such as a list of all names that exist
+_MAX_WORDS = (
+    2_000  # characters of our own words, such as a list of all names that exist
+)
 
 
 class InputError(ValueError):
     """Something the user gave is not what is expected.
 
-    `where`: file, field or argument, as precisely as known: an argument by its name alone. `got`:
-    the offending value, or a phrase about it. `expected`: what would have been accepted; other
-    arguments stand in backticks. `words` is the whole message, to be translated.
+    `where`: file, field or argument, as precisely as known: an argument by its name
+    alone. `got`: the offending value, or a phrase about it. `expected`: what would have
+    been accepted; other arguments stand in backticks. `words` is the whole message, to
+    be translated.
 
     >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
     'budget: got 0; expected a whole number of units, at least 1'
@@ -37,7 +40,10 @@ class InputError(ValueError):
 
 def refuse(where: str, words: object, expected: str) -> NoReturn:
     """Raise InputError about something that is told in words, not shown as a value."""
-    shown = words if isinstance(words, Phrase) else Unquoted(words)
+    if isinstance(words, Phrase):
+        shown = words
+    else:
+        shown = Unquoted(words)
     raise InputError(where, shown, expected)
 
 
@@ -63,7 +69,9 @@ def check_one_of(where: str, got: object, known: Collection[str]) -> None:
         raise InputError(where, got, "one of " + ", ".join(known))
 
 
-def check_field(value: object, where: str, field: str, is_valid: bool, expected: str) -> None:
+def check_field(
+    value: object, where: str, field: str, is_valid: bool, expected: str
+) -> None:
     """Raise InputError unless a field of a value is valid; `where` names the value."""
     if not is_valid:
         raise InputError(f"{where}.{field}", getattr(value, field), expected)
@@ -94,7 +102,9 @@ def _shorten(got: object) -> str:
         text = repr(got)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
-    return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}.."
+    if len(text) <= _MAX_CHARACTERS:
+        return text
+    return f"{text[:_MAX_CHARACTERS]}.."
 
 
 def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
@@ -102,9 +112,13 @@ def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
 
     A phrase that is short and printable, as all but odd ones are, stays one.
     """
-    if len(text) > max_characters:  # both ends tell something: a file's folder and its name
+    if (
+        len(text) > max_characters
+    ):  # both ends tell something: a file's folder and its name
         half = max_characters // 2
         text = f"{text[:half]}..{text[-half:]}"
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
+    )

@@ -11,18 +11,19 @@ _SPEC = re.compile(r",?(\.\d)?[fg]?")  # such as ",.0f"
 class Phrase(str):
     """An English text that keeps its template and the values put in.
 
-    It is that text for everything that reads, compares or writes it. Whoever translates takes
-    `template`, which is the key of a translation, and puts translated `fields` in. A phrase
-    without fields is a word or sentence that stands by itself. Operations of str, such as ``+``
-    and f-strings, give plain text: to join phrases, put them into another one.
+    It is that text for everything that reads, compares or writes it. Whoever translates
+    takes `template`, which is the key of a translation, and puts translated `fields`
+    in. A phrase without fields is a word or sentence that stands by itself. Operations
+    of str, such as ``+`` and f-strings, give plain text: to join phrases, put them into
+    another one.
 
     Parameters
     ----------
     template : str
         The text in English, with names of fields in braces, as in ``str.format``.
     **fields : str, int, float or Phrase
-        What stands in place of the names. A number is written as the language does; a plain text
-        stays as it is; a phrase is translated too.
+        What stands in place of the names. A number is written as the language does; a
+        plain text stays as it is; a phrase is translated too.
 
     Examples
     --------
@@ -39,7 +40,10 @@ class Phrase(str):
 
     def __new__(cls, template: str, /, **fields: Any) -> Self:
         """The text of a template with its fields put in."""
-        text = template.format(**fields) if fields else template
+        if fields:
+            text = template.format(**fields)
+        else:
+            text = template
         phrase = super().__new__(cls, text)
         phrase.template = template
         phrase.fields = fields
@@ -85,8 +89,8 @@ def pack_phrase(text: str) -> Any:
 def unpack_phrase(packed: Any) -> Phrase:
     """The phrase that was packed; plain text is one without fields.
 
-    Files may be anybody's: a template may have plain names and short formats alone. Raises
-    ValueError, TypeError, KeyError or AttributeError: it is none.
+    Files may be anybody's: a template may have plain names and short formats alone.
+    Raises ValueError, TypeError, KeyError or AttributeError: it is none.
 
     >>> unpack_phrase(pack_phrase(Phrase("lane {lane} bends", lane=Phrase("4")))).fields
     {'lane': '4'}

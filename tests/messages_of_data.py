@@ -12,7 +12,10 @@ from placement.wishes import load_prices
 from scenarios.cases import ROAD_USER_GROUPS, load_cases, load_unlaid_cases, worded_for
 
 FUSIONS = ("any", "single")
-BODIES = ("parked-car-small and parked-car-large", "parked-car-large and parked-car-small")
+BODIES = (
+    "parked-car-small and parked-car-large",
+    "parked-car-large and parked-car-small",
+)
 """Parked cars of a case, in reasons why there is no room for them."""
 SIDES = ("near", "far")
 
@@ -20,12 +23,20 @@ SIDES = ("near", "far")
 def messages_of_data():
     """Each message with the file or the name that has it."""
     cases = [*load_cases().values(), *load_unlaid_cases().values()]
-    both = [worded_for(case, keeps_left=keeps_left) for case in cases for keeps_left in (0, 1)]
+    both = [
+        worded_for(case, keeps_left=keeps_left)
+        for case in cases
+        for keeps_left in (0, 1)
+    ]
     titles = {template for case in both for template in templates(case.title)}
-    parts = [part.name for budget in load_latency_budgets().values() for part in budget.parts]
+    parts = [
+        part.name for budget in load_latency_budgets().values() for part in budget.parts
+    ]
     texts = {
         "scenarios/data/*cases.toml: title": titles,
-        "scenarios/data/unlaid_cases.toml": [one.not_laid for one in load_unlaid_cases().values()],
+        "scenarios/data/unlaid_cases.toml": [
+            one.not_laid for one in load_unlaid_cases().values()
+        ],
         "geometry/data/weather.toml": load_weathers(),
         "placement/data/latency.toml": parts,
         "placement/data/labour.toml": [load_labour().source],

@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
-# A front has every APR and every number of units: what asks for one of them has no place here.
+# A front has every APR and every number of units: what asks for one of them has no
+# place here.
 _ASKED = options.fields_in(
-    options.ASKED, options.MOUNTED, but=("budget", "target", "least", "survive", "give_up")
+    options.ASKED,
+    options.MOUNTED,
+    but=("budget", "target", "least", "survive", "give_up"),
 )
 
 
@@ -62,20 +65,25 @@ Examples:
 @options.option(
     "--all-stages",
     is_flag=True,
-    help=("Optimise time to spare and cost, too, not only the APR with and without a failure."),
+    help=(
+        "Optimise time to spare and cost, too, not only the APR with and without a"
+        " failure."
+    ),
 )
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
-    For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
-    accidents prevented (APR), and the highest that is left when any one unit fails.
+    For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share
+    of accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     job = job.begin()
     from ..jobs.pareto import run_pareto
 
-    summary = run_pareto(job.question, out=out, command=command_line(), **asked, **job.means)
+    summary = run_pareto(
+        job.question, out=out, command=command_line(), **asked, **job.means
+    )
     job.print(summary, lambda: front_text(summary, out))
 
 
@@ -84,7 +92,8 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     from ..parts import front
 
     title = mark(
-        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what more units buy:"
+        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what"
+        " more units buy:"
     )
     if summary.by == "cost":
         title = mark(
@@ -118,7 +127,10 @@ def _with_head(
 
 
 # Existing units are --layout; what is added is asked for by money alone.
-_ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
+_ADDED = (
+    "budget_cost",
+    *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
+)
 
 
 _RETROFIT_EXAMPLES = """\b
@@ -137,15 +149,20 @@ Examples:
     type=click.FloatRange(min=0.0),
     metavar="EUR",
     expected="euros, at least 0",
-    help=("Of a re-aim or a removal; default: people and a lift, by the project's assumptions."),
+    help=(
+        "Of a re-aim or a removal; default: people and a lift, by the project's"
+        " assumptions."
+    ),
 )
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
-def retrofit(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
+def retrofit(
+    job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
+) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
-    A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
-    re-aims and additions together for the money, too.
+    A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost,
+    the best re-aims and additions together for the money, too.
     """
     job = job.begin()
     layout = job.layout(layout_names)

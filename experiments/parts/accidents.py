@@ -36,14 +36,19 @@ def is_weighted(axis: FrameAxis) -> bool:
 def count_sensors(layout: Layout) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
     kinds = [sensor_kind(unit.sensor) for unit in layout.units]
-    n_cameras, n_lidars = kinds.count("camera"), kinds.count("lidar")
+    n_cameras = kinds.count("camera")
+    n_lidars = kinds.count("lidar")
     cameras = trn("{n} camera", "{n} cameras", n_cameras)
     lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
     found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
-    return joined(found) if found else ""
+    if found:
+        return joined(found)
+    return ""
 
 
-def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
+def accidents_section(
+    evaluations: Mapping[str, Evaluation], *, is_optimised: bool
+) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
     meaning = tr(
@@ -78,8 +83,9 @@ def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bo
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """APR of every sensing party; evaluations on the same runs, the first one is the subject.
 
-    A row for all runs, each case, and each weather where there are several. A column per layout,
-    for the car alone and with each layout; and where road users announce themselves.
+    A row for all runs, each case, and each weather where there are several. A column
+    per layout, for the car alone and with each layout; and where road users announce
+    themselves.
     """
     axis = next(iter(evaluations.values())).axis
     caption = tr("Accident prevention ratio by case")
@@ -90,7 +96,9 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
 
 _APR_BY: dict[GroupedBy, str] = {
     "speed": mark("Accident prevention ratio by speed of the car"),
-    "direction": mark("Accident prevention ratio by direction from which the car comes"),
+    "direction": mark(
+        "Accident prevention ratio by direction from which the car comes"
+    ),
     "position": mark(
         "Accident prevention ratio by place along the arms, in metres "
         "before (-) or behind (+) the junction"
@@ -113,10 +121,14 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 
 
 def _table_of_parties(
-    evaluations: Mapping[str, Evaluation], caption: str, head: str, groups: Sequence[RunGroup]
+    evaluations: Mapping[str, Evaluation],
+    caption: str,
+    head: str,
+    groups: Sequence[RunGroup],
 ) -> Table:
     """A row per group of runs, a column per party."""
-    axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
+    axis = next(iter(evaluations.values())).axis
+    parties = _parties(evaluations)
     return Table(
         caption=caption,
         columns=[head, *parties],
@@ -129,9 +141,14 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
     layouts = [(tr(name), item) for name, item in evaluations.items()]
-    parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
+    parties = {
+        f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts
+    }
     parties |= {tr("car (VUT) alone"): subject.vut}
-    parties |= {tr("car (VUT) and {name}", name=name): item.vut_and_rsus for name, item in layouts}
+    parties |= {
+        tr("car (VUT) and {name}", name=name): item.vut_and_rsus
+        for name, item in layouts
+    }
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
         parties[tr("road users' messages (VAM) alone")] = subject.others["vam"]
@@ -145,10 +162,12 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     """APR of each unit of a layout by itself, with the rows of :func:`apr_table`.
 
-    The last row: in what share of the frames the unit detects. Of more than ``MAX_UNIT_COLUMNS``
-    units each is a row instead, the best first; a long table is to unfold.
+    The last row: in what share of the frames the unit detects. Of more than
+    ``MAX_UNIT_COLUMNS`` units each is a row instead, the best first; a long table is to
+    unfold.
     """
-    labels, axis = unit_labels(evaluation.layout), evaluation.axis
+    labels = unit_labels(evaluation.layout)
+    axis = evaluation.axis
     units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
     detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
     columns = [_cases(axis), *(labels[unit_id] for unit_id, _ in units)]
@@ -177,20 +196,25 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
 
 
 def _cases(axis: FrameAxis) -> str:
-    return tr("case or weather") if several_weathers(axis) else tr("case")
+    if several_weathers(axis):
+        return tr("case or weather")
+    return tr("case")
 
 
 def several_weathers(axis: FrameAxis) -> list[RunGroup]:
     """The weathers in the order in which they first appear; none where all runs have the same."""
     weathers = groups_by(axis, "weather")
-    return weathers if len(weathers) > 1 else []
+    if len(weathers) > 1:
+        return weathers
+    return []
 
 
 def _groups(axis: FrameAxis) -> list[RunGroup]:
     """All runs, those of each case, and those of each weather where there are several."""
     every = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     weathers = [
-        (tr("weather: {weather}", weather=tr(name)), mask) for name, mask in several_weathers(axis)
+        (tr("weather: {weather}", weather=tr(name)), mask)
+        for name, mask in several_weathers(axis)
     ]
     return [every, *groups_by(axis, "case"), *weathers]
 
@@ -215,7 +239,9 @@ def cases_section(setting: Setting) -> Section:
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
-    sketches = [sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()]
+    sketches = [
+        sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()
+    ]
     blocks += [
         tr(
             "From above: the car drives upwards and hits where its line ends. "
@@ -250,11 +276,15 @@ def sketch_case(run: Run) -> Sketch:
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
 
     def drawn(places_m: FloatArray) -> FloatArray:
-        return np.asarray((places_m - run.vut_position_m[-1]) @ rotation * (_PER_M, -_PER_M))
+        return np.asarray(
+            (places_m - run.vut_position_m[-1]) @ rotation * (_PER_M, -_PER_M)
+        )
 
     car = run.encounter.vut
     shape = {"length_m": car.length_m, "width_m": car.width_m}
-    at_first = footprint_corners(run.vut_position_m[first], run.vut_yaw_deg[first], **shape)
+    at_first = footprint_corners(
+        run.vut_position_m[first], run.vut_yaw_deg[first], **shape
+    )
     user = int(is_near[1].argmax())
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     circle = _USER_M * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -263,7 +293,10 @@ def sketch_case(run: Run) -> Sketch:
         code=run.case.name,
         half=round(SKETCHED_M * _PER_M),
         paths=[
-            *(("body", _path(drawn(corners), is_closed=True)) for corners in _bodies(run)),
+            *(
+                ("body", _path(drawn(corners), is_closed=True))
+                for corners in _bodies(run)
+            ),
             ("way", _path(drawn(run.vut_position_m[first:]))),
             ("car", _path(drawn(at_first), is_closed=True)),
             ("user-way", _path(drawn(run.vru_position_m[user:]))),
@@ -282,7 +315,9 @@ def _bodies(run: Run) -> list[FloatArray]:
     return [body.footprint_m for body in run.obstruction if is_near(body)]
 
 
-def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False) -> str:
+def _path(
+    places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False
+) -> str:
     """Data of an SVG path through places (n, 2), whole numbers; equal ones in a row once."""
     points = dict.fromkeys(f"{round(x)} {round(y)}" for x, y in np.asarray(places))
     return "M" + "L".join(points) + ("Z" if is_closed else "")
@@ -310,12 +345,22 @@ def case_table(setting: Setting) -> Table:
         case = runs[0].case
         vru_speeds_kmh = sorted({run.case.vru_speed_kmh for run in runs})
         approaches = dict.fromkeys(run.approach for run in runs)
-        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
+        last_s = [
+            run.last_brake_time_s
+            for run in runs
+            if math.isfinite(run.last_brake_time_s)
+        ]
         met = f"{tr(case.vru.name)}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
         speeds = _steps(sorted({run.vut_speed_kmh for run in runs}))
         is_all = len(approaches) == len(every) > 1
-        arms = tr("all") if is_all else ", ".join(map(tr, approaches))
-        weight = [percent(float(setting.axis.weight[indices].sum()))] if has_weights else []
+        if is_all:
+            arms = tr("all")
+        else:
+            arms = ", ".join(map(tr, approaches))
+        if has_weights:
+            weight = [percent(float(setting.axis.weight[indices].sum()))]
+        else:
+            weight = []
         moments = [number(pick(last_s, default=None)) for pick in (min, max)]
         rows.append(
             [
@@ -330,14 +375,22 @@ def case_table(setting: Setting) -> Table:
             ]
         )
     columns = [
-        *(tr("case"), tr("what happens"), tr("road user"), tr("car (km/h)"), tr("from")),
+        *(
+            tr("case"),
+            tr("what happens"),
+            tr("road user"),
+            tr("car (km/h)"),
+            tr("from"),
+        ),
         tr("runs"),
         *([tr("weight")] if has_weights else []),
         *(tr("last moment, earliest (s)"), tr("latest (s)")),
     ]
     arms = ", ".join(map(tr, every))
     return Table(
-        caption=tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases"),
+        caption=(
+            tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases")
+        ),
         columns=columns,
         rows=rows,
         numeric=range(5, len(columns)),
@@ -348,7 +401,9 @@ def _steps(values: Sequence[float]) -> str:
     """Ascending values: as a range where the steps between them are equal, else each."""
     steps = np.diff(values)
     if len(values) > 2 and np.allclose(steps, steps[0]):
-        low, high, step = (localized(f"{value:g}") for value in (values[0], values[-1], steps[0]))
+        low, high, step = (
+            localized(f"{value:g}") for value in (values[0], values[-1], steps[0])
+        )
         return tr("{low} to {high} by {step}", low=low, high=high, step=step)
     return ", ".join(localized(f"{value:g}") for value in values)
 
@@ -381,18 +436,28 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     axis = subject.axis
     verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis) for verdict in verdicts]
-    has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
+    has_weathers = bool(several_weathers(axis))
+    has_weights = is_weighted(axis)
     rows = []
     for index in np.argsort(margins[0], kind="stable").tolist():
-        weather = [tr(axis.weathers[index])] if has_weathers else []
-        weight = [percent(float(axis.weight[index]))] if has_weights else []
+        if has_weathers:
+            weather = [tr(axis.weathers[index])]
+        else:
+            weather = []
+        if has_weights:
+            weight = [percent(float(axis.weight[index]))]
+        else:
+            weight = []
         ends = [
             outcome(run_outcome(verdict, axis, index), float(margin[index]))
             for verdict, margin in zip(verdicts, margins, strict=True)
         ]
         last = number(axis.last_brake_time_s[index])
         rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
-    own = [*([tr("weather")] if has_weathers else []), *([tr("weight")] if has_weights else [])]
+    own = [
+        *([tr("weather")] if has_weathers else []),
+        *([tr("weight")] if has_weights else []),
+    ]
     columns = [tr("run"), *own, tr("last moment (s)"), *map(tr, evaluations), tr("VUT")]
     n_hit = int((~subject.headline.is_avoided).sum())
     summary = tr("{n} runs: those with the least time to spare first", n=len(rows))

@@ -23,7 +23,8 @@ from .explanation import causes_and_remedies
 from .result import PlacementResult, Result
 from .section import Picture
 
-_MOST_DANGERS, _MOST_UNITS = 3, 6
+_MOST_DANGERS = 3
+_MOST_UNITS = 6
 
 
 class Card(NamedTuple):
@@ -73,7 +74,8 @@ def build_first_screen(
 
 def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ...]:
     """Where each unit is mounted and looks, if they are few."""
-    units, labels = subject.layout.units, unit_labels(subject.layout)
+    units = subject.layout.units
+    labels = unit_labels(subject.layout)
     if len(units) > _MOST_UNITS:
         return ()
     found = []
@@ -89,7 +91,8 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
 
 def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     axis = subject.axis
-    n_avoided, n_runs = int(avoided.sum()), axis.n_runs
+    n_avoided = int(avoided.sum())
+    n_runs = axis.n_runs
     words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
     if is_weighted(axis):
         words = tr(
@@ -108,7 +111,8 @@ def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
     words = tr("are prevented even if the sensor that is needed most is out of order")
     if len(subject.units) == 1 and result.cars < 1.0:
-        left, words = None, tr("there is but one: if it fails, only the car itself is left")
+        left = None
+        words = tr("there is but one: if it fails, only the car itself is left")
     return Card(tr("If a sensor fails"), percent(left), words)
 
 
@@ -118,7 +122,8 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:
         words = tr(
-            "to buy {sensors} and to make their poles ready; prices of poles are assumed",
+            "to buy {sensors} and to make their poles ready; prices of poles are"
+            " assumed",
             sensors=counted,
         )
     return Card(tr("Cost"), euros(total), words)
@@ -126,20 +131,29 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
 
 _NO_OTHER = {
     "best": mark("no other choice does better {tried}"),
-    "fewest": mark("no other choice reaches what was asked for with fewer sensors {tried}"),
-    "cheapest": mark("no other choice reaches what was asked for with less money {tried}"),
+    "fewest": mark(
+        "no other choice reaches what was asked for with fewer sensors {tried}"
+    ),
+    "cheapest": mark(
+        "no other choice reaches what was asked for with less money {tried}"
+    ),
 }
 
 
 def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
-        return Card(tr("Proof"), NOTHING, tr("this layout was given, and not searched for"))
+        return Card(
+            tr("Proof"), NOTHING, tr("this layout was given, and not searched for")
+        )
     tried = tr(
-        "among {n:,} possible mountings (by a simpler model, for planning)", n=result.candidates
+        "among {n:,} possible mountings (by a simpler model, for planning)",
+        n=result.candidates,
     )
     if is_proven(result):
         if result.highest is None:
-            return Card(tr("Proof"), tr("proven best"), tr(_NO_OTHER[result.goal], tried=tried))
+            return Card(
+                tr("Proof"), tr("proven best"), tr(_NO_OTHER[result.goal], tried=tried)
+            )
         given_up = points(result.highest.given_up)
         words = tr(
             "of all choices that prevent nearly as much as can be (up to "
@@ -150,9 +164,12 @@ def _proof(result: Result) -> Card:
         )
         return Card(tr("Proof"), tr("proven"), words)
     if result.bound is None:
-        return Card(tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried))
+        return Card(
+            tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried)
+        )
     words = tr(
-        "is the most that any choice could prevent {tried}; it is not proven to be reached",
+        "is the most that any choice could prevent {tried}; it is not proven to be"
+        " reached",
         tried=tried,
     )
     return Card(tr("Proof"), percent(result.bound), words)
@@ -169,14 +186,20 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     found = [f"{titles.get(one.name, one.name)}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
-        places = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
+        places = joined(
+            [f"{position_words(group.name)} ({_left(group)})" for group in where]
+        )
         found.append(tr("Most of it happens {places}.", places=places))
     if isinstance(result, PlacementResult):
         found += causes_and_remedies(result.explained.not_avoided)[:1]
         if result.next_unit is not None:
             more = points(result.next_unit.gain)
             found.append(
-                tr("One more sensor would prevent {more} more (by the planning model).", more=more)
+                tr(
+                    "One more sensor would prevent {more} more (by the planning"
+                    " model).",
+                    more=more,
+                )
             )
     return found
 

@@ -67,16 +67,20 @@ def _within(first: StageRecord) -> str:
     is_proven = first.gap == 0.0
     if first.name == "units":
         if is_proven:
-            return tr("With {found:,.0f} units for what was asked, the least:", found=found)
+            return tr(
+                "With {found:,.0f} units for what was asked, the least:", found=found
+            )
         return tr(
-            "With {found:,.0f} units for what was asked, no choice needs less than {least:,.0f}:",
+            "With {found:,.0f} units for what was asked, no choice needs less than"
+            " {least:,.0f}:",
             found=found,
             least=least,
         )
     if is_proven:
         return tr("With {found:,.0f} EUR for what was asked, the least:", found=found)
     return tr(
-        "With {found:,.0f} EUR for what was asked, no choice needs less than {least:,.0f}:",
+        "With {found:,.0f} EUR for what was asked, no choice needs less than"
+        " {least:,.0f}:",
         found=found,
         least=least,
     )
@@ -84,7 +88,8 @@ def _within(first: StageRecord) -> str:
 
 def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     """The proof where some of the highest APR might be given up."""
-    most, kept = highest.stages[0], result.stages[0]
+    most = highest.stages[0]
+    kept = result.stages[0]
     values: dict[str, object] = {
         "n": result.candidates,
         "measure": measure_of(result),
@@ -94,40 +99,53 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
         "kept": percent(kept.bound),
     }
     is_proven = most.gap == 0.0 and kept.gap == 0.0
-    begin = tr("Proven on the detection table:") if is_proven else tr("Found in the time given:")
+    if is_proven:
+        begin = tr("Proven on the detection table:")
+    else:
+        begin = tr("Found in the time given:")
     first = tr(
-        "a choice among {n} candidate poses has an {measure} of {most}, and none exceeds {bound}",
+        "a choice among {n} candidate poses has an {measure} of {most}, and none"
+        " exceeds {bound}",
         **values,
     )
     if most.gap == 0.0:
         first = tr(
-            "no choice among {n} candidate poses has a higher {measure} than {most}", **values
+            "no choice among {n} candidate poses has a higher {measure} than {most}",
+            **values,
         )
     is_kept = kept.gap == 0.0
     if result.failing == "site":
         then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a pole fails",
+            "of those with at most {given_up} less, none keeps more than {kept} when a"
+            " pole fails",
             **values,
         )
         if is_kept:
             then = tr(
-                "of those with at most {given_up} less, none keeps more when a pole fails", **values
+                "of those with at most {given_up} less, none keeps more when a pole"
+                " fails",
+                **values,
             )
     else:
         then = tr(
-            "of those with at most {given_up} less, none keeps more than {kept} when a unit fails",
+            "of those with at most {given_up} less, none keeps more than {kept} when a"
+            " unit fails",
             **values,
         )
         if is_kept:
             then = tr(
-                "of those with at most {given_up} less, none keeps more when a unit fails", **values
+                "of those with at most {given_up} less, none keeps more when a unit"
+                " fails",
+                **values,
             )
     return f"{begin} {first}; {then}"
 
 
 def measure_of(result: PlacementResult) -> str:
     """What is optimised: the APR, or the score that was asked for."""
-    return tr("APR") if result.score == AVOIDED else tr("score")
+    if result.score == AVOIDED:
+        return tr("APR")
+    return tr("score")
 
 
 def section(result: PlacementResult) -> Section:
@@ -183,8 +201,16 @@ def _labelled(stages: Sequence[StageRecord]) -> list[tuple[str, StageRecord]]:
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
     n_certain = _n_certain(stages)
     return Table(
-        caption=tr("Objectives in order: each is optimised without giving up any before it"),
-        columns=[tr("on the detection table"), tr("found"), tr("bound"), tr("gap"), tr("time (s)")],
+        caption=tr(
+            "Objectives in order: each is optimised without giving up any before it"
+        ),
+        columns=[
+            tr("on the detection table"),
+            tr("found"),
+            tr("bound"),
+            tr("gap"),
+            tr("time (s)"),
+        ],
         rows=[
             [label, *_stage_row(stage, is_certain=number < n_certain)]
             for number, (label, stage) in enumerate(stages)
@@ -196,7 +222,9 @@ def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
 def _n_certain(stages: Sequence[tuple[str, StageRecord]]) -> int:
     """Stages up to the first open one: the bounds of those after it depend on what that holds."""
     is_open = [stage.gap != 0.0 for _, stage in stages]
-    return is_open.index(True) + 1 if True in is_open else len(stages)
+    if True in is_open:
+        return is_open.index(True) + 1
+    return len(stages)
 
 
 def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
@@ -252,14 +280,22 @@ def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
             return NOTHING
         if stage.name in ("units", "cost_eur"):
             return localized(f"{value:,.2f}".removesuffix(".00"))
-        return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
+        if stage.name.endswith("_s"):
+            return f"{number(value, 3)} s"
+        return percent(value)
 
     is_proven = stage.gap == 0.0
-    gap = tr("proven") if is_proven else tr("open")
+    if is_proven:
+        gap = tr("proven")
+    else:
+        gap = tr("open")
     # More than the value itself says nothing as a share of it.
     if not is_proven and is_certain and stage.gap is not None and stage.gap <= 1.0:
         gap = percent(stage.gap)
-    bound = shown(stage.bound) if is_certain or is_proven else NOTHING
+    if is_certain or is_proven:
+        bound = shown(stage.bound)
+    else:
+        bound = NOTHING
     return [shown(stage.objective), bound, gap, number(stage.seconds, 1)]
 
 
@@ -267,7 +303,8 @@ def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement
     both = tr(
-        "They disagree on {share} of the runs whether this layout avoids it.", share=percent(share)
+        "They disagree on {share} of the runs whether this layout avoids it.",
+        share=percent(share),
     )
     if share == 0.0:
         both = tr("For this layout both say the same of every run.")
@@ -278,14 +315,21 @@ def agreement_section(result: PlacementResult) -> Section:
         both=both,
     )
     runs = tabulate(
-        tr("Runs that only one of them calls avoided, for each unit by itself and for all fused"),
+        tr(
+            "Runs that only one of them calls avoided, for each unit by itself and for"
+            " all fused"
+        ),
         result.disagreements,
         {
             tr("run"): lambda entry: entry.run_id,
             tr("unit"): lambda entry: tr(entry.party),
-            tr("avoided by the"): lambda entry: tr("table") if entry.on_table else tr("evaluator"),
+            tr("avoided by the"): lambda entry: (
+                tr("table") if entry.on_table else tr("evaluator")
+            ),
             tr("frames that differ"): lambda entry: entry.n_frames,
-            tr("what the evaluator sees in the first of them"): lambda entry: tr(entry.cause),
+            tr("what the evaluator sees in the first of them"): lambda entry: tr(
+                entry.cause
+            ),
         },
         numeric=[3],
     )

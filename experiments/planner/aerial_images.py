@@ -22,7 +22,9 @@ from .background import Background, Lie, LiePoint
 _AROUND_M = 150.0
 # Least size of a pixel of the image on the ground
 _FINEST_M = 0.1
-_EXPECTED = mark("an image of the junction in 8 bits per colour that says where it lies")
+_EXPECTED = mark(
+    "an image of the junction in 8 bits per colour that says where it lies"
+)
 _DRIVERS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 
 
@@ -68,7 +70,9 @@ def _cut(raster: Any, path: str, crs: str, scene: Scene) -> Background:
     own_crs = crs
     if raster.crs:
         own_crs = raster.crs.to_wkt()
-    is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
+    is_coloured = (
+        raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
+    )
     if raster.transform.is_identity or not (own_crs and scene.crs and is_coloured):
         refuse(path, mark("another one, or a scene at no place"), _EXPECTED)
     low_m, high_m = _extent_m(raster, own_crs, scene.crs)

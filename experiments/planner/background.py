@@ -111,7 +111,9 @@ def read_background(record: Any, where: str) -> Background:
     try:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
-        raise InputError(where, Unquoted(error), mark("an image and how it lies")) from None
+        raise InputError(
+            where, Unquoted(error), mark("an image and how it lies")
+        ) from None
     return _checked(found, where)
 
 
@@ -127,7 +129,9 @@ def _checked(background: Background, where: str) -> Background:
     is_width_known = 1 <= lie.width_px <= _MAX_SIDE_PX
     is_height_known = 1 <= lie.height_px <= _MAX_SIDE_PX
     if not (is_width_known and is_height_known):
-        size = Phrase("{width} by {height} pixels", width=lie.width_px, height=lie.height_px)
+        size = Phrase(
+            "{width} by {height} pixels", width=lie.width_px, height=lie.height_px
+        )
         refuse(where, size, Phrase("1 to {n:,} pixels", n=_MAX_SIDE_PX))
     first, second = lie.points
     numbers = [*msgspec.structs.astuple(first), *msgspec.structs.astuple(second)]

@@ -89,8 +89,8 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     Raises
     ------
     InputError
-        There is no such unit, site, sensor or variant; a site is full or forbidden; or a
-        number is none that can be mounted.
+        There is no such unit, site, sensor or variant; a site is full or forbidden; or
+        a number is none that can be mounted.
     """
     units = state.variant.units
     match change:
@@ -112,7 +112,9 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
             return add_variant(state, Variant(name=name, units=units))
         case SelectVariant(index=index):
             if not 0 <= index < len(state.variants):
-                raise InputError(mark("variant"), index, f"0 to {len(state.variants) - 1}")
+                raise InputError(
+                    mark("variant"), index, f"0 to {len(state.variants) - 1}"
+                )
             return replace(state, current=index)
         case RenameVariant(name=name):
             return _rename_variant(state, printable_name(name))
@@ -124,7 +126,9 @@ def _rename_variant(state: PlanState, name: str) -> PlanState:
     """The state with another name for the current variant; InputError: it is taken."""
     for variant in state.variants:
         if variant is not state.variant and variant.name == name:
-            raise InputError(mark("name"), name, mark("a name that no other variant has"))
+            raise InputError(
+                mark("name"), name, mark("a name that no other variant has")
+            )
     renamed = replace(state.variant, name=name)
     return state.with_variant(renamed)
 
@@ -210,8 +214,8 @@ def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
 def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
     """The state with one unit changed; see :class:`ChangeUnit`.
 
-    A sensor comes first, since its lens may be changed in the same request; then the site,
-    since heights are those of the new one; then what is said of the pose.
+    A sensor comes first, since its lens may be changed in the same request; then the
+    site, since heights are those of the new one; then what is said of the pose.
     """
     units = state.variant.units
     scene = stock.scene
@@ -259,8 +263,8 @@ def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
     """A pose at another place that looks at the same point of the ground.
 
-    One whose axis does not meet the ground keeps its tilt, and turns to what lay ahead of it
-    as far away as a junction is wide.
+    One whose axis does not meet the ground keeps its tilt, and turns to what lay ahead
+    of it as far away as a junction is wide.
 
     Parameters
     ----------
@@ -290,7 +294,9 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
         pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
     if east or north:
         yaw_deg = math.degrees(math.atan2(north, east))
-    return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
+    return Pose(
+        position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg)
+    )
 
 
 def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float, float]:
@@ -318,7 +324,9 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     """
     foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
-        expected = Phrase("{low:g} .. {high:g} m, above the ground", low=low_m, high=high_m)
+        expected = Phrase(
+            "{low:g} .. {high:g} m, above the ground", low=low_m, high=high_m
+        )
         if site_id:
             expected = Phrase(
                 "{low:g} .. {high:g} m, the range of {site}",

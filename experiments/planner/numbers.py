@@ -179,7 +179,9 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
 # ---------- what is asked
 
 
-def change_question(question: Question, change: ChangeQuestion, begun: Question) -> Question:
+def change_question(
+    question: Question, change: ChangeQuestion, begun: Question
+) -> Question:
     """A question with what a browser changes.
 
     Parameters
@@ -207,7 +209,9 @@ def change_question(question: Question, change: ChangeQuestion, begun: Question)
         raise InputError(mark("cases"), cases, mark("sets and names of cases"))
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
-        expected = Phrase("{one} or {other}: the page tells each run once", one=BLIND, other=SEE)
+        expected = Phrase(
+            "{one} or {other}: the page tells each run once", one=BLIND, other=SEE
+        )
         raise InputError(mark("cars"), changed.cars, expected)
     # The detector is one of the choices, and may be a network that is slow to load.
     check_question(replace(changed, detector=DETECTOR_NAMES[0]))
@@ -230,11 +234,18 @@ def _choices(begun: Question) -> dict[str, list[str]]:
 
 _MEANINGS = {
     "case": mark(
-        "Mean over cases, in each over approaches, positions and runs; not over all runs."
+        "Mean over cases, in each over approaches, positions and runs; not over all"
+        " runs."
     ),
-    "run": mark("Share of all runs: each counts the same, so cases with more runs count more."),
-    "fhwa-crash-types": mark("Cases count by how often cars hit people so, not by their runs."),
-    "euroncap-rating-2026": mark("Cases count by Euro NCAP's points, not by their runs."),
+    "run": mark(
+        "Share of all runs: each counts the same, so cases with more runs count more."
+    ),
+    "fhwa-crash-types": mark(
+        "Cases count by how often cars hit people so, not by their runs."
+    ),
+    "euroncap-rating-2026": mark(
+        "Cases count by Euro NCAP's points, not by their runs."
+    ),
 }
 """What weights mean, by their names."""
 
@@ -260,7 +271,9 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     if weights in WEIGHT_WORDS:
         meaning = tr(_MEANINGS[weights])
     if question.score != AVOIDED:
-        meaning += " " + tr("A run that is not avoided counts by the speed that is left.")
+        meaning += " " + tr(
+            "A run that is not avoided counts by the speed that is left."
+        )
     return {
         "now": {field.name: getattr(question, field.name) for field in names},
         "choices": {
@@ -312,7 +325,9 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
         records.append({**record, **_unit_fields(unit, scene)})
     return {
         "units": records,
-        "variants": [{"name": one.name, "units": len(one.units)} for one in state.variants],
+        "variants": [
+            {"name": one.name, "units": len(one.units)} for one in state.variants
+        ],
         "current": state.current,
         "poles": [_site_record(pole, is_own=True) for pole in state.poles],
         "canUndo": history.can_undo,
@@ -552,9 +567,9 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
     Returns
     -------
     dict
-        "band" has a byte for each cell, row by row from the south: the index of its band in
-        ``BANDS``, of which 0 is the finest; 254: coarser than all; 255: unseen. "box" is in
-        centimetres.
+        "band" has a byte for each cell, row by row from the south: the index of its
+        band in ``BANDS``, of which 0 is the finest; 254: coarser than all; 255: unseen.
+        "box" is in centimetres.
     """
     found = find_ground_coverage(scene, units)
     band = np.full(found.density.shape, 255, dtype=np.uint8)

@@ -67,21 +67,29 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     Raises
     ------
     InputError
-        It would stand in something or on the road, too far away, or no pole of the scene says
-        what is usual.
+        It would stand in something or on the road, too far away, or no pole of the
+        scene says what is usual.
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
-        refuse(mark("pole"), mark("a scene without any"), mark("one whose poles it can be like"))
+        refuse(
+            mark("pole"),
+            mark("a scene without any"),
+            mark("one whose poles it can be like"),
+        )
     # The first of those that are alike the most often
-    kinds = [(one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing]
+    kinds = [
+        (one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing
+    ]
     usual_kind = max(kinds, key=kinds.count)
     usual = standing[kinds.index(usual_kind)]
     east_m, north_m = (round(check_finite(mark("pole"), value), 2) for value in place_m)
     point = shapely.Point(east_m, north_m)
     foot_m = np.array([east_m, north_m, 0.0])
     if not shapely.dwithin(point, shapely.Polygon(scene.outline_m), _FARTHEST_POLE_M):
-        expected = Phrase("one at most {far:g} m from the junction", far=_FARTHEST_POLE_M)
+        expected = Phrase(
+            "one at most {far:g} m from the junction", far=_FARTHEST_POLE_M
+        )
         refuse(mark("pole"), mark("a place farther away"), expected)
     foot_m[2] = ground_height_m(scene, foot_m[:2])
     # A metre above the ground, where what stands there is no mere edge.
@@ -89,7 +97,9 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     if around:
         refuse(
             mark("pole"),
-            Phrase("a place inside {kind} {name}", kind=around.class_name, name=around.id),
+            Phrase(
+                "a place inside {kind} {name}", kind=around.class_name, name=around.id
+            ),
             mark("one in the open air"),
         )
     if road_area(scene).contains(point):
@@ -127,7 +137,9 @@ def put_pole(state: PlanState, change: PutPole, scene: Scene) -> PlanState:
     return replace(_each_unit(state, moved), poles=poles)
 
 
-def _each_unit(state: PlanState, change: Callable[[CandidatePose], CandidatePose]) -> PlanState:
+def _each_unit(
+    state: PlanState, change: Callable[[CandidatePose], CandidatePose]
+) -> PlanState:
     """The state with each unit of each variant changed."""
     variants = []
     for variant in state.variants:

@@ -16,8 +16,8 @@ class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
 class AddUnit(_Request, tag="add"):
     """Mount a sensor at a site; by default it looks at the middle of the junction.
 
-    A height that the site does not have is brought into its range: what is pasted may be from
-    another site.
+    A height that the site does not have is brought into its range: what is pasted may
+    be from another site.
     """
 
     site: str
