@@ -2,11 +2,13 @@
 
 A sentence stands in the code in English, whole, with names in braces for what is put
 in: it is the key under which catalogues (``languages/de/*.po``, gettext's format) have
-its translation. Keys of JSON, names of files, the help of commands and their errors are
-English always; what the planner's page is refused is not.
+its translation. ``tr`` and ``trn`` take it where it is said, ``mark`` where it is a
+constant. The packages below know no languages: they return a
+:class:`geometry.phrases.Phrase`, which ``tr`` takes too. Keys of JSON, names of files,
+the help of commands and their errors are English always; what the planner's page is
+refused is not.
 """
 
-import re
 import string
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,12 +17,13 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
-from geometry.files import load_data
+from geometry.errors import InputError
+from geometry.phrases import Phrase
 
-LANGUAGES = ("en", "de")
+_FOLDER = files("experiments").joinpath("languages")
+LANGUAGES = ("en", *sorted(one.name for one in _FOLDER.iterdir() if one.is_dir()))
+"""Languages that can be spoken: English, and each that has a folder of catalogues."""
 _SWAPPED = str.maketrans(".,", ",.")
-_SENTENCES = re.compile(r"(?<=\.) (?=[A-Z])")
-_NUMBER = re.compile(r"[-+\N{MINUS SIGN}]?[\d,]+(\.\d+)?")
 
 
 class _GermanNumbers(string.Formatter):
@@ -70,12 +73,12 @@ def _catalogue(code: str) -> Messages:
     from babel.messages.pofile import read_po
 
     translated: dict[str, str | tuple[str, ...]] = {}
-    for path in sorted(
-        files("experiments").joinpath("languages", code).iterdir(), key=str
-    ):
+    for path in sorted(_FOLDER.joinpath(code).iterdir(), key=str):
         if path.name.endswith(".po"):
             with path.open("rb") as file:
                 for entry in read_po(file):
+                    if not entry.id:  # the head of the file
+                        continue
                     if isinstance(entry.id, str):
                         key = entry.id
                     else:
@@ -120,14 +123,31 @@ def tr(message: str, /, **values: Any) -> str:
     """A message in the language that is spoken, with values in place of the names in braces.
 
     Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or
-    0,5.
+    0,5. A phrase brings its own values; phrases among the values are translated too. A
+    message that the language does not have, such as the name of a file, stays as it is.
 
     Examples
     --------
     >>> tr("{n:,} runs", n=1200)
     '1,200 runs'
+    >>> tr(Phrase("lane {lane} bends", lane=4))
+    'lane 4 bends'
     """
+    if isinstance(message, Phrase):
+        values = message.fields
+        message = message.template
     return _filled(_Current.messages.find(message), values)
+
+
+def tr_error(error: Exception) -> str:
+    """What an error says, such as what a user gave is refused for."""
+    if not isinstance(error, InputError):
+        return str(error)
+    words = {
+        name: tr(value) if isinstance(value, str) else value
+        for name, value in error.words.fields.items()
+    }
+    return tr(error.words.template, **words)
 
 
 def trn(one: str, many: str, n: int, /, **values: Any) -> str:
@@ -139,36 +159,6 @@ def trn(one: str, many: str, n: int, /, **values: Any) -> str:
     ('1 run', '2 runs')
     """
     return _filled(_Current.messages.find_plural(one, many, n), {"n": n, **values})
-
-
-def say(key: str, n: int | None = None, /, **values: Any) -> str:
-    """A longer text, of ``data/texts.toml``: as ``tr`` says it, or with a number as ``trn``.
-
-    Examples
-    --------
-    >>> say("terminal.more_reasons", 2)
-    "and 2 more reasons in the report's list"
-    """
-    part, _, name = key.partition(".")
-    text = _texts()[part][name]
-    if n is None:
-        return tr(text, **values)
-    return trn(text[0], text[1], n, **values)
-
-
-@cache
-def _texts() -> dict[str, Any]:
-    return load_data("experiments", "texts.toml")
-
-
-def listed(name: str) -> list[str]:
-    """Texts that belong together, of ``data/lists.toml``: most are heads of a table's columns."""
-    return [tr(text) for text in _lists()[name]]
-
-
-@cache
-def _lists() -> dict[str, list[str]]:
-    return load_data("experiments", "lists.toml")
 
 
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
@@ -190,49 +180,6 @@ def mark(message: str) -> str:
     return message
 
 
-def said(text: str) -> str:
-    """A text of a package below, such as a note on a map, in the language that is spoken.
-
-    Those packages know no languages: ``data/said_below.toml`` has what they say. Any
-    other text stays as it is.
-
-    Examples
-    --------
-    >>> said("none in the map")
-    'none in the map'
-    """
-    if _Current.code == "en":
-        return text
-    return " ".join(_said(sentence) for sentence in _SENTENCES.split(text))
-
-
-def _said(sentence: str) -> str:
-    if _NUMBER.fullmatch(sentence):
-        return localized(sentence)
-    for message, pattern in _said_below().items():
-        found = pattern.fullmatch(sentence)
-        if found:
-            return tr(
-                message,
-                **{name: _said(part) for name, part in found.groupdict().items()},
-            )
-    return sentence
-
-
-@cache
-def _said_below() -> dict[str, re.Pattern[str]]:
-    """Messages of the packages below, and what a text with values in place of names is like."""
-    return {
-        message: re.compile(
-            "".join(
-                re.escape(words) + (f"(?P<{name}>.+?)" if name else "")
-                for words, name, _, _ in string.Formatter().parse(message)
-            )
-        )
-        for message in load_data("experiments", "said_below.toml")["messages"]
-    }
-
-
 def localized(number: str) -> str:
     """A number that has been written as English does, as the language that is spoken does."""
     if _Current.code == "en":
@@ -243,6 +190,13 @@ def localized(number: str) -> str:
 def _filled(message: str, values: Mapping[str, Any]) -> str:
     if not values:
         return message
+    said = {name: _translated(value) for name, value in values.items()}
     if _Current.code == "en":
-        return message.format(**values)
-    return _GermanNumbers().vformat(message, (), values)
+        return message.format(**said)
+    return _GermanNumbers().vformat(message, (), said)
+
+
+def _translated(value: Any) -> Any:
+    if isinstance(value, Phrase):
+        return tr(value)
+    return value

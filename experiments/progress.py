@@ -15,9 +15,9 @@ from typing import Any, NoReturn
 
 import click
 
-from .language import said, tr
+from .language import mark, tr
 
-WRITING = "write results"
+WRITING = mark("write results")
 """The stage in which files are written."""
 
 LINE_EVERY_S = 30.0
@@ -99,7 +99,7 @@ class StageProgress:
     """
 
     def __init__(self) -> None:
-        self.stage = "start"  # that runs, or ran last
+        self.stage = mark("start")  # that runs, or ran last
         self.seconds: dict[str, float] = {}  # of each finished stage
         self.kept = "nothing was written"  # what is on disk if the program ends now
         self._began_s = self._line_s = time.perf_counter()
@@ -115,7 +115,7 @@ class StageProgress:
             self._end_stage()
             self.stage = stage
             if self._prints_lines:
-                tell(f"{said(stage)} ...", err=True)
+                tell(f"{tr(stage)} ...", err=True)
                 self._line_s = time.perf_counter()
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
@@ -125,14 +125,13 @@ class StageProgress:
             and time.perf_counter() - self._line_s >= LINE_EVERY_S
         ):
             tell(
-                tr("{step}: {n} of {all}", step=said(stage), n=done, all=total),
-                err=True,
+                tr("{step}: {n} of {all}", step=tr(stage), n=done, all=total), err=True
             )
             self._line_s = time.perf_counter()
         if self._bar is not None:
             self._bar.update(
                 self._task,
-                description=printable(said(stage)),
+                description=printable(tr(stage)),
                 completed=done,
                 total=total or None,
             )
@@ -170,7 +169,7 @@ class StageProgress:
             # What others print must stay where it belongs: stdout is not rich's.
             redirect_stdout=False,
         )
-        self._task = self._bar.add_task(said(self.stage), total=None)
+        self._task = self._bar.add_task(tr(self.stage), total=None)
         self._bar.start()
 
     def stop(self) -> None:
@@ -186,7 +185,7 @@ class StageProgress:
     def finish(self) -> dict[str, float]:
         """End the last stage; seconds of every stage and of all together."""
         self._end_stage()
-        seconds = self.seconds | {"total": sum(self.seconds.values())}
+        seconds = self.seconds | {mark("total"): sum(self.seconds.values())}
         return {name: round(value, 3) for name, value in seconds.items()}
 
     def interruption(self) -> str:

@@ -4,7 +4,10 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
+from .phrases import Phrase
+
 _MAX_CHARACTERS = 200  # of a value in a message
+_MAX_NUMBER = 1.0e15  # beyond, a value is shown as text
 _MAX_WORDS = (
     2_000  # characters of our own words, such as a list of all names that exist
 )
@@ -14,8 +17,9 @@ class InputError(ValueError):
     """Something the user gave is not what is expected.
 
     `where`: file, field or argument, as precisely as known: an argument by its name
-    alone. `got`: the offending value. `expected`: what would have been accepted; other
-    arguments stand in backticks.
+    alone. `got`: the offending value, or a phrase about it. `expected`: what would have
+    been accepted; other arguments stand in backticks. `words` is the whole message, to
+    be translated.
 
     >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
     'budget: got 0; expected a whole number of units, at least 1'
@@ -25,18 +29,22 @@ class InputError(ValueError):
         self.where = where
         self.got = got
         self.expected = expected
-        if isinstance(got, Unquoted):
-            shown = _one_line(got)
-        else:
-            shown = _shorten(got)
-        place = _one_line(where, 2 * _MAX_CHARACTERS)
-        wanted = _one_line(expected, _MAX_WORDS)
-        super().__init__(f"{place}: got {shown}; expected {wanted}")
+        self.words = Phrase(
+            "{name}: got {got}; expected {expected}",
+            name=_one_line(where, 2 * _MAX_CHARACTERS),
+            got=_shown(got),
+            expected=_one_line(expected, _MAX_WORDS),
+        )
+        super().__init__(str(self.words))
 
 
 def refuse(where: str, words: object, expected: str) -> NoReturn:
     """Raise InputError about something that is told in words, not shown as a value."""
-    raise InputError(where, Unquoted(words), expected)
+    if isinstance(words, Phrase):
+        shown = words
+    else:
+        shown = Unquoted(words)
+    raise InputError(where, shown, expected)
 
 
 @contextmanager
@@ -89,6 +97,15 @@ class MissingExtraError(RuntimeError):
     """An optional package is needed that is not installed."""
 
 
+def _shown(got: object) -> object:
+    """What a message shows of a value: words in one line, a number itself, else as in Python."""
+    if isinstance(got, Phrase | Unquoted):
+        return _one_line(got)
+    if type(got) in (int, float) and -_MAX_NUMBER < got < _MAX_NUMBER:  # type: ignore[operator]
+        return got
+    return _shorten(got)
+
+
 def _shorten(got: object) -> str:
     """A value as Python writes it, cut off where it would fill more than a line or two."""
     try:
@@ -101,7 +118,10 @@ def _shorten(got: object) -> str:
 
 
 def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
-    """Text that may hold anything, such as a file's own names, as part of one readable line."""
+    """Text that may hold anything, such as a file's own names, as part of one readable line.
+
+    A phrase that is short and printable, as all but odd ones are, stays one.
+    """
     if (
         len(text) > max_characters
     ):  # both ends tell something: a file's folder and its name

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, float_array, freeze, set_arrays
 from .errors import InputError
 from .lines import apart, length_m
+from .phrases import Phrase
 from .scene import Lane, LeadingRoad, Scene, Turn
 
 ARM_NAMES = (
@@ -640,7 +641,7 @@ def street_names(scene: Scene) -> dict[str, str]:
     return {arm: " / ".join(found) for arm, found in names.items()}
 
 
-def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
+def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[Phrase]:
     """Places (n, 2) at a junction in words: "north-west corner, Mill Lane and High Street".
 
     Within 15 m of the junction's outline a corner, with the streets of the arms on
@@ -651,7 +652,7 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     try:
         arms = build_junction(scene).arms
     except InputError:
-        return [""] * len(positions)
+        return [Phrase("")] * len(positions)
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     lines = {
@@ -679,12 +680,27 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
             sides = [bearings[name] for name in beside]
             corner = np.array([np.cos(sides).sum(), np.sin(sides).sum()])
             side = compass_point(corner if np.hypot(*corner) > _STRAIGHT else way)
-            words = [f"{side} corner", " and ".join(dict.fromkeys(known))]
+            here = Phrase("{point} corner", point=Phrase(side))
+            if known:
+                here = Phrase(
+                    "{point} corner, {streets}",
+                    point=Phrase(side),
+                    streets=" and ".join(dict.fromkeys(known)),
+                )
         else:
             point = shapely.Point(position)
             name = min(lines, key=lambda one: lines[one].distance(point))
-            words = [f"{name} arm", streets.get(name, ""), f"{away_m:.0f} m out"]
-        found.append(", ".join(word for word in words if word))
+            here = Phrase(
+                "{arm} arm, {distance:.0f} m out", arm=Phrase(name), distance=away_m
+            )
+            if name in streets:
+                here = Phrase(
+                    "{arm} arm, {street}, {distance:.0f} m out",
+                    arm=Phrase(name),
+                    street=streets[name],
+                    distance=away_m,
+                )
+        found.append(here)
     return found
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
 from .files import Text, says
+from .phrases import Phrase, join_phrases
 
 Kind = Literal[
     "junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"
@@ -27,8 +28,13 @@ class Note:
         says("Sites of the scene that the map does not have, or not there."),
     ] = ()
 
+    @property
+    def words(self) -> Phrase:
+        """The note in a line, to be translated."""
+        return Phrase("{what}: {why}", what=self.what, why=self.why)
+
     def __str__(self) -> str:
-        return f"{self.what}: {self.why}"
+        return str(self.words)
 
 
 def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
@@ -49,4 +55,4 @@ def assumed_sites(notes: Sequence[Note]) -> dict[str, str]:
     for note in notes:
         for site_id in note.site_ids:
             words.setdefault(site_id, []).append(note.why)
-    return {site_id: "; ".join(whys) for site_id, whys in words.items()}
+    return {site_id: join_phrases(whys, "; ") for site_id, whys in words.items()}

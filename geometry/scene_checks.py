@@ -19,6 +19,7 @@ from .junction import (
     lane_length_m,
 )
 from .lines import unit
+from .phrases import Phrase
 from .scene import (
     HANGING_KINDS,
     LeadingRoad,
@@ -142,19 +143,22 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
             lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)
         ]
         is_bent = any(junction.followed(lane) is not lane for lane in arm.entry_lanes)
+        if not ends_m:
+            continue
+        why = Phrase(
+            "the map leads no farther than {far:.0f} m from the junction: whoever "
+            "comes from beyond comes straight on, and nothing is known that could "
+            "hide them",
+            far=min(ends_m),
+        )
         if is_bent:
-            how = "round a bend, past the buildings there"
-        else:
-            how = "straight on"
-        if ends_m:
-            yield (
-                name,
-                (
-                    f"the map leads no farther than {min(ends_m):.0f} m from the"
-                    f" junction: whoever comes from beyond comes {how}, and nothing is"
-                    " known that could hide them"
-                ),
+            why = Phrase(
+                "the map leads no farther than {far:.0f} m from the junction: whoever "
+                "comes from beyond comes round a bend, past the buildings there, and "
+                "nothing is known that could hide them",
+                far=min(ends_m),
             )
+        yield name, why
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:

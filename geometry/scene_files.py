@@ -32,7 +32,8 @@ from .files import (
     write_atomically,
 )
 from .frames import from_gltf_points, parse_crs, to_gltf_points
-from .notes import Note
+from .notes import Kind, Note
+from .phrases import Phrase, pack_phrase, unpack_phrase
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import NoFiles, check_gltf, refuse_bomb
@@ -124,6 +125,16 @@ class _Thing(Struct, frozen=True, kw_only=True, rename={"class_name": "class"}):
     is_height_assumed: bool = False
 
 
+class _SavedNote(Struct, frozen=True, kw_only=True):
+    """A note, and as far as its texts have fields the phrases that they were made of."""
+
+    what: Text
+    why: Text
+    kind: Kind = "left out"
+    site_ids: tuple[Text, ...] = ()
+    phrases: tuple[Any, ...] = ()
+
+
 class _FolderScene(Struct, frozen=True, kw_only=True):
     name: Text
     crs: str
@@ -137,7 +148,7 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     crosswalks: tuple[CrosswalkEntry, ...]
     sites: tuple[Site, ...]
     things: tuple[_Thing, ...]
-    skipped: tuple[Note, ...]
+    skipped: tuple[_SavedNote, ...]
     roads: tuple[LeadingRoad, ...] = ()
 
 
@@ -181,12 +192,7 @@ def save_scene(
             | ({"is_height_assumed": True} if thing.is_height_assumed else {})
             for thing in scene.instances
         ],
-        "skipped": [
-            {"what": note.what, "why": note.why}
-            | ({} if note.kind == "left out" else {"kind": note.kind})
-            | ({"site_ids": list(note.site_ids)} if note.site_ids else {})
-            for note in scene.notes
-        ],
+        "skipped": [_note_entry(note) for note in scene.notes],
         "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
     text = _HEAD + tomlkit.dumps(table)
@@ -233,8 +239,41 @@ def load_scene_folder(path: Path) -> Scene:
         **fields,
         **join_bodies(bodies),
         crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
-        notes=table.skipped,
+        notes=tuple(
+            _read_note(note, f"{where}: skipped[{index}]")
+            for index, note in enumerate(table.skipped)
+        ),
     )
+
+
+def _note_entry(note: Note) -> dict[str, Any]:
+    """A note as ``scene.toml`` has it: English, and beside it the phrases to be translated."""
+    entry: dict[str, Any] = {"what": str(note.what), "why": str(note.why)}
+    if note.kind != "left out":
+        entry["kind"] = note.kind
+    if note.site_ids:
+        entry["site_ids"] = list(note.site_ids)
+    packed = [pack_phrase(text) for text in (note.what, note.why)]
+    if any(isinstance(one, list) for one in packed):
+        entry["phrases"] = packed
+    return entry
+
+
+def _read_note(saved: _SavedNote, where: str) -> Note:
+    """The note that was saved; texts that were changed by hand since are plain."""
+    texts = [Phrase(saved.what), Phrase(saved.why)]
+    if saved.phrases:
+        try:
+            what, why = map(unpack_phrase, saved.phrases)
+        except (ValueError, TypeError, KeyError, AttributeError):
+            shown = Unquoted("others")
+            raise InputError(
+                f"{where}.phrases", shown, "those of what and why"
+            ) from None
+        saved_phrases = zip((what, why), texts, strict=True)
+        texts = [phrase if phrase == text else text for phrase, text in saved_phrases]
+    what, why = texts
+    return Note(what, why, kind=saved.kind, site_ids=saved.site_ids)
 
 
 def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:

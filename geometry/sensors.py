@@ -13,6 +13,7 @@ from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
 from .files import read_data
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
+from .phrases import Phrase
 from .poses import Pose, camera_rotation
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
@@ -70,7 +71,11 @@ class CameraModel:
         limits = load_limits()
         if self.width_px * self.height_px > limits.camera_pixels:
             got = f"{self.width_px} times {self.height_px} pixels"
-            refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
+            refuse(
+                f"{self.name}.width_px",
+                got,
+                Phrase("at most {n:,}", n=limits.camera_pixels),
+            )
         most_deg = 180.0
         why = ""
         if self.bent is not None:
@@ -178,14 +183,23 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
-        expected = (
-            f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens"
+        expected = Phrase(
+            "{angle:g} degrees: {camera} has a fixed lens",
+            angle=camera.horizontal_fov_deg,
+            camera=camera.name,
         )
         raise InputError(where, fov_deg, expected)
     low, high = camera.fov_range_deg
     if not low <= fov_deg <= high:
         raise InputError(
-            where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}"
+            where,
+            fov_deg,
+            Phrase(
+                "{low:g} .. {high:g} degrees, the lens of {camera}",
+                low=low,
+                high=high,
+                camera=camera.name,
+            ),
         )
     return replace(camera, horizontal_fov_deg=float(fov_deg))
 

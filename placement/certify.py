@@ -7,6 +7,7 @@ from typing import Annotated, Literal, NamedTuple
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 from geometry.files import says
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 
 from .cache import cached_value
@@ -118,10 +119,10 @@ def certify(
     layouts = [
         pick_layout(assembly.candidates, rows, name) for rows, name in names.items()
     ]
-    compute.progress("choose in fresh worlds", 0, 0)
+    compute.progress(Phrase("choose in fresh worlds"), 0, 0)
     pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
-    compute.progress("judge in other fresh worlds", 0, 0)
+    compute.progress(Phrase("judge in other fresh worlds"), 0, 0)
     best = [pool[0].layout]
     (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
     gap = estimate_gap([block.bound for block in blocks], judged.apr_by_sample.tolist())

@@ -15,6 +15,7 @@ from geometry.errors import refuse
 from geometry.files import load_data
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
+from geometry.phrases import Phrase
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, road_area
 from geometry.scene_files import check_crs
@@ -70,14 +71,14 @@ class GroundCoverage:
         road = self.density[self.is_road]
         found = {}
         above = 0.0
-        for name, least in (*BANDS, ("coarser", np.nextafter(0.0, 1.0))):
+        for name, least in (*BANDS, (Phrase("coarser"), np.nextafter(0.0, 1.0))):
             if len(road):
                 here = float((road >= least).mean())
             else:
                 here = 0.0
             found[name] = here - above
             above = here
-        return found | {"unseen": 1.0 - above}
+        return found | {Phrase("unseen"): 1.0 - above}
 
 
 class GroundSurvey:

@@ -33,6 +33,7 @@ from geometry.maps.place_lists import (
     read_position,
     tell_unknown,
 )
+from geometry.phrases import Phrase
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, calibrated_sensor, with_fov
@@ -155,7 +156,7 @@ class Certificate:
     """
 
     stages: tuple[Stage, ...]  #: in order
-    solver: str  #: name and version
+    solver: Phrase  #: name and version
 
     @property
     def is_proven(self) -> bool:
@@ -396,7 +397,7 @@ def check_layout(layout: Layout, scene: Scene) -> None:
         refuse(
             f"layout {layout.name}",
             got,
-            f"one of {scene.name}, the scene that is looked at",
+            Phrase("one of {scene}, the scene that is looked at", scene=scene.name),
         )
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)

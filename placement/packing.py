@@ -14,7 +14,10 @@ from typing import Any, get_args, get_origin, get_type_hints
 import msgspec
 import numpy as np
 
-_PLACE = 1  # code of the extension type: number of a part in the list, big-endian
+from geometry.phrases import Phrase, pack_phrase, unpack_phrase
+
+_PLACE = 1  # code of an extension type: number of a part in the list, big-endian
+_PHRASE = 2  # code of another: template and fields of a phrase
 _ARRAY = ""  # stands in place of a class's name
 _PLAIN = (bool, int, float, str, NoneType)
 
@@ -32,6 +35,9 @@ def to_bytes(value: object) -> bytes:
     def plain(value: Any) -> Any:
         if isinstance(value, np.generic):
             value = value.item()
+        if isinstance(value, Phrase):
+            packed = msgspec.msgpack.encode(pack_phrase(value))
+            return msgspec.msgpack.Ext(_PHRASE, packed)
         if isinstance(value, _PLAIN):
             return value
         if type(value) is tuple:
@@ -77,6 +83,8 @@ def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> An
     made: list[Any] = []
 
     def find(code: int, data: memoryview) -> Any:
+        if code == _PHRASE:
+            return unpack_phrase(msgspec.msgpack.decode(data))
         if code != _PLACE:
             raise ValueError(f"its content is of another kind: {code}")
         return made[int.from_bytes(data, "big")]

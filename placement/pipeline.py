@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from scenarios.scores import AVOIDED
@@ -248,7 +249,7 @@ def assemble(
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
     effort = build_effort(question, compute)
     if setting is None:
-        compute.progress("setting", 0, 0)
+        compute.progress(Phrase("setting"), 0, 0)
         setting = build_setting(question, scene, compute=compute)
     return Assembly(
         setting=with_sight(setting, compute=compute),
@@ -454,10 +455,12 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
             reduced,
             give_up=wishes.give_up,
             effort=effort,
-            on_stage=lambda stage: compute.progress(f"optimise: {stage}", 0, 0),
+            on_stage=lambda stage: compute.progress(
+                Phrase("optimise: {goal}", goal=stage), 0, 0
+            ),
         )
         optimised = time.perf_counter()
-        compute.progress("greedy", 0, 0)
+        compute.progress(Phrase("greedy"), 0, 0)
         greedy_index = solve_greedy(problem, reduced)
         if sturdy is None:
             chosen = first
@@ -466,7 +469,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         next_unit = find_next_unit(problem, reduced, chosen.pose_index)
         return _Answer(first, sturdy, greedy_index, next_unit)
 
-    compute.progress("optimise", 0, 0)
+    compute.progress(Phrase("optimise"), 0, 0)
     found = _cached(assembly, answer)
     if asks_worlds:
         found, preferred = _by_worlds(assembly, found)
@@ -526,7 +529,7 @@ def _by_worlds(
         asked = sturdy_problem(problem, first, assembly.wishes.give_up)
     if not may_prefer(assembly, asked, chosen, greedy):
         return found, None
-    assembly.compute.progress("found or greedy, in fresh worlds", 0, 0)
+    assembly.compute.progress(Phrase("found or greedy, in fresh worlds"), 0, 0)
     names = {FOUND: chosen.pose_index, "greedy": greedy}
     both = [
         pick_layout(assembly.candidates, rows, name) for name, rows in names.items()
@@ -605,7 +608,7 @@ def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
             is_worth_it=lambda found: found.is_proven,
         )
     except UnmetError as error:
-        assembly.compute.progress("what has to give way", 0, 0)
+        assembly.compute.progress(Phrase("what has to give way"), 0, 0)
         limit_s = effort.time_limit_s
         at = (assembly.scene, assembly.candidates)
         refusal = find_refusal(problem, wishes, *at, time_limit_s=limit_s)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray
 from geometry.clock import now_s
 from geometry.errors import InputError, refuse
+from geometry.phrases import Phrase
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site, containing_instance
 from geometry.sensors import CameraModel, with_fov
@@ -35,7 +36,7 @@ from .setting import Setting
 
 
 def certify(
-    values: Mapping[Objective, float], certificate: Certificate, solver: str
+    values: Mapping[Objective, float], certificate: Certificate, solver: Phrase
 ) -> Certificate:
     """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
@@ -372,8 +373,13 @@ class _Search:
         certificate = certify(
             self.values,
             solution.certificate,
-            f"{solution.certificate.solver}, over {self.grid.table.n_poses} candidates"
-            f" of the grid and {len(self.new)} tried beside them",
+            Phrase(
+                "{solver}, over {n} candidates of the grid and {n_tried} tried beside"
+                " them",
+                solver=solution.certificate.solver,
+                n=self.grid.table.n_poses,
+                n_tried=len(self.new),
+            ),
         )
         refined = replace(
             placement,
@@ -450,11 +456,11 @@ def refine(
         end_s=started_s + (1.0 - _PROOF_SHARE) * time_limit_s,
     )
     before = search.values
-    compute.progress("refine: steps", 0, 0)
+    compute.progress(Phrase("refine: steps"), 0, 0)
     search.turn()
     proven = None
     if improves(search.values, before):
-        compute.progress("refine: proof", 0, 0)
+        compute.progress(Phrase("refine: proof"), 0, 0)
         if solver is None:
             effort = Effort()
         else:

@@ -13,6 +13,7 @@ import numpy as np
 from geometry.arrays import IntArray
 from geometry.errors import InputError, refuse
 from geometry.files import load_data, read_table
+from geometry.phrases import Phrase
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .compute import check_distinct
@@ -462,7 +463,11 @@ class Adviser:
             problem, presolve_freely(problem), poses, budget_eur=None
         )
         if change is None:
-            refuse("the best next unit", "no candidate that is an improvement", "one")
+            refuse(
+                Phrase("the best next unit"),
+                Phrase("no candidate that is an improvement"),
+                "one",
+            )
         return Advice(
             units=self._named(units, poses.candidates, change.added),
             before=placement_value(problem, range(len(units))),
@@ -477,8 +482,10 @@ class Adviser:
         already, the sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
-            expected = f"more than the {len(units)} that are mounted already"
-            raise InputError("units in all", n_units, expected)
+            expected = Phrase(
+                "more than the {n} that are mounted already", n=len(units)
+            )
+            raise InputError(Phrase("units in all"), n_units, expected)
         is_forced = self._wishes.forced_sites or any(
             site.use == "forced" for site in self._setting.scene.sites
         )
@@ -497,7 +504,7 @@ class Adviser:
         Raises InputError if nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
-            refuse("re-aim", "no unit", "at least one unit")
+            refuse(Phrase("re-aim"), Phrase("no unit"), Phrase("at least one unit"))
         n = len(units)
         may_look = self._assembly.may_look
         poses = build_retrofit_poses(
@@ -511,8 +518,12 @@ class Adviser:
                 unit_index=poses.unit_index[kept],
             )
         if len(poses.candidates) == n:
-            refuse("re-aim", "units that see all round", "one that can turn")
-        self._compute.progress("look from the units", 0, 0)
+            refuse(
+                Phrase("re-aim"),
+                Phrase("units that see all round"),
+                Phrase("one that can turn"),
+            )
+        self._compute.progress(Phrase("look from the units"), 0, 0)
         problem = replace(
             self._assembly,
             candidates=poses.candidates,
@@ -541,7 +552,9 @@ class Adviser:
             problem,
             effort=self._assembly.effort,
             starts=starts,
-            on_stage=lambda stage: self._compute.progress(f"optimise: {stage}", 0, 0),
+            on_stage=lambda stage: self._compute.progress(
+                Phrase("optimise: {goal}", goal=stage), 0, 0
+            ),
         )
 
     def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
@@ -550,10 +563,18 @@ class Adviser:
         Raises InputError if nothing is mounted, or it avoids nothing.
         """
         if not units:
-            refuse("the cheapest that keeps this", "no unit", "a unit")
+            refuse(
+                Phrase("the cheapest that keeps this"),
+                Phrase("no unit"),
+                Phrase("a unit"),
+            )
         share = apr(self._problem(units, self._wishes), range(len(units)))
         if share <= 0.0:
-            refuse("the cheapest that keeps this", "an APR of 0", "more")
+            refuse(
+                Phrase("the cheapest that keeps this"),
+                Phrase("an APR of {apr}", apr=0),
+                Phrase("more"),
+            )
         wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
         return self._search(units, wishes)
 
@@ -566,9 +587,9 @@ class Adviser:
         layout of as many units that uses the site, costs of everything. Raises
         InputError if nothing is mounted, or nothing may be mounted at the site.
         """
-        where = f"why not {site_id}"
+        where = Phrase("why not {site}", site=site_id)
         if not units:
-            refuse(where, "no unit", "a layout to compare it with")
+            refuse(where, Phrase("no unit"), Phrase("a layout to compare it with"))
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
         free = fitting(replace(problem.limits, budget_units=None), standing)
@@ -578,8 +599,8 @@ class Adviser:
         rows: IntArray = np.flatnonzero(free & here)
         rows = rows[rows >= len(units)]
         if not len(rows):
-            expected = "a site with room, that is not forbidden"
-            refuse(where, "no pose of the grid that is allowed there", expected)
+            expected = Phrase("a site with room, that is not forbidden")
+            refuse(where, Phrase("no pose of the grid that is allowed there"), expected)
         best = best_joining(presolve_freely(problem), standing.tolist(), rows)
         beside = Advice(
             units=self._named(units, poses.candidates, [best]),

@@ -13,6 +13,7 @@ from geometry.arrays import BoolArray
 from geometry.errors import InputError, refuse
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES, build_junction
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
@@ -230,14 +231,13 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
-    no_speed = f"none of the speeds asked for ({question.speeds}) is one of this case"
-    protected = "and only vulnerable road users are protected"
-    reasons: list[tuple[Case, str, LeftOut]] = [
+    no_speed = Phrase(
+        "none of the speeds asked for ({speeds}) is one of this case",
+        speeds=question.speeds,
+    )
+    reasons: list[tuple[Case, Phrase, LeftOut]] = [
         *((case, no_speed, "speeds") for case in selection.left_out),
-        *(
-            (case, f"a {case.road_user} is met, {protected}", "unprotected")
-            for case in selection.unprotected
-        ),
+        *((case, _unprotected(case), "unprotected") for case in selection.unprotected),
     ]
     left_out = tuple(
         left_out_case(case, approach, reason, left_out)
@@ -245,6 +245,13 @@ def drive(
         for approach in approaches
     )
     return Drives(runs=runs, refused=refused, left_out=left_out)
+
+
+def _unprotected(case: Case) -> Phrase:
+    return Phrase(
+        "a {user} is met, and only vulnerable road users are protected",
+        user=Phrase(case.road_user),
+    )
 
 
 def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
@@ -302,7 +309,7 @@ def build_setting(
     elif isinstance(detector, ResponseDetector) and (
         words := detector.assumed_words(classes)
     ):
-        _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
+        _log.warning("detector %s: %s", detector.name, words.removesuffix("."))
     if weights is not None:
         weight = weight_by_function(runs, weights)
     else:

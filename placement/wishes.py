@@ -13,6 +13,7 @@ from msgspec import Meta
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, refuse
 from geometry.files import read_data
+from geometry.phrases import Phrase, join_phrases
 from geometry.scene import Scene, Site
 
 from .candidates import CandidatePose
@@ -102,19 +103,46 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
     sentences = []
     for kind, number in count.most_common():
         parts = prices.of_kind(kind)
-        sum_of = ", ".join(
-            f"{name.replace('-', ' ')} {eur:,.0f}" for name, eur in parts.items()
+        sum_of = join_phrases(
+            [Phrase(_PARTS[name], price=eur) for name, eur in parts.items()], ", "
         )
-        sentences.append(
-            f"No price is known for {number} site{'s' if number > 1 else ''} of the"
-            f" kind {kind}: {sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
+        values = {
+            "n": number,
+            "kind": Phrase(kind),
+            "price": sum(parts.values()),
+            "parts": sum_of,
+        }
+        one = Phrase(
+            "No price is known for {n} site of the kind {kind}: {price:,.0f} EUR "
+            "each are assumed ({parts}).",
+            **values,
         )
+        several = Phrase(
+            "No price is known for {n} sites of the kind {kind}: {price:,.0f} EUR "
+            "each are assumed ({parts}).",
+            **values,
+        )
+        sentences.append(one if number == 1 else several)
     if sentences:
         sentences.append(
-            f"Sources are in {_FILE}; a site cost in the question, or cost_eur in the"
-            " scene, takes their place."
+            Phrase(
+                "Sources are in {file}; a site cost in the question, or cost_eur in "
+                "the scene, takes their place.",
+                file=_FILE,
+            )
         )
     return tuple(sentences)
+
+
+_PARTS = {
+    "new-pole": Phrase("new pole {price:,.0f}"),
+    "mounting": Phrase("mounting {price:,.0f}"),
+    "new-power": Phrase("new power {price:,.0f}"),
+    "power-at-hand": Phrase("power at hand {price:,.0f}"),
+    "fibre-at-hand": Phrase("fibre at hand {price:,.0f}"),
+    "data-link": Phrase("data link {price:,.0f}"),
+}
+"""What a part of a site's price is, by its name in ``data/prices.toml``."""
 
 
 # ---------- demands

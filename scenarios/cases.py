@@ -23,6 +23,7 @@ from geometry.files import (
     read_table,
     read_tables,
 )
+from geometry.phrases import Phrase
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -117,7 +118,7 @@ class Case:
     """
 
     name: str
-    title: str  #: What happens, in words.
+    title: Phrase  #: What happens, in words.
     source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
     # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
     # says why.
@@ -244,8 +245,13 @@ def worded_for(case: Case, *, keeps_left: bool) -> Case:
     """
     if not keeps_left:
         return case
-    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", case.title))
-    return replace(case, title="".join(words))
+    return replace(case, title=case.title.map(_mirrored))
+
+
+def _mirrored(text: str) -> str:
+    """A text with left and right exchanged."""
+    words = (_OTHER_SIDE.get(word, word) for word in re.split(r"\b", text))
+    return "".join(words)
 
 
 # ---------- tables of data/cases.toml
@@ -390,7 +396,7 @@ def load_unlaid_cases() -> dict[str, Case]:
     return {
         name: Case(
             name=name,
-            title=entry.title,
+            title=Phrase(entry.title),
             source=entry.source,
             kind="not laid",
             vru=pick_actor(entry.vru, f"{where}: {name}.vru"),
@@ -470,7 +476,11 @@ def _each_impact(
             which = {}
         else:
             which = {"range": "extended"}
-        title = f"{entry.get('title')}, met at {percent} % of the VUT's width"
+        title = Phrase(
+            "{title}, met at {share} % of the VUT's width",
+            title=Phrase(str(entry.get("title"))),
+            share=percent,
+        )
         # No two signs in a row: 25 % outside of the right edge is "m25".
         called = f"{name}-{percent}".replace("--", "-m")
         yield called, {**entry, "impact_percent": percent, "title": title, **which}
@@ -499,7 +509,9 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
             found = _named(name)
             if not found:
                 raise InputError(
-                    where, name, "the name of a case, or what several begin with"
+                    where,
+                    name,
+                    Phrase("the name of a case, or what several begin with"),
                 )
             if speeds:
                 found = tuple(
@@ -548,11 +560,18 @@ def _whole_entry(
     return {**_whole_entry(table, other, where, seen=(*seen, name)), **entry}
 
 
+def _as_phrase(title: str) -> Phrase:
+    """A title as it is if it has been put together here, else by itself."""
+    if isinstance(title, Phrase):
+        return title
+    return Phrase(title)
+
+
 def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
     speed_kmh = entry.vut_speed_kmh
     return Case(
         name=name,
-        title=entry.title,
+        title=_as_phrase(entry.title),
         source=entry.source,
         kind="recorded",
         vru=pick_actor(entry.vru, f"{where}.vru"),
@@ -567,7 +586,6 @@ def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
 
 _SAME = (
     *(
-        "title",
         "source",
         "impact_percent",
         "impact_face",
@@ -599,6 +617,7 @@ def _build_case(
     reference_m = {"reference": vru.reference_ahead_m, "middle": 0.0}
     return Case(
         name=name,
+        title=_as_phrase(entry.title),
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
         vru_speed_kmh=(
@@ -720,7 +739,7 @@ def _alike(case: Case) -> Case:
     return replace(
         case,
         name=case.family,
-        title="",
+        title=Phrase(""),
         source="",
         vut_speeds_kmh=(),
         speed_limits_kmh=(0.0, 0.0),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geometry.actors import Actor, PlacedActor, box_shape, park_row
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.junction import CONNECTING
+from geometry.phrases import Phrase
 from geometry.poses import Pose
 from geometry.raycast import FloatRays, RayCaster, build_caster
 from geometry.scene import Scene, area_of, strips_of
@@ -21,7 +22,6 @@ from .cases import Obstruction
 from .encounters import Encounter
 from .paths import Motion
 from .staging import (
-    ON_ROAD,
     CannotCarryError,
     NoKerbError,
     Staging,
@@ -54,13 +54,17 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     """
     encounter = staging.encounter
     solid = _solid(scene, has_poles=True)
-    if is_vehicle(encounter.vru):
-        whose = "the target"
-    else:
-        whose = "the VRU"
     others = _solid(scene, has_poles=False)
-    _check(others, _way(encounter.vru_motion, encounter.vru), f"{whose}'s way")
-    _check(solid, _way(encounter.vut_motion, encounter.vut), "the VUT's way")
+    thing = _first_met(others, _way(encounter.vru_motion, encounter.vru))
+    if thing is not None and is_vehicle(encounter.vru):
+        raise CannotCarryError(
+            Phrase("{thing} stands in the target's way", thing=thing)
+        )
+    if thing is not None:
+        raise CannotCarryError(Phrase("{thing} stands in the VRU's way", thing=thing))
+    thing = _first_met(solid, _way(encounter.vut_motion, encounter.vut))
+    if thing is not None:
+        raise CannotCarryError(Phrase("{thing} stands in the VUT's way", thing=thing))
     if not staging.obstruction:
         return staging
     # Every speed of a case has the same obstruction.
@@ -130,16 +134,21 @@ def _find_room(
         if not is_indoors[index] and _is_free(solid, _sides(places[index])):
             return float(moves[index, 0]), float(moves[index, 1])
     names = [name for name, _ in bodies]
-    all_names = " and ".join(dict.fromkeys(names))
+    all_names = Phrase(" and ".join(dict.fromkeys(names)))
     if not len(off_road):
+        why = Phrase("{bodies} would stand on the carriageway", bodies=all_names)
         if n_off_road:
-            where = "a traffic island"
-        else:
-            where = "the carriageway"
-        raise NoKerbError(f"{all_names} {ON_ROAD} {where}")
+            why = Phrase("{bodies} would stand on a traffic island", bodies=all_names)
+        raise NoKerbError(why)
     for name, place in zip(names, places[off_road[0]], strict=True):
-        _check(solid, _sides(place[None]), f"the place of {name}")
-    raise CannotCarryError(f"there is no room beside the road for {all_names}")
+        thing = _first_met(solid, _sides(place[None]))
+        if thing is not None:
+            raise CannotCarryError(
+                Phrase("{thing} stands in the place of {body}", thing=thing, body=name)
+            )
+    raise CannotCarryError(
+        Phrase("there is no room beside the road for {bodies}", bodies=all_names)
+    )
 
 
 def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
@@ -269,15 +278,14 @@ def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
     return not solid.caster.is_blocked(*solid.rays(segments_m)).any()
 
 
-def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
-    """Raise if segments end in a thing or cross it; of several that are met first, names one."""
+def _first_met(solid: _Solid, segments_m: FloatArray) -> Phrase | None:
+    """Thing that segments end in or cross, one of those met first; None: all are free."""
     rays = solid.rays(segments_m)
-    if solid.caster.is_blocked(*rays).any():
-        share, triangle = solid.caster.first_triangle(*rays)
-        met = solid.instance[triangle[share <= max(1.0, share.min())]]
-        raise CannotCarryError(
-            f"{solid.scene.instances[met.min()].id} stands in {what}"
-        )
+    if not solid.caster.is_blocked(*rays).any():
+        return None
+    share, triangle = solid.caster.first_triangle(*rays)
+    met = solid.instance[triangle[share <= max(1.0, share.min())]]
+    return Phrase(solid.scene.instances[met.min()].id)
 
 
 def _way(motion: Motion, body: Actor) -> FloatArray:

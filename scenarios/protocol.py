@@ -11,6 +11,7 @@ from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, check_one_of
 from geometry.junction import Arm, Junction, Line, lane_length_m, lane_line
+from geometry.phrases import Phrase
 from geometry.scene import Lane
 from geometry.scene import Turn as Movement
 
@@ -56,13 +57,17 @@ def stage_by_protocol(
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
-        raise NoRoadError(case.not_laid)
+        raise NoRoadError(Phrase(case.not_laid))
     arm = junction.arms[approach]
     if not arm.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {approach}")
+        raise NoRoadError(
+            Phrase(
+                "no lane leads into the junction from the {arm}", arm=Phrase(approach)
+            )
+        )
     if position != AT_ZERO and is_bound(case):
         raise CannotCarryError(
-            "the case is bound to the junction: it has no other positions"
+            Phrase("the case is bound to the junction: it has no other positions")
         )
     asked = _Asked(
         case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh
@@ -121,7 +126,7 @@ class _Place:
             return station_m, point_m
         station_m += self.ahead_m
         if not self.begin_m <= station_m <= self.end_m:
-            raise NoRoadError("the mapped lane does not reach so far")
+            raise NoRoadError(Phrase("the mapped lane does not reach so far"))
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
@@ -184,7 +189,7 @@ def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
     arm = asked.arm
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError("no lane leads straight on out of the junction")
+        raise NoRoadError(Phrase("no lane leads straight on out of the junction"))
     yield from _ways_through(
         asked.junction,
         arm,
@@ -243,7 +248,10 @@ def _side(asked: _Asked, line: Line) -> Arm:
     side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
         raise NoRoadError(
-            f"no lane leads into the junction from the {asked.case.vru_side} side"
+            Phrase(
+                "no lane leads into the junction from the {side} side",
+                side=Phrase(asked.case.vru_side),
+            )
         )
     return side
 
@@ -259,7 +267,10 @@ def _crossings(
     ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
         raise NoRoadError(
-            f"no road leads straight across from the {asked.case.vru_side} side"
+            Phrase(
+                "no road leads straight across from the {side} side",
+                side=Phrase(asked.case.vru_side),
+            )
         )
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
@@ -367,10 +378,12 @@ def _set_off(
     encounter = later(0.0)
     early_s = first_contact_s(encounter)
     if not np.isfinite(early_s):
-        raise CannotCarryError("the bodies do not touch")
+        raise CannotCarryError(Phrase("the bodies do not touch"))
     if abs(early_s) > _MAX_EARLY_S:
         raise CannotCarryError(
-            f"the bodies would touch {-early_s:.1f} s before they should"
+            Phrase(
+                "the bodies would touch {time:.1f} s before they should", time=-early_s
+            )
         )
     return later(-early_s)
 
@@ -442,7 +455,7 @@ def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
             and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M
         ):
             raise NoRoadError(
-                "another junction lies there: nobody crosses in its middle"
+                Phrase("another junction lies there: nobody crosses in its middle")
             )
 
 
@@ -490,13 +503,13 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
     )
     if before_lane_m > 0.0 and not is_led_on:
         # At other positions than 0 one reason for many of them.
+        why = Phrase("the VRU would set off before the mapped lane begins")
         if place.ahead_m == 0.0:
-            how_far = f"{before_lane_m:.1f} m "
-        else:
-            how_far = ""
-        raise CannotCarryError(
-            f"the VRU would set off {how_far}before the mapped lane begins"
-        )
+            why = Phrase(
+                "the VRU would set off {distance:.1f} m before the mapped lane begins",
+                distance=before_lane_m,
+            )
+        raise CannotCarryError(why)
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
@@ -546,7 +559,12 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
     entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
     target = ways.arm_at(junction, entry, to_left=is_far)
     if target is None or not target.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction on the {case.turn} side")
+        raise NoRoadError(
+            Phrase(
+                "no lane leads out of the junction on the {side} side",
+                side=Phrase(case.turn),
+            )
+        )
     lines = _turnings_into(asked, target)
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))
@@ -565,7 +583,7 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
     try:
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
-        raise CannotCarryError(str(error)) from None
+        raise CannotCarryError(error.words) from None
     movement: Movement = "left" if asked.case.turn == "far" else "right"
     joined = ways.joints(junction, asked.arm, target, movement)
     found = [
@@ -624,9 +642,14 @@ def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     """Ways of a vehicle that comes towards the VUT and drives straight on past it."""
     ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
     if ahead is None or not ahead.entry_lanes:
-        raise NoRoadError("no lane leads towards the VUT from straight ahead")
+        raise NoRoadError(Phrase("no lane leads towards the VUT from straight ahead"))
     if not asked.arm.exit_lanes:
-        raise NoRoadError(f"no lane leads out of the junction to the {asked.arm.name}")
+        raise NoRoadError(
+            Phrase(
+                "no lane leads out of the junction to the {arm}",
+                arm=Phrase(asked.arm.name),
+            )
+        )
     yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
@@ -734,7 +757,9 @@ def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
             else ahead.lanes_out
         )
         if ahead is None or not lanes:
-            raise NoRoadError("no lane lies ahead from which the cyclist could come")
+            raise NoRoadError(
+                Phrase("no lane lies ahead from which the cyclist could come")
+            )
         is_against = case.turn == "near"
         is_in = not is_against
         lane = lanes[0]
@@ -771,7 +796,7 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
         raise CannotCarryError(
-            "the VUT would come to the VRU's way before the VRU sets off"
+            Phrase("the VUT would come to the VRU's way before the VRU sets off")
         )
     return travel_m
 

@@ -11,6 +11,7 @@ from geometry.actors import Actor, MovingActor, PlacedActor
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.junction import Junction, build_junction, mirrored
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.terrain import Terrain, set_down, terrain_of
 from geometry.weather import load_weathers
@@ -380,7 +381,7 @@ class Refusal:
     # : speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of
     # whoever is met : that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
-    reason: str  #: Why, in words.
+    reason: Phrase  #: Why, in words.
     # : The junction has the roads that the case needs, and it has the speeds asked for:
     # what is : missing is room.
     is_possible: bool = True
@@ -445,7 +446,7 @@ def build_runs(
         for approach in dict.fromkeys(approaches or junction.arms):
             if case.not_laid:
                 refusals.append(
-                    left_out_case(case, approach, case.not_laid, "not laid")
+                    left_out_case(case, approach, Phrase(case.not_laid), "not laid")
                 )
                 continue
             if (
@@ -506,7 +507,9 @@ def _highest_limit_kmh(junction: Junction) -> float | None:
     return None
 
 
-def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
+def left_out_case(
+    case: Case, approach: str, reason: Phrase, left_out: LeftOut
+) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
     pairs = [
         (vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)
@@ -552,7 +555,7 @@ class _Drive:
         driven.
         """
         runs = []
-        reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
+        reasons: dict[tuple[Phrase, bool], list[tuple[float, float]]] = {}
         too_fast: dict[float, list[tuple[float, float]]] = {}
         for speed_kmh, vru_speed_kmh in self._pairs(turn):
             limit_kmh = self._broken_limit_kmh(speed_kmh, vru_speed_kmh)
@@ -563,13 +566,16 @@ class _Drive:
             try:
                 staging = self._stage(case, speed_kmh)
             except CannotCarryError as error:
-                reason = str(error), not isinstance(error, NoRoadError)
+                reason = error.why, not isinstance(error, NoRoadError)
                 reasons.setdefault(reason, []).append((speed_kmh, vru_speed_kmh))
             else:
                 runs.append(self._run(case, speed_kmh, staging))
         limits = {}
         for limit_kmh, pairs in too_fast.items():
-            above = f"faster than the speed limit of {limit_kmh:g} km/h", False
+            why = Phrase(
+                "faster than the speed limit of {limit:g} km/h", limit=limit_kmh
+            )
+            above = why, False
             # A road that does not exist is missing at every speed.
             missing = next(
                 (one for one in reasons if not one[1] and one not in limits), above
@@ -645,7 +651,10 @@ class _Drive:
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
         if away_m > load_way_rules().max_recorded_away_m:
             raise NoRoadError(
-                f"it was recorded {away_m:.0f} m from the junction's lanes"
+                Phrase(
+                    "it was recorded {distance:.0f} m from the junction's lanes",
+                    distance=away_m,
+                )
             )
         encounter = recorded.encounter(
             vut=self.vut,
@@ -655,7 +664,7 @@ class _Drive:
         )
         if encounter is None:
             raise CannotCarryError(
-                "at these speeds the recorded ways do not lead to an impact"
+                Phrase("at these speeds the recorded ways do not lead to an impact")
             )
         return Staging(encounter=encounter, obstruction=())
 

@@ -12,6 +12,7 @@ from geometry.arrays import FloatArray
 from geometry.files import Table, load_data, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
+from geometry.phrases import Phrase
 from geometry.poses import Pose
 
 from .cases import Case
@@ -22,26 +23,23 @@ _SCAN_STEP_M = 0.1
 _NEVER_PARALLEL = 1.0e-6
 _MEETS_M = 1.0e-6
 _MAX_STEPS = 60
+DO_NOT_MEET = Phrase("the VUT's way and the VRU's do not meet")
 
 
 class CannotCarryError(Exception):
-    """A case cannot be laid on an approach; the text says why."""
+    """A case cannot be laid on an approach; `why` says why not."""
+
+    def __init__(self, why: Phrase) -> None:
+        super().__init__(why)
+        self.why = why
 
 
 class NoRoadError(CannotCarryError):
     """The junction has no road for a case: from that approach it is not possible at all."""
 
 
-ON_ROAD = "would stand on"
-"""Words of the reason why parked bodies have no kerb next to the lane."""
-
-
 class NoKerbError(NoRoadError):
     """Where a case's parked bodies would stand, all is driven on: no kerb lies next to the lane."""
-
-
-BENDS = "its lanes bend"
-"""First words of the reason why runs are too fast for a bend."""
 
 
 class TooFastError(NoRoadError):
@@ -49,12 +47,19 @@ class TooFastError(NoRoadError):
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
+        why = Phrase(
+            "its lanes bend: {limit:g} m/s^2 to the side allow {speed} km/h there",
+            limit=limit_mps2,
+            speed=allowed_kmh,
+        )
         if is_target:
-            where = "to the target there"
-        else:
-            where = "there"
-        allowed = f"{limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {where}"
-        super().__init__(f"{BENDS}: {allowed}")
+            why = Phrase(
+                "its lanes bend: {limit:g} m/s^2 to the side allow {speed} km/h "
+                "to the target there",
+                limit=limit_mps2,
+                speed=allowed_kmh,
+            )
+        super().__init__(why)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,7 +116,7 @@ def find_meeting(
     gaps, _ = gap(case, vut, vut_path, vru_line, distances)
     closes = np.flatnonzero((gaps[:-1] > 0.0) & (gaps[1:] <= 0.0))
     if len(closes) == 0:
-        raise CannotCarryError("the VUT's way and the VRU's do not meet")
+        raise CannotCarryError(DO_NOT_MEET)
     first = int(closes[0])
 
     def gap_at(distance_m: float) -> float:
@@ -154,7 +159,7 @@ def find_crossing(
         station_m += ahead_m
         if abs(ahead_m) < _MEETS_M:
             return distance_m, station_m
-    raise CannotCarryError("the VUT's way and the target's do not cross")
+    raise CannotCarryError(Phrase("the VUT's way and the target's do not cross"))
 
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:

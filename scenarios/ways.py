@@ -19,16 +19,16 @@ from geometry.junction import (
     lane_line,
 )
 from geometry.lines import along_m, length_m, points_at
+from geometry.phrases import Phrase
 from geometry.scene import Lane, Scene
 from geometry.scene import Turn as Movement
 from geometry.scene_checks import Finding
 
 from . import courses
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
-from .staging import CannotCarryError, NoRoadError, load_way_rules
+from .staging import DO_NOT_MEET, CannotCarryError, NoRoadError, load_way_rules
 
 STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
-DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
 _LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
@@ -129,7 +129,10 @@ class CurvedWay:
             near = self.course.between(station_m - back_m, end_m)
             course = near.offset(left_m)
         except InputError:
-            why = f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
+            why = Phrase(
+                "the lane bends too sharply for a way {distance:.1f} m beside it",
+                distance=abs(left_m),
+            )
             raise CannotCarryError(why) from None
         return CurvedWay(course=course), course.station_of(
             self.point(station_m, left_m)
@@ -184,7 +187,11 @@ def check_straight(
     bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
     if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
         raise CannotCarryError(
-            f"lane {lane.id} is not straight: {bend_m:.1f} m off its line"
+            Phrase(
+                "lane {lane} is not straight: {distance:.1f} m off its line",
+                lane=lane.id,
+                distance=bend_m,
+            )
         )
 
 
@@ -258,7 +265,11 @@ def _curve_between(entry: Lane, leaving: Lane) -> FloatArray:
     try:
         return curve_between(begin, end)
     except ValueError:
-        why = f"lane {leaving.id} does not lie ahead of lane {entry.id}"
+        why = Phrase(
+            "lane {lane} does not lie ahead of lane {other}",
+            lane=leaving.id,
+            other=entry.id,
+        )
         raise CannotCarryError(why) from None
 
 
@@ -283,7 +294,11 @@ def meeting_m(one: Way, other: Way) -> tuple[float, float]:
 
 
 # ---------- arms
-_LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
+_LEADS = {
+    "left": Phrase("to the left"),
+    "right": Phrase("to the right"),
+    "through": Phrase("straight on"),
+}
 _SAME_POINT_M = 0.5  # as geometry.junction joins lanes
 
 Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of it
@@ -375,14 +390,22 @@ def joints(
         joined: list[Joint] = [one for one in every if one[1] is not None]
         if not joined:
             raise NoRoadError(
-                f"by the map no lane leads from the {arm.name} to the {target.name}"
+                Phrase(
+                    "by the map no lane leads from the {arm} to the {other}",
+                    arm=Phrase(arm.name),
+                    other=Phrase(target.name),
+                )
             )
         return joined
     marked = [lane for lane in before if movement in lane.turns]
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
         raise NoRoadError(
-            f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}"
+            Phrase(
+                "by their markings no lane from the {arm} leads {where}",
+                arm=Phrase(arm.name),
+                where=_LEADS[movement],
+            )
         )
     if movement != "through":
         return [(lane, None, other) for lane in free for other in after]
@@ -440,11 +463,13 @@ def on_straights(
         turn = turn.turned_by(angle_deg)
         corner = entry.crossing_with(exit_line)
     except (InputError, np.linalg.LinAlgError):
-        raise CannotCarryError(f"the arms meet at {angle_deg:.0f} degrees") from None
+        raise CannotCarryError(
+            Phrase("the arms meet at {angle:.0f} degrees", angle=angle_deg)
+        ) from None
     before_corner_m = float(entry.coordinates(corner)[0]) - turn.tangent_m
     after_corner_m = float(exit_line.coordinates(corner)[0]) + turn.tangent_m
-    _check_within(entry_lane, -before_corner_m, "begin")
-    _check_within(exit_lane, after_corner_m, "end")
+    _check_within(entry_lane, -before_corner_m, _BEGINS_BEYOND)
+    _check_within(exit_lane, after_corner_m, _ENDS_BEYOND)
     exit_way = StraightWay(line=exit_line)
     check_straight(exit_way, exit_lane, after_corner_m + _AFTER_TURN_M, is_in=False)
 
@@ -477,13 +502,18 @@ def on_lanes(
     try:
         course, turn = courses.join_by_turn(entry, exit_course, turn)
     except (InputError, np.linalg.LinAlgError):
-        between = f"from lane {entry_lane.id} into {exit_lane.id}"
-        raise CannotCarryError(
-            f"no turn of {turn.radius_m:g} m leads {between}"
-        ) from None
-    _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
+        why = Phrase(
+            "no turn of {radius:g} m leads from lane {lane} into {other}",
+            radius=turn.radius_m,
+            lane=entry_lane.id,
+            other=exit_lane.id,
+        )
+        raise CannotCarryError(why) from None
+    _check_within(
+        entry_lane, -entry.station_of(course.tangent(0.0).point_m), _BEGINS_BEYOND
+    )
     end = course.tangent(turn.length_m)
-    _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
+    _check_within(exit_lane, exit_course.station_of(end.point_m), _ENDS_BEYOND)
     return _towed(entry_lane, exit_course, course, turn.length_m, vut)
 
 
@@ -522,11 +552,13 @@ def _towed(
     )
 
 
-def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
+_BEGINS_BEYOND = Phrase("the turn would begin beyond the mapped lane {lane}")
+_ENDS_BEYOND = Phrase("the turn would end beyond the mapped lane {lane}")
+
+
+def _check_within(lane: Lane, in_lane_m: float, why: Phrase) -> None:
     if in_lane_m > lane_length_m(lane):
-        raise CannotCarryError(
-            f"the turn would {what} beyond the mapped lane {lane.id}"
-        )
+        raise CannotCarryError(Phrase(why.template, lane=lane.id))
 
 
 # ---------- bends that are too sharp

@@ -208,8 +208,8 @@ def render_junction_page(
         ),
         Section("closer", tr("Look closer"), [look, Code(again)]),
     ]
-    if record.notes:
-        notes = Bullets(record.notes[:60])
+    if scene.notes:
+        notes = Bullets([tr(note.words) for note in scene.notes[:60]])
         sections.append(Section("notes", tr("Left out or assumed"), [notes]))
     return page_template().render(
         title=one.label,

@@ -36,7 +36,7 @@ from ..export.gpkg import geopackage
 from ..export.json import to_json, to_json_text
 from ..export.places import placed_records
 from ..figures.axes import NARROW_IN, to_png
-from ..language import speaking, tr
+from ..language import mark, speaking, tr
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress
 from ..results.drives import versions
@@ -115,7 +115,7 @@ def run_city(
     grid = build_grid(question, is_coarse=search.is_coarse)
     check_question(question)
     max_bytes = check_memory(memory)
-    progress("read maps", 0, 0)
+    progress(mark("read maps"), 0, 0)
     city = inputs.load_city(maps, search.reading, wish)
     for source in city.roads:
         check_sites(search.sites, crs=source.crs)
@@ -157,7 +157,7 @@ def run_city(
                 done[one.folder] = answer.record.without_layouts()
                 progress(SOLVE, len(done), len(city.junctions))
     unchanged = _update_manifest(out, manifest, city, done)
-    progress("choose", 0, 0)
+    progress(mark("choose"), 0, 0)
     result = choose_for_city(
         out, city, values, done, wish=wish, search=search, existing=existing
     )

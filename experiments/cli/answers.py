@@ -13,7 +13,7 @@ from placement.explain.agreement import Disagreement
 from placement.explain.unavoided import Unavoided
 from scenarios.scores import AVOIDED
 
-from ..language import listed, localized, mark, said, say, tr
+from ..language import localized, mark, tr, trn
 from ..parts import (
     Part,
     added,
@@ -73,8 +73,11 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     if result.baselines.expert is not None:
         parties[tr("expert rule, fused")] = result.baselines.expert.score
     further = explanation.next_unit_sentence(result.next_unit, proof.measure_of(result))
-    best = say(
-        "terminal.best", n=len(result.layout), poses=result.candidates, **basis(result)
+    best = tr(
+        "Best {n} of {poses} poses on {runs} runs (fusion {fusion}{cars}):",
+        n=len(result.layout),
+        poses=result.candidates,
+        **basis(result),
     )
     note = tr("{fused}; greedy: units chosen one by one.", fused=_together(result))
     return [
@@ -85,7 +88,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
             notes=[*unit_notes(result.layout), _cost(result)],
             is_short=True,
         ),
-        Part(notes=[*map(said, result.assumed_prices)]),
+        Part(notes=[*map(tr, result.assumed_prices)]),
         _said(f"{proof.words(result)}."),
         Part(table=proof.table(result), notes=proof.conditions(result)),
         *_judged(result, others, parties | _announced(result.evaluation), note),
@@ -95,7 +98,10 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         *_besides(result),
         Part(
             words=[
-                say("terminal.disagree", share=percent(result.surrogate_disagreement))
+                tr(
+                    "Table and evaluator disagree on {share} of the runs.",
+                    share=percent(result.surrogate_disagreement),
+                )
             ],
             notes=_disagreements(result.disagreements),
         ),
@@ -115,7 +121,10 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
         "and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left
     )
     if out is None:
-        more = say("terminal.more_units", n=n_left)
+        more = tr(
+            "and {n} more units, none of a higher APR by itself: in apr.csv with --out",
+            n=n_left,
+        )
     units = [unit for unit in result.layout if unit.id in shown]
     cost = _cost(result)
     is_long = len(units) > _MAX_SHORT_UNITS
@@ -231,7 +240,7 @@ def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
     """What is left of the impacts, and with a score what the runs count."""
     parties = {
         result.name: result.evaluation.judged,
-        **{said(name): other.evaluation.judged for name, other in others.items()},
+        **{tr(name): other.evaluation.judged for name, other in others.items()},
         tr(_VUT_ALONE): result.evaluation.vut,
     }
     left = ", ".join(
@@ -292,7 +301,13 @@ def assumption_parts(result: Result) -> list[Part]:
         return []
     n_left = len(assumed) - _MOST_ASSUMED
     return [
-        _said(say("terminal.assumed", len(assumed))),
+        _said(
+            trn(
+                "{n} thing is assumed of the map.",
+                "{n} things are assumed of the map.",
+                len(assumed),
+            )
+        ),
         Part(
             title=tr("Assumed, for the map does not say it:"),
             words=assumed[:_MOST_ASSUMED],
@@ -357,9 +372,27 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
         bearing = compass_bearing_deg(unit.yaw_deg)
         looks = [localized(f"{unit.z_m:.2f}"), localized(f"{bearing:.1f}"), tilt]
         stands = [localized(f"{unit.x_m:.2f}"), localized(f"{unit.y_m:.2f}")]
-        place = ", ".join(filter(None, (site, said(unit.place or ""))))
-        rows.append([unit.id, said(unit.kind or "-"), *looks, *stands, place])
-    columns = listed("units in short")
+        if unit.kind:
+            kind = tr(unit.kind)
+        else:
+            kind = "-"
+        place = site
+        if unit.place:
+            if site:
+                place = f"{site}, {tr(unit.place)}"
+            else:
+                place = tr(unit.place)
+        rows.append([unit.id, kind, *looks, *stands, place])
+    columns = [
+        tr("unit"),
+        tr("kind"),
+        tr("height m"),
+        tr("bearing"),
+        tr("tilt"),
+        tr("east m"),
+        tr("north m"),
+        tr("at"),
+    ]
     return Table(caption=tr("Units"), columns=columns, rows=rows, numeric=range(1, 7))
 
 
@@ -379,13 +412,32 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
 def _cost(result: Result) -> str:
     """Cost of the sensors, and of making their sites ready as far as it is known."""
     if result.sites_eur is None:
-        return say("terminal.cost_of_sensors", sensors=result.cost_eur)
+        return tr(
+            "sensors {sensors:,.0f} EUR by the catalogue, without poles or mounting",
+            sensors=result.cost_eur,
+        )
     n_sites = len({unit.site for unit in result.layout})
     values = {"sensors": result.cost_eur, "sites": result.sites_eur}
     values["total"] = result.cost_eur + result.sites_eur
     if result.assumed_prices:
-        return say("terminal.cost_assumed", n_sites, **values)
-    return say("terminal.cost", n_sites, **values)
+        return trn(
+            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
+            "catalogue, {n} site {sites:,.0f} EUR by prices assumed for their "
+            "kinds",
+            "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
+            "catalogue, {n} sites {sites:,.0f} EUR by prices assumed for "
+            "their kinds",
+            n_sites,
+            **values,
+        )
+    return trn(
+        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
+        "catalogue, {n} site {sites:,.0f} EUR by their own prices",
+        "cost: {total:,.0f} EUR: sensors {sensors:,.0f} EUR by the "
+        "catalogue, {n} sites {sites:,.0f} EUR by their own prices",
+        n_sites,
+        **values,
+    )
 
 
 def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
@@ -419,7 +471,10 @@ def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
         rows.append(
             [name, str(found.random.units), percent(found.random.mean), "", None]
         )
-    columns = ["", *listed("layouts in short")]
+    columns = [
+        "",
+        *[tr("units"), tr("APR"), tr("if one fails"), tr("on the study's cases")],
+    ]
     if study:
         n_columns = len(columns)
     else:
@@ -460,7 +515,11 @@ def _together(result: Result) -> str:
         return tr("fused: in each frame, any of the units may detect")
     if result.cars == 1.0:
         return tr("fused: in each frame, any of the units may detect, and the VUT")
-    return say("terminal.fused_with_some_cars", share=percent(result.cars))
+    return tr(
+        "fused: in each frame, any of the units may detect, and the VUT in {share} of"
+        " the cars",
+        share=percent(result.cars),
+    )
 
 
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
@@ -503,7 +562,12 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
     share = evaluation.apr_without_worst_site
     if share is None:
         return []
-    return [say("terminal.worst_pole", share=percent(share))]
+    return [
+        tr(
+            "if the worst pole fails with all its units, the others have {share}.",
+            share=percent(share),
+        )
+    ]
 
 
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
@@ -513,7 +577,7 @@ def _disagreements(found: Sequence[Disagreement]) -> list[str]:
         "{one.party} in {one.run_id}: only the evaluator avoids; {cause}"
     )
     lines = [
-        tr(by_table if one.on_table else by_evaluator, one=one, cause=said(one.cause))
+        tr(by_table if one.on_table else by_evaluator, one=one, cause=tr(one.cause))
         for one in found[:_MAX_DISAGREEMENTS]
     ]
     n_left = len(found) - _MAX_DISAGREEMENTS
@@ -569,7 +633,10 @@ def _missed_in_short(group: Sequence[Unavoided]) -> str:
         "runs": first_of([entry.run for entry in group], _MAX_RUNS)
     }
     if first.reasons and first.rescue:
-        return say("terminal.missed", **values)
+        return tr(
+            "{runs}: {outcome}; for {unit} {cause}; would be saved by {rescue}",
+            **values,
+        )
     if first.reasons:
         return tr("{runs}: {outcome}; for {unit} {cause}", **values)
     if first.rescue:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..export import FORMAT_NAMES
-from ..language import listed, localized, tr
+from ..language import localized, tr
 from ..progress import StageProgress, tell
 from . import options
 from .running import Job, load_one_layout, write_result
@@ -256,7 +256,18 @@ def sheet_text(summary: "SheetResult") -> str:
                 name=summary.layout,
             )
         ),
-        *table(listed("tolerances"), rows),
+        *table(
+            [
+                tr("unit"),
+                tr("left"),
+                tr("right"),
+                tr("up"),
+                tr("down"),
+                tr("higher"),
+                tr("lower"),
+            ],
+            rows,
+        ),
         *sentences(
             tr("One thing at a time; the largest of the steps tried."), indent=2
         ),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import listed, localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..results.numbers import joined, percent
 from . import options
 from .running import Job
@@ -125,8 +125,28 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         "",
         *_budget_lines(budget),
         "",
-        *table(listed("within the budget"), within),
-        *sentences(" ".join([say("latency.note"), *_own_latencies(summary)]), indent=2),
+        *table(
+            [
+                tr("APR within the budget"),
+                tr("at the least"),
+                tr("at the mean"),
+                tr("at the most"),
+            ],
+            within,
+        ),
+        *sentences(
+            " ".join(
+                [
+                    tr(
+                        "fused: in each frame, any of the units may detect. A run"
+                        " counts as avoided if its last moment to brake is not over,"
+                        " and a confirmed track is alive then."
+                    ),
+                    *_own_latencies(summary),
+                ]
+            ),
+            indent=2,
+        ),
     ]
     if out is not None:
         files = joined(("latency.csv", "latency.png"))
@@ -150,9 +170,9 @@ def _budget_lines(budget: "LatencyBudget") -> list[str]:
     rows = [
         [
             (
-                tr("{part} (assumption)", part=said(part.name))
+                tr("{part} (assumption)", part=tr(part.name))
                 if part.is_assumption
-                else said(part.name)
+                else tr(part.name)
             ),
             *map(_ms, (part.low_s, 0.5 * (part.low_s + part.high_s), part.high_s)),
         ]

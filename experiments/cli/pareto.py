@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import said, say, tr
+from ..language import mark, tr, trn
 from ..parts import Part
 from ..results.numbers import joined
 from . import options
@@ -91,11 +91,16 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what is proven of it."""
     from ..parts import front
 
+    title = mark(
+        "The best of {poses} poses on {runs} runs (fusion {fusion}{cars}), and what"
+        " more units buy:"
+    )
     if summary.by == "cost":
-        key = "pareto.more_money"
-    else:
-        key = "pareto.more_units"
-    title = say(key, poses=summary.candidates, **basis(summary))
+        title = mark(
+            "The best of {poses} poses on {runs} runs (fusion "
+            "{fusion}{cars}), and what more money buys:"
+        )
+    title = tr(title, poses=summary.candidates, **basis(summary))
     parts = [
         Part(
             title=title,
@@ -175,16 +180,23 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     labour = summary.labour
     parts = [
         Part(
-            title=say(
-                "pareto.what_to_change",
+            title=trn(
+                "What to change about {name} ({n} unit) on {runs} runs, on the "
+                "detection table (fusion {fusion}{cars}):",
+                "What to change about {name} ({n} units) on {runs} runs, on the "
+                "detection table (fusion {fusion}{cars}):",
                 len(summary.layout),
                 name=summary.name,
                 **basis(summary),
             ),
             table=retrofit.table(summary),
             notes=[
-                say(
-                    "pareto.columns", cost=labour.re_aim_eur, source=said(labour.source)
+                tr(
+                    "One fails: APR that is left when the most needed unit fails; "
+                    "proven: nothing of its kind is better. A visit costs {cost:,.0f} "
+                    "EUR: {source}.",
+                    cost=labour.re_aim_eur,
+                    source=tr(labour.source),
                 )
             ],
         ),

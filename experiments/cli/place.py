@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from ..language import mark
 from . import options
 from .recording import evaluate_recording, recording_options
 from .running import Job, command_line
@@ -140,7 +141,7 @@ def cli(
     if browser is not None and pdf is not None:
         from ..report.printing import print_page
 
-        job.progress("print", 0, 0)
+        job.progress(mark("print"), 0, 0)
         try:
             print_page(browser, out / "report.html", pdf)
         except OSError as error:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..language import said, say, tr
+from ..language import tr
 from ..parts import Part
 from ..results.numbers import percent
 from . import options
@@ -87,19 +87,20 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
     if summary.stages is not None and summary.baseline is not None:
         chosen = ", ".join(unit.id for unit in summary.layout)
-        words = say(
-            "recording.best",
+        words = tr(
+            "Best {n} of {all} recorded units on {drives} drives (fusion {fusion}):"
+            " {chosen}",
             n=len(summary.layout),
             all=summary.candidates,
             drives=summary.runs,
-            fusion=said(summary.fusion),
+            fusion=tr(summary.fusion),
             chosen=chosen,
         )
         conditions = stage_conditions(summary.stages)
         best = Part(words=[words], table=stage_table(summary.stages), notes=conditions)
         lines = [answer_text([best], is_verbose=True), ""]
-        all_units = say(
-            "recording.all_units",
+        all_units = tr(
+            "{fused} of all {n} recorded units: {share} of the accidents prevented.",
             fused=ALL_UNITS,
             n=summary.candidates,
             share=percent(summary.baseline.rsu_all.all),
@@ -144,23 +145,40 @@ def _parties_text(
 def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     """Lines on what was read, and what was left out and why."""
     frames = summary.frames
-    read = say(
-        "recording.read",
+    read = tr(
+        "Read: {recorded} frames; {drives} drives with {frames} frames, "
+        "{missing} of them missing and so not detected.",
         recorded=frames.recorded,
         drives=summary.runs,
         frames=frames.in_drives,
         missing=frames.missing_in_drives,
     )
     if frames.several_vrus_in_view:
-        read += " " + say("recording.several_in_view", n=frames.several_vrus_in_view)
+        read += " " + tr(
+            "In {n} frames a roadside unit has several VRUs of the drive's "
+            "class in view: they count only if each of them is detected.",
+            n=frames.several_vrus_in_view,
+        )
     reasons = "; ".join(
-        f"{number} {said(reason)}" for reason, number in summary.skipped.items()
+        f"{number} {tr(reason)}" for reason, number in summary.skipped.items()
     )
     if reasons:
         skipped = tr("Skipped: {reasons}.", reasons=reasons)
     else:
         skipped = tr("Skipped: nothing.")
-    lines = ["", *sentences(read, skipped, say("recording.note"))]
+    lines = [
+        "",
+        *sentences(
+            read,
+            skipped,
+            tr(
+                "Unit folder 3 is RSU3, car is the VUT's camera. In Eval, "
+                "cam_index is a unit's folder; 12 (where no unit has that number) "
+                "and -1 mean car, too. The last moment follows from speeds and "
+                "distances alone: a VUT that turns is taken as crossing."
+            ),
+        ),
+    ]
     if out is not None:
         lines += ["", tr("Written to {out}: {files}.", out=out, files="summary.json")]
     return lines

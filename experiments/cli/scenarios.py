@@ -12,6 +12,7 @@ import msgspec
 from geometry.errors import InputError, Unquoted
 from placement.question import Question
 
+from ..language import mark
 from ..progress import StageProgress, tell
 from ..results.numbers import grouped, several
 from . import options
@@ -256,7 +257,7 @@ def list_scenarios(call: Call, *, question: Question) -> None:
     from scenarios.cases import ALL_CASES
 
     question = begin(call.progress, question, quiet=call.quiet)
-    call.progress("lay the cases", 0, 0)
+    call.progress(mark("lay the cases"), 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
     if ALL_CASES in question.cases.split(","):
         once = _driven_once()

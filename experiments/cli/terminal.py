@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
-from ..language import said, say
+from ..language import tr, trn
 from ..parts import Part
 from ..results.numbers import cars_words
 
@@ -107,7 +107,7 @@ def basis(result: Any) -> dict[str, Any]:
     """What a result rests on, as titles put it in."""
     return {
         "runs": result.runs,
-        "fusion": said(result.fusion),
+        "fusion": tr(result.fusion),
         "cars": cars_words(result.cars),
     }
 
@@ -124,7 +124,13 @@ def first_reasons(driven: Sequence[str]) -> list[str]:
     """Reasons why most of the other possible runs are not driven, and how many are not printed."""
     n_left = len(driven) - 1 - _MOST_REASONS
     if n_left > 0:
-        more = [say("terminal.more_reasons", n_left)]
+        more = [
+            trn(
+                "and {n} more reason in the report's list",
+                "and {n} more reasons in the report's list",
+                n_left,
+            )
+        ]
     else:
         more = []
     return [*driven[1 : 1 + _MOST_REASONS], *more]

@@ -16,7 +16,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis
 
-from ..language import language, localized, said, say
+from ..language import language, localized, tr
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
 BLUE = "#0072B2"
@@ -166,15 +166,15 @@ def describe_run(axis: FrameAxis, run_index: int) -> str:
     """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
     weather = axis.weathers[run_index]
     position = axis.positions[run_index]
-    where = said(axis.approaches[run_index])
+    where = tr(axis.approaches[run_index])
     if position != AT_ZERO.name:
         where = f"{where} ({position} m)"
-    words = say(
-        "axes.run",
+    words = tr(
+        "{case} from the {approach} at {speed_kmh:g} km/h",
         case=axis.cases[run_index],
         approach=where,
         speed_kmh=float(axis.vut_speed_kmh[run_index]),
     )
     if weather == "day":
         return words
-    return f"{words}, {said(weather)}"
+    return f"{words}, {tr(weather)}"

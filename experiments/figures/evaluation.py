@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from geometry.arrays import BoolArray
 from placement.evaluation import Evaluation, Verdict, run_outcome
 
-from ..language import localized, mark, said, tr
+from ..language import localized, mark, tr
 from .axes import (
     BLUE,
     WIDTH_IN,
@@ -85,7 +85,7 @@ def _draw_heatmap(
     axes.spines[:].set_visible(False)
     confirmed = [verdict.confirmation_time_s[run_index] for verdict in rows.values()]
     axes.plot(confirmed, range(len(rows)), zorder=5, clip_on=False, **_CONFIRMATION)
-    ends = [said(run_outcome(verdict, axis, run_index)) for verdict in rows.values()]
+    ends = [tr(run_outcome(verdict, axis, run_index)) for verdict in rows.values()]
     outcomes = axes.secondary_yaxis("right")
     outcomes.set_yticks(range(len(rows)), ends, fontsize=8)
     outcomes.tick_params(axis="y", length=0)

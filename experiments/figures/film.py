@@ -26,7 +26,7 @@ from placement.evaluator import build_surroundings, load_vut_camera, perceive_fr
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from ..language import localized, said, say, tr
+from ..language import localized, tr
 from .axes import (
     BLUE,
     SKY,
@@ -157,19 +157,20 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
 
 
 def _title(run: Run) -> str:
-    approach = said(run.approach)
+    approach = tr(run.approach)
     if run.position != AT_ZERO.name:
         approach = f"{approach} ({run.position} m)"
     speeds = [localized(f"{run.vut_speed_kmh:g}")]
     if run.case.pairs_kmh:
         speeds.append(localized(f"{run.case.vru_speed_kmh:g}"))
-    return say(
-        "film.title",
+    return tr(
+        "{case}: {title}\nfrom the {approach} at {speeds} km/h, {weather}; nobody"
+        " brakes",
         case=literal(run.case.name),
-        title=said(run.case.title),
+        title=tr(run.case.title),
         approach=approach,
         speeds=tr(" and ").join(speeds),
-        weather=said(run.weather),
+        weather=tr(run.weather),
     )
 
 
@@ -246,8 +247,8 @@ class _Stage:
         axes.tick_params(labelsize=7)
         time_s = run.time_s[frame]
         when = localized(f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}"))
-        seen = say(
-            "film.visible",
+        seen = tr(
+            "{when}: {percent:.0f} % of the VRU in the VUT's sight",
             when=when if time_s < 0.0 else tr("impact"),
             percent=100.0 * share,
         )
@@ -326,7 +327,7 @@ def _draw_legend(figure: Figure, run: Run, **options: Any) -> None:
     line = partial(Line2D, [], [])
     handles: list[Any] = [
         Patch(label=tr("car under test (VUT)"), **_VUT),
-        Patch(label=said(run.case.vru.class_name), **_VRU),
+        Patch(label=tr(run.case.vru.class_name), **_VRU),
         line(color="black", linewidth=1.8, label=tr("way so far, thin: to come")),
         line(label=tr("middle of the VUT where it must brake"), **_BRAKE_STYLE),
         Patch(facecolor=SKY, alpha=0.3, label=tr("what the VUT's camera looks at")),

@@ -20,7 +20,7 @@ from placement.layout import Layout
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
-from ..language import said, tr
+from ..language import tr
 from .axes import Style, literal, root_figure, unit_labels, write_beside
 
 HALO = withStroke(linewidth=3.0, foreground="white")
@@ -198,9 +198,9 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
         labels.append(
             Label(
                 text=(
-                    f"{streets[name]} ({said(name)})"
+                    f"{streets[name]} ({tr(name)})"
                     if name in streets
-                    else tr("{approach} arm", approach=said(name))
+                    else tr("{approach} arm", approach=tr(name))
                 ),
                 point_m=(float(at[0]), float(at[1])),
                 toward_deg=0.0 if abs(way[1]) > abs(way[0]) else 90.0,

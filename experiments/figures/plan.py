@@ -27,7 +27,7 @@ from placement.layout import Layout
 from placement.setting import Setting
 from scenarios.runs import Run
 
-from ..language import mark, said, tr
+from ..language import mark, tr
 from ..results.numbers import layout_words, shortened
 from . import labels
 from .axes import (
@@ -452,7 +452,7 @@ def _plan_legend(
         "traffic light"
     }
     things = [
-        Patch(label=said(name), **CLASS_STYLES[name])
+        Patch(label=tr(name), **CLASS_STYLES[name])
         for name in CLASS_STYLES
         if name in shown
     ]
@@ -479,7 +479,7 @@ def compass_word(unit: CandidatePose) -> str:
     """Point of the compass to which a unit looks; "all round" of one that looks to none."""
     if is_ring(unit.sensor):
         return tr("all round")
-    return said(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
+    return tr(COMPASS[round(unit.pose.yaw_deg / 45.0) % 8])
 
 
 def looking_words(unit: CandidatePose) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace as replace_fields
 
+from geometry.phrases import Phrase
 from geometry.scene_files import load_scene
 from placement.compute import Compute
 from placement.optimiser import PlacementValue
@@ -19,7 +20,7 @@ from placement.wishes import assumed_prices, load_prices
 
 from ..export.json import to_json_text
 from ..figures.axes import to_png
-from ..language import said
+from ..language import mark, tr
 from ..parts.front import FrontRecord, describe_front, plot_front, stage_of
 from ..progress import StageProgress
 from ..results.drives import RefusalRecord, build_drives_record, versions
@@ -105,12 +106,17 @@ def run_pareto(
         prices = None
     plan = replace(plan, wishes=replace(plan.wishes, prices=prices))
     problem, n_kept = plan.problem, len(plan.wishes.existing)
-    progress("front", 0, 0)
+    progress(mark("front"), 0, 0)
 
     def tell(point: FrontPoint) -> None:
-        money = f"{point.value.cost_eur:,.0f} EUR"
-        size = f"{point.units} of {problem.limits.budget_units} units"
-        progress(f"front: {money if by == 'cost' else size}", 0, 0)
+        stage = Phrase(
+            "front: {n} of {n_all} units",
+            n=point.units,
+            n_all=problem.limits.budget_units,
+        )
+        if by == "cost":
+            stage = Phrase("front: {price:,.0f} EUR", price=point.value.cost_eur)
+        progress(stage, 0, 0)
 
     find = cost_front
     if by == "units":
@@ -129,7 +135,7 @@ def run_pareto(
     if prices is not None:
         assumed = assumed_prices(prices, scene.sites)
         result = replace_fields(
-            result, sentences=(*result.sentences, *map(said, assumed))
+            result, sentences=(*result.sentences, *map(tr, assumed))
         )
 
     def files(done: FrontResult) -> dict[str, str | bytes]:

@@ -12,6 +12,7 @@ from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
 from geometry.files import write_atomically
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from placement.cache import cached_value
@@ -40,7 +41,7 @@ from placement.wishes import assumed_prices
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
 from ..export.table import to_csv
-from ..language import language
+from ..language import language, mark
 from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
@@ -100,7 +101,7 @@ def begin_job(
     """Make the setting, if not known; begin a second process unless `side` has one, if it pays."""
     if setting is None:
         folders.expect_results(out, progress)
-        progress("setting", 0, 0)
+        progress(mark("setting"), 0, 0)
         setting = build_setting(question, scene, compute=compute)
     setting = with_sight(setting, compute=compute)
     is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
@@ -249,7 +250,7 @@ def answer_placement(
             job.side, setting, layout, question, compute
         )
         fresh = _begin_fresh_worlds(job, plan, [*layouts.values()])
-        progress("explain", 0, 0)
+        progress(mark("explain"), 0, 0)
         explained = build_explained_record(
             placement, setting, found.poses, compute=compute
         )
@@ -452,7 +453,7 @@ def _front_below(job: Job, found: _Found) -> FrontRecord | None:
         return None
     n_kept = len(plan.wishes.existing)
     if len(chosen) > max(n_kept, 1):
-        progress("fewer units", 0, 0)
+        progress(mark("fewer units"), 0, 0)
     front = cached_value(
         job.compute.cache_folder,
         "front",
@@ -462,7 +463,9 @@ def _front_below(job: Job, found: _Found) -> FrontRecord | None:
             best.certificate,
             min_units=n_kept,
             effort=plan.effort,
-            on_point=lambda point: progress(f"fewer units: {point.units}", 0, 0),
+            on_point=lambda point: progress(
+                Phrase("fewer units: {n}", n=point.units), 0, 0
+            ),
             reduced=None if placement.presolved is None else placement.presolved(),
         ),
         kind=Front,

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
+from geometry.phrases import Phrase
 from placement.optimiser import (
     Effort,
     Floor,
@@ -20,6 +21,7 @@ from placement.optimiser import (
 from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
 
+from ..language import mark
 from ..progress import StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
@@ -72,7 +74,7 @@ def run_solve(
     of the file's own; all its other demands hold. Raises InputError if the file is
     damaged, or the question has no answer.
     """
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     own = problem = load_problem(path)
     if track_memory_s is not None:
         try:
@@ -88,7 +90,9 @@ def run_solve(
     effort = Effort(solver=cast(SolverName, solver), time_limit_s=time_limit_s, gap=gap)
     began_s = time.perf_counter()
     solution = solve_placement(
-        problem, effort=effort, on_stage=lambda stage: progress(f"solve: {stage}", 0, 0)
+        problem,
+        effort=effort,
+        on_stage=lambda stage: progress(Phrase("solve: {goal}", goal=stage), 0, 0),
     )
     first = solution.certificate.stages[0]
     return PlacementSolution(

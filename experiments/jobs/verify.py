@@ -46,6 +46,7 @@ from placement.verification.verify import verify_certificate
 
 from ..export.geojson import to_geojson
 from ..export.table import to_csv
+from ..language import mark
 from ..parts import bill_of_materials, certified
 from ..parts.comparison import GREEDY
 from ..parts.reading import StoredResult, check_schema, load_result
@@ -195,7 +196,7 @@ def run_verification(
         raise InputError(
             str(folder), got, "a folder of results, as place-rsus has written it"
         )
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     found = FolderChecks(is_deep=question is not None)
     is_signed = False
     if key is not None:

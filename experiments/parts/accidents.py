@@ -17,10 +17,10 @@ from scenarios.cases import Case
 from scenarios.runs import FrameAxis, Run
 
 from ..figures.axes import unit_labels
-from ..language import localized, said, say, tr, trn
+from ..language import localized, mark, tr, trn
 from ..results.drives import describe_driven
 from ..results.numbers import capital, joined, number, percent
-from ..results.tables import GroupedBy, RunGroup, groups_by, margin_s
+from ..results.tables import HEADS_OF_GROUPS, GroupedBy, RunGroup, groups_by, margin_s
 from .section import Block, Box, Bullets, Section, Sketch, Subheading, Table
 
 MAX_UNIT_COLUMNS = 24
@@ -51,16 +51,32 @@ def accidents_section(
 ) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
+    meaning = tr(
+        "The accident prevention ratio (APR) is the share of the runs in "
+        "which the car brakes early enough not to touch the pedestrian or "
+        "cyclist."
+    )
     if is_weighted(axis):
-        meaning = "meaning_by_weight"
-    else:
-        meaning = "meaning"
+        meaning = tr(
+            "The accident prevention ratio (APR) is the share of the runs, by "
+            "weight, in which the car brakes early enough not to touch the "
+            "pedestrian or cyclist."
+        )
+    source = tr(
+        "The numbers below come from the evaluator, which renders every "
+        "camera's image and every LiDAR's scan frame by frame."
+    )
     if is_optimised:
-        source = "source_of_optimised"
-    else:
-        source = "source"
-    text = " ".join(say(f"accidents.{key}") for key in (meaning, source))
-    blocks: list[Block] = [text, apr_table(evaluations), *apr_group_tables(evaluations)]
+        source = tr(
+            "The numbers below come from the evaluator, which renders every "
+            "camera's image and every LiDAR's scan frame by frame; it does "
+            "not use the detection table."
+        )
+    blocks: list[Block] = [
+        f"{meaning} {source}",
+        apr_table(evaluations),
+        *apr_group_tables(evaluations),
+    ]
     return Section("accidents", tr("Accidents prevented"), blocks)
 
 
@@ -78,16 +94,28 @@ def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     return _table_of_parties(evaluations, caption, _cases(axis), _groups(axis))
 
 
+_APR_BY: dict[GroupedBy, str] = {
+    "speed": mark("Accident prevention ratio by speed of the car"),
+    "direction": mark(
+        "Accident prevention ratio by direction from which the car comes"
+    ),
+    "position": mark(
+        "Accident prevention ratio by place along the arms, in metres "
+        "before (-) or behind (+) the junction"
+    ),
+}
+
+
 def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     """APR of these parties by speed, direction and position, where there are several."""
     axis = next(iter(evaluations.values())).axis
     by: tuple[GroupedBy, ...] = ("speed", "direction", "position")
     tables = []
     for what in by:
-        groups = [(said(name), mask) for name, mask in groups_by(axis, what)]
+        groups = [(tr(name), mask) for name, mask in groups_by(axis, what)]
         if len(groups) > 1:
-            caption = say(f"accidents.by_{what}")
-            head = say(f"grouped.{what}")
+            caption = tr(_APR_BY[what])
+            head = tr(HEADS_OF_GROUPS[what])
             tables.append(_table_of_parties(evaluations, caption, head, groups))
     return tables
 
@@ -112,7 +140,7 @@ def _table_of_parties(
 def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
-    layouts = [(said(name), item) for name, item in evaluations.items()]
+    layouts = [(tr(name), item) for name, item in evaluations.items()]
     parties = {
         f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts
     }
@@ -185,7 +213,7 @@ def _groups(axis: FrameAxis) -> list[RunGroup]:
     """All runs, those of each case, and those of each weather where there are several."""
     every = (tr("all runs"), np.ones(axis.n_runs, dtype=bool))
     weathers = [
-        (tr("weather: {weather}", weather=said(name)), mask)
+        (tr("weather: {weather}", weather=tr(name)), mask)
         for name, mask in several_weathers(axis)
     ]
     return [every, *groups_by(axis, "case"), *weathers]
@@ -203,7 +231,11 @@ def _apr_rows(
 def cases_section(setting: Setting) -> Section:
     """Cases that are driven, and those that cannot be."""
     note = [
-        say("accidents.last_moment"),
+        tr(
+            "Last moment: the latest time at which braking still avoids the "
+            "impact, which would be at 0; of each case's runs the earliest "
+            "and the latest."
+        ),
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
@@ -211,7 +243,10 @@ def cases_section(setting: Setting) -> Section:
         sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()
     ]
     blocks += [
-        say("accidents.sketches"),
+        tr(
+            "From above: the car drives upwards and hits where its line ends. "
+            "Dashed: whom it meets."
+        ),
         Box("beside sketches", sketches),
     ]
     missing = describe_driven(setting)
@@ -227,7 +262,7 @@ _USER_M = 0.6  # radius of the mark of who is met
 
 def case_title(case: Case) -> str:
     """What happens in a case, for who knows no codes."""
-    return capital(said(case.title).replace("VUT", tr("car")) or case.name)
+    return capital(tr(case.title).replace("VUT", tr("car")) or case.name)
 
 
 def sketch_case(run: Run) -> Sketch:
@@ -290,7 +325,12 @@ def _path(
 
 def runs_section(evaluations: Mapping[str, Evaluation]) -> Section:
     """How every run ends."""
-    note = say("accidents.how_runs_end")
+    note = tr(
+        "Avoided, with the time to spare between the onset of braking and "
+        "the last moment; or hit, with the time by which braking comes "
+        "too late. Lost again: confirmed early enough, but not known any "
+        "more at the last moment."
+    )
     return Section("runs", tr("Every run"), [note, run_table(evaluations)])
 
 
@@ -313,13 +353,13 @@ def case_table(setting: Setting) -> Table:
             for run in runs
             if math.isfinite(run.last_brake_time_s)
         ]
-        met = f"{said(case.vru.name)}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
+        met = f"{tr(case.vru.name)}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
         speeds = _steps(sorted({run.vut_speed_kmh for run in runs}))
         is_all = len(approaches) == len(every) > 1
         if is_all:
             arms = tr("all")
         else:
-            arms = ", ".join(map(said, approaches))
+            arms = ", ".join(map(tr, approaches))
         if has_weights:
             weight = [percent(float(setting.axis.weight[indices].sum()))]
         else:
@@ -328,7 +368,7 @@ def case_table(setting: Setting) -> Table:
         rows.append(
             [
                 name,
-                said(case.title),
+                tr(case.title),
                 met,
                 speeds,
                 arms,
@@ -349,7 +389,7 @@ def case_table(setting: Setting) -> Table:
         *([tr("weight")] if has_weights else []),
         *(tr("last moment, earliest (s)"), tr("latest (s)")),
     ]
-    arms = ", ".join(map(said, every))
+    arms = ", ".join(map(tr, every))
     return Table(
         caption=(
             tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases")
@@ -376,7 +416,15 @@ def describe_hopeless(setting: Setting) -> list[str]:
     hopeless = [run for run in setting.runs if not math.isfinite(run.last_brake_time_s)]
     n_runs = Counter(run.case.name for run in hopeless)
     names = [name for name in runs_by_case(setting) if n_runs[name]]
-    return [say("accidents.hopeless", n_runs[name], case=name) for name in names]
+    return [
+        trn(
+            "In {n} run of {case} no braking avoids the impact.",
+            "In {n} runs of {case} no braking avoids the impact.",
+            n_runs[name],
+            case=name,
+        )
+        for name in names
+    ]
 
 
 def runs_by_case(setting: Setting) -> dict[str, list[int]]:
@@ -400,7 +448,7 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     rows = []
     for index in np.argsort(margins[0], kind="stable").tolist():
         if has_weathers:
-            weather = [said(axis.weathers[index])]
+            weather = [tr(axis.weathers[index])]
         else:
             weather = []
         if has_weights:
@@ -417,17 +465,15 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
         *([tr("weather")] if has_weathers else []),
         *([tr("weight")] if has_weights else []),
     ]
-    columns = [
-        tr("run"),
-        *own,
-        tr("last moment (s)"),
-        *map(said, evaluations),
-        tr("VUT"),
-    ]
+    columns = [tr("run"), *own, tr("last moment (s)"), *map(tr, evaluations), tr("VUT")]
     n_hit = int((~subject.headline.is_avoided).sum())
     summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
     if n_hit:
-        summary = say("accidents.runs_with_hits", n=len(rows), hit=n_hit)
+        summary = tr(
+            "{n} runs, {hit} of them hit: those with the least time to spare first",
+            n=len(rows),
+            hit=n_hit,
+        )
     caption = tr("Runs: case / from / speed in km/h")
     if has_weathers:
         caption = tr("Runs: case / from / speed in km/h / weather")

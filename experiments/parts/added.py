@@ -11,7 +11,7 @@ from scenarios.cases import ROAD_USER_GROUPS
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 
-from ..language import say, tr
+from ..language import tr
 from ..results.numbers import in_points, percent
 from ..results.record import Record, says
 from ..results.tables import groups_by
@@ -148,7 +148,13 @@ def words(record: Added | None) -> list[str]:
     gain = in_points(everything.gain)
     by_unit = ", ".join(told)
     if len(units) > 1:
-        return [say("added.by_unit", gain=gain, by_unit=by_unit)]
+        return [
+            tr(
+                "To a car that sees, these units add {gain} points ({by_unit}).",
+                gain=gain,
+                by_unit=by_unit,
+            )
+        ]
     return [tr("To a car that sees, these units add {gain} points.", gain=gain)]
 
 
@@ -157,7 +163,10 @@ def section(record: Added | None) -> Section | None:
     if record is None or not record.units:
         return None
     of_units = Table(
-        caption=say("added.one_after_the_other"),
+        caption=tr(
+            "One unit after the other next to a car that sees, the one first that adds"
+            " most"
+        ),
         columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
         rows=[
             [unit.unit, percent(unit.apr), in_points(unit.gain)]

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 from scenarios.scores import AVOIDED
 
-from ..language import mark, say, tr, trn
+from ..language import mark, tr, trn
 from ..progress import StageProgress
 from ..results.folders import RECOMMENDED_FILE
 from ..results.numbers import (
@@ -219,27 +219,59 @@ def recommended_sentences(found: FrontRunners | None, *, is_proven: bool) -> lis
         return []
     first = found.layouts[0]
     best = next(one for one in found.layouts if one.name == found.recommended)
-    values = {"apr": percent(best.apr), "other_apr": percent(first.apr)}
-    values |= {
-        "left": percent(best.apr_one_failed),
-        "other_left": percent(first.apr_one_failed),
-    }
-    why = f"better_{found.decided_by}"
-    if found.decided_by == "apr" and len(first.layout) == 1:
-        why = "better_apr_alone"
-    elif found.decided_by not in ("apr", "apr_one_failed"):
-        worst = [
-            percent(one.mounting.worst.apr) for one in (best, first) if one.mounting
-        ]
-        values["leaves"] = tr(" against ").join(worst)
-        why = "better_mounted"
-    values = {"why": say(f"alternatives.{why}", **values), "file": RECOMMENDED_FILE}
-    values |= {"best": best.name, "first": first.name}
+    recommended = mark(
+        "Recommended: {best}, in {file}. The evaluator prefers it to "
+        "{first}: {why}. All else here is about {first}, which is the "
+        "best found."
+    )
     if is_proven:
-        key = "recommended_to_proven"
-    else:
-        key = "recommended_to_found"
-    return [say(f"alternatives.{key}", **values)]
+        recommended = mark(
+            "Recommended: {best}, in {file}. The evaluator prefers it to "
+            "{first}: {why}. All else here is about {first}, which is proven "
+            "best on the detection table."
+        )
+    why = _why_better(best, first, found.decided_by)
+    return [
+        tr(
+            recommended,
+            best=best.name,
+            first=first.name,
+            file=RECOMMENDED_FILE,
+            why=why,
+        )
+    ]
+
+
+def _why_better(best: LeadingLayout, first: LeadingLayout, decided_by: Deciding) -> str:
+    """What the layout recommended has more of than the first one."""
+    apr = percent(best.apr)
+    other_apr = percent(first.apr)
+    left = percent(best.apr_one_failed)
+    other_left = percent(first.apr_one_failed)
+    if decided_by == "apr" and len(first.layout) == 1:
+        return tr("APR {apr} against {other_apr}", apr=apr, other_apr=other_apr)
+    if decided_by == "apr":
+        return tr(
+            "APR {apr} against {other_apr}, and {left} against {other_left} if any one"
+            " unit fails",
+            apr=apr,
+            other_apr=other_apr,
+            left=left,
+            other_left=other_left,
+        )
+    if decided_by == "apr_one_failed":
+        return tr(
+            "the same APR, {other_apr}, and {left} against {other_left} if any one unit"
+            " fails",
+            other_apr=other_apr,
+            left=left,
+            other_left=other_left,
+        )
+    worst = [percent(one.mounting.worst.apr) for one in (best, first) if one.mounting]
+    return tr(
+        "the same APR, and a unit mounted 1 degree or 5 cm off leaves {leaves}",
+        leaves=tr(" against ").join(worst),
+    )
 
 
 def doubt_sentences(
@@ -264,8 +296,9 @@ def _heavy(runs: Sequence[HeavyRun]) -> str:
         shares = high
     else:
         shares = tr("{first} to {last}", first=low, last=high)
-    return say(
-        "alternatives.heavy_runs",
+    return trn(
+        "One run alone counts {shares} of the APR: {names}.",
+        "{n} runs count {shares} of the APR each: {names}.",
         len(runs),
         shares=shares,
         names=first_of([one.run for one in runs], _MAX_HEAVY),
@@ -274,20 +307,42 @@ def _heavy(runs: Sequence[HeavyRun]) -> str:
 
 def _by_runs(found: ByRuns, n_runs: int) -> str:
     if found.runs_avoided > found.runs_avoided_here:
-        values = {
-            "avoided": found.runs_avoided,
-            "avoided_here": found.runs_avoided_here,
-        }
+        better = mark(
+            "If every run counted the same (--weights run), another layout "
+            "would be better: it avoids {avoided} of {runs}, this one "
+            "{avoided_here} (on the detection table)."
+        )
         if found.is_proven:
-            key = "by_runs_best"
-        else:
-            key = "by_runs_better"
-        return say(f"alternatives.{key}", runs=count_runs(n_runs), **values)
+            better = mark(
+                "If every run counted the same (--weights run), another layout "
+                "would be best: it avoids {avoided} of {runs}, this one "
+                "{avoided_here} (on the detection table)."
+            )
+        return tr(
+            better,
+            runs=count_runs(n_runs),
+            avoided=found.runs_avoided,
+            avoided_here=found.runs_avoided_here,
+        )
     if found.is_proven:
         return tr(
             "If every run counted the same, no layout would be better than this one."
         )
-    return say("alternatives.by_runs_open")
+    return tr(
+        "If every run counted the same, no better layout was found in the "
+        "time for it; that there is none is not proven."
+    )
+
+
+_OFF = {
+    "yaw": (
+        mark("turned {step:g} degree to the right"),
+        mark("turned {step:g} degree to the left"),
+    ),
+    "pitch": (mark("tilted {step:g} degree down"), mark("tilted {step:g} degree up")),
+    "height": (mark("5 cm too low"), mark("5 cm too high")),
+}
+"""How a unit is mounted wrongly, in less and in more of an angle or the height."""
 
 
 def _mounting(found: Standing) -> str:
@@ -297,23 +352,35 @@ def _mounting(found: Standing) -> str:
         int(found.aim_deg != 1.0) + 1,
         deg=found.aim_deg,
     )
-    if found.aim_deg:
-        key = "aim"
+    if found.aim_deg and found.height_m:
+        text = tr(
+            "A unit may be {aim} off its aim or 5 cm too high or low, and no run is"
+            " lost.",
+            aim=aim,
+        )
+    elif found.aim_deg:
+        text = tr(
+            "A unit may be {aim} off its aim and no run is lost; 5 cm too "
+            "high or low already loses one.",
+            aim=aim,
+        )
+    elif found.height_m:
+        text = tr(
+            "Mount exactly: half a degree off the aim of a unit already loses "
+            "a run; 5 cm too high or low loses none."
+        )
     else:
-        key = "exactly"
-    text = say(
-        f"alternatives.{key}_{'and' if found.height_m else 'not'}_height", aim=aim
-    )
+        text = tr(
+            "Mount exactly: half a degree off the aim of a unit, or 5 cm too "
+            "high or low, already loses a run."
+        )
     worst = found.worst
     if not worst.lost_run_ids:
         return text
     runs = count_runs(len(worst.lost_run_ids))
     apr = percent(worst.apr)
-    if worst.step > 0.0:
-        way = "more"
-    else:
-        way = "less"
-    off = say(f"off.{worst.kind}_{way}", step=abs(worst.step))
+    less, more = _OFF[worst.kind]
+    off = tr(more if worst.step > 0.0 else less, step=abs(worst.step))
     at_worst = mark(
         "At worst, 1 degree or 5 cm cost {runs}: with {unit} {off} the APR is {apr}."
     )
@@ -326,7 +393,13 @@ def failure_sentences(failures: Failures, labels: Mapping[str, str]) -> list[str
     whole = failures.none_failed
     n_units = len(failures.one_failed)
     if n_units == 1:
-        return [say("alternatives.one_unit", apr=percent(whole.apr))]
+        return [
+            tr(
+                "There is one unit. If it fails, nothing is left of the {apr} "
+                "that it prevents but what the car prevents by itself.",
+                apr=percent(whole.apr),
+            )
+        ]
     return [
         tr("All {n} units together prevent {apr}.", n=n_units, apr=percent(whole.apr)),
         _if_one_fails(failures, labels),
@@ -346,13 +419,21 @@ def _if_one_fails(failures: Failures, labels: Mapping[str, str]) -> str:
                 "Whichever one fails, the others avoid every run that all avoid"
                 " together."
             )
-        return say("alternatives.none_needed", time=milliseconds(least_s))
+        return tr(
+            "Whichever one fails, the others avoid every run that all avoid "
+            "together; the least time to spare is then {time}.",
+            time=milliseconds(least_s),
+        )
     values = {
         "unit": _names(worst, labels),
         "apr": percent(worst.apr),
         "lost": _runs_lost(worst),
     }
-    text = say("alternatives.worst_unit", **values)
+    text = tr(
+        "If {unit} fails, the others still prevent {apr}; {lost}. No single failure"
+        " leaves less.",
+        **values,
+    )
     harmless = mark(
         "{n} of the {n_units} units can fail by themselves and no run is lost."
     )
@@ -377,7 +458,12 @@ def _if_two_fail(failures: Failures, labels: Mapping[str, str]) -> str:
         "apr": percent(pairs[0].apr),
         "n": n_harmless,
     }
-    return say("alternatives.worst_pair", n_pairs=len(pairs), **values)
+    return tr(
+        "Of two that fail at once, {units} matter most: {apr} are left. "
+        "{n} of the {n_pairs} pairs can fail and no run is lost.",
+        n_pairs=len(pairs),
+        **values,
+    )
 
 
 def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
@@ -387,13 +473,48 @@ def _if_a_pole_fails(failures: Failures, labels: Mapping[str, str]) -> str:
             "No two units share a pole: a pole that fails takes one unit with it."
         )
     if not worst.lost_run_ids:
-        return say("alternatives.no_pole_needed")
+        return tr(
+            "A pole fails with all its units (power, a crash). Whichever one does, no"
+            " run is lost."
+        )
     values = {
         "units": _names(worst, labels),
         "apr": percent(worst.apr),
         "lost": _runs_lost(worst),
     }
-    return say("alternatives.worst_pole", **values)
+    return tr(
+        "A pole fails with all its units (power, a crash). If that of "
+        "{units} does, {apr} are left and {lost}; no other pole leaves "
+        "less.",
+        **values,
+    )
+
+
+class _FailureWords(NamedTuple):
+    """What a table of failures says: `worst` is its caption where it has only the worst."""
+
+    caption: str
+    worst: str
+    head: str
+
+
+_FAILURES = {
+    "unit": _FailureWords(
+        caption=mark("If one unit fails"),
+        worst=mark("{if_fails}: the {n} worst of {n_all} units"),
+        head=mark("fails"),
+    ),
+    "pair": _FailureWords(
+        caption=mark("If two units fail"),
+        worst=mark("{if_fails}: the {n} worst of {n_all} pairs"),
+        head=mark("fail"),
+    ),
+    "pole": _FailureWords(
+        caption=mark("If one pole fails"),
+        worst=mark("{if_fails}: the {n} worst of {n_all}"),
+        head=mark("its units"),
+    ),
+}
 
 
 def failure_table(
@@ -403,11 +524,11 @@ def failure_table(
     of: Literal["unit", "pair", "pole"],
 ) -> Table:
     """A row per failure of a unit, of two, or of a pole, the worst first, ``MAX_ROWS`` at most."""
-    caption = say(f"failures.{of}")
-    head = say(f"failures.{of}_head")
+    words = _FAILURES[of]
+    caption = tr(words.caption)
+    head = tr(words.head)
     if len(failures) > MAX_ROWS:
-        counts = {"n": MAX_ROWS, "n_all": len(failures)}
-        caption = say(f"failures.{of}_worst", if_fails=caption, **counts)
+        caption = tr(words.worst, if_fails=caption, n=MAX_ROWS, n_all=len(failures))
     least = tr("smallest margin of the rest (ms)")
     pole: dict[str, Callable[[Failure], str]] = {tr("pole"): lambda item: item.site_id}
     columns: dict[str, Callable[[Failure], str]] = (pole if of == "pole" else {}) | {
@@ -435,11 +556,21 @@ def failures_section(
         tables.append(failure_table(failures.two_failed, labels, of="pair"))
     if any(len(item.unit_ids) > 1 for item in failures.site_failed):
         tables.append(failure_table(failures.site_failed, labels, of="pole"))
-    whose = say(
-        f"alternatives.seen_{'with' if evaluation.cars == 1.0 else 'without'}_car"
+    whose = tr(
+        "Roadside units only, from what the evaluator sees with each; "
+        "what the car sees by itself comes on top."
     )
+    if evaluation.cars == 1.0:
+        whose = tr(
+            "What the evaluator sees with each unit, and with the car's own "
+            "sensors, which never fail."
+        )
     sentences = " ".join(failure_sentences(failures, labels))
-    note = f"{whose} {say('alternatives.lost_runs')}"
+    lost = tr(
+        "A run is lost if all units together avoid it and those that are "
+        "left do not; the fastest ones are named first."
+    )
+    note = f"{whose} {lost}"
     return Section(
         "failures", tr("If a unit or a pole fails"), [sentences, *tables, note]
     )

@@ -8,7 +8,7 @@ from placement.evaluation import Evaluation
 from placement.question import N_JUDGED
 from placement.setting import Setting
 
-from ..language import listed, say, tr, trn
+from ..language import tr, trn
 from ..results.numbers import capital, joined, percent, points
 from . import added, comparison, dangers, proof
 from .accidents import count_sensors
@@ -61,9 +61,26 @@ def lead(result: Result) -> str:
         "own": percent(found.vut.all),
     }
     if result.cars == 1.0:
-        return say("answer.lead_of_seeing_cars", len(layout), **values)
-    return say(
-        "answer.lead", len(layout), both=percent(found.vut_and_rsus.all), **values
+        return trn(
+            "{mounted} together with cars that see for themselves prevents "
+            "{share} of the simulated collisions, by telling cars when to "
+            "brake{best}. The cars' own sensors alone prevent {own}.",
+            "{mounted} together with cars that see for themselves prevent "
+            "{share} of the simulated collisions, by telling cars when to "
+            "brake{best}. The cars' own sensors alone prevent {own}.",
+            len(layout),
+            **values,
+        )
+    return trn(
+        "{mounted} prevents {share} of the simulated collisions, by "
+        "telling cars when to brake{best}. The cars' own sensors alone "
+        "prevent {own}, both together {both}.",
+        "{mounted} prevent {share} of the simulated collisions, by "
+        "telling cars when to brake{best}. The cars' own sensors alone "
+        "prevent {own}, both together {both}.",
+        len(layout),
+        both=percent(found.vut_and_rsus.all),
+        **values,
     )
 
 
@@ -100,8 +117,18 @@ def _best(result: PlacementResult) -> str:
         "given_up": points(highest.given_up),
     }
     if highest.stages[0].gap == 0.0:
-        return say("answer.most_of_any", **values)
-    return say("answer.most_found", **values)
+        return tr(
+            ", and {left} if one of them fails. The most that any choice "
+            "prevents is {most}, but only {others_left} if one fails: to keep "
+            "more then, up to {given_up} is given up",
+            **values,
+        )
+    return tr(
+        ", and {left} if one of them fails. The most that was found is "
+        "{most}, but only {others_left} if one fails: to keep more then, "
+        "up to {given_up} is given up",
+        **values,
+    )
 
 
 def is_proven(result: PlacementResult) -> bool:
@@ -111,7 +138,19 @@ def is_proven(result: PlacementResult) -> bool:
 
 
 def _spelled(count: int) -> str:
-    words = listed("numbers")
+    words = [
+        tr("no"),
+        tr("one"),
+        tr("two"),
+        tr("three"),
+        tr("four"),
+        tr("five"),
+        tr("six"),
+        tr("seven"),
+        tr("eight"),
+        tr("nine"),
+        tr("ten"),
+    ]
     if count < len(words):
         return words[count]
     return str(count)
@@ -154,10 +193,23 @@ def planned_only(result: Result) -> list[str]:
         or not is_drawn(result.detector)
     ):
         return []
+    if result.preferred:
+        return [
+            tr(
+                "This plan takes for seen whatever is seen with a probability of "
+                "0.5 or more, and nothing is out of order in it. {n} sampled "
+                "worlds, where chance decides, chose between its best layout and "
+                "greedy choice's, and compared no other: --samples 8 chooses for "
+                "the mean of eight worlds.",
+                n=N_JUDGED,
+            )
+        ]
     return [
-        say(
-            "answer.planned_decided" if result.preferred else "answer.planned_only",
-            n=N_JUDGED,
+        tr(
+            "This plan takes for seen whatever is seen with a probability of "
+            "0.5 or more, and nothing is out of order in it: in fresh worlds "
+            "such a choice can be behind a rule of thumb. --samples 8 chooses "
+            "for the mean of eight worlds."
         )
     ]
 

@@ -1,54 +1,77 @@
 """How a result was computed, and how to make it again: the last words of the report."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 
 from geometry.notes import Note
+from geometry.phrases import Phrase
 from placement.detectors import ResponseDetector
 from placement.layout import Layout
 from placement.setting import Radio, Setting
 from scenarios.aeb import AebRule
 
-from ..language import localized, said, say, tr
+from ..language import localized, tr
 from ..results.numbers import first_of, grouped, joined, percent
 from .accidents import is_weighted
 from .result import PlacementResult, Result
 from .sampled_worlds import moving_sentence
 from .section import Box, Code, Filled, Section, Table
 
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 _MAX_NAMES = 3
 
 
 def assumption_sentences(result: Result) -> list[str]:
     """What the map leaves open, the most important first; sites alike share a sentence."""
     groups = grouped(
-        ((one.kind, _NUMBER.sub("#", one.why)) if one.site_ids else index, one)
+        ((one.kind, _but_for_numbers(one.why)) if one.site_ids else index, one)
         for index, one in enumerate(result.assumptions)
     )
     return [_together(group) for group in groups.values()]
+
+
+def _but_for_numbers(why: str) -> str:
+    """What is the same in reasons that differ in their numbers alone."""
+    if not isinstance(why, Phrase):
+        return why
+    same = {
+        name: "#" if isinstance(value, int | float) else value
+        for name, value in why.fields.items()
+    }
+    return f"{why.template} {same}"
 
 
 def _together(group: Sequence[Note]) -> str:
     """One sentence; of several with other numbers, these are the lowest and the highest."""
     first = group[0]
     if len(group) == 1:
-        return tr("{what}: {why}.", what=said(first.what), why=said(first.why))
-    numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
-    lows_highs = [(min(column), max(column)) for column in zip(*numbers, strict=True)]
-    ranges = iter(
-        (
-            localized(f"{low:g}")
-            if low == high
-            else tr("{low:g} to {high:g}", low=low, high=high)
-        )
-        for low, high in lows_highs
-    )
-    why = _NUMBER.sub(lambda _match: next(ranges), first.why)
+        return tr("{what}: {why}.", what=tr(first.what), why=tr(first.why))
+    why = tr(first.why)
+    if isinstance(first.why, Phrase):
+        whys = [one.why for one in group if isinstance(one.why, Phrase)]
+        ranges = {
+            name: _Range([one.fields[name] for one in whys])
+            for name, value in first.why.fields.items()
+            if isinstance(value, int | float)
+        }
+        why = tr(Phrase(first.why.template, **{**first.why.fields, **ranges}))
     names = [site_id for one in group for site_id in one.site_ids]
     listed = first_of(names, _MAX_NAMES)
-    return tr("{n} sites ({names}): {why}.", n=len(names), names=listed, why=said(why))
+    return tr("{n} sites ({names}): {why}.", n=len(names), names=listed, why=why)
+
+
+class _Range:
+    """The lowest and the highest of numbers, rounded as a format says."""
+
+    def __init__(self, numbers: Sequence[float]) -> None:
+        self._low = min(numbers)
+        self._high = max(numbers)
+
+    def __format__(self, spec: str) -> str:
+        low = float(format(self._low, spec))
+        high = float(format(self._high, spec))
+        if low == high:
+            return localized(f"{low:g}")
+        return tr("{low:g} to {high:g}", low=low, high=high)
 
 
 def assumptions_section(
@@ -64,11 +87,11 @@ def assumptions_section(
         "setting": setting,
         "weights": [counted.min(), counted.max()] if is_weighted(axis) else [],
         "n_without": axis.n_runs - len(counted),
-        "detection": said(f"{setting.detector.description}{_figures(setting)}"),
-        "sensors": tr(" and ").join(map(said, setting.vut_sensors)),
+        "detection": _detection_words(setting),
+        "sensors": tr(" and ").join(map(tr, setting.vut_sensors)),
         "is_endless": math.isinf(rule.track_memory_s),
         "latency": latency_words(rule, layouts),
-        "weathers": [said(name) for name in weathers],
+        "weathers": [tr(name) for name in weathers],
         "is_adverse": weathers != ["day"],
         "has_radio": setting.radio != Radio(),
         "moving": (
@@ -85,7 +108,7 @@ def assumptions_section(
 def again_section(result: Result, command: str) -> Section:
     """The command line, how long it took, and with which programs."""
     seconds = [
-        (said(stage), localized(f"{value:.1f}"))
+        (tr(stage), localized(f"{value:.1f}"))
         for stage, value in result.seconds.items()
     ]
     versions = [*result.versions.items()]
@@ -100,14 +123,20 @@ def again_section(result: Result, command: str) -> Section:
     return Section("again", tr("To make it again"), [Code(command), boxes])
 
 
-def _figures(setting: Setting) -> str:
+def _detection_words(setting: Setting) -> str:
+    """When the detector detects, and how many figures of its response tables are measured."""
+    words = [setting.detector.description, *_figures(setting)]
+    return " ".join(tr(sentence) for sentence in words)
+
+
+def _figures(setting: Setting) -> list[Phrase]:
     """How many figures of response tables are measured; that of the table where it is another."""
-    tables = {
-        one.name: one for one in (setting.detector, setting.table_detector)
-    }.values()
-    return "".join(
-        f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector)
-    )
+    tables = {one.name: one for one in (setting.detector, setting.table_detector)}
+    return [
+        one.figures_words
+        for one in tables.values()
+        if isinstance(one, ResponseDetector)
+    ]
 
 
 def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
@@ -136,4 +165,9 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
         return tr(
             "{latency_ms:g} ms for processing and communication.", latency_ms=latency_ms
         )
-    return say("assumptions.latencies", latency_ms=latency_ms, own="; ".join(own))
+    return tr(
+        "{latency_ms:g} ms for processing and communication; units with a "
+        "latency of their own: {own}.",
+        latency_ms=latency_ms,
+        own="; ".join(own),
+    )

@@ -9,7 +9,7 @@ from geometry.scene import Scene
 from placement.layout import Layout
 from placement.wishes import assumed_prices, load_prices
 
-from ..language import listed, localized, mark, said, say, tr, trn
+from ..language import localized, mark, tr, trn
 from ..results.numbers import grouped, joined
 from ..results.tables import csv_text
 from .section import Block, Bullets, Section, Table
@@ -197,7 +197,14 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
     models = trn("{n} sensor model", "{n} sensor models", n_models)
     places = trn("{n} mounting place", "{n} mounting places", n_places)
     what = [words for n, words in ((n_models, models), (n_places, places)) if n]
-    return [say("bill_of_materials.at_least", sum=_euros(known), what=joined(what))]
+    return [
+        tr(
+            "At least {sum}: the sum of what is known. The price of {what} is "
+            "unknown and comes on top.",
+            sum=_euros(known),
+            what=joined(what),
+        )
+    ]
 
 
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
@@ -223,7 +230,14 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
     n_units = sum(one.n_units for one in sensors)
     n_to_buy = sum(one.count for one in sensors)
     rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
-    columns = listed("sensors to buy")
+    columns = [
+        tr("model"),
+        tr("kind"),
+        tr("units"),
+        tr("to buy"),
+        tr("price of one (EUR)"),
+        tr("sum (EUR)"),
+    ]
     if n_to_buy == n_units:  # nothing exists already
         columns = [*columns[:3], *columns[4:]]
         rows = [[*row[:3], *row[4:]] for row in rows]
@@ -246,7 +260,7 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         if one.kind == UNKNOWN:
             kind = tr(UNKNOWN)
         else:
-            kind = said(one.kind)
+            kind = tr(one.kind)
         of_sites.append([name, kind, str(one.n_units), price, source])
     of_sites.append(
         [tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""]
@@ -255,7 +269,13 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
         Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
         Table(
             caption=tr("Sites"),
-            columns=listed("sites to make ready"),
+            columns=[
+                tr("site"),
+                tr("kind"),
+                tr("units"),
+                tr("making it ready (EUR)"),
+                tr("price"),
+            ],
             rows=of_sites,
             numeric=range(2, 4),
         ),
@@ -264,13 +284,38 @@ def bill_tables(bill: BillOfMaterials) -> list[Table]:
 
 def bill_section(bill: BillOfMaterials) -> Section:
     """The bill, and what is not in it."""
-    note = say("bill_of_materials.prices")
+    note = tr(
+        "Prices are those of the sensor catalogue, for one outdoor unit "
+        "with its housing; what comes with this program are orders of "
+        "magnitude. “Unknown” is not zero. Not in the bill:"
+    )
     blocks: list[Block] = [
-        " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
+        " ".join([*bill_sentences(bill), *map(tr, bill.assumed)]),
         *bill_tables(bill),
         note,
         Bullets(
-            listed("not in the bill")[bool(bill.assumed) :]
+            [
+                tr("new poles and foundations"),
+                tr(
+                    "brackets, cables and junction boxes beyond what a site's cost"
+                    " covers"
+                ),
+                tr(
+                    "the computer that detects, the radio unit that sends to "
+                    "cars, and their housing"
+                ),
+                tr("spare units"),
+                tr(
+                    "planning, permits, traffic management while mounting, the lift and"
+                    " the people"
+                ),
+                tr("calibration and acceptance"),
+                tr(
+                    "electricity, data connection, cleaning, repair and replacement"
+                    " over the years"
+                ),
+                tr("value added tax"),
+            ][bool(bill.assumed) :]
         ),  # assumed costs are with poles
     ]
     return Section("bill", tr("Bill of materials"), blocks)

@@ -23,7 +23,7 @@ from placement.setting import Setting
 from scenarios.runs import Run
 
 from ..figures.axes import unit_labels
-from ..language import say, tr
+from ..language import tr
 from .accidents import case_title
 from .section import Picture
 
@@ -53,7 +53,12 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
             "Rendered from the map. {what}, {time:.1f} s before the collision.",
             **values,
         ),
-        alt=say("camera_views.alt", site=unit.site_id or tr("its mount"), **values),
+        alt=tr(
+            "Rendered picture of camera {unit} at {site}: {what}, {time:.1f} "
+            "s before the collision.",
+            site=unit.site_id or tr("its mount"),
+            **values,
+        ),
         image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
         width_px=_WIDTH_PX,

@@ -13,7 +13,7 @@ from placement.question import AUTO, Question
 from placement.sampling.out_of_sample import APART
 
 from ..export.json import to_json, to_json_text
-from ..language import said, say, tr
+from ..language import tr, trn
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record
 from ..results.folders import LAYOUT_FILE, expect_files, save_files
@@ -164,36 +164,63 @@ def words(result: CertifiedResult) -> list[str]:
     n_blocks = len(result.blocks)
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
     sentences = [
-        say(
-            "certified.prevented",
+        trn(
+            "{n} unit at {sites} prevents {share} of the accidents in "
+            "{worlds} sampled worlds that nothing was chosen in; another "
+            "layout within the budget could prevent at most {gap:.2f} points "
+            "more (with 95 % confidence)",
+            "{n} units at {sites} prevent {share} of the accidents in "
+            "{worlds} sampled worlds that nothing was chosen in; another "
+            "layout within the budget could prevent at most {gap:.2f} points "
+            "more (with 95 % confidence)",
             len(result.units),
             sites=", ".join(result.units),
             share=percent(result.apr),
             worlds=n_judged,
             gap=100.0 * result.gap,
         ),
-        say(
-            "certified.over_all_worlds",
+        tr(
+            "Over all worlds it prevents at least {least:.2f} %, and no "
+            "layout more than {most:.2f} %: {bias:.2f} points of the gap "
+            "would go with larger blocks or a better layout, {chance:.2f} "
+            "with more worlds",
             least=100.0 * result.least,
             most=100.0 * result.most,
             bias=100.0 * result.bias,
             chance=100.0 * result.chance,
         ),
-        say("certified.upper_limit", result.worlds_of_block, blocks=n_blocks),
+        trn(
+            "The upper limit is the mean of {blocks} proven bounds, one for "
+            "each block of {n} world",
+            "The upper limit is the mean of {blocks} proven bounds, one for "
+            "each block of {n} worlds",
+            result.worlds_of_block,
+            blocks=n_blocks,
+        ),
         *growth_sentences(result.growth),
     ]
     if loose:
-        sentences.append(say("certified.not_reached", n=loose, blocks=n_blocks))
+        sentences.append(
+            tr(
+                "In {n} of {blocks} blocks the bound was not reached in the time "
+                "given: with more time the limit may come down",
+                n=loose,
+                blocks=n_blocks,
+            )
+        )
     return sentences
 
 
 def table(result: CertifiedResult) -> Table:
     """A row per layout of the pool."""
     return Table(
-        caption=say("certified.layouts_found", n=len(result.apr_by_world)),
+        caption=tr(
+            "Layouts found, in {n} worlds that choose among them",
+            n=len(result.apr_by_world),
+        ),
         columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],
         rows=[
-            [said(one.name), *map(percent, (one.mean, one.low, one.high))]
+            [tr(one.name), *map(percent, (one.mean, one.low, one.high))]
             for one in result.pool
         ],
         numeric=(1, 2, 3),

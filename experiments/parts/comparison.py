@@ -18,7 +18,7 @@ from placement.evaluation import (
 )
 from scenarios.aeb import AebRule
 
-from ..language import listed, localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..results.numbers import (
     NOTHING,
     count_runs,
@@ -121,8 +121,9 @@ def _only_first(one: Evaluation, other: Evaluation) -> tuple[str, ...]:
 def words(name: str, compared: Sequence[Compared]) -> list[str]:
     """How many runs the first layout avoids and each other one does not, and the other way."""
     return [
-        say(
-            "comparison.avoids_others",
+        tr(
+            "{name} avoids {gained} that {other} does not, and {other} avoids "
+            "{lost} that {name} does not",
             name=name,
             other=other.name,
             gained=len(other.runs_gained),
@@ -189,7 +190,17 @@ def side_by_side_table(
         of_score = []
     else:
         of_score = [tr("score ({score})", score=levels.score)]
-    columns = [*listed("layouts side by side"), *of_score]
+    columns = [
+        tr("layout"),
+        tr("units"),
+        tr("cost of the units (EUR)"),
+        tr("APR"),
+        tr("runs avoided"),
+        tr("APR if the most needed unit fails"),
+        tr("smallest time to spare (s)"),
+        tr("mean speed at contact (km/h)"),
+        *of_score,
+    ]
     return Table(
         caption=tr(
             "The layouts side by side, all units of each together, by the evaluator"
@@ -207,7 +218,7 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
         rows.append((pair.first, pair.second, pair.only_first))
         rows.append((pair.second, pair.first, pair.only_second))
     return [
-        [said(a), said(b), count_runs(len(runs)), ", ".join(runs)]
+        [tr(a), tr(b), count_runs(len(runs)), ", ".join(runs)]
         for a, b, runs in rows
         if runs
     ]
@@ -219,8 +230,8 @@ def significance_table(sampled: SampledRecord) -> Table:
         tr("Differences of the APR in the same {n} sampled worlds", n=sampled.samples),
         map(_better_first, sampled.pairs),
         {
-            tr("layout"): lambda pair: said(pair.first),
-            tr("against"): lambda pair: said(pair.second),
+            tr("layout"): lambda pair: tr(pair.first),
+            tr("against"): lambda pair: tr(pair.second),
             tr("more in"): lambda pair: percent(pair.more_share),
             tr("the same in"): lambda pair: percent(pair.equal_share),
             tr("less in"): lambda pair: percent(pair.less_share),
@@ -269,7 +280,7 @@ def section(
         (
             Table(
                 caption=tr("Runs that only one of two layouts avoids"),
-                columns=listed("differences"),
+                columns=[tr("avoided by"), tr("not by"), tr("how many"), tr("which")],
                 rows=rows,
             )
             if rows
@@ -279,7 +290,12 @@ def section(
     if sampled is not None and sampled.pairs:
         blocks += [
             Subheading(tr("Is the difference sure?")),
-            say("comparison.paired"),
+            tr(
+                "Paired on the same worlds: what is drawn hits all layouts alike, "
+                "so that the difference in each world counts, not the spread "
+                "between worlds. Each interval holds by itself: of twenty such, "
+                "one may miss the true difference."
+            ),
             significance_table(sampled),
         ]
     return Section("comparison", tr("Side by side"), blocks)
@@ -287,8 +303,18 @@ def section(
 
 def _meaning(evaluations: Mapping[str, Evaluation]) -> str:
     """How speeds at contact, and the score, are to be read."""
-    text = say("comparison.speed")
+    text = tr(
+        "Mean speed at contact: of the VUT when it touches the road user "
+        "although it brakes from the confirmation on, over all runs by "
+        "weight; a run that is avoided counts as 0."
+    )
     levels = next(iter(evaluations.values())).levels
     if levels is None:
         return text
-    return say("comparison.speed_and_score", speed=text, score=levels.score)
+    return tr(
+        "{speed} Score ({score}): a run that is avoided counts in full, a "
+        "slow impact in part, by Euro NCAP's bands of the speed at "
+        "contact; it is what the layout was chosen for.",
+        speed=text,
+        score=levels.score,
+    )

@@ -26,7 +26,7 @@ from ..figures.axes import (
     show_square,
 )
 from ..figures.plan import draw_scene
-from ..language import said, say, tr, trn
+from ..language import tr, trn
 from ..results.numbers import joined, percent
 from ..results.record import Record, says
 from ..results.tables import RunGroup, groups_by
@@ -113,7 +113,13 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     n_left = dangers.not_avoided
     if not n_left:
         if is_of_blind:
-            return [say("dangers.none_left_by_blind", n=n_runs)]
+            return [
+                tr(
+                    "No simulated encounter (run) is left: all {n} are avoided by "
+                    "cars that do not see.",
+                    n=n_runs,
+                )
+            ]
         return [
             tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)
         ]
@@ -126,10 +132,24 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
         "{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs
     )
     if is_of_blind:
-        key = "not_avoided_by_blind"
-    else:
-        key = "not_avoided"
-    return [say(f"dangers.{key}", n_left, runs=all_runs, where=where)]
+        return [
+            trn(
+                "{n} of {runs} is not avoided by cars that do not see: {where}.",
+                "{n} of {runs} are not avoided by cars that do not see: {where}.",
+                n_left,
+                runs=all_runs,
+                where=where,
+            )
+        ]
+    return [
+        trn(
+            "{n} of {runs} is not avoided: {where}.",
+            "{n} of {runs} are not avoided: {where}.",
+            n_left,
+            runs=all_runs,
+            where=where,
+        )
+    ]
 
 
 def position_words(name: str) -> str:
@@ -193,14 +213,38 @@ def section(
             drawn[0],
             narrow=drawn[1] if len(drawn) > 1 else None,
             title=tr("Where it is still dangerous with {name}", name=name),
-            caption=say("dangers.places", n=n_left, all=len(places)),
-            alt=say("dangers.alt", n=n_left, all=len(places)),
+            caption=tr(
+                "Places with runs that are not avoided: {n} of {all}.",
+                n=n_left,
+                all=len(places),
+            ),
+            alt=tr(
+                "The junction from above: {all} places, {n} of them with runs "
+                "that are not avoided. The tables below have the shares by "
+                "position.",
+                n=n_left,
+                all=len(places),
+            ),
         )
         pictures.append(picture)
     if is_weighted(setting.axis):
-        note = say("dangers.marks_by_weight")
+        note = tr(
+            "Every mark is a place where runs end in an impact if nobody "
+            "brakes: impacts at most 6 m apart are one place. The number is "
+            "the share of its runs, by weight, that the units avoid, in per "
+            "cent; the darker, the more is left. At small white squares all "
+            "are avoided. Triangles are units, rings are sites that could "
+            "carry some."
+        )
     else:
-        note = say("dangers.marks")
+        note = tr(
+            "Every mark is a place where runs end in an impact if nobody "
+            "brakes: impacts at most 6 m apart are one place. The number is "
+            "the share of its runs that the units avoid, in per cent; the "
+            "darker, the more is left. At small white squares all are "
+            "avoided. Triangles are units, rings are sites that could carry "
+            "some."
+        )
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
         blocks += [
@@ -229,7 +273,7 @@ def position_table(name: str, is_avoided: BoolArray, axis: FrameAxis) -> Table:
         caption=tr("Where along the arms {name} avoids how much", name=name),
         columns=[
             *(tr("where"), tr("APR"), tr("runs avoided")),
-            *(tr("from the {arm}", arm=said(arm)) for arm, _ in approaches),
+            *(tr("from the {arm}", arm=tr(arm)) for arm, _ in approaches),
         ],
         rows=rows,
         numeric=range(1, 3 + len(approaches)),

@@ -11,13 +11,13 @@ from placement.candidates import CandidatePose
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.detection_table import run_of_level
 from placement.explain.contributions import NextUnit, find_contributions
-from placement.explain.unavoided import Reason, Unavoided, find_unavoided
+from placement.explain.unavoided import Cause, Reason, Unavoided, find_unavoided
 from placement.optimiser.problem import Objective
 from placement.pipeline import Placement
 from placement.refinement import Move, Refinement
 from placement.setting import Setting
 
-from ..language import listed, mark, said, say, tr, trn
+from ..language import mark, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
 from ..results.record import (
     LayoutValueRecord,
@@ -145,10 +145,26 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
             )
         ]
     if not needed:
-        return [say("explanation.none_depends", len(parts) - 1)]
+        return [
+            trn(
+                "No run depends on a single unit: whichever fails, the other "
+                "avoids all that they avoid together. What each unit adds is "
+                "time.",
+                "No run depends on a single unit: whichever fails, the others "
+                "avoid all that they avoid together. What each unit adds is time.",
+                len(parts) - 1,
+            )
+        ]
     if len(needed) == len(parts):
         return [tr("Each unit saves runs that no other one saves.")]
-    return [say("explanation.saves", len(needed), n_units=len(parts))]
+    return [
+        trn(
+            "Of {n_units} units, {n} saves runs that no other one saves.",
+            "Of {n_units} units, {n} save runs that no other one saves.",
+            len(needed),
+            n_units=len(parts),
+        )
+    ]
 
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
@@ -166,7 +182,14 @@ def missed_sentences(explained: ExplainedRecord) -> list[str]:
             only = mark("all {outcome}")
         outcomes = tr(only, outcome=outcome_words(missed[0].outcome))
     if missed:
-        sentences = [say("explanation.not_avoided", len(missed), outcomes=outcomes)]
+        sentences = [
+            trn(
+                "On the detection table, {n} run is not avoided: {outcomes}.",
+                "On the detection table, {n} runs are not avoided: {outcomes}.",
+                len(missed),
+                outcomes=outcomes,
+            )
+        ]
     elif n_without:
         sentences = [tr("On the detection table, every run that counts is avoided.")]
     else:
@@ -189,22 +212,50 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
             most = mark("The most frequent cause: {cause}, in {runs}.")
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
-    if n_saved == len(missed):
-        key = "could_be_saved"
-    else:
-        key = "some_could_be_saved"
-    saved = say(f"explanation.{key}", n_saved)
-    return [*sentences, *([saved] if n_saved else [])]
+    if n_saved and n_saved == len(missed):
+        sentences.append(
+            trn(
+                "It could be saved by a further unit.",
+                "Each of them could be saved by a further unit.",
+                n_saved,
+            )
+        )
+    elif n_saved:
+        sentences.append(
+            trn(
+                "{n} run could be saved by a further unit.",
+                "{n} runs could each be saved by a further unit.",
+                n_saved,
+            )
+        )
+    return sentences
+
+
+_CAUSES: dict[Cause, str] = {
+    "hidden": mark("hidden by {thing}"),
+    "out of view": mark("out of view"),
+    "cut off": mark("cut off by the edge of the view"),
+    "too dark": mark("too little contrast in light and weather"),
+    "too far": mark("image of the road user too small, or too little of it seen"),
+    "otherwise": mark("not detected on the table"),
+}
+_OUTCOMES = {
+    "hopeless": mark("too short for any unit"),
+    "never seen": mark("never seen"),
+    "never confirmed": mark("seen, but never long enough"),
+    "lost again": mark("confirmed, but lost again before the last moment"),
+    "too late": mark("confirmed too late"),
+}
 
 
 def cause(reason: Reason) -> str:
     """Why a unit does not detect the road user, in words."""
-    return say(f"cause.{reason.cause}", thing=said(reason.thing))
+    return tr(_CAUSES[reason.cause], thing=tr(reason.thing))
 
 
 def outcome_words(outcome: str) -> str:
     """How a run ends that is not avoided, in words."""
-    return say(f"outcome.{outcome}")
+    return tr(_OUTCOMES[outcome])
 
 
 def contribution_table(
@@ -224,7 +275,16 @@ def contribution_table(
         rows.append([name, n_saved, *shares, *shown])
     return Table(
         caption=tr("What each unit is there for, on the detection table"),
-        columns=listed("contributions"),
+        columns=[
+            tr("unit"),
+            tr("runs that only it saves"),
+            tr("APR it adds"),
+            tr("APR without it"),
+            tr("smallest time to spare without it (s)"),
+            tr("mean time to spare without it (s)"),
+            tr("later without it, mean (s)"),
+            tr("later, at most (s)"),
+        ],
         rows=rows,
         numeric=range(1, 8),
     )
@@ -246,7 +306,11 @@ def missed_table(explained: ExplainedRecord) -> Table:
             tr("why"): _why,
             tr("nearest further unit that would save it"): _rescue,
         },
-        summary=say("explanation.why", n_runs),
+        summary=trn(
+            "{n} run: why, and what would save it",
+            "{n} runs: why, and what would save them",
+            n_runs,
+        ),
         is_open=n_runs <= _MAX_UNFOLDED,
     )
 
@@ -289,7 +353,14 @@ def explanation_sections(
     if explained.not_avoided:
         missed += [
             missed_table(explained),
-            say("explanation.reasons"),
+            tr(
+                "Reasons of the unit nearest to the road user that looks there, "
+                "in frames from which braking in time could follow. “Hidden by” "
+                "names what most of the blocked rays meet first; without it the "
+                "road user would be detected. A further unit is one of the "
+                "candidate poses, mounted next to these; its price is not asked "
+                "for."
+            ),
         ]
     return [
         Section("why", tr("Why these poses"), [" ".join(why), table]),
@@ -366,17 +437,52 @@ def refinement_sentences(found: RefinementRecord) -> list[str]:
     n_tried = found.poses_tried
     n_grid = found.grid_candidates
     if not found.is_improved:
-        return [say("explanation.nothing_better", n=n_tried, n_grid=n_grid)]
+        return [
+            tr(
+                "Refinement tried {n} poses between the {n_grid} candidates of "
+                "the grid and found nothing better.",
+                n=n_tried,
+                n_grid=n_grid,
+            )
+        ]
+    better = tr(
+        "It is better than the best choice among the {n} candidates of "
+        "the grid that was found in the time given.",
+        n=n_grid,
+    )
     if found.grid_is_proven:
-        proven = "explanation.better_proven"
-    else:
-        proven = "explanation.better_open"
+        better = tr(
+            "No choice among the {n} candidates of the grid is as good: that is"
+            " proven.",
+            n=n_grid,
+        )
     deeds = joined([_deed(move) for move in found.moves])
-    bounds = say("explanation.refined_bounds", n=n_tried)
+    bounds = tr(
+        "The bounds of the refined layout hold for these and the {n} "
+        "poses tried between them, not for every pose there is.",
+        n=n_tried,
+    )
     return [
         tr("Refinement {deeds}: {changes}.", deeds=deeds, changes=_changes(found)),
-        f"{say(proven, n=n_grid)} {bounds}",
+        f"{better} {bounds}",
     ]
+
+
+_DEEDS = {
+    "turned": mark("turned {unit} by {amount}°"),
+    "tilted": mark("tilted {unit} by {amount}°"),
+    "raised": mark("raised {unit} by {amount} m"),
+    "lowered": mark("lowered {unit} by {amount} m"),
+    "zoomed": mark("zoomed {unit} by {amount}°"),
+}
+_DEEDS_GOING_ON = {
+    "turned": mark("turned it by {amount}°"),
+    "tilted": mark("tilted it by {amount}°"),
+    "raised": mark("raised it by {amount} m"),
+    "lowered": mark("lowered it by {amount} m"),
+    "zoomed": mark("zoomed it by {amount}°"),
+}
+"""What else was done to a unit that has been named."""
 
 
 def _deed(move: MoveRecord) -> str:
@@ -397,8 +503,10 @@ def _deed(move: MoveRecord) -> str:
     done = [(verb, number(amount)) for verb, amount in amounts.items() if amount]
     return joined(
         [
-            say(
-                f"deed.{verb}_it" if order else f"deed.{verb}", unit=name, amount=amount
+            tr(
+                _DEEDS_GOING_ON[verb] if order else _DEEDS[verb],
+                unit=name,
+                amount=amount,
             )
             for order, (verb, amount) in enumerate(done)
         ]
@@ -412,7 +520,7 @@ def _changes(found: RefinementRecord) -> str:
         for name, before in found.before.items()
     ]
     return ", ".join(
-        f"{said(objective.label)} {_from_to(objective, before, after)}"
+        f"{tr(objective.label)} {_from_to(objective, before, after)}"
         for objective, before, after in values
         if abs(after - before) > objective.tolerance
     )
@@ -445,6 +553,14 @@ def next_unit_sentence(unit: NextUnit | None, measure: str) -> str:
     if unit is None:
         return ""
     if unit.gain < 0.5e-9:  # what rounding leaves
-        return say("explanation.no_next_unit")
+        return tr(
+            "One more unit among the candidates would avoid nothing more (on "
+            "the detection table, by greedy choice)"
+        )
     values = {"points": points(unit.gain), "measure": measure, "apr": percent(unit.apr)}
-    return say("explanation.next_unit", pose=unit.pose, **values)
+    return tr(
+        "One more unit would add {points} of {measure}: {apr} with {pose} "
+        "(on the detection table, by greedy choice)",
+        pose=unit.pose,
+        **values,
+    )

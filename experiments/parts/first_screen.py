@@ -13,7 +13,7 @@ from scenarios.weights import weight_share
 
 from ..figures.axes import unit_labels
 from ..figures.plan import looking_words
-from ..language import said, say, tr
+from ..language import mark, tr
 from ..results.numbers import NOTHING, euros, joined, number, percent, points
 from .accidents import case_title, count_sensors, is_weighted
 from .answer import is_proven, lead
@@ -80,11 +80,11 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
         return ()
     found = []
     for unit, record in zip(units, result.layout, strict=True):
-        names = (record.kind and said(record.kind), record.site)
+        names = (record.kind and tr(record.kind), record.site)
         where = " ".join(filter(None, names)) or tr("a mount of its own")
         height_m = float(above_ground(unit, scene).pose.position_m[2])
         height = tr("{height} m high", height=number(height_m, 1))
-        parts = (where, said(record.place or ""), height, looking_words(unit))
+        parts = (where, record.place and tr(record.place), height, looking_words(unit))
         found.append(f"{labels[unit.id]}: {', '.join(filter(None, parts))}.")
     return tuple(found)
 
@@ -95,8 +95,11 @@ def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     n_runs = axis.n_runs
     words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
     if is_weighted(axis):
-        words = say(
-            "first_screen.by_weight",
+        words = tr(
+            "of the simulated collisions, when each kind of them counts by "
+            "its weight, as all shares on this page do. Counted one by one, "
+            "{n} of {all} are prevented, {share}: some kinds were simulated "
+            "more often than others",
             n=n_avoided,
             all=n_runs,
             share=percent(n_avoided / n_runs),
@@ -118,8 +121,23 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
     counted = count_sensors(subject.layout)
     words = tr("to buy {sensors} and to make their poles ready", sensors=counted)
     if bill.assumed:
-        words = say("first_screen.cost_assumed", sensors=counted)
+        words = tr(
+            "to buy {sensors} and to make their poles ready; prices of poles are"
+            " assumed",
+            sensors=counted,
+        )
     return Card(tr("Cost"), euros(total), words)
+
+
+_NO_OTHER = {
+    "best": mark("no other choice does better {tried}"),
+    "fewest": mark(
+        "no other choice reaches what was asked for with fewer sensors {tried}"
+    ),
+    "cheapest": mark(
+        "no other choice reaches what was asked for with less money {tried}"
+    ),
+}
 
 
 def _proof(result: Result) -> Card:
@@ -127,22 +145,33 @@ def _proof(result: Result) -> Card:
         return Card(
             tr("Proof"), NOTHING, tr("this layout was given, and not searched for")
         )
-    tried = say("first_screen.tried", n=result.candidates)
+    tried = tr(
+        "among {n:,} possible mountings (by a simpler model, for planning)",
+        n=result.candidates,
+    )
     if is_proven(result):
         if result.highest is None:
             return Card(
-                tr("Proof"),
-                tr("proven best"),
-                say(f"first_screen.{result.goal}", tried=tried),
+                tr("Proof"), tr("proven best"), tr(_NO_OTHER[result.goal], tried=tried)
             )
         given_up = points(result.highest.given_up)
-        words = say("first_screen.keeps_most", points=given_up, tried=tried)
+        words = tr(
+            "of all choices that prevent nearly as much as can be (up to "
+            "{points} less, given up on purpose), none keeps more when a "
+            "sensor fails, {tried}",
+            points=given_up,
+            tried=tried,
+        )
         return Card(tr("Proof"), tr("proven"), words)
     if result.bound is None:
         return Card(
             tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried)
         )
-    words = say("first_screen.not_proven", tried=tried)
+    words = tr(
+        "is the most that any choice could prevent {tried}; it is not proven to be"
+        " reached",
+        tried=tried,
+    )
     return Card(tr("Proof"), percent(result.bound), words)
 
 

@@ -19,7 +19,7 @@ from placement.optimiser.presolve import PresolveStatistics
 from placement.pipeline import pick_layout
 
 from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, new_figure
-from ..language import localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..results.numbers import NOTHING, euros, number, percent
 from ..results.record import (
     LayoutValueRecord,
@@ -140,7 +140,17 @@ def table(front: FrontRecord) -> Table:
 def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
     star = tr("* of this layout; not optimised: --all-stages does.")
-    columns = say("front.columns_by_cost" if front.by == "cost" else "front.columns")
+    columns = tr(
+        "gain: points of APR over the row above; one fails: APR that is "
+        "left when the most needed unit fails; least, mean: time to spare "
+        "in the runs avoided, in s."
+    )
+    if front.by == "cost":
+        columns = tr(
+            "gain: points of APR over the row above; one fails: APR that is "
+            "left when the most needed unit fails; least, mean: time to spare "
+            "in the runs avoided, in s; each EUR is the least that buys this."
+        )
     fewer = mark(
         "Where more units add nothing, a layout has fewer than its row allows."
     )
@@ -172,28 +182,48 @@ def words(front: FrontRecord) -> list[str]:
     n_proven = sum(point.is_proven for point in front.points)
     is_all = front.optimised == "all"
     by_units = front.by == "units"
-    better = say("front.better_in_all" if is_all else "front.better")
-    if by_units:
-        proven = "front.proven_by_units"
-    else:
-        proven = "front.proven_by_cost"
-    if n_proven == n_points:
-        key = proven
-    else:
-        key = "front.points_open"
-    sentences = [say(key, n=n_proven, n_all=n_points, better=better)]
+    better = tr("better, in APR, then in what is left when the most needed unit fails")
+    if is_all:
+        better = tr(
+            "better, in APR, then in what is left when the most needed unit "
+            "fails, then in time to spare and cost"
+        )
+    proof = tr(
+        "{n} of {n_all} points are proven; of the others another choice "
+        "may be {better}: the table says what is open.",
+        n=n_proven,
+        n_all=n_points,
+        better=better,
+    )
+    if n_proven == n_points and by_units:
+        proof = tr(
+            "Proven: for each number of units no other choice among the "
+            "candidate poses is {better} (on the detection table).",
+            better=better,
+        )
+    elif n_proven == n_points:
+        proof = tr(
+            "Proven: for each sum of money no other choice among the "
+            "candidate poses is {better} (on the detection table).",
+            better=better,
+        )
+    sentences = [proof]
     if front.settled is not None:
         where = tr("Beyond {price}", price=euros(front.settled))
         if by_units:
             where = tr("From {n:g} units", n=front.settled)
-        sentences.append(
-            say("front.settled_in_all" if is_all else "front.settled", where=where)
+        settled = mark(
+            "{where} on nothing grows: no layout of any size avoids more, also when one"
+            " unit fails."
         )
+        if is_all:
+            settled = mark("{where} on nothing grows: no layout of any size is better.")
+        sentences.append(tr(settled, where=where))
     return sentences + [
         tr(
             "With {n} the wishes cannot be met: {why}.",
             n=size.units,
-            why=said(size.reason),
+            why=tr(size.reason),
         )
         for size in front.refused
     ]
@@ -205,13 +235,19 @@ def front_section(front: FrontRecord | None) -> Section | None:
         return None
     shown = table(front)
     in_words = "; ".join(
-        say("front.point", **dict(zip(_POINT, map(str, row), strict=True)))
+        tr(
+            "{units}: APR {apr}, {left} if one fails, {spare} s to spare, {proof}",
+            **dict(zip(_POINT, map(str, row), strict=True)),
+        )
         for row in shown.rows
     )
     picture = build_picture(
         plot_front(front),
         title=tr("What each further unit buys"),
-        caption=say("front.caption"),
+        caption=tr(
+            "Every point is the best layout found for as many units; open "
+            "markers and bars: what is not yet ruled out."
+        ),
         alt=tr("Curves over the number of units. {points}.", points=in_words),
     )
     poses = tabulate(
@@ -226,7 +262,10 @@ def front_section(front: FrontRecord | None) -> Section | None:
         },
         summary=tr("Which poses"),
     )
-    own = say("front.layouts")
+    own = tr(
+        "Each number of units has the best layout of its own; the units "
+        "of one are not always among those of the next."
+    )
     note = " ".join([*notes(front), own])
     blocks: list[Block] = [Bullets(front.sentences), picture, shown, note, poses]
     return Section("front", tr("What each unit buys"), blocks)

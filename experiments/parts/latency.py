@@ -135,7 +135,7 @@ def run_latency(
     """
     chosen = pick_budget(question, budget)
     expect_files(out, progress)
-    progress("setting", 0, 0)
+    progress(mark("setting"), 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)

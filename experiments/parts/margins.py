@@ -15,9 +15,9 @@ from placement.evaluation import Evaluation, Verdict
 from scenarios.runs import FrameAxis
 
 from ..figures.axes import PALETTE, WIDTH_IN, Style, literal, new_figure, write_beside
-from ..language import listed, mark, said, say, tr, trn
+from ..language import mark, tr, trn
 from ..results.numbers import NOTHING, number
-from ..results.tables import GroupedBy, groups_by, margin_s
+from ..results.tables import HEADS_OF_GROUPS, GroupedBy, groups_by, margin_s
 from .section import Section, Table, build_picture
 
 MAX_COLUMNS = 4
@@ -35,6 +35,13 @@ _LABEL_WIDTH = 24
 # Told apart without colour, too.
 _STYLES = tuple(zip("o^sXDvP", (*PALETTE, "#000000"), strict=True))
 VUT_NAME = mark("VUT alone")
+_MARGINS_BY: dict[GroupedBy, str] = {
+    "case": mark("Margins to the last moment by case"),
+    "speed": mark("Margins to the last moment by speed of the car"),
+    "direction": mark(
+        "Margins to the last moment by direction from which the car comes"
+    ),
+}
 _MPS_PER_KMH = 1.0 / 3.6
 _MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
 
@@ -54,7 +61,7 @@ def plot_margins(
     panels: list[Axes] = [
         *figure.subplots(1, len(parties), sharey=True, squeeze=False)[0]
     ]
-    from_arms = [tr("from: {arm}", arm=said(name)) for name in approaches]
+    from_arms = [tr("from: {arm}", arm=tr(name)) for name in approaches]
     labels = [literal(textwrap.fill(words, _LABEL_WIDTH)) for words in from_arms]
     hollow = _mark(0, is_filled=False) | {"markeredgecolor": "black"}
     handles = [
@@ -230,15 +237,27 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     tables = []
     for what in by:
         rows = [
-            [said(group), name, *_cells(summarise_margins(verdict, axis, mask))]
+            [tr(group), name, *_cells(summarise_margins(verdict, axis, mask))]
             for group, mask in (everything, *groups_by(axis, what))
             if (mask & (axis.weight > 0.0)).any()
             for name, verdict in _parties(evaluations)
         ]
-        caption = say(f"margins.by_{what}")
+        caption = tr(_MARGINS_BY[what])
         table = Table(
             caption=caption,
-            columns=[say(f"grouped.{what}"), *listed("margins")],
+            columns=[
+                tr(HEADS_OF_GROUPS[what]),
+                tr("who"),
+                tr("runs"),
+                tr("smallest (ms)"),
+                tr("smallest (m)"),
+                tr("median (ms)"),
+                tr("median (m)"),
+                tr("not avoided"),
+                tr("of these never confirmed, or lost again"),
+                tr("worst too late by (ms)"),
+                tr("worst too late by (m)"),
+            ],
             rows=rows,
             numeric=range(2, 11),
             summary=caption,
@@ -279,7 +298,15 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
         )
     n_hopeless = int((~np.isfinite(axis.last_brake_time_s) & (axis.weight > 0.0)).sum())
     if n_hopeless:
-        notes.append(say("margins.hopeless", n_hopeless))
+        notes.append(
+            trn(
+                "In {n} run no braking avoids the impact: there is no last "
+                "moment, and they count as not avoided.",
+                "In {n} runs no braking avoids the impact: there is no last "
+                "moment, and they count as not avoided.",
+                n_hopeless,
+            )
+        )
     is_lucky = any(
         (
             verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)
@@ -287,7 +314,12 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
         for _, verdict in _parties(evaluations)
     )
     if is_lucky:
-        notes.append(say("margins.negative"))
+        notes.append(
+            tr(
+                "A negative margin of an avoided run: braking came after the last "
+                "moment, yet the car and the road user just missed each other."
+            )
+        )
     return notes
 
 
@@ -298,18 +330,38 @@ def margins_section(evaluations: Mapping[str, Evaluation]) -> Section:
     # The car has the last column, whatever does not fit.
     shown = [*parties[:-1][: MAX_COLUMNS - 1], parties[-1]]
     n_left = len(parties) - len(shown)
-    caption = say("margins.caption")
+    caption = tr(
+        "A mark for each run. Right of zero there is time to spare, left "
+        "of it braking comes too late, by how much; at the left edge it "
+        "never comes, or none avoids. Filled: avoided. The scale is "
+        "logarithmic beyond 500 ms."
+    )
     if n_left:
         caption += " " + tr("{n} more layouts are in the tables.", n=n_left)
     picture = build_picture(
         plot_margins(shown, axis)[0],
         title=tr("Margins to the last moment"),
         caption=caption,
-        alt=say("margins.alt"),
+        alt=tr(
+            "Strips of marks, one per run, in a row for each case. The tables "
+            "below have the numbers."
+        ),
     )
-    meaning = say("margins.meaning")
+    meaning = tr(
+        "The margin is the time from the onset of braking to the last "
+        "moment at which braking still avoids the impact. In metres it is "
+        "the way that the car covers in that time at its speed: by so "
+        "much farther from the collision, along its own path, it still is "
+        "than it may be when it begins to brake. It is not the gap that "
+        "is left once the car stands."
+    )
     notes = [
-        say("margins.columns"),
+        tr(
+            "Smallest and median are those of the runs that are avoided; the "
+            "smallest in milliseconds and the smallest in metres may be of "
+            "different runs. “Worst too late by” is that of the runs in which "
+            "the road user is confirmed, but too late."
+        ),
         *margin_notes(evaluations),
     ]
     return Section(

@@ -21,7 +21,7 @@ from scenarios.runs import Run
 from ..figures.axes import UNIT_COLOURS, describe_run, unit_labels
 from ..figures.plan import CLASS_STYLES
 from ..figures.views import GroundViews
-from ..language import mark, said, say, tr
+from ..language import mark, tr
 from ..results.numbers import layout_words
 from ..results.tables import margin_s, parties
 
@@ -127,6 +127,15 @@ def pack_bits(bits: ArrayLike) -> str:
     return to_base64(np.packbits(np.asarray(bits, dtype=bool), axis=1))
 
 
+_PARTIES = {
+    "vut": mark("VUT"),
+    "rsu_all": mark("all RSUs"),
+    "vut_and_rsus": mark("VUT and RSUs"),
+    "vam": mark("VAM"),
+    "all_sources": mark("all sources"),
+}
+
+
 def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]:
     """Who may detect, in the order of the bits of :func:`run_record`.
 
@@ -139,7 +148,7 @@ def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]
     return [
         *(
             {
-                "name": labels.get(key) or say(f"party.{key}"),
+                "name": labels.get(key) or tr(_PARTIES[key]),
                 "kind": kinds.get(key, "other"),
             }
             for key in parties(subject)
@@ -175,7 +184,7 @@ def run_record(
     return {
         "id": run.id,
         "title": describe_run(subject.axis, index),
-        "case": said(run.case.title),
+        "case": tr(run.case.title),
         "user": run.case.vru.class_name,
         "time": _milliseconds(run.time_s),
         "last": _milliseconds(run.last_brake_time_s),
@@ -292,7 +301,7 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         outward = np.mean(mouths, axis=0) - middle
         outward /= max(float(np.hypot(*outward)), 1.0e-9)
         place = middle + _LABEL_SHARE * half * outward
-        arms.append({"name": said(arm.name), "place": centimetres(place)})
+        arms.append({"name": tr(arm.name), "place": centimetres(place)})
     return {
         "middle": centimetres(middle),
         "half": round(100.0 * half),

@@ -7,7 +7,7 @@ from placement.optimiser.problem import Objective
 from placement.pipeline import FOUND
 from scenarios.scores import AVOIDED
 
-from ..language import listed, localized, said, say, tr
+from ..language import localized, mark, tr
 from ..results.numbers import NOTHING, number, or_nan, percent, points
 from ..results.record import StageRecord
 from .result import HighestRecord, PlacementResult
@@ -22,24 +22,68 @@ def words(result: PlacementResult) -> str:
     of_apr = next(stage for stage in stages if stage.name == "apr")
     within = _within(stages[0])
     values = {"within": f" {within}" if within else "", "n": result.candidates}
-    if result.score == AVOIDED:
-        what = "apr"
-    else:
-        what = "score"
+    is_apr = result.score == AVOIDED
+    if of_apr.gap == 0.0 and is_apr:
+        return tr(
+            "Proven on the detection table:{within} no choice among {n} "
+            "candidate poses has a higher APR",
+            **values,
+        )
     if of_apr.gap == 0.0:
-        return say(f"proof.proven_{what}", **values)
+        return tr(
+            "Proven on the detection table:{within} no choice among {n} "
+            "candidate poses has a higher score",
+            **values,
+        )
     values["bound"] = percent(of_apr.bound)
     if result.preferred is not None and result.preferred.second == FOUND:
-        return say("proof.preferred", **values)
-    return say(f"proof.open_{what}", **values)
+        return tr(
+            "Fresh worlds prefer this choice to the one with the highest APR "
+            "that was found: on the detection table, none among {n} candidate "
+            "poses can exceed an APR of {bound}",
+            **values,
+        )
+    if is_apr:
+        return tr(
+            "The best choice among {n} candidate poses found in the time "
+            "given:{within} on the detection table, no other can exceed an "
+            "APR of {bound}",
+            **values,
+        )
+    return tr(
+        "The best choice among {n} candidate poses found in the time "
+        "given:{within} on the detection table, no other can exceed a "
+        "score of {bound}",
+        **values,
+    )
 
 
 def _within(first: StageRecord) -> str:
     """How little was needed for what was asked, where that is the first objective."""
     if first.name not in ("units", "cost_eur"):
         return ""
-    key = f"proof.{first.name}_{'proven' if first.gap == 0.0 else 'open'}"
-    return say(key, found=first.objective, least=or_nan(first.bound))
+    found = first.objective
+    least = or_nan(first.bound)
+    is_proven = first.gap == 0.0
+    if first.name == "units":
+        if is_proven:
+            return tr(
+                "With {found:,.0f} units for what was asked, the least:", found=found
+            )
+        return tr(
+            "With {found:,.0f} units for what was asked, no choice needs less than"
+            " {least:,.0f}:",
+            found=found,
+            least=least,
+        )
+    if is_proven:
+        return tr("With {found:,.0f} EUR for what was asked, the least:", found=found)
+    return tr(
+        "With {found:,.0f} EUR for what was asked, no choice needs less than"
+        " {least:,.0f}:",
+        found=found,
+        least=least,
+    )
 
 
 def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
@@ -59,14 +103,41 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
         begin = tr("Proven on the detection table:")
     else:
         begin = tr("Found in the time given:")
-    first = say("proof.highest" if most.gap == 0.0 else "proof.highest_open", **values)
-    if kept.gap == 0.0:
-        of_kept = "kept"
-    else:
-        of_kept = "kept_open"
-    then = say(
-        f"proof.{of_kept}_{'pole' if result.failing == 'site' else 'unit'}", **values
+    first = tr(
+        "a choice among {n} candidate poses has an {measure} of {most}, and none"
+        " exceeds {bound}",
+        **values,
     )
+    if most.gap == 0.0:
+        first = tr(
+            "no choice among {n} candidate poses has a higher {measure} than {most}",
+            **values,
+        )
+    is_kept = kept.gap == 0.0
+    if result.failing == "site":
+        then = tr(
+            "of those with at most {given_up} less, none keeps more than {kept} when a"
+            " pole fails",
+            **values,
+        )
+        if is_kept:
+            then = tr(
+                "of those with at most {given_up} less, none keeps more when a pole"
+                " fails",
+                **values,
+            )
+    else:
+        then = tr(
+            "of those with at most {given_up} less, none keeps more than {kept} when a"
+            " unit fails",
+            **values,
+        )
+        if is_kept:
+            then = tr(
+                "of those with at most {given_up} less, none keeps more when a unit"
+                " fails",
+                **values,
+            )
     return f"{begin} {first}; {then}"
 
 
@@ -84,7 +155,12 @@ def section(result: PlacementResult) -> Section:
     if is_open:
         names = ", ".join(is_open)
         proof = tr("Not in full: proven are all objectives but {names}.", names=names)
-    note = say("proof.solver", solver=said(result.solver) or NOTHING)
+    note = tr(
+        "Solver: {solver}. The proof holds for the detection table: for "
+        "the candidate poses that were tried, on the runs listed below. "
+        "What is proven, no other choice among them exceeds.",
+        solver=tr(result.solver) or NOTHING,
+    )
     blocks: list[Block] = [proof, table(result), *conditions(result), note]
     return Section("proof", tr("How good is it, and is that proven?"), blocks)
 
@@ -119,7 +195,7 @@ def stage_conditions(stages: Sequence[StageRecord]) -> list[str]:
 
 
 def _labelled(stages: Sequence[StageRecord]) -> list[tuple[str, StageRecord]]:
-    return [(said(Objective(stage.name).label), stage) for stage in stages]
+    return [(tr(Objective(stage.name).label), stage) for stage in stages]
 
 
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
@@ -128,7 +204,13 @@ def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
         caption=tr(
             "Objectives in order: each is optimised without giving up any before it"
         ),
-        columns=listed("objectives"),
+        columns=[
+            tr("on the detection table"),
+            tr("found"),
+            tr("bound"),
+            tr("gap"),
+            tr("time (s)"),
+        ],
         rows=[
             [label, *_stage_row(stage, is_certain=number < n_certain)]
             for number, (label, stage) in enumerate(stages)
@@ -150,15 +232,44 @@ def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
     if n_certain == len(stages):
         return []
     name = stages[n_certain - 1][0]
-    return [say("proof.conditional", name=name)]
+    return [
+        tr(
+            "{name} is open: the rows below it compare only with choices that are as "
+            "good in it, so that they show no gap.",
+            name=name,
+        )
+    ]
 
 
 def _label(name: str, result: PlacementResult) -> str:
     """Name of an objective; what fails is a pole where that was asked, a score is named so."""
-    label = Objective(name).label.replace(
-        "APR", "APR" if result.score == AVOIDED else "score"
-    )
-    return said(label.replace(" unit", " pole") if result.failing == "site" else label)
+    is_apr = result.score == AVOIDED
+    is_of_poles = result.failing == "site"
+    labels: dict[str, str] = {}
+    if is_apr and is_of_poles:
+        labels = _OF_POLES
+    elif is_of_poles:
+        labels = _SCORES_OF_POLES
+    elif not is_apr:
+        labels = _SCORES
+    return tr(labels.get(name, Objective(name).label))
+
+
+_OF_POLES = {
+    "apr_survived": mark("APR if the most needed poles fail"),
+    "apr_one_failed": mark("APR if the most needed pole fails"),
+}
+_SCORES = {
+    "apr": mark("score"),
+    "apr_survived": mark("score if the most needed units fail"),
+    "apr_one_failed": mark("score if the most needed unit fails"),
+}
+_SCORES_OF_POLES = {
+    "apr": mark("score"),
+    "apr_survived": mark("score if the most needed poles fail"),
+    "apr_one_failed": mark("score if the most needed pole fails"),
+}
+"""Names of objectives where a score is asked for, poles fail, or both."""
 
 
 def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
@@ -191,10 +302,18 @@ def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
 def agreement_section(result: PlacementResult) -> Section:
     """How far detection table and evaluator differ."""
     share = result.surrogate_disagreement
-    both = say("proof.disagree", share=percent(share))
+    both = tr(
+        "They disagree on {share} of the runs whether this layout avoids it.",
+        share=percent(share),
+    )
     if share == 0.0:
         both = tr("For this layout both say the same of every run.")
-    text = say("proof.two_models", both=both)
+    text = tr(
+        "The layout was chosen on a detection table, which looks at "
+        "sample points on the road user's surface. The evaluator renders "
+        "every image instead. {both}",
+        both=both,
+    )
     runs = tabulate(
         tr(
             "Runs that only one of them calls avoided, for each unit by itself and for"
@@ -203,12 +322,12 @@ def agreement_section(result: PlacementResult) -> Section:
         result.disagreements,
         {
             tr("run"): lambda entry: entry.run_id,
-            tr("unit"): lambda entry: said(entry.party),
+            tr("unit"): lambda entry: tr(entry.party),
             tr("avoided by the"): lambda entry: (
                 tr("table") if entry.on_table else tr("evaluator")
             ),
             tr("frames that differ"): lambda entry: entry.n_frames,
-            tr("what the evaluator sees in the first of them"): lambda entry: said(
+            tr("what the evaluator sees in the first of them"): lambda entry: tr(
                 entry.cause
             ),
         },

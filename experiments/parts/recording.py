@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
 from geometry.files import write_atomically
+from geometry.phrases import Phrase
 from placement.evaluation import Verdict, apr, apr_by_case, detected_share
 from placement.optimiser import (
     Fusion,
@@ -38,6 +39,7 @@ from placement.verification.certificates import build_certificate, save_certific
 from scenarios.aeb import AebRule
 
 from ..export.json import to_json_text
+from ..language import mark
 from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
 from ..results.folders import MARKER, expect_results, new_result_folder
@@ -279,7 +281,7 @@ def run_recording(
     expect_results(out, progress, sign=sign)
     progress("read recording", 0, 0)
     recording = read_recording(folder)
-    progress("evaluate", 0, 0)
+    progress(mark("evaluate"), 0, 0)
     everything = evaluate_recording(recording, rule, min_confidence=min_confidence)
     if not chooses:
         result = _build_result(recording, everything, rule)
@@ -293,7 +295,7 @@ def run_recording(
         raise InputError(
             "--budget", budget_units, f"at most {n_units}, the units recorded"
         )
-    progress("optimise", 0, 0)
+    progress(mark("optimise"), 0, 0)
     problem = recorded_problem(
         everything, budget_units=budget_units, fusion=fusion, rule=rule
     )
@@ -302,7 +304,7 @@ def run_recording(
         problem,
         reduced,
         effort=build_effort(question),
-        on_stage=lambda stage: progress(f"optimise: {stage}", 0, 0),
+        on_stage=lambda stage: progress(Phrase("optimise: {goal}", goal=stage), 0, 0),
     )
     greedy = [recording.units[index] for index in solve_greedy(problem, reduced)]
     chosen = [recording.units[index] for index in solution.pose_index]

@@ -28,7 +28,7 @@ from placement.retrofit import (
 from placement.wishes import assumed_prices
 
 from ..export.json import to_json_text
-from ..language import localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
 from ..results.folders import expect_files, save_files
@@ -227,7 +227,7 @@ def run_retrofit(
     setting = plan.setting
     prices = wishes.prices
     problem = plan.problem
-    progress("retrofit", 0, 0)
+    progress(mark("retrofit"), 0, 0)
     if visit_eur is None:
         labour = load_labour()
     else:
@@ -263,7 +263,7 @@ def run_retrofit(
         versions=versions(),
     )
     assumed = () if prices is None else assumed_prices(prices, scene.sites)
-    result = replace_fields(result, sentences=(*words(result), *map(said, assumed)))
+    result = replace_fields(result, sentences=(*words(result), *map(tr, assumed)))
     return save_files(
         result,
         out,
@@ -344,8 +344,9 @@ def _change_record(
     for row, name in names.items():
         if unit[row] < 0:
             new = poses.candidates[row]
-            words = say(
-                "retrofit.add",
+            words = tr(
+                "add {unit} at {place}, {height_m:g} m, yaw {yaw}, pitch {pitch}"
+                " ({sensor})",
                 unit=name,
                 place=new.site_id or tr("a place of its own"),
                 height_m=float(new.pose.position_m[2]),

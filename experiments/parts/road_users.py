@@ -10,7 +10,7 @@ from placement.evaluation import Evaluation, Verdict, apr, mean_impact_speed_kmh
 from placement.setting import Setting
 from scenarios.cases import ROAD_USER_GROUPS
 
-from ..language import said, say, tr
+from ..language import tr, trn
 from ..results.drives import unprotected_cases
 from ..results.numbers import count_runs, finite_or_none, number, percent
 from ..results.record import Record, mixed, says
@@ -102,7 +102,7 @@ def words(record: RoadUserGroups) -> list[str]:
     counted = ", ".join(
         tr(
             "{road_user} {runs} (APR {apr})",
-            road_user=said(group.road_user),
+            road_user=tr(group.road_user),
             runs=count_runs(group.runs),
             apr=percent(group.parties[0].apr),
         )
@@ -110,7 +110,14 @@ def words(record: RoadUserGroups) -> list[str]:
     )
     if not record.unprotected:
         return [tr("Whose runs count: {counted}.", counted=counted)]
-    return [say("road_users.counted", len(record.unprotected), counted=counted)]
+    return [
+        trn(
+            "Whose runs count: {counted}; left out: {n} case with a car.",
+            "Whose runs count: {counted}; left out: {n} cases with a car.",
+            len(record.unprotected),
+            counted=counted,
+        )
+    ]
 
 
 def table(record: RoadUserGroups) -> Table:
@@ -119,10 +126,10 @@ def table(record: RoadUserGroups) -> Table:
         tr("Accidents prevented by the road user that is met, by the evaluator"),
         [(group, party) for group in record.groups for party in group.parties],
         {
-            tr("met"): lambda row: said(row[0].road_user),
+            tr("met"): lambda row: tr(row[0].road_user),
             tr("runs"): lambda row: str(row[0].runs),
             tr("of the weight"): lambda row: percent(row[0].weight),
-            tr("by"): lambda row: said(row[1].name),
+            tr("by"): lambda row: tr(row[1].name),
             tr("avoided"): lambda row: str(row[1].runs_avoided),
             "APR": lambda row: percent(row[1].apr),
             tr("mean speed at contact (km/h)"): lambda row: number(
@@ -139,7 +146,14 @@ def section(record: RoadUserGroups | None) -> Section | None:
         return None
     blocks: list[Block] = [*words(record)]
     if record.unprotected:
-        blocks.append(say("road_users.by_default", cases=", ".join(record.unprotected)))
+        blocks.append(
+            tr(
+                "By default the runs count that meet people on foot, cyclists and "
+                "motorcyclists. Left out, since a car is met: {cases}. --protect "
+                "all counts them.",
+                cases=", ".join(record.unprotected),
+            )
+        )
     if len(record.groups) > 1:
         blocks.append(table(record))
     return Section("road-users", tr("Who is protected"), blocks)

@@ -36,7 +36,7 @@ from ..figures.axes import (
     new_axes,
     write_beside,
 )
-from ..language import localized, mark, said, say, tr
+from ..language import localized, mark, tr, trn
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
@@ -267,14 +267,43 @@ def growth_sentences(growth: Growth | None) -> list[str]:
     if growth is None:
         return []
     last = growth.rounds[-1]
-    values = {
-        "taken": growth.taken,
-        "tried": last.worlds,
-        "others": growth.compared_in,
-        "low": _points(last.low),
-        "high": _points(last.high),
-    }
-    return [say(f"worlds_chosen_in.{growth.stopped}", **values)]
+    return [
+        tr(
+            _WHY_NO_MORE_WORLDS[growth.stopped],
+            taken=growth.taken,
+            tried=last.worlds,
+            others=growth.compared_in,
+            low=_points(last.low),
+            high=_points(last.high),
+        )
+    ]
+
+
+_WHY_NO_MORE_WORLDS = {
+    "same": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): {tried} give the"
+        " same layout"
+    ),
+    "no better": mark(
+        "{taken} worlds to choose in are enough (--samples {taken}): in "
+        "{others} fresh ones the layout of {tried} prevents {low:+.2f} to "
+        "{high:+.2f} points more (95 %)"
+    ),
+    "time": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), the "
+        "last ones that there was time for: with a longer --time-limit "
+        "more are tried"
+    ),
+    "memory": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}): "
+        "twice as many do not fit into the memory of this machine"
+    ),
+    "most": mark(
+        "The layout was chosen in {taken} worlds (--samples {taken}), and "
+        "was still getting better: more are not tried"
+    ),
+}
+"""By what ended the search for the number of worlds."""
 
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
@@ -356,26 +385,56 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
     values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
     values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
     values |= {
-        "method": said(subject.method),
+        "method": tr(subject.method),
         "v2x": percent(found.uncertainty.v2x_share),
     }
-    sentences = [say("sampled_worlds.mean", found.samples, **values)]
+    sentences = [
+        trn(
+            "In {n} fresh sampled world ({drawn}), {layout} avoids {mean} of "
+            "the accidents on average ({method}: {low} to {high})",
+            "In {n} fresh sampled worlds ({drawn}), {layout} avoids {mean} of "
+            "the accidents on average ({method}: {low} to {high})",
+            found.samples,
+            **values,
+        )
+    ]
     if subject.planned is not None:
         sentences[0] += tr("; as planned {planned}", **values)
     sentences += growth_sentences(found.growth)
     if subject.of_all is not None:
-        sentences.append(say("sampled_worlds.of_all_cars", **values))
+        sentences.append(
+            tr(
+                "With V2X in {v2x} of the cars, these are {of_all} of the accidents of"
+                " all cars",
+                **values,
+            )
+        )
     if chosen is not None:
-        is_better = chosen > or_nan(subject.mean)
-        if is_better:
-            key = "sampled_worlds.chosen_better"
+        if chosen > or_nan(subject.mean):
+            sentences.append(
+                tr(
+                    "In the worlds that it was chosen in, it avoids {chosen}: a "
+                    "choice looks better where it was made",
+                    **values,
+                )
+            )
         else:
-            key = "sampled_worlds.chosen"
-        sentences.append(say(key, **values))
+            sentences.append(
+                tr("In the worlds that it was chosen in, it avoids {chosen}", **values)
+            )
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
         sentences.append(
-            say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values)
+            trn(
+                "The worst {tail} of the {n_all} worlds that it was chosen in is "
+                "{n:g}: too few to choose by; ask for more with --samples, or for "
+                "the mean",
+                "The worst {tail} of the {n_all} worlds that it was chosen in are "
+                "{n:g}: too few to choose by; ask for more with --samples, or for "
+                "the mean",
+                1 if n_worst <= 1.0 else 2,
+                **values,
+            )
         )
     if found.moving:
         sentences.append(moving_sentence(found))
@@ -396,18 +455,27 @@ def preferred_sentences(
     if preferred is None or preferred.second != FOUND:
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
-    values = {
-        "n": N_JUDGED,
-        "chosen": chosen_in,
-        "points": points,
-        "low": low,
-        "high": high,
-    }
+    values = {"n": N_JUDGED, "points": points, "low": low, "high": high}
     if chosen_in is None:
-        key = "planned"
-    else:
-        key = "surpassed"
-    return [say(f"sampled_worlds.{key}", **values)]
+        return [
+            tr(
+                "The plan knows nothing of chance: in {n} sampled worlds greedy "
+                "choice's layout prevents {points:.2f} points more (95 %: "
+                "{low:.2f} to {high:.2f}) than the one found, so it is the "
+                "answer.",
+                **values,
+            )
+        ]
+    return [
+        tr(
+            "Greedy choice's layout is the answer, not the one found, which "
+            "is better in the {chosen} worlds to choose in: in {n} fresh ones "
+            "greedy choice's prevents {points:.2f} points more (95 %: "
+            "{low:.2f} to {high:.2f}).",
+            chosen=chosen_in,
+            **values,
+        )
+    ]
 
 
 def overtaken_sentences(found: SampledRecord) -> list[str]:
@@ -437,10 +505,24 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
         "apr": percent(other.cvar),
         "layout": subject.name,
     }
-    better = say("sampled_worlds.overtaken", found.samples, **values)
+    better = trn(
+        "{other} does better in {n} fresh world: {points:.1f} points of "
+        "APR more than {layout} (95 % interval {low:.1f} to {high:.1f})",
+        "{other} does better in {n} fresh worlds: {points:.1f} points of "
+        "APR more than {layout} (95 % interval {low:.1f} to {high:.1f})",
+        found.samples,
+        **values,
+    )
     worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
     worst = tr(worst, layout_apr=percent(subject.cvar), **values)
-    few = say("sampled_worlds.too_few", found.chosen_in, **values)
+    few = trn(
+        "the {n} world that {layout} was chosen in is too few: ask for "
+        "more with --samples, or take {other}.",
+        "the {n} worlds that {layout} was chosen in are too few: ask for "
+        "more with --samples, or take {other}.",
+        found.chosen_in,
+        **values,
+    )
     return ["; ".join([better, *[worst] * of_tail, few])]
 
 
@@ -453,48 +535,91 @@ def what_is_uncertain(found: SampledRecord) -> str:
     outages = record.outages
     blinding = record.blinding
     is_lost = record.packet_loss > 0.0
-    lasting = record.person_share + record.unit_person_share
+    drawn = []
+    if any(astuple(mounting)):
+        drawn.append(
+            tr(
+                "units off by {yaw:g}° in yaw, {pitch:g}° in pitch and {height_cm:g} cm"
+                " in height",
+                yaw=mounting.yaw_sd_deg,
+                pitch=mounting.pitch_sd_deg,
+                height_cm=100.0 * mounting.height_sd_m,
+            )
+        )
+    if "budget" in latency:
+        drawn.append(
+            tr("latency drawn from the budget {budget}", budget=latency["budget"])
+        )
     mean_ms = 1000.0 * float(latency.get("mean_s", 0.0))
+    if mean_ms:
+        drawn.append(tr("messages {mean_ms:g} ms later on average", mean_ms=mean_ms))
+    lost = percent(record.packet_loss)
     has_bursts = record.burst_frames > 1.0
-    shares = {
-        "lost": record.packet_loss,
-        "lasting": lasting,
-        "dirty": blinding.dirty_share,
-    }
-    shares |= {"units": outages.unit_share, "poles": outages.pole_share}
-    shares |= {"taken": traffic["taken_share"], "waiting": traffic["waiting_share"]}
-    shares |= {"low_sun": blinding.low_sun_share}
-    values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
-    values |= {
-        "yaw": mounting.yaw_sd_deg,
-        "pitch": mounting.pitch_sd_deg,
-        "mean_ms": mean_ms,
-    }
-    values |= {"budget": latency.get("budget"), "source": found.traffic_source}
-    values |= {
-        "height_cm": 100.0 * mounting.height_sd_m,
-        "n_frames": record.burst_frames,
-    }
-    draws = record.draws_detections
-    other_users = replace(record.road_users, measured={})
-    parts = {
-        "mounting": any(astuple(mounting)),
-        "latency_budget": "budget" in latency,
-        "latency": mean_ms,
-        "lost": is_lost and not has_bursts,
-        "lost_in_bursts": is_lost and has_bursts,
-        "detections": draws and not lasting,
-        "detections_of_a_run": draws and lasting,
-        "outages": outages != Outages(),
-        "dirty": blinding.dirty_share,
-        "low_sun": blinding.low_sun_share,
-        "parked": traffic["taken_share"],
-        "waiting": traffic["waiting_share"],
-        "measured": record.road_users.measured,
-        "road_users": other_users != RoadUsers(),
-        "traffic": found.moving,
-    }
-    drawn = [say(f"drawn.{key}", **values) for key, holds in parts.items() if holds]
+    if is_lost and has_bursts:
+        drawn.append(
+            tr(
+                "{lost} of the messages lost in bursts (drawn anew after {n_frames:g}"
+                " frames)",
+                lost=lost,
+                n_frames=record.burst_frames,
+            )
+        )
+    elif is_lost:
+        drawn.append(tr("{lost} of the messages lost", lost=lost))
+    lasting = record.person_share + record.unit_person_share
+    if record.draws_detections and lasting:
+        drawn.append(
+            tr(
+                "detections drawn where the detector gives a probability "
+                "({lasting} of the noise for a whole run)",
+                lasting=percent(lasting),
+            )
+        )
+    elif record.draws_detections:
+        drawn.append(tr("detections drawn where the detector gives a probability"))
+    if outages != Outages():
+        units = percent(outages.unit_share)
+        poles = percent(outages.pole_share)
+        drawn.append(
+            tr(
+                "units out of order in {units} and poles in {poles} of the runs",
+                units=units,
+                poles=poles,
+            )
+        )
+    if blinding.dirty_share:
+        drawn.append(
+            tr("{dirty} of the cameras dirty", dirty=percent(blinding.dirty_share))
+        )
+    if blinding.low_sun_share:
+        drawn.append(
+            tr(
+                "low sun in {low_sun} of the runs by day",
+                low_sun=percent(blinding.low_sun_share),
+            )
+        )
+    if traffic["taken_share"]:
+        drawn.append(
+            tr(
+                "{taken} of the parking places taken",
+                taken=percent(traffic["taken_share"]),
+            )
+        )
+    if traffic["waiting_share"]:
+        drawn.append(
+            tr(
+                "vehicles waiting in {waiting} of the lanes",
+                waiting=percent(traffic["waiting_share"]),
+            )
+        )
+    if record.road_users.measured:
+        drawn.append(tr("people as fast as they were measured"))
+    if replace(record.road_users, measured={}) != RoadUsers():
+        drawn.append(tr("road users faster or slower, from nearer starts"))
+    if found.moving:
+        drawn.append(
+            tr("vehicles that drive by ({source})", source=found.traffic_source)
+        )
     return ", ".join(drawn) or tr("nothing is uncertain")
 
 
@@ -511,7 +636,12 @@ def moving_sentence(found: SampledRecord) -> str:
     n_waiting = moving.n_waiting
     values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
     values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
-    text = say("sampled_worlds.traffic", **values)
+    text = tr(
+        "{per_run:.0f} vehicles drive by in a run ({source}); "
+        "{n_left_out} of {n} ({share}) are left out of theirs, for they "
+        "would come into the way of car or road user",
+        **values,
+    )
     if not n_waiting:
         return text
     no_room = mark("; SUMO found no room for {n} of {n_all} vehicles")
@@ -553,7 +683,10 @@ def sampled_picture(found: SampledRecord) -> Picture:
     return build_picture(
         plot_sampled_apr(found),
         title=tr("APR in sampled worlds"),
-        caption=say("sampled_worlds.drawn", drawn=what_is_uncertain(found)),
+        caption=tr(
+            "Worlds that were not used for the choice. Drawn at random: {drawn}.",
+            drawn=what_is_uncertain(found),
+        ),
         alt=tr(
             "Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))
         ),
@@ -598,6 +731,9 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
     names = [literal(shortened(one.name, _MAX_NAME_LENGTH)) for one in layouts]
     axes.set_yticks(range(len(layouts)), names, fontsize=8)
     axes.set_ylim(len(layouts) - 0.5, -0.5)
-    words = say("sampled_worlds.share_axis")
+    words = tr(
+        "share of the accidents avoided, APR (%)\nmean and its 95 % "
+        "interval; dotted: from the worst to the best world"
+    )
     finish_axes(axes, x=words, grid="x")
     return axes

@@ -35,7 +35,7 @@ from ..figures.axes import (
     unit_labels,
 )
 from ..figures.plan import blind_footprint, draw_scene, ground_footprint, ring_path
-from ..language import localized, mark, said, say, tr
+from ..language import localized, mark, tr
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder
 from ..results.record import Record
@@ -155,11 +155,11 @@ def _mount(unit: CandidatePose, scene: Scene) -> str:
         return tr("on a mount of its own")
     kinds = {site.id: site.kind for site in scene.sites}
     (place,) = whereabouts(scene, unit.pose.position_m[None, :2])
-    kind = said(kinds.get(unit.site_id, ""))
-    words = [text for text in (unit.site_id, kind, said(place)) if text]
+    kind = tr(kinds.get(unit.site_id, ""))
+    words = [text for text in (unit.site_id, kind, tr(place)) if text]
     assumed = assumed_sites(scene.notes).get(unit.site_id)
     if assumed:
-        doubt = tr("ASSUMED, look on site first: {what}", what=said(assumed))
+        doubt = tr("ASSUMED, look on site first: {what}", what=tr(assumed))
     else:
         doubt = ""
     texts = (", ".join(words), doubt)
@@ -172,13 +172,22 @@ def _direction(unit: CandidatePose) -> str:
     yaw_deg = unit.pose.yaw_deg
     point = COMPASS[round(yaw_deg / 45.0) % 8]
     values = {
-        "point": said(point),
+        "point": tr(point),
         "bearing": float(compass_bearing_deg(yaw_deg)),
         "yaw": float(yaw_deg),
     }
     if not is_ring(unit.sensor):
-        return say("sheet.looks", **values)
-    front = say("sheet.front_looks", **values)
+        return tr(
+            "to the {point}: compass bearing {bearing:.1f}° (clockwise from "
+            "north),\nyaw {yaw:.1f}° (counter-clockwise from east)",
+            **values,
+        )
+    front = tr(
+        "its front to the {point}: compass bearing {bearing:.1f}° "
+        "(clockwise from north),\nyaw {yaw:.1f}° (counter-clockwise from "
+        "east)",
+        **values,
+    )
     turned = tr("all round")
     if is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
         turned = tr("all round: turned it sees the same, only its axes turn with it")
@@ -196,8 +205,9 @@ def _tilt(unit: CandidatePose) -> str:
         return tr(down if pitch_deg < 0.0 else up, angle=abs(pitch_deg))
     if pitch_deg >= 0.0:
         return tr("{angle:.1f}° above level", angle=pitch_deg)
-    return say(
-        "sheet.below_level",
+    return tr(
+        "{angle:.1f}° below level: the middle of the picture lies on the road"
+        " {reach:.1f} m away",
         angle=-pitch_deg,
         reach=height_m / math.tan(math.radians(-pitch_deg)),
     )
@@ -220,8 +230,10 @@ def _tolerance_text(tolerance: Tolerance) -> str:
         at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm")
         for value_m in tolerance.height_m
     )
-    return say(
-        "sheet.tolerances",
+    return tr(
+        "{left} to the left, {right} to the right\n{up} up, {down} "
+        "down\n{higher} higher, {lower} lower\none thing at a time, the "
+        "other units as planned; beyond, a run is lost",
         left=left,
         right=right,
         up=up,
@@ -247,11 +259,11 @@ def _landmarks(unit: CandidatePose, scene: Scene) -> list[str]:
         if 0.3 < distance_m <= _LANDMARK_WITHIN_M:
             bearing = math.degrees(math.atan2(nearest.y - here.y, nearest.x - here.x))
             point = COMPASS[round(bearing / 45.0) % 8]
-            words = say(
-                "sheet.landmark",
+            words = tr(
+                "{distance:.2f} m to the {point}: {kind} {name}",
                 distance=distance_m,
-                point=said(point),
-                kind=said(thing.class_name),
+                point=tr(point),
+                kind=tr(thing.class_name),
                 name=thing.id,
             )
             found.append((distance_m, words))
@@ -308,7 +320,11 @@ def _draw_picture(
         return
     rgb, run, time_s = draw_view(unit, setting, compute=compute)
     axes.imshow(rgb)
-    title = say("sheet.picture", run=run.id, time=abs(time_s))
+    title = tr(
+        "What it will see, rendered: {run}, {time:.1f} s before the impact",
+        run=run.id,
+        time=abs(time_s),
+    )
     axes.set_title(literal(title), fontsize=9, loc="left")
 
 
@@ -335,10 +351,10 @@ def run_sheet(
     check_target(out)
     check_folder(out.parent)
     progress.kept = f"nothing was written to {out}"
-    progress("setting", 0, 0)
+    progress(mark("setting"), 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
-    progress("tolerances", 0, 0)
+    progress(mark("tolerances"), 0, 0)
     tolerances = find_tolerances(setting, layout.units, compute=compute)
     progress(WRITING, 0, 0)
     pdf = mounting_sheet(layout, setting, tolerances, compute=compute)

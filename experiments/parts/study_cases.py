@@ -13,13 +13,13 @@ from placement.question import BLIND, Question
 from placement.setting import Setting
 from scenarios.cases import select_cases
 
-from ..language import said, say, tr, trn
+from ..language import mark, tr, trn
 from ..results.numbers import percent
 from ..results.record import Record, says
 from .baselines import Score, build_score
 from .section import Section, Table
 
-STAGE = "study's cases"
+STAGE = mark("study's cases")
 
 
 class StudyCases(Record, frozen=True, kw_only=True):
@@ -127,7 +127,15 @@ def section(record: StudyCases | None) -> Section | None:
     return Section(
         "study-cases",
         tr("On the study's cases"),
-        [say("study_cases.note"), table(record)],
+        [
+            tr(
+                "What the CarlaNCAP study drives, as it reads it: its cases by "
+                "day, each at its one place, every run alike, and a track that is "
+                "confirmed once lives for ever. All else is as in the question "
+                "above. By the evaluator; layouts were not chosen for these runs."
+            ),
+            table(record),
+        ],
     )
 
 
@@ -138,7 +146,7 @@ def table(record: StudyCases) -> Table:
         caption=trn(
             "APR on the study's {n} run", "APR on the study's {n} runs", record.runs
         ),
-        columns=[tr("case"), *(said(party.name) for party in record.parties)],
+        columns=[tr("case"), *(tr(party.name) for party in record.parties)],
         rows=[
             [tr("all runs"), *(percent(one.all) for one in record.parties)],
             [

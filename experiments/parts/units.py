@@ -14,7 +14,7 @@ from placement.setting import Setting
 
 from ..figures.axes import NARROW_IN, WIDTH_IN, unit_labels
 from ..figures.plan import compass_word, looking_words, plot_plan
-from ..language import listed, localized, said, say, tr
+from ..language import localized, tr, trn
 from ..results.numbers import NOTHING, number, percent
 from ..results.record import Record, Share, build_unit_records, says
 from .section import Block, Box, Picture, Section, Table, build_picture
@@ -34,11 +34,22 @@ def units_section(
 ) -> Section:
     """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
-    if terrain_of(scene) is None:
-        heights = "heights"
-    else:
-        heights = "heights_above_ground"
-    note = " ".join(say(f"units.{key}") for key in (heights, "angles"))
+    heights = tr(
+        "East, north and height are metres in the junction's own "
+        "coordinates; the road is at height 0."
+    )
+    if terrain_of(scene) is not None:
+        heights = tr(
+            "East, north and height are metres in the junction's own "
+            "coordinates; height is that above the ground below."
+        )
+    angles = tr(
+        "The bearing is that of a compass, clockwise from north; yaw is "
+        "counted counter-clockwise from east; pitch is negative where the "
+        "sensor looks down. An assumed site is one that the map does not "
+        "have, or not there."
+    )
+    note = f"{heights} {angles}"
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section(
         "units",
@@ -59,8 +70,8 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
                 if record.assumed
                 else record.site or NOTHING
             ),
-            said(record.kind or NOTHING),
-            said(record.place or NOTHING),
+            tr(record.kind or NOTHING),
+            tr(record.place or NOTHING),
             *(
                 number(value)
                 for value in above_ground(unit, scene).pose.position_m.tolist()
@@ -80,7 +91,22 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
     is_long = len(rows) > _MAX_FLAT_ROWS
     return Table(
         caption=caption,
-        columns=listed("units"),
+        columns=[
+            tr("mark"),
+            tr("id"),
+            tr("site"),
+            tr("kind"),
+            tr("where"),
+            tr("east (m)"),
+            tr("north (m)"),
+            tr("height (m)"),
+            tr("bearing (°)"),
+            tr("tilt down (°)"),
+            tr("yaw (°)"),
+            tr("pitch (°)"),
+            tr("looks to the"),
+            tr("sensor"),
+        ],
         rows=rows,
         numeric=range(5, 12),
         summary=(
@@ -109,7 +135,13 @@ def build_plans(
             title=tr(
                 "Plan of {scene} with {name}", scene=setting.scene.name, name=name
             ),
-            caption=say("units.plan", range=_PLAN_RANGE_M),
+            caption=tr(
+                "Coloured outlines: the ground in each sensor's field of view, up "
+                "to {range:g} m; they see farther. Walls and parked cars hide "
+                "parts of it, which is taken into account in the numbers but not "
+                "drawn here.",
+                range=_PLAN_RANGE_M,
+            ),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
         for name, layout in detailed.items()
@@ -121,8 +153,8 @@ def _units_in_words(layout: Layout) -> str:
         return tr("{n} units: where each is says the table above.", n=len(layout.units))
     labels = unit_labels(layout)
     return " ".join(
-        say(
-            "units.place",
+        tr(
+            "{unit} at {east} m east, {north} m north, {looking}.",
             unit=labels[unit.id],
             east=number(unit.pose.position_m[0], 1),
             north=number(unit.pose.position_m[1], 1),
@@ -174,7 +206,11 @@ def private_ground_sentence(found: PrivateGroundRecord) -> str:
     ]
     n_areas = len(found.areas)
     if not seen:
-        return say("units.nothing_private", n_areas)
+        return trn(
+            "No camera has the private area in its picture.",
+            "No camera has any of the {n} private areas in its picture.",
+            n_areas,
+        )
     return tr("Of private ground, {views}.", views="; ".join(seen))
 
 
@@ -205,7 +241,7 @@ def private_ground_section(
             "; of {all} areas the {n} that matter most", all=len(areas), n=len(told)
         )
     columns = [
-        *listed("private ground"),
+        *[tr("area"), tr("size (m²)"), tr("most, by one unit")],
         *(labels.get(unit_id, unit_id) for unit_id in shown),
     ]
     rows = []
@@ -220,7 +256,10 @@ def private_ground_section(
     table = Table(
         caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown))
     )
-    note = say("units.seen")
+    note = tr(
+        "Seen is what lies in a camera's picture with nothing in between, "
+        "at the height of people's eyes. LiDARs take no pictures."
+    )
     blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", tr("Private ground"), blocks)
 
@@ -232,8 +271,9 @@ def _short_sentence(found: PrivateGroundRecord, most_seen: Mapping[str, float]) 
     if n_seen * n_seeing <= _MAX_NAMED:
         return private_ground_sentence(found)
     worst = max(most_seen, key=lambda name: most_seen[name])
-    return say(
-        "units.private_in_short",
+    return tr(
+        "{seeing} of {units} units see something of {seen} of {areas} "
+        "private areas; the most is {share} of {worst}.",
         seeing=n_seeing,
         units=len(found.units),
         seen=n_seen,

@@ -54,6 +54,7 @@ from placement.setting import Setting, build_setting
 from scenarios.runs import Run
 
 from ..export.calibration import refuse_lenses
+from ..language import mark
 from ..progress import StageProgress
 from ..results.record import Record
 from .drawing import DEPTHS, DRAW, MASKS, DatasetWish, DrawTask, Viewer, draw_all
@@ -265,7 +266,7 @@ def run_dataset(
         lidar = pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
     viewers = _pick_viewers(layout, wish.units)
-    progress("lay the runs", 0, 0)
+    progress(mark("lay the runs"), 0, 0)
     setting = build_setting(question, compute=compute)
     record = _build_record(setting, layout, viewers, wish, compute.seed)
     if not _is_begun(out, record):

@@ -54,6 +54,7 @@ from placement.recordings.pairs import pair_boxes
 from placement.setting import Setting, build_rule, build_setting
 
 from ..export.json import to_json_text
+from ..language import mark
 from ..progress import StageProgress
 from ..results.drives import versions
 from ..results.folders import expect_files, save_files
@@ -211,7 +212,7 @@ def _open_source(
     question: Question, wish: FitWish, compute: Compute, progress: StageProgress
 ) -> _Source:
     if wish.recording is not None:
-        progress("read", 0, 0)
+        progress(mark("read"), 0, 0)
         if find_format(wish.recording) == MOT_FOLDER:
             labels, results = (wish.recording / name for name in MOT_FILES)
             return _from_boxes(labels, results, wish.min_confidence)
@@ -222,7 +223,7 @@ def _open_source(
             unknown=("share that is seen", "contrast", "aspect"),
         )
     if wish.labels is not None and wish.results is not None:
-        progress("read", 0, 0)
+        progress(mark("read"), 0, 0)
         read = _from_coco if find_format(wish.labels) == COCO else _from_boxes
         return read(wish.labels, wish.results, wish.min_confidence)
     assert wish.layout is not None
@@ -243,7 +244,7 @@ def _from_network(
             question.detector,
             "cnn, or an .onnx file, whose table is fitted",
         )
-    progress("setting", 0, 0)
+    progress(mark("setting"), 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     words = (

@@ -8,6 +8,9 @@ from msgspec import Struct
 
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import parse_json
+from geometry.phrases import Phrase
+
+from ..language import mark
 
 MAX_IMAGE_BYTES = 8_000_000
 """Of an image that a browser sends."""
@@ -92,15 +95,14 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     InputError
         It is none that browsers draw, too large, or the points do not lay it.
     """
+    expected = mark("two points of the image")
     try:
-        document = parse_json(lie, f"{where}: points", "two points of the image")
+        document = parse_json(lie, _points_of(where), expected)
         found = msgspec.convert(document, Lie)
     except InputError as error:
-        raise InputError(error.where, error.got, "two points of the image") from None
+        raise InputError(_points_of(where), error.got, expected) from None
     except msgspec.ValidationError as error:
-        raise InputError(
-            f"{where}: points", Unquoted(error), "two points of the image"
-        ) from None
+        raise InputError(_points_of(where), Unquoted(error), expected) from None
     return _checked(Background(lie=found, image=content), where)
 
 
@@ -109,7 +111,9 @@ def read_background(record: Any, where: str) -> Background:
     try:
         found = msgspec.convert(record, Background)
     except msgspec.ValidationError as error:
-        raise InputError(where, Unquoted(error), "an image and how it lies") from None
+        raise InputError(
+            where, Unquoted(error), mark("an image and how it lies")
+        ) from None
     return _checked(found, where)
 
 
@@ -118,25 +122,40 @@ def _checked(background: Background, where: str) -> Background:
     lie = background.lie
     n_bytes = len(background.image)
     if n_bytes > MAX_IMAGE_BYTES:
-        refuse(where, f"{n_bytes:,} bytes", f"at most {MAX_IMAGE_BYTES:,}")
+        got = Phrase("{n:,} bytes", n=n_bytes)
+        refuse(where, got, Phrase("at most {n:,}", n=MAX_IMAGE_BYTES))
     if not background.media_type:
-        refuse(where, "another format", "PNG, JPEG, WebP or GIF")
+        refuse(where, mark("another format"), mark("PNG, JPEG, WebP or GIF"))
     is_width_known = 1 <= lie.width_px <= _MAX_SIDE_PX
     is_height_known = 1 <= lie.height_px <= _MAX_SIDE_PX
     if not (is_width_known and is_height_known):
-        size = f"{lie.width_px} by {lie.height_px} pixels"
-        refuse(where, size, f"1 to {_MAX_SIDE_PX:,} pixels")
+        size = Phrase(
+            "{width} by {height} pixels", width=lie.width_px, height=lie.height_px
+        )
+        refuse(where, size, Phrase("1 to {n:,} pixels", n=_MAX_SIDE_PX))
     first, second = lie.points
     numbers = [*msgspec.structs.astuple(first), *msgspec.structs.astuple(second)]
     # Not a number is no more than anything, and refused here, too.
     if not all(abs(value) <= _MAX_COORDINATE_M for value in numbers):
-        raise InputError(
-            f"{where}: points", numbers, f"numbers up to {_MAX_COORDINATE_M:,.0f}"
-        )
+        expected = Phrase("numbers up to {n:,.0f}", n=_MAX_COORDINATE_M)
+        raise InputError(_points_of(where), numbers, expected)
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:
-        got = f"points {apart_px:.1f} px and {apart_m:.2f} m from each other"
-        expected = f"at least {_LEAST_APART_PX:g} px and {_LEAST_APART_M:g} m"
-        refuse(f"{where}: points", got, expected)
+        got = Phrase(
+            "points {pixels:.1f} px and {metres:.2f} m from each other",
+            pixels=apart_px,
+            metres=apart_m,
+        )
+        expected = Phrase(
+            "at least {pixels:g} px and {metres:g} m",
+            pixels=_LEAST_APART_PX,
+            metres=_LEAST_APART_M,
+        )
+        refuse(_points_of(where), got, expected)
     return background
+
+
+def _points_of(where: str) -> Phrase:
+    """Name of an image's points, for messages."""
+    return Phrase("{file}: points", file=Phrase(where))

@@ -7,7 +7,7 @@ from typing import Any
 
 from placement.question import Question
 
-from ..language import said
+from ..language import tr
 from . import files, plan_files
 from .background import MAX_IMAGE_BYTES
 from .numbers import question_record, scene_record, state_record
@@ -68,7 +68,7 @@ class Browsers:
         self._doing = {
             "type": "doing",
             "who": who,
-            "stage": said(stage),
+            "stage": tr(stage),
             "done": done,
             "total": total,
         }
@@ -135,7 +135,7 @@ def scene_message(
             "attribution": tiles.attribution,
             "frame": tile_frame(scene),
         }
-    assumed = [said(f"{note}") for note in scene.notes if note.kind == "junction"]
+    assumed = [tr(note.words) for note in scene.notes if note.kind == "junction"]
     return {
         "type": "scene",
         **record,

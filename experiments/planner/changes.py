@@ -11,6 +11,7 @@ from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, refuse
 from geometry.files import pick
+from geometry.phrases import Phrase
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel, with_fov
@@ -18,7 +19,7 @@ from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.retrofit import free_name
 
-from ..language import tr
+from ..language import mark, tr
 from .plan import (
     PlanState,
     Variant,
@@ -111,7 +112,9 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
             return add_variant(state, Variant(name=name, units=units))
         case SelectVariant(index=index):
             if not 0 <= index < len(state.variants):
-                raise InputError("variant", index, f"0 to {len(state.variants) - 1}")
+                raise InputError(
+                    mark("variant"), index, f"0 to {len(state.variants) - 1}"
+                )
             return replace(state, current=index)
         case RenameVariant(name=name):
             return _rename_variant(state, printable_name(name))
@@ -123,7 +126,9 @@ def _rename_variant(state: PlanState, name: str) -> PlanState:
     """The state with another name for the current variant; InputError: it is taken."""
     for variant in state.variants:
         if variant is not state.variant and variant.name == name:
-            raise InputError("name", name, "a name that no other variant has")
+            raise InputError(
+                mark("name"), name, mark("a name that no other variant has")
+            )
     renamed = replace(state.variant, name=name)
     return state.with_variant(renamed)
 
@@ -131,9 +136,8 @@ def _rename_variant(state: PlanState, name: str) -> PlanState:
 def _remove_variant(state: PlanState) -> PlanState:
     """The state without the current variant; InputError: it is the last one."""
     if len(state.variants) == 1:
-        raise InputError(
-            "variant", state.variant.name, "another one: the last one stays"
-        )
+        expected = mark("another one: the last one stays")
+        raise InputError(mark("variant"), state.variant.name, expected)
     others = tuple(each for each in state.variants if each is not state.variant)
     current = min(state.current, len(others) - 1)
     return replace(state, variants=others, current=current)
@@ -144,7 +148,7 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     units = state.variant.units
     scene = stock.scene
     site = _free_site(change.site, units, scene)
-    sensor = pick(stock.models, change.sensor, "sensor")
+    sensor = pick(stock.models, change.sensor, mark("sensor"))
     if change.fov_deg is not None:
         sensor = _with_lens(sensor, change.fov_deg)
     # A height that the site does not have is brought into its range.
@@ -152,7 +156,8 @@ def _add_unit(state: PlanState, change: AddUnit, stock: Stock) -> PlanState:
     if wanted_m is None:
         wanted_m = load_candidate_grid().heights_m.max()
     low_m, high_m = site.height_range_m
-    height_m = float(np.clip(check_finite("height", wanted_m), low_m, high_m))
+    wanted_m = check_finite(mark("height"), wanted_m)
+    height_m = float(np.clip(wanted_m, low_m, high_m))
     yaw_deg = change.yaw_deg
     if yaw_deg is None:
         yaw_deg = _towards_middle_deg(site, scene)
@@ -220,7 +225,7 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
     sensor = unit.sensor
     site_id = unit.site_id
     if change.sensor is not UNSET:
-        sensor = pick(stock.models, change.sensor, "sensor")
+        sensor = pick(stock.models, change.sensor, mark("sensor"))
         # The old tilt means nothing to what scans all round, and the other way round.
         if is_ring(sensor) != is_ring(unit.sensor):
             pose = replace(pose, pitch_deg=_default_pitch_deg(sensor))
@@ -236,7 +241,8 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
         pose = _moved(pose, site.position_m + [0.0, 0.0, above_m], sensor, scene)
         site_id = site.id
     if change.height_m is not UNSET:
-        pose = _raised(pose, site_id, check_finite("height", change.height_m), scene)
+        height_m = check_finite(mark("height"), change.height_m)
+        pose = _raised(pose, site_id, height_m, scene)
     if change.yaw_deg is not UNSET:
         pose = replace(pose, yaw_deg=_yaw(change.yaw_deg))
     if change.pitch_deg is not UNSET:
@@ -248,8 +254,10 @@ def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanStat
 def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
     """A camera with another horizontal angle of view; InputError: no camera, or not in range."""
     if not isinstance(sensor, CameraModel):
-        raise InputError("lens", fov_deg, "nothing: only cameras have lenses")
-    return with_fov(sensor, check_finite("lens", fov_deg), "lens")
+        expected = mark("nothing: only cameras have lenses")
+        raise InputError(mark("lens"), fov_deg, expected)
+    lens = mark("lens")
+    return with_fov(sensor, check_finite(lens, fov_deg), lens)
 
 
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
@@ -316,10 +324,17 @@ def _raised(pose: Pose, site_id: str, height_m: float, scene: Scene) -> Pose:
     """
     foot_m, low_m, high_m = mount_range_m(pose, site_id, scene)
     if not low_m - 1.0e-9 <= height_m <= high_m + 1.0e-9:
-        at = "above the ground"
+        expected = Phrase(
+            "{low:g} .. {high:g} m, above the ground", low=low_m, high=high_m
+        )
         if site_id:
-            at = f"the range of {site_id}"
-        raise InputError("height", height_m, f"{low_m:g} .. {high_m:g} m, {at}")
+            expected = Phrase(
+                "{low:g} .. {high:g} m, the range of {site}",
+                low=low_m,
+                high=high_m,
+                site=site_id,
+            )
+        raise InputError(mark("height"), height_m, expected)
     east, north = pose.position_m[:2]
     up_m = foot_m + round(height_m, _DECIMALS)
     return replace(pose, position_m=np.array([east, north, up_m]))
@@ -329,7 +344,7 @@ def _find(units: Sequence[CandidatePose], unit_id: str) -> int:
     """Index of a unit; InputError: there is none of that name."""
     ids = [unit.id for unit in units]
     if unit_id not in ids:
-        raise InputError("unit", unit_id, "one that is mounted there")
+        raise InputError(mark("unit"), unit_id, mark("one that is mounted there"))
     return ids.index(unit_id)
 
 
@@ -339,27 +354,29 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
     by_id = {site.id: site for site in reversed(scene.sites)}
     site = by_id.get(site_id)
     if site is None:
-        raise InputError("site", site_id, f"a site of {scene.name}")
+        expected: str = Phrase("a site of {scene}", scene=scene.name)
+        raise InputError(mark("site"), site_id, expected)
     if site.use == "forbidden":
-        raise InputError(
-            "site", site_id, "a site that may carry units: the scene forbids this one"
-        )
+        expected = mark("a site that may carry units: the scene forbids this one")
+        raise InputError(mark("site"), site_id, expected)
     # Each unit takes one place.
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:
-        got = f"a unit more than the {n_there} there"
-        refuse(f"site {site_id}", got, f"at most {site.capacity_units}")
+        got = Phrase("a unit more than the {n} there", n=n_there)
+        where = Phrase("site {name}", name=site_id)
+        refuse(where, got, Phrase("at most {n}", n=site.capacity_units))
     return site
 
 
 def _yaw(yaw_deg: float) -> float:
     """A yaw between -180 and 180 degrees; InputError: it is not finite."""
-    wrapped_deg = float(wrap_deg(check_finite("direction", yaw_deg)))
+    wrapped_deg = float(wrap_deg(check_finite(mark("direction"), yaw_deg)))
     return round(wrapped_deg, _DECIMALS)
 
 
 def _pitch(pitch_deg: float) -> float:
     """A pitch as it is mounted; InputError: it is none."""
     if not -90.0 <= pitch_deg <= 90.0:
-        raise InputError("tilt", pitch_deg, "-90 .. 90 degrees")
+        expected = Phrase("{low} .. {high} degrees", low=-90, high=90)
+        raise InputError(mark("tilt"), pitch_deg, expected)
     return round(float(pitch_deg), _DECIMALS)

@@ -15,7 +15,7 @@ from placement.question import Question, map_options
 
 from ..cli import options
 from ..cli.running import begin
-from ..language import say, tr
+from ..language import mark, tr
 from ..progress import Interrupted, StageProgress, tell
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def plan(
     scene = load_scene(question.scene)
     map_file = _map_file(asked)
     begun = _begun_plan(layout_names, save, scene)
-    progress("setting", 0, 0)
+    progress(mark("setting"), 0, 0)
     setting = with_sight(
         build_setting(question, scene, compute=compute), compute=compute
     )
@@ -203,12 +203,16 @@ def _serve_page(server: "RunningServer", *, opens: bool, folder: Path) -> None:
     """Serve until the page is closed or by Ctrl-C; a page that leads to it is in the folder."""
     server.start()
     try:
-        ends = say("plan.ends_closed")
+        ends = tr("It ends when the page is closed, or Ctrl-C.")
         if server.keeps_open:
             ends = tr("Ctrl-C ends it.")
         tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
         if server.host != _LOCAL:
-            tell(say("plan.not_alone", host=server.host), err=True)
+            warning = tr(
+                "--host {host}: whoever has this address can change the plan.",
+                host=server.host,
+            )
+            tell(warning, err=True)
         if opens:
             webbrowser.open(_redirect(server.address, folder))
         server.wait()
@@ -231,12 +235,12 @@ def _last_words(saved: Sequence[str], *, is_closed: bool) -> str:
     """Why it has ended, and where the plans are; `is_closed`: the page was, else by Ctrl-C."""
     files = tr(" and ").join(saved)
     if is_closed and saved:
-        return say("plan.closed_saved", files=files)
+        return tr("The page was closed: ended; the plan is in {files}.", files=files)
     if is_closed:
-        return say("plan.closed", files=files)
+        return tr("The page was closed: ended.")
     if saved:
-        return say("plan.ended_saved", files=files)
-    return say("plan.ended", files=files)
+        return tr("Ended; the plan is in {files}.", files=files)
+    return tr("Ended.")
 
 
 def _map_file(question: Question) -> "MapFile | None":

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from placement.candidates import CandidatePose
 
-from ..language import said, tr
+from ..language import mark, tr, tr_error
 from .browsers import Browsers, variants_message
 from .files import save_plan
 from .numbers import coverage_record, key_of
@@ -80,13 +80,13 @@ class Counting:
             except Cancelled:
                 return
             except Exception as error:  # the next change may be one that can be counted
-                reason = said(str(error))
+                reason = tr_error(error)
                 self._browsers.notice(tr("no numbers: {reason}", reason=reason))
             self.rests.set()
 
     async def _prepare_rays(self, workspace: Workspace) -> None:
         """Do what the first count takes long for, and say so."""
-        self._browsers.tell_stage("rays", "prepare the rays")
+        self._browsers.tell_stage("rays", mark("prepare the rays"))
         units = self._current().first_units()
         await asyncio.to_thread(workspace.numbers_by_table, units)
         self._browsers.tell_stage("rays", "")
@@ -156,7 +156,7 @@ class Counting:
         key = key_of(units)
         layout = Variant(name="plan", units=units).layout(workspace.setting.scene)
         tell = self._browsers.stages("evaluator")
-        tell("evaluate", 0, 0)
+        tell(mark("evaluate"), 0, 0)
         try:
             numbers = await self._workers.evaluator.call(
                 "evaluate", layout, on_progress=tell

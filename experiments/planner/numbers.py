@@ -12,6 +12,7 @@ import numpy as np
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor, sensor_kind
 from geometry.errors import InputError, check_one_of
+from geometry.phrases import Phrase
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel
 from placement.candidates import CandidatePose, is_ring
@@ -29,7 +30,7 @@ from scenarios.weights import WEIGHT_WORDS, default_weights
 from ..cli.options import JUDGED, option_of
 from ..export.json import to_json_text
 from ..figures.axes import describe_run
-from ..language import said, say, tr
+from ..language import mark, tr
 from ..parts.bill_of_materials import build_bill
 from ..parts.player import centimetres, plan_record, svg_path, to_base64, unit_records
 from ..results.numbers import euros, finite_or_none, percent
@@ -101,7 +102,7 @@ def scene_record(
         "sensors": [_sensor_record(model) for model in models],
         "grid": list(chosen),
         "runs": _run_records(setting),
-        "cases": {run.case.name: said(run.case.title) for run in setting.runs},
+        "cases": {run.case.name: tr(run.case.title) for run in setting.runs},
         "arms": _arm_records(setting),
         "bands": [name for name, _ in BANDS],
         "private": private,
@@ -138,7 +139,7 @@ def _site_record(site: Site, *, is_own: bool = False) -> dict[str, Any]:
     low_m, high_m = site.height_range_m.tolist()
     return {
         "id": site.id,
-        "kind": said(site.kind),
+        "kind": tr(site.kind),
         "place": centimetres(site.position_m[:2]),
         "low": low_m,
         "high": high_m,
@@ -166,7 +167,7 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
         impacts_m = np.mean([run.vut_position_m[-1] for run in runs], axis=0)
         longest = max(runs, key=lambda run: len(run.time_s))
         record = {
-            "approach": said(approach),
+            "approach": tr(approach),
             "position": position,
             "place": centimetres(impacts_m),
             "way": centimetres(longest.vut_position_m),
@@ -199,18 +200,19 @@ def change_question(
     """
     asked = msgspec.structs.asdict(change)
     given = {name: value for name, value in asked.items() if value is not msgspec.UNSET}
-    for name in ("detector", "weights"):
+    for name in (mark("detector"), mark("weights")):
         if name in given:
             check_one_of(name, given[name], _choices(begun)[name])
     # A file of cases would be read from this machine, whoever asks.
     cases = given.get("cases", "")
     if ".toml" in cases.lower() and cases != begun.cases:
-        raise InputError("cases", cases, "sets and names of cases")
+        raise InputError(mark("cases"), cases, mark("sets and names of cases"))
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
-        raise InputError(
-            "cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once"
+        expected = Phrase(
+            "{one} or {other}: the page tells each run once", one=BLIND, other=SEE
         )
+        raise InputError(mark("cars"), changed.cars, expected)
     # The detector is one of the choices, and may be a network that is slow to load.
     check_question(replace(changed, detector=DETECTOR_NAMES[0]))
     return changed
@@ -228,6 +230,24 @@ def _choices(begun: Question) -> dict[str, list[str]]:
         each_once = dict.fromkeys([*words, getattr(begun, name)])
         choices[name] = list(each_once)
     return choices
+
+
+_MEANINGS = {
+    "case": mark(
+        "Mean over cases, in each over approaches, positions and runs; not over all"
+        " runs."
+    ),
+    "run": mark(
+        "Share of all runs: each counts the same, so cases with more runs count more."
+    ),
+    "fhwa-crash-types": mark(
+        "Cases count by how often cars hit people so, not by their runs."
+    ),
+    "euroncap-rating-2026": mark(
+        "Cases count by Euro NCAP's points, not by their runs."
+    ),
+}
+"""What weights mean, by their names."""
 
 
 def question_record(question: Question, begun: Question) -> dict[str, Any]:
@@ -249,7 +269,7 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     weights = question.weights or default_weights(question.cases)
     meaning = tr("Runs count by the weights of {name}.", name=weights)
     if weights in WEIGHT_WORDS:
-        meaning = say(f"meanings.{weights}")
+        meaning = tr(_MEANINGS[weights])
     if question.score != AVOIDED:
         meaning += " " + tr(
             "A run that is not avoided counts by the speed that is left."
@@ -362,7 +382,7 @@ def cost_record(units: Sequence[CandidatePose], scene: Scene) -> dict[str, Any] 
         "sensors": euros(sensors_eur),
         "sites": euros(sites_eur),
         "all": euros(_sum([sensors_eur, sites_eur])),
-        "assumed": [said(assumption) for assumption in bill.assumed],
+        "assumed": [tr(assumption) for assumption in bill.assumed],
     }
 
 
@@ -463,7 +483,7 @@ def _shares(verdict: Verdict, setting: Setting) -> dict[str, Any]:
     def by(values: Any) -> dict[str, str]:
         """APR of the runs of each value, in words."""
         names = dict.fromkeys(values.tolist())
-        return {said(name): percent(share(values == name)) for name in names}
+        return {tr(name): percent(share(values == name)) for name in names}
 
     by_case = {}
     for case, value in apr_by_case(verdict, axis).items():
@@ -565,9 +585,7 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "columns": len(found.east_m),
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
-        "shares": {
-            said(name): percent(value) for name, value in found.shares().items()
-        },
+        "shares": {tr(name): percent(value) for name, value in found.shares().items()},
     }
 
 

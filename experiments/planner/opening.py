@@ -9,6 +9,7 @@ from typing import Any
 from placement.question import Question
 from placement.setting import Setting
 
+from ..language import mark
 from .browsers import Browsers, question_message
 from .files import MapFile, free_path
 from .plan import History
@@ -100,7 +101,7 @@ class QuestionChange:
         workspace: Workspace | None = None
         problem = ""
         tell = self._browsers.stages("setting")
-        tell("start", 0, 0)
+        tell(mark("start"), 0, 0)
         try:
             setting = await worker.call("open_setting", on_progress=tell)
             workspace, problem = await asyncio.to_thread(

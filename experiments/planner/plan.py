@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from geometry.errors import InputError, refuse
+from geometry.phrases import Phrase
 from geometry.scene import Scene, Site
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from ..language import tr
+from ..language import mark, tr
 
 MAX_UNITS = 1000
 """Of a variant."""
@@ -26,7 +27,7 @@ _MAX_NAME = 80
 def check_count(n: int, where: str, most: int) -> None:
     """Raise InputError for more than there may be."""
     if n > most:
-        refuse(where, f"{n:,}", f"at most {most:,}")
+        refuse(where, Phrase("{n:,}", n=n), Phrase("at most {n:,}", n=most))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,7 +128,7 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     InputError
         There are too many, or the name cannot be printed.
     """
-    check_count(len(state.variants) + 1, "variants", MAX_VARIANTS)
+    check_count(len(state.variants) + 1, mark("variants"), MAX_VARIANTS)
     names = {each.name for each in state.variants}
     base = printable_name(variant.name)
     if base in names and source:
@@ -145,14 +146,14 @@ def printable_name(name: str) -> str:
     """A name with single spaces. Raises InputError if it is empty, long or not printable."""
     name = " ".join(name.split())
     if not name or len(name) > _MAX_NAME or not name.isprintable():
-        raise InputError("name", name, f"1 to {_MAX_NAME} letters")
+        raise InputError(mark("name"), name, Phrase("1 to {n} letters", n=_MAX_NAME))
     return name
 
 
 def check_finite(where: str, value: float) -> float:
     """The number itself. Raises InputError if it is not finite."""
     if not math.isfinite(value):
-        raise InputError(where, value, "a finite number")
+        raise InputError(where, value, mark("a finite number"))
     return value
 
 

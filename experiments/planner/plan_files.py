@@ -9,10 +9,12 @@ import msgspec
 
 from geometry.errors import InputError, refuse
 from geometry.files import parse_json, read_table
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from placement.layout import Layout, check_layout, read_layout
 
 from ..export.json import to_json, to_json_text
+from ..language import mark
 from .background import Background, read_background
 from .plan import (
     MAX_UNITS,
@@ -77,7 +79,7 @@ def read_plan(text: bytes, where: str) -> Plan:
     InputError
         It is neither, or has more than there may be.
     """
-    document = parse_json(text, where, "a layout or a plan as JSON")
+    document = parse_json(text, where, mark("a layout or a plan as JSON"))
     background = None
     if isinstance(document, dict) and document.get("schema") == SCHEMA:
         variants = _read_variants(document.get("variants"), where)
@@ -99,12 +101,13 @@ def read_plan(text: bytes, where: str) -> Plan:
 def _read_variants(records: Any, where: str) -> list[Variant]:
     """Variants of a plan's file, of which some may be empty; InputError: they are none."""
     if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
-        refuse(f"{where}: variants", "none", f"a list of 1 to {MAX_VARIANTS}")
+        there = Phrase("{file}: variants", file=Phrase(where))
+        refuse(there, mark("none"), Phrase("a list of 1 to {n}", n=MAX_VARIANTS))
     variants = []
     for index, record in enumerate(records):
         at = f"{where}: variants[{index}]"
         if not isinstance(record, dict):
-            raise InputError(at, record, "a layout")
+            raise InputError(at, record, mark("a layout"))
         name = record.get("name")
         # A layout's file has at least one unit; a variant may have none yet.
         if record.get("layout") == [] and isinstance(name, str):

@@ -12,11 +12,13 @@ from msgspec import Struct
 
 from geometry.errors import refuse
 from geometry.files import pick
+from geometry.phrases import Phrase
 from geometry.scene import Scene, Site, containing_instance, road_area
 from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose
 from placement.retrofit import free_name
 
+from ..language import mark
 from .plan import PlanState, check_finite, printable_name
 from .requests import PutPole
 
@@ -70,37 +72,45 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
-        refuse("pole", "a scene without any", "one whose poles it can be like")
+        refuse(
+            mark("pole"),
+            mark("a scene without any"),
+            mark("one whose poles it can be like"),
+        )
     # The first of those that are alike the most often
     kinds = [
         (one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing
     ]
     usual_kind = max(kinds, key=kinds.count)
     usual = standing[kinds.index(usual_kind)]
-    east_m, north_m = (round(check_finite("pole", value), 2) for value in place_m)
+    east_m, north_m = (round(check_finite(mark("pole"), value), 2) for value in place_m)
     point = shapely.Point(east_m, north_m)
     foot_m = np.array([east_m, north_m, 0.0])
     if not shapely.dwithin(point, shapely.Polygon(scene.outline_m), _FARTHEST_POLE_M):
-        expected = f"one at most {_FARTHEST_POLE_M:g} m from the junction"
-        refuse("pole", "a place farther away", expected)
+        expected = Phrase(
+            "one at most {far:g} m from the junction", far=_FARTHEST_POLE_M
+        )
+        refuse(mark("pole"), mark("a place farther away"), expected)
     foot_m[2] = ground_height_m(scene, foot_m[:2])
     # A metre above the ground, where what stands there is no mere edge.
     around = containing_instance(scene, foot_m + [0.0, 0.0, 1.0])
     if around:
         refuse(
-            "pole",
-            f"a place inside {around.class_name} {around.id}",
-            "one in the open air",
+            mark("pole"),
+            Phrase(
+                "a place inside {kind} {name}", kind=around.class_name, name=around.id
+            ),
+            mark("one in the open air"),
         )
     if road_area(scene).contains(point):
-        refuse("pole", "a place on the carriageway", "one beside it")
+        refuse(mark("pole"), mark("a place on the carriageway"), mark("one beside it"))
     return replace(usual, id=name, position_m=foot_m, use="free")
 
 
 def _own_pole(state: PlanState, name: str) -> Site:
     """A pole of one's own by its name; InputError: there is none."""
     by_name = {pole.id: pole for pole in state.poles}
-    return pick(by_name, name, "pole")
+    return pick(by_name, name, mark("pole"))
 
 
 def put_pole(state: PlanState, change: PutPole, scene: Scene) -> PlanState:
@@ -144,8 +154,13 @@ def remove_pole(state: PlanState, name: str) -> PlanState:
     for variant in state.variants:
         for unit in variant.units:
             if unit.site_id == name:
-                got = f"{name}, which carries {unit.id} of {variant.name}"
-                refuse("pole", got, "one that carries nothing")
+                got = Phrase(
+                    "{pole}, which carries {unit} of {variant}",
+                    pole=name,
+                    unit=unit.id,
+                    variant=variant.name,
+                )
+                refuse(mark("pole"), got, mark("one that carries nothing"))
     others = tuple(one for one in state.poles if one is not pole)
     return replace(state, poles=others)
 

@@ -10,7 +10,7 @@ from geometry.errors import InputError
 from placement.candidates import CandidatePose
 from placement.layout import Layout
 
-from ..language import tr
+from ..language import mark, tr
 from ..parts.player import unit_records
 from .browsers import Browsers
 from .requests import Ask
@@ -98,7 +98,7 @@ class Proposals:
         for proposal in self._shown:
             if proposal.number == number:
                 return proposal
-        raise InputError("proposal", number, "one that is shown")
+        raise InputError(mark("proposal"), number, mark("one that is shown"))
 
     def drop(self, number: int) -> None:
         """Drop a proposal, if it is there."""
@@ -142,7 +142,7 @@ async def ask_optimiser(
         opened meanwhile.
     """
     tell = browsers.stages("optimiser")
-    tell("start", 0, 0)
+    tell(mark("start"), 0, 0)
     try:
         shown = current()
         models = shown.sensors.option

@@ -6,6 +6,8 @@ from msgspec import UNSET, Struct, UnsetType
 from geometry.errors import InputError, Unquoted
 from geometry.files import parse_json
 
+from ..language import mark
+
 
 class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
     """A JSON object whose field "do" says which request it is."""
@@ -180,13 +182,12 @@ Message = (
 
 def read_message(text: bytes) -> Message:
     """A request from its JSON. Raises InputError if it is none of these."""
+    expected = mark("one that the page sends")
     try:
-        document = parse_json(text, "message", "one that the page sends")
+        document = parse_json(text, "message", expected)
         message: Message = msgspec.convert(document, Message)
     except InputError as error:
-        raise InputError("message", error.got, "one that the page sends") from None
+        raise InputError(mark("message"), error.got, expected) from None
     except msgspec.ValidationError as error:
-        raise InputError(
-            "message", Unquoted(error), "one that the page sends"
-        ) from None
+        raise InputError(mark("message"), Unquoted(error), expected) from None
     return message

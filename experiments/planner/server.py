@@ -16,8 +16,9 @@ from typing import Any
 from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
+from geometry.phrases import Phrase
 
-from ..language import mark, said, tr
+from ..language import mark, tr, tr_error
 from ..scene import CAUSES
 from ..scene.pictures import junction_chooser
 from .background import MAX_IMAGE_BYTES, Background, build_background
@@ -211,7 +212,7 @@ class Pages:
             try:
                 response = await make(request)
             except (InputError, TaskError) as error:
-                response = JSONResponse({"problem": said(str(error))}, 400)
+                response = JSONResponse({"problem": tr_error(error)}, 400)
             except Cancelled:
                 response = JSONResponse({"problem": tr(_STOPPED)}, 409)
             response.headers.setdefault(_POLICY, _STRICT)
@@ -260,7 +261,7 @@ class Pages:
                 try:
                     self._handle(text)
                 except InputError as error:
-                    listen({"type": "problem", "text": said(str(error))})
+                    listen({"type": "problem", "text": tr_error(error)})
                 listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
@@ -276,7 +277,7 @@ class Pages:
     def _handle(self, text: str) -> None:
         """Carry out a request of a browser; InputError: that cannot be done."""
         if len(text) > _MAX_MESSAGE_BYTES:
-            refuse("message", f"{len(text)} bytes", "fewer")
+            refuse(mark("message"), Phrase("{n} bytes", n=len(text)), mark("fewer"))
         self._session.handle(text.encode())
 
     async def _layout(self, request: Request) -> Response:
@@ -348,7 +349,7 @@ class Pages:
         values = request.query_params
         wanted_px = _whole_number(values, "width", _WIDEST_PX)
         width_px = min(max(wanted_px, 1), _WIDEST_PX)
-        frame = _whole_number(values, "frame", -1)
+        frame = _whole_number(values, mark("frame"), -1)
         try:
             found = await self._session.views.camera_picture(
                 values.get("unit", ""),
@@ -360,12 +361,12 @@ class Pages:
         except Cancelled:
             found = {"problem": tr(_STOPPED)}
         except InputError as error:
-            found = {"problem": said(str(error))}
+            found = {"problem": tr_error(error)}
         return JSONResponse(found)
 
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
-        frame = _whole_number(values, "frame", -1)
+        frame = _whole_number(values, mark("frame"), -1)
         layout = self._session.layout()
         unit_id = values.get("unit", "")
         run_id = values.get("run", "")
@@ -420,7 +421,11 @@ class Pages:
     def _map_file(self) -> MapFile:
         """The map that the scene is of, or that was sent last; InputError: there is none."""
         if self._session.map_file is None:
-            refuse("map", "none", "one that was dropped on the page before")
+            refuse(
+                mark("map"),
+                mark("none"),
+                mark("one that was dropped on the page before"),
+            )
         return self._session.map_file
 
     async def _import(self, request: Request) -> Response:
@@ -440,7 +445,8 @@ class Pages:
                     one["id"]: one["name"] for one in sent.found.get("junctions", ())
                 }
                 if junction not in names:
-                    raise InputError("junction", junction, f"one of {sent.name}")
+                    expected = Phrase("one of {names}", names=sent.name)
+                    raise InputError(mark("junction"), junction, expected)
                 path = str(
                     session.shown.workspace.work.scratch
                     / f"scene-{next(self._numbers)}"
@@ -500,8 +506,10 @@ def _map_suffix(name: str) -> str:
     for suffix in _MAP_SUFFIXES:
         if name.lower().endswith(suffix):
             return suffix
-    known = ", ".join(_MAP_SUFFIXES)
-    raise InputError("file", name, f"a name that ends in .json, {known}")
+    known = ", ".join([".json", *_MAP_SUFFIXES])
+    raise InputError(
+        mark("file"), name, Phrase("a name that ends in {ends}", ends=known)
+    )
 
 
 async def _received_image(request: Request) -> Background | None:
@@ -510,7 +518,7 @@ async def _received_image(request: Request) -> Background | None:
     points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
     if not content:
         return None
-    return build_background(content, points, "image")
+    return build_background(content, points, mark("image"))
 
 
 def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
@@ -518,7 +526,7 @@ def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
     try:
         return int(values.get(name, str(default))[:9])
     except ValueError:
-        raise InputError(name, values[name], "a whole number") from None
+        raise InputError(name, values[name], mark("a whole number")) from None
 
 
 async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
@@ -527,7 +535,8 @@ async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
     async for chunk in request.stream():
         n_bytes += len(chunk)
         if n_bytes > max_bytes:
-            refuse("file", f"more than {max_bytes:,} bytes", "a smaller one")
+            got = Phrase("more than {n:,} bytes", n=max_bytes)
+            refuse(mark("file"), got, mark("a smaller one"))
         yield chunk
 
 

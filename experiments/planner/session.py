@@ -10,7 +10,7 @@ from geometry.junction import street_names
 from placement.layout import Layout
 from placement.setting import Setting
 
-from ..language import say
+from ..language import mark, tr
 from . import requests
 from .background import Background, background_message
 from .browsers import (
@@ -295,7 +295,9 @@ class Session:
     def _ask_optimiser(self, message: requests.Ask) -> None:
         """Ask for advice; InputError: the optimiser works at another request."""
         if self.workers.optimiser.is_busy:
-            refuse("the optimiser", "another request", "one at a time")
+            refuse(
+                mark("the optimiser"), mark("another request"), mark("one at a time")
+            )
         self._coroutines.start(self._advise(message, self.shown))
 
     async def _advise(self, message: requests.Ask, begun: Shown) -> None:
@@ -398,7 +400,12 @@ class Session:
         save = opened.workspace.save
         if save is not None:
             self._saves.append(save)
-            notice = say("plan.plan_at", scene=before.title, file=before.save, new=save)
+            notice = tr(
+                "The plan at {scene} is in {file}; this one: {new}.",
+                scene=before.title,
+                file=before.save,
+                new=save,
+            )
             self.browsers.notice(notice)
 
     def _show_scene(self, opened: OpenedScene) -> None:

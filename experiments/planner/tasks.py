@@ -31,7 +31,7 @@ from placement.retrofit import LEAST_GAIN, Advice, Adviser
 from placement.setting import Setting, build_setting
 from scenarios.confirmation import is_in_time
 
-from ..language import localized, mark, say, tr
+from ..language import localized, mark, tr
 from ..parts.explanation import cause
 from ..parts.player import interactive_part, party_records, run_record
 from ..progress import StageProgress
@@ -98,7 +98,7 @@ class Tasks:
     @cached_property
     def setting(self) -> Setting:
         """Scene and runs, as ``evaluate`` builds them."""
-        self._progress("setting", 0, 0)
+        self._progress(mark("setting"), 0, 0)
         question = self._work.question
         setting = build_setting(
             question, load_scene(question.scene), compute=self._compute
@@ -211,7 +211,7 @@ class Tasks:
     def _run_index(self, run_id: str) -> int:
         """Index of a run; InputError: there is none of that id."""
         if run_id not in self.setting.axis.run_ids:
-            raise InputError("run", run_id, "a run of this plan")
+            raise InputError(mark("run"), run_id, mark("a run of this plan"))
         return self.setting.axis.run_ids.index(run_id)
 
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
@@ -228,7 +228,9 @@ class Tasks:
         viewpoint = find_viewpoint(layout, unit_id, run, frame)
         seen = render(self.setting.scene, run, frame, viewpoint, compute=self._of_units)
         if not isinstance(seen, Picture):
-            raise InputError("unit", unit_id, "a camera: a LiDAR takes no picture")
+            raise InputError(
+                mark("unit"), unit_id, mark("a camera: a LiDAR takes no picture")
+            )
         return to_jpeg(seen.rgb)
 
     def lay_raster(self, path: str, crs: str) -> Background:
@@ -363,9 +365,9 @@ class Tasks:
         """The mounting sheet, a PDF with a page for each unit."""
         from ..parts.sheet import mounting_sheet
 
-        self._progress("tolerances", 0, 0)
+        self._progress(mark("tolerances"), 0, 0)
         tolerances = find_tolerances(self.setting, layout.units, compute=self._of_units)
-        self._progress("draw the sheet", 0, 0)
+        self._progress(mark("draw the sheet"), 0, 0)
         return mounting_sheet(layout, self.setting, tolerances, compute=self._of_units)
 
     def survey(self, path: str, keeps_left: bool | None = None) -> dict[str, Any]:
@@ -385,12 +387,12 @@ class Tasks:
         """
         from ..scene.pictures import junction_map
 
-        self._progress("read", 0, 0)
+        self._progress(mark("read"), 0, 0)
         if has_scene(Path(path)):
             return {"name": load_scene(path).name, "isScene": True, "junctions": []}
         maps, junctions = self._read_map(path, keeps_left)
         if not junctions:
-            refuse(maps[0].name, "no junction", "a map in which roads meet")
+            refuse(maps[0].name, mark("no junction"), mark("a map in which roads meet"))
         return {"name": maps[0].name, "isScene": False, **junction_map(maps, junctions)}
 
     def _read_map(self, path: str, keeps_left: bool | None) -> Any:
@@ -484,9 +486,14 @@ def _answer(title: str, advice: Advice, *, costs: str) -> dict[str, Any]:
     if costs == _IN_ALL and before is not None:
         price += " (" + tr("now {amount}", amount=euros(before.cost_eur)) + ")"
     gained = ", ".join(filter(None, [share, price]))
+    words = tr(
+        "On the detection table: {gained}; {proof}.",
+        gained=gained,
+        proof=_proof(advice),
+    )
     return {
         "title": title,
-        "words": say("plan.answer", gained=gained, proof=_proof(advice)),
+        "words": words,
         "apr": percent(after.apr),
         "bound": percent(advice.bound),
         "isProven": advice.is_proven,
@@ -503,8 +510,21 @@ def _proof(advice: Advice) -> str:
     certificate = advice.certificate
     if certificate is not None and certificate.stages[0].name == "cost_eur":
         if advice.is_proven:
-            return say("plan.cheapest")
-        return say("plan.cheapest_open", bound=euros(certificate.stages[0].bound))
+            return tr(
+                "proven: none costs less; of those with the same price not all "
+                "were compared in time"
+            )
+        return tr(
+            "not proven in the time given: nothing for less than {bound} is possible"
+            " there",
+            bound=euros(certificate.stages[0].bound),
+        )
     if advice.is_proven:
-        return say("plan.highest")
-    return say("plan.highest_open", bound=percent(advice.bound))
+        return tr(
+            "proven: no APR is higher; of those with the same APR not all were compared"
+            " in time"
+        )
+    return tr(
+        "not proven in the time given: no APR above {bound} is possible there",
+        bound=percent(advice.bound),
+    )

@@ -8,7 +8,7 @@ from typing import Any
 
 from geometry.errors import InputError
 
-from ..language import language, said, say, set_language
+from ..language import language, set_language, tr, tr_error
 from ..progress import follow_parent
 from ..scene import cause_of
 from .tasks import Tasks, Work
@@ -93,7 +93,10 @@ class Worker:
             self.stop()
             if was_stopped:
                 raise Cancelled
-            raise DiedError(say("plan.died", name=method))
+            text = tr(
+                "the process that did it ({name}) was ended from outside", name=method
+            )
+            raise DiedError(text)
         raise TaskError(*value)
 
     def stop(self) -> None:
@@ -172,7 +175,7 @@ def _serve(connection: Connection, work: Work, code: str) -> None:
         try:
             answer = ("done", getattr(tasks, method)(*args, **kwargs))
         except InputError as error:
-            answer = ("refused", (said(str(error)), cause_of(error)))
+            answer = ("refused", (tr_error(error), cause_of(error)))
         except Exception as error:
             text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
             answer = ("failed", (text,))

@@ -26,7 +26,7 @@ from placement.question import Question
 from placement.setting import Setting
 
 from ..figures.views import GroundViews
-from ..language import said, say
+from ..language import mark, tr, tr_error
 from ..parts.player import centimetres, svg_path
 from .background import Background
 from .changes import Stock, first_units
@@ -205,7 +205,7 @@ def build_workspace(
         return Workspace(work, setting, title=title, save=save), ""
     except InputError as error:
         question = replace(work.question, no_look="", no_look_share=None)
-        notice = say("plan.without_private", reason=said(str(error)))
+        notice = tr("without private areas: {reason}", reason=tr_error(error))
     work = replace(work, question=question)
     return Workspace(work, setting, title=title, save=save), notice
 
@@ -242,7 +242,7 @@ class SensorChoice:
         Browsers name no files.
         """
         for name in names:
-            pick(self.models, name, "sensors")
+            pick(self.models, name, mark("sensors"))
         return replace(self, chosen=tuple(names))
 
 
@@ -341,7 +341,7 @@ class Shown:
         for unit in self.units:
             if unit.id == unit_id:
                 return unit
-        raise InputError("unit", unit_id, "one that is mounted there")
+        raise InputError(mark("unit"), unit_id, mark("one that is mounted there"))
 
     def first_units(self) -> tuple[CandidatePose, ...]:
         """A unit that is mounted nowhere: counting it prepares all that the first drag needs."""

@@ -12,7 +12,7 @@ from placement.setting import Setting
 from scenarios.positions import AT_ZERO
 from scenarios.runs import Refusal
 
-from ..language import said, say, tr
+from ..language import tr, trn
 from .numbers import capital, count_runs, finite_or_none, grouped, joined
 from .record import Record, Share, says
 
@@ -106,10 +106,14 @@ def _without_effect(setting: Setting) -> Iterator[str]:
         if name != "day" and contrast >= detector.min_contrast:
             alike.append(name)
     if alike:
-        yield say(
-            "drives.no_light",
+        names = [tr(name) for name in alike]
+        yield trn(
+            "{weathers} changes nothing for cameras here: the {detector} "
+            "detector knows no light. --detector response does.",
+            "{weathers} change nothing for cameras here: the {detector} "
+            "detector knows no light. --detector response does.",
             len(alike),
-            weathers=capital(joined(map(said, alike))),
+            weathers=capital(joined(names)),
             detector=detector.name,
         )
 
@@ -143,14 +147,17 @@ def describe_limits(setting: Setting) -> list[str]:
     found = [one for one in setting.refusals if one.limit_kmh is not None]
     if not found:
         return []
-    arms = grouped((f"{one.limit_kmh:g} km/h", said(one.approach)) for one in found)
+    arms = grouped((f"{one.limit_kmh:g} km/h", tr(one.approach)) for one in found)
     where = [
         tr("{limit} from the {arms}", limit=limit, arms=joined(dict.fromkeys(names)))
         for limit, names in arms.items()
     ]
     return [
-        say(
-            "drives.too_fast",
+        trn(
+            "Left out: {n} run of the protocol faster than the map's speed "
+            "limits, {where} (--speeds all drives them).",
+            "Left out: {n} runs of the protocol faster than the map's speed "
+            "limits, {where} (--speeds all drives them).",
             sum(len(one.speeds_kmh) for one in found) * _n_weathers(setting),
             where=joined(where),
         )
@@ -170,12 +177,19 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     """Cases that meet somebody who is not protected, and cases that are laid nowhere."""
     names = unprotected_cases(setting)
     if names:
-        yield say("drives.unprotected", len(names), cases=joined(names))
+        yield trn(
+            "Only vulnerable road users are protected: {cases}, where a car "
+            "is met, does not count (--protect all counts cars, too).",
+            "Only vulnerable road users are protected: {cases}, where a car "
+            "is met, do not count (--protect all counts cars, too).",
+            len(names),
+            cases=joined(names),
+        )
     not_laid = [one for one in setting.refusals if one.left_out == "not laid"]
-    reasons = grouped((one.reason.removesuffix("."), one.case.name) for one in not_laid)
+    reasons = grouped((one.reason, one.case.name) for one in not_laid)
     if reasons:
         listed = [
-            f"{joined(dict.fromkeys(names))}: {said(why)}"
+            f"{joined(dict.fromkeys(names))}: {tr(why).removesuffix('.')}"
             for why, names in reasons.items()
         ]
         yield tr("Not laid at any junction: {cases}.", cases="; ".join(listed))
@@ -214,18 +228,18 @@ def _gaps(setting: Setting) -> Iterator[str]:
     from_arms = {arm for _, arm in driven}
     silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
     if silent:
-        yield tr("nothing from the {arms}", arms=joined(map(said, silent)))
+        yield tr("nothing from the {arms}", arms=joined(map(tr, silent)))
     kinds = {run.case.name: run.case.vru.class_name for run in setting.runs}
     met = {(kinds[name], arm) for name, arm in driven}
     told = grouped(  # of a kind, or of a case; name; arms
-        ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), said(arm))
+        ((False, name) if (kinds[name], arm) in met else (True, kinds[name]), tr(arm))
         for name, arm in left
         if arm not in silent
     )
     for is_kind, name in sorted(told, key=lambda what: not what[0]):
         arms = joined(dict.fromkeys(told[is_kind, name]))
         if is_kind:
-            yield tr("no {kind} case from the {arms}", kind=said(name), arms=arms)
+            yield tr("no {kind} case from the {arms}", kind=tr(name), arms=arms)
         else:
             yield tr("no {case} from the {arms}", case=name, arms=arms)
 
@@ -251,7 +265,7 @@ def _reasons(setting: Setting) -> Iterator[str]:
         ]
         values = {
             "runs": count_runs(count(group)),
-            "reason": said(reason.removesuffix(".")),
+            "reason": tr(reason).removesuffix("."),
             "where": "; ".join(where),
         }
         if group[0].is_possible:
@@ -277,7 +291,7 @@ def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
             where = ""
         else:
             where = ", ".join(names)
-        arms.setdefault(where, []).append(said(arm))
+        arms.setdefault(where, []).append(tr(arm))
     return joined(
         [
             (

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from placement.question import BASELINE_NAME
 
-from ..language import localized, said, tr, trn
+from ..language import localized, tr, trn
 
 _K = TypeVar("_K", bound=Hashable)
 _V = TypeVar("_V")
@@ -169,7 +169,7 @@ def layout_words(name: str) -> str:
         return trn(
             "the one found ({name})", "the {n} found ({name})", int(count), name=name
         )
-    return said(name)
+    return tr(name)
 
 
 def shortened(text: str, width: int) -> str:

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from geometry.files import says as says
 from geometry.junction import whereabouts
 from geometry.notes import assumed_sites
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from placement.evaluation import (
     Evaluation,
@@ -78,6 +79,8 @@ def to_plain(value: object) -> Any:
 def _plain_value(value: object) -> object:
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
+    if isinstance(value, Phrase):
+        return str(value)
     if isinstance(value, Mapping):
         return dict(value)
     raise TypeError(f"{type(value).__name__}: no plain value")

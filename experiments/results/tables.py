@@ -13,6 +13,8 @@ from placement.evaluation import Evaluation, Verdict, apr
 from scenarios.positions import sort_positions
 from scenarios.runs import FrameAxis
 
+from ..language import mark
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -20,6 +22,13 @@ ALL = "all"
 GROUP_COLUMNS = ("case", "approach", "position", "weather", "vut_speed_kmh")
 """Columns of apr.csv that say which runs; each a word of the run, or ALL."""
 GroupedBy = Literal["case", "direction", "position", "speed", "weather"]
+HEADS_OF_GROUPS: dict[GroupedBy, str] = {
+    "case": mark("case"),
+    "speed": mark("speed (km/h)"),
+    "direction": mark("from"),
+    "position": mark("at"),
+}
+"""Heads of the column that names the groups."""
 RunGroup = tuple[str, BoolArray]
 """Its name, and which runs are in it: (n_runs,) bool."""
 _BEGINNINGS = (*"=+-@", "\t", "\r", "\n")

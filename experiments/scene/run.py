@@ -42,6 +42,7 @@ from placement.question import Question, map_options
 from scenarios.ways import find_sharp_bends
 
 from ..figures.axes import to_png
+from ..language import mark
 from ..progress import WRITING, StageProgress
 from ..results.folders import check_folder, write_files
 from ..results.record import Record
@@ -230,7 +231,7 @@ def run_import(
     is_zip = out.suffix.lower() == ".zip"
     _check_target(out, is_zip=is_zip)
     progress.kept = f"nothing was written to {out}"
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     with tempfile.TemporaryDirectory() as temporary:
         paths = [Path(name) for name in files]
         if bbox:
@@ -379,7 +380,7 @@ def run_show(
     """
     if out is not None:
         check_folder(out)
-    progress("read", 0, 0)
+    progress(mark("read"), 0, 0)
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
         given = [Path(path) for path in paths]
         maps, junctions = read_maps(given, reading, progress=progress)

@@ -38,6 +38,7 @@ from scenarios.weights import weight_per_run
 
 from ..figures.axes import to_png
 from ..figures.evaluation import plot_heatmaps
+from ..language import mark
 from ..progress import StageProgress
 from ..results.numbers import percent
 from ..results.tables import page_of
@@ -371,7 +372,7 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
     quiet = replace(compute, progress=silent)
 
     def evaluate(variant: Variant) -> Evaluation:
-        compute.progress("evaluate variants", next(steps), n_steps)
+        compute.progress(mark("evaluate variants"), next(steps), n_steps)
         return evaluate_layout(variant.layout, variant.setting, compute=quiet)
 
     evaluations = [evaluate(variant) for variant in variants]

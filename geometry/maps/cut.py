@@ -19,6 +19,7 @@ from ..junction import (
 )
 from ..lines import steps_m, true_runs, unit
 from ..notes import Note, assumptions
+from ..phrases import Phrase
 from ..scene import (
     Body,
     Instance,
@@ -147,8 +148,9 @@ def cut_out(
         if one.id != junction.id
     ]
     if through:
-        why = "lanes are led straight on through them on smooth curves: assumed"
-        skipped.append(Note("other junctions around it", why, kind="roads"))
+        what = Phrase("other junctions around it")
+        why = Phrase("lanes are led straight on through them on smooth curves: assumed")
+        skipped.append(Note(what, why, kind="roads"))
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
@@ -192,10 +194,9 @@ def _lowered(
         else:
             yield thing, vertices
     if n_floating:
-        why = "they would float above the ground below them: set down on it"
-        skipped.append(
-            Note(f"{n_floating} buildings in {source.name}", why, kind="heights")
-        )
+        what = Phrase("{n} buildings in {name}", n=n_floating, name=source.name)
+        why = Phrase("they would float above the ground below them: set down on it")
+        skipped.append(Note(what, why, kind="heights"))
     for name, count in is_low.items():
         skipped.append(Note(f"{count} x {name} in {source.name}", "not above the road"))
 

@@ -26,6 +26,7 @@ from ..files import (
 )
 from ..junction import build_junction
 from ..notes import Note
+from ..phrases import Phrase
 from ..scene import (
     MAX_COORDINATE_M,
     MAX_LINE_POINTS,
@@ -550,7 +551,7 @@ def read_maps(
         where = ", ".join(source.name for source in maps)
         refuse(where, f"roads in {names}", "roads in one of the files")
     roads = with_roads[0]
-    progress("find junctions", 0, 0)
+    progress(Phrase("find junctions"), 0, 0)
     return [roads, *(s for s in maps if s is not roads)], survey_junctions(roads)
 
 
@@ -562,8 +563,10 @@ def import_scene(
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options, progress=progress)
     if len(junctions) > 1 and not options.junction and options.at is None:
-        what = f"{len(junctions) - 1} other junctions of {maps[0].name}"
-        why = "none was named: the one with the most arms and lanes was taken"
+        what = Phrase(
+            "{n} other junctions of {name}", n=len(junctions) - 1, name=maps[0].name
+        )
+        why = Phrase("none was named: the one with the most arms and lanes was taken")
         notes = (Note(what, why, kind="junction"), *imported.scene.notes)
         imported = replace(imported, scene=replace(imported.scene, notes=notes))
     return replace(imported, junctions=junctions)
@@ -585,16 +588,16 @@ def cut_scene(
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
     names = tuple(source.name for source in maps)
     if options.terrain is not None:
-        progress("read terrain", 0, 0)
+        progress(Phrase("read terrain"), 0, 0)
         half_m = radius_m + LANES_BEYOND_M
         middle_m = junction.position_m
         terrain = read_elevation(
             options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m
         )
         maps = [roads, terrain, *maps[1:]]  # before others: its heights count
-    progress("cut the junction out", 0, 0)
+    progress(Phrase("cut the junction out"), 0, 0)
     surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
-    progress("find sites", 0, 0)
+    progress(Phrase("find sites"), 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(
         options.sites, surroundings, roads, radius_m=radius_m
@@ -610,7 +613,10 @@ def cut_scene(
         *surroundings.skipped,
         *settled,
         *site_notes,
-        *(Note(f"arm {name}", why, kind="roads") for name, why in arms_that_end(scene)),
+        *(
+            Note(Phrase("arm {name}", name=Phrase(name)), why, kind="roads")
+            for name, why in arms_that_end(scene)
+        ),
         *_site_notes(surroundings.poles, sites, options.sites),
         *_building_notes(surroundings.things, radius_m),
     )
@@ -627,24 +633,32 @@ def _site_notes(
         if pole.assumed and pole.id in known:
             same[pole.kind, pole.assumed].append(pole.id)
     for (kind, why), ids in same.items():
+        what = Phrase("{n} x {kind}", n=len(ids), kind=Phrase(kind))
         if len(ids) == 1:
-            what = f"{kind} {ids[0]}"
-        else:
-            what = f"{len(ids)} x {kind}"
+            what = Phrase("{kind} {name}", kind=Phrase(kind), name=ids[0])
         yield Note(what, why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
-        why = "no mast stands there in the map: each is assumed"
-        yield Note(f"{len(masts)} sites at the kerb", why, kind="sites", site_ids=masts)
+        what = Phrase("{n} sites at the kerb", n=len(masts))
+        why = Phrase("no mast stands there in the map: each is assumed")
+        yield Note(what, why, kind="sites", site_ids=masts)
 
 
 def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
     every = Counter(thing.class_name for thing in things)
     if not every["building"]:
-        why = f"none within {radius_m:g} m in the map: none is taken to hide anybody"
-        yield Note("buildings", why, kind="buildings")
+        why = Phrase(
+            "none within {radius:g} m in the map: none is taken to hide anybody",
+            radius=radius_m,
+        )
+        yield Note(Phrase("buildings"), why, kind="buildings")
     assumed = Counter(thing.class_name for thing in things if thing.is_height_assumed)
     for class_name, number in assumed.most_common():
-        what = f"heights of {number} of {every[class_name]} x {class_name}"
-        why = "not in the map: the usual ones of their kinds are assumed"
+        what = Phrase(
+            "heights of {n} of {all} x {kind}",
+            n=number,
+            all=every[class_name],
+            kind=Phrase(class_name),
+        )
+        why = Phrase("not in the map: the usual ones of their kinds are assumed")
         yield Note(what, why, kind="heights")

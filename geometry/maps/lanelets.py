@@ -17,6 +17,7 @@ from ..errors import InputError, Unquoted
 from ..files import float_of, load_data
 from ..lines import along_m, apart, length_m, points_at
 from ..notes import Note
+from ..phrases import Phrase
 from ..untrusted_files import local_name, read_xml
 from .georeferences import WGS84, local_crs, transform
 from .opendrive.junctions import (
@@ -337,11 +338,9 @@ def _source_map(
     if keeps_left is None:
         keeps_left = _keeps_left([one for one in lanelets if one.kind == "driving"])
     if keeps_left is None:
-        why = "no lanelets side by side show it: taken to keep right"
-        notes = (
-            Note(what="side of the road", why=why, kind="side of the road"),
-            *notes,
-        )
+        what = Phrase("side of the road")
+        why = Phrase("no lanelets side by side show it: taken to keep right")
+        notes = (Note(what=what, why=why, kind="side of the road"), *notes)
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
     return SourceMap(

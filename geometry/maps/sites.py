@@ -17,6 +17,7 @@ from ..files import float_of, load_data
 from ..junction import compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
+from ..phrases import Phrase
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
 from .cut import Surroundings
@@ -276,13 +277,11 @@ def _settled(
         if not place.why or wish.kind in HANGING_KINDS:
             kept.append(wish)
         elif place.position_m is None:
-            notes.append(Note(f"site {wish.id}", f"it stands {place.why}"))
+            notes.append(Note(f"site {wish.id}", place.why))
         else:
             kept.append(replace(wish, position_m=place.position_m))
-            why = f"it stood {place.why}"
-            notes.append(
-                Note(f"site {wish.id}", why, kind="sites", site_ids=(wish.id,))
-            )
+            what = Phrase("site {name}", name=wish.id)
+            notes.append(Note(what, place.why, kind="sites", site_ids=(wish.id,)))
     return kept
 
 
@@ -519,21 +518,28 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
-        why = "on a lane or in the junction"
-        target = "to the nearest kerb"
-        if wall is not None:
-            why = f"inside {wall.class_name} {wall.id}"
-            target = "out of it"
         if edge.is_empty or edge.distance(point) > most_m:
-            places.append(
-                Place(None, f"{why}, farther than {most_m:g} m from where it could")
-            )
+            where = "on a lane or in the junction"
+            if wall is not None:
+                where = f"inside {wall.class_name} {wall.id}"
+            why = f"it stands {where}, farther than {most_m:g} m from where it could"
+            places.append(Place(None, why))
             continue
         nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
         away_m = float(np.hypot(*(nearest - position)))
-        places.append(
-            Place(np.round(nearest, 3), f"{why}: moved {away_m:.1f} m {target}")
+        why = Phrase(
+            "it stood on a lane or in the junction: moved {away:.1f} m to the nearest"
+            " kerb",
+            away=away_m,
         )
+        if wall is not None:
+            why = Phrase(
+                "it stood inside {kind} {name}: moved {away:.1f} m out of it",
+                kind=Phrase(wall.class_name),
+                name=wall.id,
+                away=away_m,
+            )
+        places.append(Place(np.round(nearest, 3), why))
     return places
 
 
@@ -634,12 +640,11 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
             notes.append(Note(what, f"it hangs over the road: its pole is {mast}"))
             continue
         if place.position_m is None:
-            notes.append(Note(what, f"no site: it stands {place.why}"))
+            notes.append(Note(what, f"no site: {place.why}"))
             continue
         if place.why:
-            notes.append(
-                Note(what, f"it stood {place.why}", kind="sites", site_ids=(pole.id,))
-            )
+            what = Phrase("{kind} {name}", kind=Phrase(pole.kind), name=pole.id)
+            notes.append(Note(what, place.why, kind="sites", site_ids=(pole.id,)))
             pole = replace(
                 pole, position_m=np.append(place.position_m, pole.position_m[2])
             )

@@ -23,6 +23,7 @@ from geometry.files import (
     take_number,
 )
 from geometry.image_boxes import box_height_px, iou
+from geometry.phrases import Phrase, join_phrases
 
 from .evidence import (
     VRU_CLASSES,
@@ -65,18 +66,20 @@ class GeometricDetector:
             check_field(self, "detector", field, is_valid, expected)
 
     @property
-    def description(self) -> str:
+    def description(self) -> Phrase:
         """When it detects."""
-        return (
-            "A road user counts as detected in a frame if the box around its visible"
-            " part overlaps "
-            f"the box around all of it by more than {self.min_iou:g} (intersection over"
-            " union), is "
-            f"at least {self.min_box_height_px:g} pixels high, and light and air leave"
-            " it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %."
-            f"{self.lidar.description if self.lidar else ''}"
+        words = Phrase(
+            "A road user counts as detected in a frame if the box around its "
+            "visible part overlaps the box around all of it by more than {iou:g} "
+            "(intersection over union), is at least {height:g} pixels high, and "
+            "light and air leave it a contrast of at least {contrast:g} %.",
+            iou=self.min_iou,
+            height=self.min_box_height_px,
+            contrast=100.0 * self.min_contrast,
         )
+        if self.lidar is None:
+            return words
+        return join_phrases([words, self.lidar.description], " ")
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
         """Rows that it detects, (n,)."""
@@ -194,57 +197,92 @@ class ResponseDetector:
     needs_pictures = False
 
     @property
-    def description(self) -> str:
+    def description(self) -> Phrase:
         """When it detects."""
-        return (
-            "Whether a road user is detected in a frame is drawn by the response model "
-            f"{self.name}: the probability depends on its height in pixels, the share"
-            " that is "
-            "seen, its class, the side that it shows and its contrast in light and"
-            " weather. The "
-            "detection table counts on frames with a probability of at least "
-            f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
-            f"{self.lidar.description if self.lidar else ''}"
-        )
+        words = [
+            Phrase(
+                "Whether a road user is detected in a frame is drawn by the response"
+                " model {name}: the probability depends on its height in pixels, the"
+                " share that is seen, its class, the side that it shows and its"
+                " contrast in light and weather.",
+                name=self.name,
+            ),
+            Phrase(
+                "The detection table counts on frames with a probability of at least"
+                " {least:g}.",
+                least=self.plan_probability,
+            ),
+        ]
+        if self.assumed_words():
+            words.append(self.assumed_words())
+        if self.alarm_words:
+            words.append(self.alarm_words)
+        if self.lidar is not None:
+            words.append(self.lidar.description)
+        return join_phrases(words, " ")
 
-    def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
+    def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> Phrase:
         """That nothing is measured of some of `classes`; empty where something is of all."""
         names = [name for name in self.assumed if name in classes]
         if not names:
-            return ""
+            return Phrase("")
         factors = dict(zip(VRU_CLASSES, self.class_factor.tolist(), strict=True))
-        words = " and ".join(f"{name} (factor {factors[name]:g})" for name in names)
-        return f" Nothing is measured of {words}: how well they are found is assumed."
+        *before, last = names
+        words = Phrase(
+            "{name} (factor {factor:g})", name=Phrase(last), factor=factors[last]
+        )
+        for name in reversed(before):
+            words = Phrase(
+                "{name} (factor {factor:g}) and {others}",
+                name=Phrase(name),
+                factor=factors[name],
+                others=words,
+            )
+        return Phrase(
+            "Nothing is measured of {classes}: how well they are found is assumed.",
+            classes=words,
+        )
 
     @property
-    def figures_words(self) -> str:
+    def figures_words(self) -> Phrase:
         """How many of its figures are measured, and which are assumed."""
         if self.assumed_figures is None:
-            return f"{self.name} does not say which of its figures are measured."
+            return Phrase(
+                "{name} does not say which of its figures are measured.", name=self.name
+            )
         names = [
             one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)
         ]
         n_measured = len(_FIGURES) - len(names)
-        if names:
-            listed = f"; assumed: {', '.join(names)}"
-        else:
-            listed = ""
-        return (
-            f"Of the {len(_FIGURES)} figures of {self.name} {n_measured} are"
-            f" measured{listed}."
+        if not names:
+            return Phrase(
+                "Of the {n} figures of {name} {measured} are measured.",
+                n=len(_FIGURES),
+                name=self.name,
+                measured=n_measured,
+            )
+        return Phrase(
+            "Of the {n} figures of {name} {measured} are measured; assumed: {names}.",
+            n=len(_FIGURES),
+            name=self.name,
+            measured=n_measured,
+            names=", ".join(names),
         )
 
     @property
-    def alarm_words(self) -> str:
+    def alarm_words(self) -> Phrase:
         """How often something is confirmed where nothing is; empty where that is unknown."""
         rate = self.false_tracks_per_hour
         if rate is None:
-            return ""
-        return (
-            f" As measured on its pictures, a unit confirms {rate.value:.3g} tracks of"
-            f" nothing per hour (95 %: {rate.low:.3g} to {rate.high:.3g}), each of"
-            " which may brake a car that it seems to cross the path of; they are no"
-            " part of the verdicts."
+            return Phrase("")
+        return Phrase(
+            "As measured on its pictures, a unit confirms {rate:.3g} tracks of "
+            "nothing per hour (95 %: {low:.3g} to {high:.3g}), each of which may "
+            "brake a car that it seems to cross the path of; they are no part of "
+            "the verdicts.",
+            rate=rate.value,
+            low=rate.low,
+            high=rate.high,
         )
 
     def __post_init__(self) -> None:

@@ -12,6 +12,7 @@ from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
+from geometry.phrases import Phrase
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
 _ADULT_FROM_M = (
@@ -156,12 +157,14 @@ class LidarTable:
     plan_probability: float  # a plan counts on a detection from this probability on
 
     @property
-    def description(self) -> str:
+    def description(self) -> Phrase:
         """When it detects, in a sentence."""
-        return (
-            " What LiDARs find of those on whom there are enough points is drawn by"
-            f" {self.name}, by class and distance; the detection table counts on frames"
-            f" with a probability of at least {self.plan_probability:g}."
+        return Phrase(
+            "What LiDARs find of those on whom there are enough points is drawn by "
+            "{name}, by class and distance; the detection table counts on frames "
+            "with a probability of at least {least:g}.",
+            name=self.name,
+            least=self.plan_probability,
         )
 
     def probability(self, distance_m: FloatArray, vru_class: IntArray) -> FloatArray:
@@ -217,7 +220,7 @@ class Detector(Protocol):
         """Its name in reports."""
 
     @property
-    def description(self) -> str:
+    def description(self) -> Phrase:
         """When it detects, in a sentence or two."""
 
     @property

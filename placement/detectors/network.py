@@ -21,6 +21,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
+from geometry.phrases import Phrase, join_phrases
 
 from .evidence import (
     VRU_CLASSES,
@@ -554,9 +555,10 @@ def _first_line(error: Exception) -> Unquoted:
 
 # ---------- the detector
 _SCALES = (1, 2, 4, 8)
+_NO_WORDS = Phrase("")
 _CHOSEN_BY = {
-    "geometric": "by boxes alone",
-    "cnn-table": "by the response table fitted to it",
+    "geometric": Phrase("Poses are chosen by boxes alone."),
+    "cnn-table": Phrase("Poses are chosen by the response table fitted to it."),
 }
 
 
@@ -574,26 +576,40 @@ class NetworkDetector:
     min_confidence: float  # boxes below it do not count
     looks_at_crops: bool = False
     plans_with: str = "geometric"  # the built-in detector by which poses are chosen
-    alarm_words: str = (
-        ""  # how often it confirms what is not there, if that was measured
-    )
+    # how often it confirms what is not there, if that was measured
+    alarm_words: Phrase = _NO_WORDS
     lidar: LidarTable | None = None
 
     needs_pictures = True
 
     @property
-    def description(self) -> str:
+    def description(self) -> Phrase:
         """When it detects."""
-        return (
-            f"The network {self.name} looks at rendered pictures"
-            f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
-            f"count from a confidence of {self.min_confidence:g} on where they overlap"
-            " the road "
-            f"user's visible part by more than {load_min_iou():g} (intersection over"
-            " union). Poses "
-            f"are chosen {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}"
-            f"{self.lidar.description if self.lidar else ''}"
+        values = {
+            "name": self.name,
+            "least": self.min_confidence,
+            "iou": load_min_iou(),
+        }
+        looks = Phrase(
+            "The network {name} looks at rendered pictures; its boxes count from a "
+            "confidence of {least:g} on where they overlap the road user's visible "
+            "part by more than {iou:g} (intersection over union).",
+            **values,
         )
+        if self.looks_at_crops:
+            looks = Phrase(
+                "The network {name} looks at rendered pictures, around the road user; "
+                "its boxes count from a confidence of {least:g} on where they overlap "
+                "the road user's visible part by more than {iou:g} (intersection over "
+                "union).",
+                **values,
+            )
+        words = [looks, _CHOSEN_BY[self.plans_with]]
+        if self.alarm_words:
+            words.append(self.alarm_words)
+        if self.lidar is not None:
+            words.append(self.lidar.description)
+        return join_phrases(words, " ")
 
     def look(self, image: Image) -> ImageBoxes:
         """Find road users in a whole picture, (h, w, 3) uint8.

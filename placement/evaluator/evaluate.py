@@ -15,6 +15,7 @@ from geometry.errors import refuse
 from geometry.files import read_data
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
+from geometry.phrases import Phrase
 from geometry.poses import wrap_deg
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 # ---------- frames in which the VRU is detected, by every unit and by the VUT itself
 UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
-STAGE = "evaluate"
+STAGE = Phrase("evaluate")
 
 _VUT_JOBS = (
     4  # nothing repeats in the VUT's images: they take longer than those of an RSU
@@ -99,7 +100,9 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
     if not setting.cars or setting.seen_by_vut is not None:
         return setting
     with one_blas_thread():
-        seen = watch(setting, {}, compute=compute.within("what the car sees"))[VUT_KEY]
+        seen = watch(setting, {}, compute=compute.within(Phrase("what the car sees")))[
+            VUT_KEY
+        ]
     return replace(setting, seen_by_vut=freeze(seen))
 
 

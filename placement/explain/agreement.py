@@ -11,12 +11,12 @@ from geometry.arrays import BoolArray, IntArray
 from geometry.files import says
 from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
+from geometry.phrases import Phrase
 
 from ..cache import cached_value
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute
 from ..detection_table import DetectionTable
-from ..detectors import Evidence
 from ..evaluation import Evaluation, Verdict
 from ..live import table_verdict
 from ..setting import Setting
@@ -122,37 +122,48 @@ def _cause(
     setting: Setting,
     differing: Sequence[tuple[CandidatePose, IntArray]],
     on_table: dict[str, BoolArray],
-) -> str:
+) -> Phrase:
     """Description of the first frame that differs."""
     somewhere = [(int(frames[0]), unit) for unit, frames in differing if len(frames)]
     if not somewhere:
-        return "messages: latency or packets lost"
+        return Phrase("messages: latency or packets lost")
     frame, unit = min(somewhere, key=lambda pair: pair[0])
-    place = f"{unit.id} at {setting.axis.time_s[frame]:.1f} s: "
+    time_s = float(setting.axis.time_s[frame])
     if isinstance(unit.sensor, LidarModel):
-        return place + "about as many points as it takes"
+        return Phrase(
+            "{unit} at {time:.1f} s: about as many points as it takes",
+            unit=unit.id,
+            time=time_s,
+        )
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
     from ..evaluator import build_surroundings, perceive_frames  # loads the compiler
 
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
     frames = np.array([frame - int(setting.axis.run_start[run])])
     evidence = perceive_frames(surroundings.take(frames), (unit.pose, unit.sensor))
-    return place + _what_is_seen(
-        setting, evidence, is_on_table=bool(on_table[unit.id][frame])
-    )
-
-
-def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) -> str:
-    expected = bool(setting.table_detector.is_expected(evidence)[0])
-    seen = (
-        f"{float(box_height_px(evidence.visible_px)[0]):.1f} px high, "
-        f"{100.0 * float(evidence.visible_share[0]):.0f} % seen, "
-        f"IoU {float(iou(evidence.visible_px, evidence.amodal_px)[0]):.2f}"
-    )
+    seen = {
+        "unit": unit.id,
+        "time": time_s,
+        "height": float(box_height_px(evidence.visible_px)[0]),
+        "share": 100.0 * float(evidence.visible_share[0]),
+        "iou": float(iou(evidence.visible_px, evidence.amodal_px)[0]),
+    }
     if setting.detector.needs_pictures:
-        return (
-            f"{setting.detector.name} judges the picture otherwise than boxes ({seen})"
+        return Phrase(
+            "{unit} at {time:.1f} s: {detector} judges the picture otherwise than "
+            "boxes ({height:.1f} px high, {share:.0f} % seen, IoU {iou:.2f})",
+            detector=setting.detector.name,
+            **seen,
         )
-    if expected == is_on_table:
-        return f"chance or a lost message ({seen})"
-    return f"sample points and pixels differ at the limit ({seen})"
+    is_expected = bool(setting.table_detector.is_expected(evidence)[0])
+    if is_expected == bool(on_table[unit.id][frame]):
+        return Phrase(
+            "{unit} at {time:.1f} s: chance or a lost message ({height:.1f} px high, "
+            "{share:.0f} % seen, IoU {iou:.2f})",
+            **seen,
+        )
+    return Phrase(
+        "{unit} at {time:.1f} s: sample points and pixels differ at the limit "
+        "({height:.1f} px high, {share:.0f} % seen, IoU {iou:.2f})",
+        **seen,
+    )

@@ -9,6 +9,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray
 from geometry.files import says
+from geometry.phrases import Phrase
 from scenarios.aeb import AebRule
 from scenarios.weights import weight_share
 
@@ -28,7 +29,7 @@ from ..optimiser.constants import TOLERANCE
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 
-STAGE = "other priorities"
+STAGE = Phrase("other priorities")
 TIME_LIMIT_S = 10.0  # most time for each alternative: it is mentioned in passing
 
 

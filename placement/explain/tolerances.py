@@ -8,6 +8,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.files import says
+from geometry.phrases import Phrase
 from geometry.poses import wrap_deg
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
@@ -20,7 +21,7 @@ from ..optimiser.problem import Fusion
 from ..setting import Setting
 from ..visibility.build import detected_frames
 
-TOLERANCES = "tolerances"
+TOLERANCES = Phrase("tolerances")
 TURNS_DEG = (0.5, 1.0, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 LIFTS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
 

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.phrases import Phrase
 
 from . import constants
 from .allowed_sets import Choice, build_choice
@@ -288,9 +289,9 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
     return min(limit, reduced.measure.limit)
 
 
-def relaxation_text() -> str:
+def relaxation_text() -> Phrase:
     """Name and version of the relaxation, for a certificate."""
-    return f"Lagrangian relaxation with OSQP {version('osqp')}"
+    return Phrase("Lagrangian relaxation with OSQP {osqp}", osqp=version("osqp"))
 
 
 def polished(root: Root) -> Root:

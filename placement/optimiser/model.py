@@ -20,6 +20,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
+from geometry.phrases import Phrase
 
 from . import constants
 from .allowed_sets import Limits
@@ -45,9 +46,13 @@ class Answer:
     bound: float
 
 
-def solver_text() -> str:
+def solver_text() -> Phrase:
     """Solver and versions, for a certificate."""
-    return f"HiGHS {version('highspy')} through cvxpy {version('cvxpy')}"
+    return Phrase(
+        "HiGHS {highs} through cvxpy {cvxpy}",
+        highs=version("highspy"),
+        cvxpy=version("cvxpy"),
+    )
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, check_one_of, refuse
+from geometry.phrases import Phrase
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.confirmation import is_in_time
 from scenarios.runs import FrameAxis, live_confirmation_times_s
@@ -41,7 +42,7 @@ class Objective(StrEnum):
     MEAN_MARGIN = "mean_margin_s"
 
     @property
-    def label(self) -> str:
+    def label(self) -> Phrase:
         """Name in reports."""
         return _LABELS[self]
 
@@ -90,13 +91,13 @@ class Objective(StrEnum):
 
 
 _LABELS = {
-    Objective.UNITS: "units",
-    Objective.COST: "cost",
-    Objective.APR_SURVIVED: "APR if the most needed units fail",
-    Objective.APR: "APR",
-    Objective.APR_ONE_FAILED: "APR if the most needed unit fails",
-    Objective.SMALLEST_MARGIN: "smallest time to spare",
-    Objective.MEAN_MARGIN: "mean time to spare",
+    Objective.UNITS: Phrase("units"),
+    Objective.COST: Phrase("cost"),
+    Objective.APR_SURVIVED: Phrase("APR if the most needed units fail"),
+    Objective.APR: Phrase("APR"),
+    Objective.APR_ONE_FAILED: Phrase("APR if the most needed unit fails"),
+    Objective.SMALLEST_MARGIN: Phrase("smallest time to spare"),
+    Objective.MEAN_MARGIN: Phrase("mean time to spare"),
 }
 VALUE_OBJECTIVES = (
     Objective.APR,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
+from geometry.phrases import Phrase
 
 from . import constants
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
@@ -64,7 +65,7 @@ class Search:
         self.reduced = reduced
         self.deadline = deadline
         self.is_exact = is_exact  # whether walks and models may be used
-        self.proofs: dict[str, None] = {}
+        self.proofs: dict[Phrase, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
         self.apr_of_vut = float(
@@ -362,7 +363,7 @@ class Stages:
         fewest = max(fewest, int(reduced.limits.is_forced.sum()))
         most = min(len(self._units()) - 1, constants.MAX_WALK_UNITS)
         while fewest <= most and not deadline.is_over:
-            search.proofs["branch and bound"] = None
+            search.proofs[Phrase("branch and bound")] = None
             units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
             if units is not None:
                 search.keep(units)
@@ -691,7 +692,7 @@ class Stages:
                 )
                 self.is_complete = is_complete and has_any
             if self.is_complete:
-                search.proofs["exhaustive enumeration"] = None
+                search.proofs[Phrase("exhaustive enumeration")] = None
         return self.is_complete
 
     def _walk(self, n_failures: int) -> bool:
@@ -719,7 +720,7 @@ class Stages:
             tied = self._find_tied(n_failures)
         else:
             return False
-        search.proofs["branch and bound"] = None
+        search.proofs[Phrase("branch and bound")] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
             contenders = best_of_tied(

@@ -14,6 +14,7 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
@@ -72,8 +73,9 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         raise UnmetError("separation_m", got, "one of them at most")
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        expected = (
-            f"at least {n_needed}, the units that are forced or stand at forced sites"
+        expected = Phrase(
+            "at least {n}, the units that are forced or stand at forced sites",
+            n=n_needed,
         )
         raise UnmetError("budget", limits.budget_units, expected)
     needed = cost_eur(limits, forced)
@@ -101,8 +103,10 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
             raise UnmetError(
                 floor.name,
                 Unquoted(f"{floor.share:g}"),
-                f"at most {_rounded_down(reached)}, what all candidate poses together"
-                " reach",
+                Phrase(
+                    "at most {share}, what all candidate poses together reach",
+                    share=_rounded_down(reached),
+                ),
             )
 
 
@@ -243,7 +247,7 @@ def solve_placement(
     pose_index = to_full(reduced, search.units)
     values = objective_values(problem, pose_index)
     stages = tuple(build_stage(one, values[one], bound, s) for one, bound, s in records)
-    solver = " and ".join(search.proofs) or "simple bounds, no solver"
+    solver = _joined([*search.proofs])
     return Solution(
         pose_index=pose_index,
         certificate=Certificate(stages=stages, solver=solver),
@@ -364,13 +368,25 @@ def _solve_large(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
             stages=tuple(stages),
-            solver=(
-                f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
-                f"{len(pool)}"
+            solver=Phrase(
+                "{solver}: relaxation of all {n} poses, search among {n_pool}",
+                solver=relaxation_text(),
+                n=n_poses,
+                n_pool=len(pool),
             ),
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
+
+
+def _joined(proofs: Sequence[Phrase]) -> Phrase:
+    """What a proof rests on, for a certificate."""
+    if not proofs:
+        return Phrase("simple bounds, no solver")
+    first, *others = proofs
+    if not others:
+        return first
+    return Phrase("{proof} and {others}", proof=first, others=_joined(others))
 
 
 def _promising_poses(every: ReducedProblem, gains: FloatArray, n_pool: int) -> IntArray:
@@ -420,9 +436,11 @@ def _unmet_by_pool(
     error: UnmetError, pool: IntArray, every: ReducedProblem
 ) -> UnmetError:
     """What is refused when the time is up before all poses were looked at."""
-    looked_at = f"{len(pool)} of {every.n_poses} poses"
-    expected = (
-        f"more time than the limit: among {looked_at} no layout was found that meets it"
+    expected = Phrase(
+        "more time than the limit: among {n_looked_at} of {n_poses} poses no layout was"
+        " found that meets it",
+        n_looked_at=len(pool),
+        n_poses=every.n_poses,
     )
     return UnmetError(error.where, error.got, expected)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 
 from .files import (
     VRU_CLASSES,
@@ -32,13 +33,13 @@ from .files import (
 )
 from .formats import STUDY, find_format
 
-NO_WORLD = "frames without WorldData"
-OTHER_LABELS = "labels of other classes"
-OTHER_DETECTIONS = "detections of other classes"
-OUTSIDE = "boxes outside the image"
-NO_AREA = "boxes without area"
-REPEATED = "lines that repeat others"
-OTHER_NAMES = "files and folders with other names"
+NO_WORLD = Phrase("frames without WorldData")
+OTHER_LABELS = Phrase("labels of other classes")
+OTHER_DETECTIONS = Phrase("detections of other classes")
+OUTSIDE = Phrase("boxes outside the image")
+NO_AREA = Phrase("boxes without area")
+REPEATED = Phrase("lines that repeat others")
+OTHER_NAMES = Phrase("files and folders with other names")
 RESETS = "frames between drives (bodies back at their starts)"
 TOO_SHORT = "frames of drives too short to tell their motion"
 NO_APPROACH = "frames of drives in which nothing approaches"

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, float_array, set_arrays
 from geometry.errors import InputError, Unquoted
+from geometry.phrases import Phrase
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis, find_onsets
 
@@ -96,14 +97,14 @@ def estimate_mean(
         share = 1.0 - (1.0 - 0.95) ** (1.0 / n)
         low = mean + share * (lowest - mean)
         high = mean + share * (highest - mean)
-        method = f"95 % interval: no spread in {n} samples, rule of three"
+        method = Phrase("95 % interval: no spread in {n} samples, rule of three", n=n)
     else:
         from scipy.special import stdtrit
 
         reach = float(stdtrit(n - 1, 0.5 + 0.5 * 0.95)) * error
         low = max(lowest, mean - reach)
         high = min(highest, mean + reach)
-        method = f"95 % interval: Student's t, {n} samples"
+        method = Phrase("95 % interval: Student's t, {n} samples", n=n)
     return MeanEstimate(
         mean=mean, standard_error=error, low=low, high=high, method=method
     )
@@ -155,7 +156,7 @@ def resampled_cvar(
 # ---------- layouts in new worlds
 
 
-STAGE = "out of sample"
+STAGE = Phrase("out of sample")
 APART = 100_000
 """Number of the first world in which layouts are chosen among: the answer is judged in others."""
 N_DRAWS = 4  # of a world: a draw costs a sixth of a world

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.lidar import LidarModel
+from geometry.phrases import Phrase
 from geometry.weather import pick_weather
 
 from ..candidates import CandidatePose
@@ -173,7 +174,7 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 
 
 # ---------- detection tables of sampled worlds
-STAGE = "sampled detection tables"
+STAGE = Phrase("sampled detection tables")
 _log = logging.getLogger(__name__)
 _ROWS = 256  # unpacked at a time
 
@@ -402,13 +403,12 @@ def obtain_table(
         if cached is not None:
             _log.info("detection table read from %s", path)
             if sample is None:
-                told = ("detection table (cached)", 0, 0)
+                compute.progress(Phrase("detection table (cached)"), 0, 0)
             else:
-                told = (STAGE, 1, 1)
-            compute.progress(*told)
+                compute.progress(STAGE, 1, 1)
             return cached
     if sample is None:
-        compute.progress("detection table", 0, 0)
+        compute.progress(Phrase("detection table"), 0, 0)
     if sample is not None and drawn is not None:
         (table,) = build_drawn_tables(sample, drawn, compute=compute, lasting=share())
     else:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray
 from geometry.errors import InputError
 from geometry.lidar import LidarModel, load_lidar_detection
+from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.weather import pick_weather
 from scenarios.runs import FrameAxis, Run
@@ -27,7 +28,7 @@ from .sensing import build_sensing, cast_for
 
 N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
 
-STAGE = "detection table"
+STAGE = Phrase("detection table")
 
 
 def build_detection_table(

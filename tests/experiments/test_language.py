@@ -1,7 +1,9 @@
 """Every message of an answer has a German translation, with the same names in braces."""
 
 import ast
+import copy
 import json
+import pickle
 import re
 import string
 from dataclasses import replace
@@ -17,10 +19,14 @@ from babel.messages.pofile import read_po
 from made_up_language import Bracketed, left_over
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
+from messages_of_data import messages_of_data
 from partial_pages import blank_png
 from small_results import lay_runs_of
 
 import experiments
+import geometry
+import placement
+import scenarios
 from experiments import language as spoken
 from experiments.figures.axes import root_figure
 from experiments.language import (
@@ -28,10 +34,10 @@ from experiments.language import (
     language,
     localized,
     mark,
-    said,
     set_language,
     speaking,
     tr,
+    tr_error,
     trn,
 )
 from experiments.parts import latency as latency_part
@@ -39,9 +45,10 @@ from experiments.parts import section, sheet
 from experiments.parts.alternatives import doubt_sentences
 from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
-from geometry.files import load_data
+from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
+from geometry.phrases import Phrase, join_phrases
 from geometry.study_scene import load_study_scene
 from geometry.weather import load_weathers
 from placement.detectors import ResponseDetector, load_detector
@@ -55,7 +62,8 @@ from scenarios.cases import ROAD_USER_GROUPS, load_cases, load_unlaid_cases, wor
 
 ROOT = Path(experiments.__file__).parent
 CATALOGUES = sorted((ROOT / "languages" / "de").glob("*.po"))
-KEYWORDS = {"tr": None, "trn": (1, 2), "mark": None}
+PACKAGES = (experiments, placement, scenarios, geometry)
+KEYWORDS = {"tr": None, "trn": (1, 2), "mark": None, "Phrase": None}
 
 
 class Upside(Messages):
@@ -70,28 +78,22 @@ class Upside(Messages):
 def messages_of_code():
     """Each message with the places where it stands; of plurals both forms."""
     found = {}
-    for path in sorted(ROOT.rglob("*")):
+    folders = [Path(package.__file__).parent for package in PACKAGES]
+    for path in sorted(path for folder in folders for path in folder.rglob("*")):
         method = {".py": "python", ".j2": "jinja2"}.get(path.suffix)
-        if method and path.name != "language.py":
+        if method and path.name not in ("language.py", "phrases.py"):
             options = {"extensions": "jinja2.ext.do", "silent": "false"}
             for line, message, *_ in extract_from_file(
                 method, path, KEYWORDS, options=options
             ):
-                found.setdefault(message, []).append(f"{path.relative_to(ROOT)}:{line}")
+                found.setdefault(message, []).append(
+                    f"{path.relative_to(ROOT.parent)}:{line}"
+                )
+    found.pop("", None)  # Phrase(""): nothing is said
     for one, many in page_messages():
         found.setdefault((one, many) if one else many, []).append("planner/page/*.js")
-    for message in load_data("experiments", "said_below.toml")["messages"]:
-        found.setdefault(message, []).append("data/said_below.toml")
-    for of_part in load_data("experiments", "texts.toml").values():
-        for message in of_part.values():
-            if isinstance(message, str):
-                key = message
-            else:
-                key = tuple(message)
-            found.setdefault(key, []).append("data/texts.toml")
-    for messages in load_data("experiments", "lists.toml").values():
-        for message in messages:
-            found.setdefault(message, []).append("data/lists.toml")
+    for message, places in messages_of_data().items():
+        found.setdefault(message, []).extend(places)
     return found
 
 
@@ -153,6 +155,47 @@ def test_numbers_among_the_values_are_written_as_the_language_does():
         assert localized("1,200.50") == "1.200,50"
         assert tr("{text}", text="1.5") == "1.5"
     assert language() == "en"
+
+
+def test_a_phrase_is_translated_with_the_phrases_and_numbers_within_it():
+    thing = Phrase("lamp post")
+    why = Phrase(
+        "{thing} stands {far:.1f} m away, next to {name}",
+        thing=thing,
+        far=2.5,
+        name="A",
+    )
+    assert (str(why), tr(why)) == ("lamp post stands 2.5 m away, next to A",) * 2
+    with speaking("de"):
+        assert tr(why) == "Laternenmast stands 2,5 m away, next to A"
+        assert tr("{why}.", why=why) == "Laternenmast stands 2,5 m away, next to A."
+        joined = join_phrases([thing, "A"], "; ")
+        assert tr(joined) == "Laternenmast; A"
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))]
+)
+def test_copies_of_a_phrase_are_translated_too(copied):
+    phrase = Phrase(
+        "{arm} arm, {distance:.0f} m out", arm=Phrase("north"), distance=12.4
+    )
+    again = copied(phrase)
+    assert again == phrase
+    with speaking("de"):
+        assert tr(again) == tr(phrase) != phrase
+
+
+def test_each_message_stands_in_one_catalogue():
+    assert {path.name for path in CATALOGUES} == {"answer.po", "page.po", "report.po"}
+    assert not {
+        one: entries for one, entries in translations().items() if len(entries) > 1
+    }
+
+
+def test_nothing_is_said_where_there_is_no_text():
+    with speaking("de"):
+        assert tr("") == ""
 
 
 def test_another_catalogue_can_be_spoken_for_a_block():
@@ -379,7 +422,9 @@ def test_what_the_packages_below_say_is_known():
     figures = [
         one.figures_words for one in detectors if isinstance(one, ResponseDetector)
     ]
-    texts += [listed.sub("key_of_file", words) for words in figures]
+    for words in figures:
+        keys = listed.sub("key_of_file", words.fields.get("names", ""))
+        texts.append(Phrase(words.template, **(words.fields | {"names": keys})))
     kinds = [*load_prices().kinds, "sign"]
     sites = [
         replace(scene.sites[0], kind=kind, cost_eur=0.0)
@@ -389,7 +434,7 @@ def test_what_the_packages_below_say_is_known():
     texts += [*load_weathers(), *ARM_NAMES, *ROAD_USER_GROUPS, *VRU_CLASSES]
     texts += [objective.label for objective in Objective]
     with speaking("de", Bracketed()):
-        left = {text: left_over(said(text)) for text in texts}
+        left = {text: left_over(tr(text)) for text in texts}
     assert len(texts) > 150
     assert not {text: words for text, words in left.items() if words}
 
@@ -443,7 +488,7 @@ def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
 
 
 def words_of(node):
-    """A text in code, with 1 in place of each value; None: it is none."""
+    """A text in code that no message says, with 1 in place of each value; None: it is none."""
     if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Unquoted":
         node = node.args[0]
     if isinstance(node, ast.JoinedStr):
@@ -455,7 +500,8 @@ def words_of(node):
     return None
 
 
-def test_what_the_planner_refuses_is_known():
+def test_what_the_planner_refuses_is_translated():
+    """Literals in errors are marked, and texts with values are phrases."""
     texts = set()
     for path in sorted((ROOT / "planner").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -483,12 +529,18 @@ def test_what_the_planner_refuses_is_known():
         "blind or see: the page tells each run once",
     }
     options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}
-    assert options < texts  # of the command line, in English
-    texts -= {*options, "0 to 1"}  # numbers of variants, which the page gives
-    with speaking("de", Bracketed()):
-        left = {text: {*left_over(said(text))} - {"json"} for text in texts}
-    assert len(left) > 60
-    assert not {text: words for text, words in left.items() if words}
+    # Of the command line, in English; and numbers of variants, which the page gives.
+    assert texts == {*options, "1:1: 1", "0 to 1"}
+
+
+def test_an_error_is_translated_with_all_that_it_names():
+    error = InputError(
+        mark("height"), 7.5, Phrase("{low:g} .. {high:g} m", low=1, high=2.5)
+    )
+    assert tr_error(error) == str(error) == "height: got 7.5; expected 1 .. 2.5 m"
+    with speaking("de"):
+        assert tr_error(error) == "Höhe: 7,5 gegeben; erwartet: 1 .. 2,5 m"
+        assert tr_error(ValueError("no answer")) == "no answer"
 
 
 def test_counted_runs_stand_in_german_where_the_nominative_does():

@@ -10,6 +10,7 @@ from geometry.errors import InputError
 from geometry.frames import from_gltf_points, to_gltf_points
 from geometry.junction import build_junction
 from geometry.notes import Note
+from geometry.phrases import Phrase
 from geometry.scene import LeadingRoad
 from geometry.scene_files import (
     SCENE_FILE,
@@ -156,6 +157,59 @@ def test_gltfs_frame_and_back():
 def test_a_wrong_field_is_named(folder, tmp_path, old, new, message):
     with pytest.raises(InputError, match=message):
         load_scene_folder(changed(folder, tmp_path, old, new))
+
+
+def moved_sign():
+    """A note whose texts have fields."""
+    what = Phrase("{kind} {name}", kind=Phrase("sign"), name="4711")
+    why = Phrase(
+        "it stood inside {kind} {name}: moved {away:.1f} m",
+        kind="wall",
+        name="3",
+        away=2.5,
+    )
+    return Note(what=what, why=why, kind="sites", site_ids=("4711",))
+
+
+@pytest.fixture
+def with_phrases(tmp_path):
+    """Folder of a scene with such a note."""
+    folder = tmp_path / "with-phrases"
+    folder.mkdir()
+    save_scene(folder, replace(load_study_scene(), notes=(moved_sign(),)))
+    return folder
+
+
+def test_notes_come_back_with_what_a_translation_needs(with_phrases):
+    (note,) = load_scene_folder(with_phrases).notes
+    assert note == moved_sign()
+    for read, wrote in ((note.what, moved_sign().what), (note.why, moved_sign().why)):
+        assert (read.template, read.fields) == (wrote.template, wrote.fields)
+
+
+def test_a_note_that_was_changed_by_hand_says_what_it_says_now(with_phrases, tmp_path):
+    again = changed(
+        with_phrases,
+        tmp_path,
+        'why = "it stood inside wall 3',
+        'why = "it is at wall 3',
+    )
+    (note,) = load_scene_folder(again).notes
+    assert note.why == note.why.template == "it is at wall 3: moved 2.5 m"
+    assert note.what.template == "{kind} {name}"
+
+
+@pytest.mark.parametrize(
+    "field", ["{away:999999999d}", "{away.__class__}", "{away!r}", "{away[0]}"]
+)
+def test_a_phrase_of_a_file_formats_nothing_but_plain_values(
+    with_phrases, tmp_path, field
+):
+    again = changed(with_phrases, tmp_path, "{away:.1f}", field)
+    with pytest.raises(
+        InputError, match=r"skipped\[0\].phrases: got others; expected those of"
+    ):
+        load_scene_folder(again)
 
 
 def test_what_is_no_scene_is_refused(folder, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geometry.arrays import FloatArray
+from geometry.phrases import Phrase
 from placement import cache, fingerprints
 from placement.cache import MAX_ARRAYS, MAX_FILES, CachedArrays, cached_value
 from placement.fingerprints import Fingerprints
@@ -74,6 +75,25 @@ def test_what_has_no_hash_is_an_error_of_the_program():
 
 
 # There and back
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    title: str
+    why: Phrase
+
+
+def test_phrases_come_back_with_what_a_translation_needs(tmp_path):
+    why = Phrase("{thing} stands {far:.1f} m away", thing=Phrase("lamp post"), far=2.5)
+    reason = Reason(title=Phrase("{n} runs", n=3), why=why)
+    for _ in range(2):
+        found = cached_value(
+            tmp_path, "reason", lambda: reason, kind=Reason, made_from=()
+        )
+        assert found == reason
+        assert (found.title.template, found.title.fields) == ("{n} runs", {"n": 3})
+        assert (found.why.template, found.why.fields) == (why.template, why.fields)
+        assert found.why.fields["thing"].template == "lamp post"
 
 
 def test_what_is_kept_is_there_for_the_next_call(tmp_path, caplog):

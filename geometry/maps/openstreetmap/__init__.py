@@ -12,6 +12,7 @@ from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted, refuse
 from ...files import Progress, counted, silent, write_atomically
 from ...notes import Note
+from ...phrases import Phrase
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import SourceMap, parse_length_m
 from .elements import DEFAULTS, Elements, Way, read_elements
@@ -133,7 +134,7 @@ def read_openstreetmap(
         else:
             found = "no nodes"
         refuse(str(path), found, "a map with roads")
-    progress("read streets", 0, 0)
+    progress(Phrase("read streets"), 0, 0)
     elements, crs = _placed(elements, rows, path)
     side = "given"
     if keeps_left is None:
@@ -147,14 +148,17 @@ def read_openstreetmap(
     crosswalks_m = find_crosswalks(network)
     n_buildings = sum("building" in way.tags for way in elements.ways)
     buildings = counted(
-        find_buildings(network), "read buildings", n_buildings, progress
+        find_buildings(network), Phrase("read buildings"), n_buildings, progress
     )
     built = (*buildings, *find_bridges(network, reaches))
     things = (*built, *find_barriers(elements), *find_trees(elements))
     skipped = elements.omissions.listed()
     if not side:
-        why = "no tag, roundabout or pair of carriageways shows it: taken to keep right"
-        skipped = (Note("side of the road", why, kind="side of the road"), *skipped)
+        what = Phrase("side of the road")
+        why = Phrase(
+            "no tag, roundabout or pair of carriageways shows it: taken to keep right"
+        )
+        skipped = (Note(what, why, kind="side of the road"), *skipped)
     return SourceMap(
         name=path.name,
         crs=crs,

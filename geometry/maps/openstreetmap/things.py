@@ -13,6 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ...arrays import FloatArray
 from ...errors import InputError
 from ...lines import along_m, points_at, unit
+from ...phrases import Phrase
 from ...scene import join
 from ..source_map import (
     Omissions,
@@ -205,10 +206,14 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         assumed = ""
         if kind in ("traffic light", "sign") and (row in network.ends or row in places):
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
-            assumed = "mapped on the road: a pole at the kerb is assumed"
+            assumed = Phrase("mapped on the road: a pole at the kerb is assumed")
             if len(feet) > 1:
-                poles_there = f"{len(feet)} poles at the kerbs are assumed"
-                assumed = f"node {node_id} is mapped on the road: {poles_there}"
+                assumed = Phrase(
+                    "node {name} is mapped on the road: {n} poles at the kerbs are"
+                    " assumed",
+                    name=node_id,
+                    n=len(feet),
+                )
             if not feet:
                 why = "inside a junction, where nobody stops"
                 elements.omissions.add(f"{kind}s", f"node {node_id}", why)

@@ -4,15 +4,21 @@ from types import SimpleNamespace
 
 from experiments.cli.answers import assumption_parts
 from experiments.cli.terminal import answer_text
+from experiments.language import speaking
 from experiments.parts.assumptions import _figures, assumption_sentences
 from experiments.report.page import page_template
 from geometry.notes import Note
+from geometry.phrases import Phrase
 from placement.detectors import load_detector
 
 
 def moved(site_id, away_m):
-    why = f"it stood on a lane: moved {away_m} m to the nearest kerb"
-    return Note(kind="sites", what=f"sign {site_id}", why=why, site_ids=(site_id,))
+    why = Phrase(
+        "it stood on a lane or in the junction: moved {away:.1f} m to the nearest kerb",
+        away=away_m,
+    )
+    what = Phrase("{kind} {name}", kind=Phrase("sign"), name=site_id)
+    return Note(kind="sites", what=what, why=why, site_ids=(site_id,))
 
 
 def result(*notes):
@@ -22,12 +28,16 @@ def result(*notes):
 def test_sites_of_which_the_same_is_assumed_share_a_sentence():
     notes = [moved(f"n{i}", away_m) for i, away_m in enumerate((12.5, 3.0, 16.8, 4.0))]
     assert assumption_sentences(result(*notes)) == [
-        "4 sites (n0, n1, n2 and 1 more): it stood on a lane: moved 3 to 16.8 m to the"
-        " nearest kerb."
+        "4 sites (n0, n1, n2 and 1 more): it stood on a lane or in the junction: moved"
+        " 3 to 16.8 m to the nearest kerb."
     ]
     assert assumption_sentences(result(notes[0])) == [
-        "sign n0: it stood on a lane: moved 12.5 m to the nearest kerb."
+        "sign n0: it stood on a lane or in the junction: moved 12.5 m to the nearest"
+        " kerb."
     ]
+    with speaking("de"):
+        (text,) = assumption_sentences(result(*notes))
+        assert "3 bis 16,8 m" in text
 
 
 def test_the_terminal_tells_the_first_few_and_counts_the_others():
@@ -63,15 +73,13 @@ def test_the_page_has_a_box_where_something_is_assumed():
 def test_the_report_counts_the_measured_figures_of_response_tables():
     response = load_detector("response")
     table = load_detector("cnn-table")
-    assert (
-        _figures(SimpleNamespace(detector=response, table_detector=response))
-        == f" {response.figures_words}"
-    )
+    figures = _figures(SimpleNamespace(detector=response, table_detector=response))
+    assert figures == [response.figures_words]
     # A network's own table stands in for it; boxes alone have no such figures.
     network = SimpleNamespace(name="cnn")
-    told = _figures(SimpleNamespace(detector=network, table_detector=table))
+    (told,) = _figures(SimpleNamespace(detector=network, table_detector=table))
     assert told.startswith(
-        " Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist"
+        "Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist"
     )
     rule = load_detector()
-    assert _figures(SimpleNamespace(detector=rule, table_detector=rule)) == ""
+    assert _figures(SimpleNamespace(detector=rule, table_detector=rule)) == []

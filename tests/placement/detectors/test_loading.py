@@ -128,7 +128,7 @@ def test_what_a_table_assumes_is_said(write):
     )
     assert words in detector.description
     assert detector.assumed_words(["car"]).startswith(
-        " Nothing is measured of car (factor 0.7):"
+        "Nothing is measured of car (factor 0.7):"
     )
     assert detector.assumed_words(["pedestrian"]) == ""
 
