@@ -40,11 +40,9 @@ class InputError(ValueError):
 
 def refuse(where: str, words: object, expected: str) -> NoReturn:
     """Raise InputError about something that is told in words, not shown as a value."""
-    if isinstance(words, Phrase):
-        shown = words
-    else:
-        shown = Unquoted(words)
-    raise InputError(where, shown, expected)
+    if not isinstance(words, Phrase):
+        words = Unquoted(words)
+    raise InputError(where, words, expected)
 
 
 @contextmanager

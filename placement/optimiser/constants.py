@@ -288,7 +288,8 @@ def are_sums_apart(amounts: FloatArray) -> bool:
     denominator = 1
     for amount in np.unique(amounts).tolist():
         fraction = Fraction(amount).limit_denominator(MOST_DENOMINATOR)
-        if abs(float(fraction) - amount) > EXACT * max(1.0, amount):
+        is_lost = fraction == 0 and amount != 0.0  # a weight of 1e-300 is no zero
+        if is_lost or abs(float(fraction) - amount) > EXACT * max(1.0, amount):
             return False
         denominator = lcm(denominator, fraction.denominator)
         if denominator * FAR_APART > 1.0:

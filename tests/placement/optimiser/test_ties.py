@@ -146,6 +146,7 @@ def test_ties_are_equal_where_weights_are_fractions_or_all_is_avoided() -> None:
     odd = rng.random(20)
     odd /= odd.sum()
     assert not are_sums_apart(odd)
+    assert not are_sums_apart(np.array([1.0, 1e-300]))  # no zero: sums of such tie
     assert build_measure(odd).least_tied(0.5) == pytest.approx(0.5 - 2.0e-9, abs=1e-15)
     assert build_measure(odd).least_tied(1.0) == 1.0
     sampled = build_measure(fractions, [0, 0, 1, 1], tail=0.5)
