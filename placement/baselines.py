@@ -16,12 +16,13 @@ from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
 from .optimiser.allowed_sets import fitting, is_allowed
 
-N_RANDOM = 100  # random layouts that are drawn to compare with
+# Random layouts that are drawn to compare with
+N_RANDOM = 100
 
-_MAX_TRIES = (
-    20  # for each random layout: limits may leave some draws no way to be completed
-)
-_MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
+# For each random layout: limits may leave some draws no way to be completed
+_MAX_TRIES = 20
+# Of a lane next to the junction that says where the lane leads
+_MOUTH_M = 10.0
 
 
 # ---------- random layouts
@@ -39,10 +40,8 @@ class RandomLayouts:
         Mean of all in each sampled world; one number where nothing was sampled.
     """
 
-    n_units: int  # of each
-    apr: FloatArray  # (n,): accident prevention ratio of each, 0..1
-    # (n_worlds,): mean of all in each sampled world; one number where nothing was
-    # sampled
+    n_units: int
+    apr: FloatArray
     mean_by_world: FloatArray
 
     @property
@@ -94,7 +93,8 @@ def random_sets(
     """
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
-    @cache  # every set begins alike
+    # Every set begins alike
+    @cache
     def free(units: tuple[int, ...]) -> IntArray:
         return np.flatnonzero(fitting(limits, np.array(units, dtype=np.intp)))
 
@@ -132,7 +132,8 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     }
     middle = np.mean([*corners.values()], axis=0)
 
-    def bearing_deg(corner: tuple[str, FloatArray]) -> float:  # clockwise from north
+    # Clockwise from north
+    def bearing_deg(corner: tuple[str, FloatArray]) -> float:
         east, north = corner[1] - middle
         return float(np.degrees(np.arctan2(east, north))) % 360.0
 
@@ -151,7 +152,8 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
                 line = line.turned(180.0)
             outward = outward or line
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
-    assert outward is not None  # an arm has lanes: that is how it was found
+    # An arm has lanes: that is how it was found
+    assert outward is not None
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
     return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
 
@@ -215,9 +217,8 @@ def _most_direct(
     """At each site that may carry something, the row of the pose that looks there most directly."""
     sites = limits.site_index
     off_deg = off_axis_deg(candidates, looked_at_m).round(6)
-    order = np.lexsort(
-        [off_deg, sites]
-    )  # stable: of equally direct ones the first comes first
+    # Stable: of equally direct ones the first comes first
+    order = np.lexsort([off_deg, sites])
     order = order[
         ~limits.is_forbidden[order] & (limits.site_capacity[sites[order]] > 0)
     ]
@@ -243,12 +244,10 @@ class Proposals:
         See :func:`corner_poses`.
     """
 
-    n_units: int  # of each random layout; the expert's has at most as many
-    random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
-    # for each site that must carry a unit, the one there that looks at the junction's
-    # middle the most directly
+    n_units: int
+    random: tuple[tuple[int, ...], ...]
     forced: tuple[int, ...]
-    corners: dict[str, int]  # see :func:`corner_poses`
+    corners: dict[str, int]
 
     @property
     def rows(self) -> tuple[int, ...]:
@@ -306,13 +305,9 @@ class Baselines:
         Corners whose camera is among them, in the order of choice.
     """
 
-    random: RandomLayouts | None  # None where no random layout is within the limits
-    # rows of the detection table, ascending; empty where the rule is not within the
-    # limits
+    random: RandomLayouts | None
     expert: tuple[int, ...]
-    corners: tuple[
-        str, ...
-    ]  # corners whose camera is among them, in the order of choice
+    corners: tuple[str, ...]
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:

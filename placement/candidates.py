@@ -22,7 +22,8 @@ from geometry.terrain import ground_height_m
 from .compute import check_distinct
 from .question import Question, read_number, split_names
 
-if TYPE_CHECKING:  # solvers of differential equations come with it
+# Solvers of differential equations come with it
+if TYPE_CHECKING:
     from scenarios.aeb import AebRule
 
 
@@ -45,15 +46,11 @@ class CandidatePose:
         From its frame to the onset of braking; by default that of the braking rule. [s]
     """
 
-    id: str  #: unique name
-    site_id: (
-        str  #: site of the scene that carries it; empty for a pose at no known site
-    )
-    pose: Pose  #: where it is and looks, in the world frame
-    sensor: Sensor  #: what is mounted
-    latency_s: float | None = (
-        None  #: from its frame to braking; by default that of the rule. [s]
-    )
+    id: str
+    site_id: str
+    pose: Pose
+    sensor: Sensor
+    latency_s: float | None = None
 
     def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
@@ -96,16 +93,10 @@ class CandidateGrid:
         [deg]
     """
 
-    # : (n,): above the road; at a site the nearest height in its range. [m]
     heights_m: FloatArray
-    yaw_step_deg: (
-        float  #: yaws are the multiples of this all around; it divides 360. [deg]
-    )
-    pitches_deg: FloatArray  #: (n,): positive up. [deg]
-    sensors: tuple[Sensor, ...]  #: models to choose from
-    # : (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by
-    # default: a ring that : is tilted down on one side looks into the sky on the other,
-    # which suits none but a mount at : the edge of everything that matters. [deg]
+    yaw_step_deg: float
+    pitches_deg: FloatArray
+    sensors: tuple[Sensor, ...]
     ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:

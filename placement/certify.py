@@ -22,22 +22,42 @@ from .wishes import Wishes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Some sampled worlds, and what can be reached in them."""
+    """Some sampled worlds, and what can be reached in them.
 
-    first: int  # Number of its first world
-    bound: float  # Mean APR that no layout exceeds in its worlds, proven. 0 .. 1
-    apr: float  # Mean APR of the layout found in its worlds
-    found: tuple[int, ...]  # Rows of the candidates
+    Attributes
+    ----------
+    first : int
+        Number of its first world.
+    bound : float
+        Mean APR that no layout exceeds in its worlds, proven. 0 .. 1.
+    apr : float
+        Mean APR of the layout found in its worlds.
+    found : tuple of int
+        Rows of the candidates.
+    """
+
+    first: int
+    bound: float
+    apr: float
+    found: tuple[int, ...]
     greedy: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapEstimate:
-    """Limits of the best mean APR and of a layout's own, both at once with a confidence."""
+    """Limits of the best mean APR and of a layout's own, both at once with a confidence.
 
-    # Of the blocks' bounds: no layout's APR over all worlds is above its `high`
+    Attributes
+    ----------
+    most : MeanEstimate
+        Of the blocks' bounds: no layout's APR over all worlds is above its
+        `high`.
+    least : MeanEstimate
+        Of the layout in worlds that nothing was chosen in: its APR is not below
+        its `low`.
+    """
+
     most: MeanEstimate
-    # Of the layout in worlds that nothing was chosen in: its APR is not below its `low`
     least: MeanEstimate
 
     @property
@@ -81,14 +101,25 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certified:
-    """The best of the layouts that were found in blocks of worlds, and what it may lack."""
+    """The best of the layouts that were found in blocks of worlds, and what it may lack.
 
-    blocks: tuple[Block, ...]  # Each with worlds of its own
-    # Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the
-    # best first
+    Attributes
+    ----------
+    blocks : tuple of Block
+        Each with worlds of its own.
+    pool : tuple of SampledApr
+        Layouts found in the blocks, and the greedy ones, in the same fresh
+        worlds; the best first.
+    judged : SampledApr
+        The best one in other fresh worlds.
+    gap : GapEstimate
+        From the bounds and these.
+    """
+
+    blocks: tuple[Block, ...]
     pool: tuple[SampledApr, ...]
-    judged: SampledApr  # The best one in other fresh worlds
-    gap: GapEstimate  # From the bounds and these
+    judged: SampledApr
+    gap: GapEstimate
 
 
 def certify(
@@ -182,9 +213,8 @@ _STOPPED = (
     "Why no more were tried: same layout, none better beyond chance, or what had run"
     " out."
 )
-_TIMES = (
-    5  # Rounds take so many times the time limit of one, before the last one begins
-)
+# Rounds take so many times the time limit of one, before the last one begins
+_TIMES = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,7 +309,8 @@ def grow(
                 stopped = "no better"
             break
         best = trial, found, judged
-    assert best is not None  # the first round is taken in any case
+    # The first round is taken in any case
+    assert best is not None
     assembly, placement, judged = best
     growth = Growth(
         taken=assembly.n_samples,

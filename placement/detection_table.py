@@ -35,11 +35,9 @@ class DetectionTable:
         bitorder="little")``).
     """
 
-    pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
-    axis: FrameAxis  #: runs and frames: the columns
-    packed: NDArray[
-        np.uint8
-    ]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
+    pose_ids: tuple[str, ...]
+    axis: FrameAxis
+    packed: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
         packed = np.array(self.packed, dtype=np.uint8)
@@ -78,12 +76,12 @@ def pack_table(
 
 
 # ---------- levels of a score as runs
-_ROWS = 256  # unpacked at a time
+# Unpacked at a time
+_ROWS = 256
 _BELOW = "<"
 _BLIND = " (blind)"
-_AT_ONCE_S = (
-    1.0e-12  # from one frame after the last moment to the next, in the clock of a level
-)
+# From one frame after the last moment to the next, in the clock of a level
+_AT_ONCE_S = 1.0e-12
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
@@ -151,7 +149,8 @@ def level_axis(
             )
             if n_frames:
                 time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
-            else:  # nobody is in time
+            else:
+                # Nobody is in time
                 last_s = -np.inf
         ids.append(name)
         frames.append(np.arange(where.start, where.start + len(time_s)))
@@ -262,7 +261,8 @@ def _at_once(
     """Times of frames that are in time for a level, in its clock, and its last brake time there."""
     n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
     after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
-    if last_s == -np.inf:  # no moment comes before
+    # No moment comes before
+    if last_s == -np.inf:
         last_s = deadline_s
         after -= after[-1]
     moment_s = last_s - rule.latency_s

@@ -22,24 +22,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
-    """Verdict on one sensing party: a unit, the VUT, or several fused."""
+    """Verdict on one sensing party: a unit, the VUT, or several fused.
 
-    detected: (
-        BoolArray  #: (n_frames,): the VRU is detected, and the VUT gets to know it
-    )
-    # : (n_runs,): when the track was confirmed for which the VUT brakes, or would have
-    # to, relative : to the impact; infinite if none is. See
-    # :class:`scenarios.runs.Onsets`. [s]
+    Attributes
+    ----------
+    detected : (n_frames,) bool
+        The VRU is detected, and the VUT gets to know it.
+    confirmation_time_s : (n_runs,) float
+        When the track was confirmed for which the VUT brakes, or would have to,
+        relative to the impact; infinite if none is. See
+        :class:`scenarios.runs.Onsets`. [s]
+    onset_time_s : (n_runs,) float
+        When braking sets in after it; infinite if it never does: also where
+        every track was lost again before the last moment. [s]
+    is_avoided : (n_runs,) bool
+        Whether braking after it avoids the impact.
+    impact_speed_kmh : (n_runs,) float, optional
+        The VUT's speed when the bodies touch although it brakes then; 0 where
+        they do not, its full speed where it never brakes. None: by the table or
+        a recording alone. [km/h]
+    closing_speed_kmh : (n_runs,) float, optional
+        The same less what the road user does along the VUT's heading. [km/h]
+    """
+
+    detected: BoolArray
     confirmation_time_s: FloatArray
-    # : (n_runs,): when braking sets in after it; infinite if it never does: also where
-    # every track : was lost again before the last moment. [s]
     onset_time_s: FloatArray
-    is_avoided: BoolArray  #: (n_runs,): whether braking after it avoids the impact
-    # : (n_runs,): the VUT's speed when the bodies touch although it brakes then; 0
-    # where they do : not, its full speed where it never brakes. None: by the table or a
-    # recording alone. [km/h]
+    is_avoided: BoolArray
     impact_speed_kmh: FloatArray | None = None
-    #: (n_runs,): the same less what the road user does along the VUT's heading. [km/h]
     closing_speed_kmh: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -50,23 +60,40 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """A layout's verdicts."""
+    """A layout's verdicts.
 
-    layout: Layout  #: what was evaluated
-    axis: FrameAxis  #: runs and frames
-    vut: Verdict  #: the VUT's own sensors alone
-    units: Mapping[
-        str, Verdict
-    ]  #: each unit of the layout alone, by id, in the layout's order
-    rsu_all: Verdict  #: all units fused: in each frame any of them may be the detector
-    vut_and_rsus: Verdict  #: the same with the VUT's own sensors
-    # : Further parties, where asked for: "vam", VRUs that announce themselves;
-    # "all_sources", they : with the VUT and all units.
+    Attributes
+    ----------
+    layout : Layout
+        What was evaluated.
+    axis : FrameAxis
+        Runs and frames.
+    vut : Verdict
+        The VUT's own sensors alone.
+    units : mapping of str to Verdict
+        Each unit of the layout alone, by id, in the layout's order.
+    rsu_all : Verdict
+        All units fused: in each frame any of them may be the detector.
+    vut_and_rsus : Verdict
+        The same with the VUT's own sensors.
+    others : mapping of str to Verdict
+        Further parties, where asked for: "vam", VRUs that announce themselves;
+        "all_sources", they with the VUT and all units.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: if avoided.
+    cars : float
+        Share of the VUTs that see, see :attr:`headline`. 0 .. 1.
+    """
+
+    layout: Layout
+    axis: FrameAxis
+    vut: Verdict
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict
     others: Mapping[str, Verdict] = field(default_factory=dict)
-    levels: Levels | None = (
-        None  #: what runs count by the speed at contact; None: if avoided
-    )
-    cars: float = 0.0  #: share of the VUTs that see, see :attr:`headline`. 0 .. 1
+    levels: Levels | None = None
+    cars: float = 0.0
 
     @property
     def headline(self) -> Verdict:
@@ -100,7 +127,8 @@ class Evaluation:
         Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit
         by its id.
         """
-        import pandas as pd  # takes longer to load than all else here
+        # Takes longer to load than all else here
+        import pandas as pd
 
         fused = {
             name: getattr(self, name) for name in ("rsu_all", "vut", "vut_and_rsus")

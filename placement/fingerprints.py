@@ -12,11 +12,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+# All whose code may decide an answer
 ALL_PACKAGES = (
     "geometry",
     "scenarios",
     "placement",
-)  # all whose code may decide an answer
+)
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 

@@ -23,7 +23,8 @@ from geometry.terrain import ground_height_m, on_ground, terrain_of
 
 from .candidates import CandidatePose
 
-LOOK_AT_M = 1.0  # height above the road: the middle of a road user
+# Height above the road: the middle of a road user
+LOOK_AT_M = 1.0
 REACH_M = 45.0
 _SPACING_M = 1.0
 
@@ -32,7 +33,8 @@ BANDS: tuple[tuple[str, float], ...] = tuple(
 )
 """Bands of pixel density by their least, in pixels per metre, the finest first."""
 
-_SHORT_OF_M = 0.05  # rays end a little before the point
+# Rays end a little before the point
+_SHORT_OF_M = 0.05
 
 
 def is_in_sight(
@@ -56,14 +58,22 @@ def is_in_sight(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCoverage:
-    """Pixel density over the roads around a junction."""
+    """Pixel density over the roads around a junction.
 
-    # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
+    Attributes
+    ----------
+    east_m, north_m : (n_east,) float
+        (n_north,): middles of the cells. World frame. [m]
+    density : (n_north, n_east) float
+        Highest of all cameras; 0: none sees the cell. [px/m]
+    is_road : (n_north, n_east) bool
+        Cells on a lane or in the junction.
+    """
+
     east_m: FloatArray
     north_m: FloatArray
-    # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
     density: FloatArray
-    is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
+    is_road: BoolArray
 
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
@@ -97,7 +107,8 @@ class GroundSurvey:
         self._origin_m = np.append(middle, 0.0)
         self._caster = build_caster(scene.vertices_m - self._origin_m, scene.triangles)
         on_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
-        self.is_road: BoolArray = np.asarray(on_road, dtype=bool)  # (n_north, n_east)
+        # (n_north, n_east)
+        self.is_road: BoolArray = np.asarray(on_road, dtype=bool)
 
     def density(self, unit: CandidatePose) -> FloatArray:
         """Pixels per metre that a camera has of each cell, (n_north, n_east); 0: unseen."""
@@ -138,7 +149,8 @@ def find_ground_coverage(
     )
 
 
-_ACROSS_M = 0.1  # whose pixels are counted
+# Whose pixels are counted
+_ACROSS_M = 0.1
 
 
 def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
@@ -156,26 +168,41 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 
 # ---------- private ground
-EYE_HEIGHT_M = (
-    1.5  # of people who are there; the ground itself may be hidden by a hedge
-)
+# Of people who are there; the ground itself may be hidden by a hedge
+EYE_HEIGHT_M = 1.5
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
-_FARTHEST_M = 20_000.0  # beyond the horizon of every pole: the file is of another place
-_MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
-_MAX_PLACES = 64  # of sensors, from which is known what lies open
+# Beyond the horizon of every pole: the file is of another place
+_FARTHEST_M = 20_000.0
+# Of the world frame: more than twice around the earth
+_MAX_COORDINATE_M = 1.0e8
+# Of sensors, from which is known what lies open
+_MAX_PLACES = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PrivateGround:
-    """Areas that cameras must not look into."""
+    """Areas that cameras must not look into.
 
-    names: tuple[str, ...]  # of the areas
-    # (n, 3): points all over them, at people's eye height. World frame. [m]
+    Attributes
+    ----------
+    names : tuple of str
+        Of the areas.
+    points_m : (n, 3) float
+        Points all over them, at people's eye height. World frame. [m]
+    area_index : (n,) int
+        Area of each point.
+    area_m2 : (n_areas,) float
+        How large they are. [m^2]
+    shapes : tuple of Any
+        The areas: shapely polygons, world frame, metres.
+    """
+
+    names: tuple[str, ...]
     points_m: FloatArray
-    area_index: IntArray  # (n,): area of each point
-    area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
-    shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres
+    area_index: IntArray
+    area_m2: FloatArray
+    shapes: tuple[Any, ...]
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:

@@ -22,7 +22,8 @@ from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
-MAX_LATENCY_S = 10.0  # longer than any run: a larger number is probably in milliseconds
+# Longer than any run: a larger number is probably in milliseconds
+MAX_LATENCY_S = 10.0
 
 _FILE = "latency.toml"
 _RANGE = ("low_s", "high_s")
@@ -30,15 +31,24 @@ _RANGE = ("low_s", "high_s")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyPart:
-    """One of the steps that take time."""
+    """One of the steps that take time.
+
+    Attributes
+    ----------
+    low_s, high_s : float
+        Anything between is equally likely; a fixed value where they are equal.
+        [s]
+    source : str
+        Where the numbers come from, or why they are likely.
+    is_assumption : bool
+        Whether they are an assumption of this project.
+    """
 
     name: str
-    # low_s, high_s: anything between is equally likely; a fixed value where they are
-    # equal. [s]
     low_s: float
     high_s: float
-    source: str  # where the numbers come from, or why they are likely
-    is_assumption: bool = False  # whether they are an assumption of this project
+    source: str
+    is_assumption: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,9 +64,7 @@ class LatencyBudget:
     """
 
     name: str
-    parts: tuple[
-        LatencyPart, ...
-    ]  # in the order in which they happen; names are unique
+    parts: tuple[LatencyPart, ...]
 
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"

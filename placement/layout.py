@@ -55,9 +55,8 @@ RESULT_SCHEMAS = tuple(
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
-_MAX_DISTANCE_M = (
-    1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
-)
+# From a scene's middle; beyond, a unit or a frame has been mixed up
+_MAX_DISTANCE_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +74,8 @@ class Layout:
     """
 
     name: str
-    units: tuple[CandidatePose, ...]  #: ids are unique
-    scene_name: str = ""  #: where it was made for; empty: unknown
+    units: tuple[CandidatePose, ...]
+    scene_name: str = ""
 
     def __post_init__(self) -> None:
         if not self.units:
@@ -111,7 +110,8 @@ class Layout:
 
     def to_frame(self) -> "pd.DataFrame":
         """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
-        import pandas as pd  # takes longer to load than all else here
+        # Takes longer to load than all else here
+        import pandas as pd
 
         return pd.DataFrame(layout_records(self)).set_index("id")
 
@@ -132,14 +132,11 @@ class Stage:
         Time spent. [s]
     """
 
-    name: (
-        str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
-    )
-    objective: float  #: value of the layout
-    bound: float  #: what no layout can exceed
-    # : (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal
+    name: str
+    objective: float
+    bound: float
     gap: float
-    seconds: float  #: time spent. [s]
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,8 +151,8 @@ class Certificate:
         Name and version.
     """
 
-    stages: tuple[Stage, ...]  #: in order
-    solver: str  #: name and version
+    stages: tuple[Stage, ...]
+    solver: str
 
     @property
     def is_proven(self) -> bool:
@@ -553,9 +550,8 @@ def unit_record(
         height_m += float(ground_height_m(scene, np.asarray(position)))
     yaw_deg = _one_of(row, where, ("yaw", 1.0), ("bearing", -1.0))
     if read_number(row, "yaw", where) is None:
-        yaw_deg = (
-            yaw_deg + 90.0 + 180.0
-        ) % 360.0 - 180.0  # counter-clockwise from east
+        # Counter-clockwise from east
+        yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0
     model = str(row.get("model") or "").strip()
     if not model:
         refuse(f"{where}: model", "nothing", "a model of the catalogue")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from geometry.errors import refuse
 
-_PROGRAM_BYTES = 400 * 2**20  # of the program itself: libraries, scene, runs, report
+# Of the program itself: libraries, scene, runs, report
+_PROGRAM_BYTES = 400 * 2**20
 _BYTES_PER_ENTRY = 0.125 + 1.0
 """Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
 _LIMIT_FILES = (
@@ -55,7 +56,8 @@ def machine_bytes() -> int | None:
             text = Path(file).read_text(encoding="ascii").strip()
         except (OSError, UnicodeDecodeError):
             continue
-        if text.isdecimal():  # else "max"
+        # Else "max"
+        if text.isdecimal():
             sizes.append(int(text))
     if sys.platform != "win32":
         import resource
@@ -76,7 +78,8 @@ def available_bytes() -> int:
             for line in lines
             if line.startswith("MemAvailable:")
         ]
-    except (OSError, ValueError):  # not this system's way
+    except (OSError, ValueError):
+        # Not this system's way
         pass
     return min(sizes)
 

@@ -15,7 +15,8 @@ import msgspec
 import numpy as np
 
 _PLACE = 1  # code of the extension type: number of a part in the list, big-endian
-_ARRAY = ""  # stands in place of a class's name
+# Stands in place of a class's name
+_ARRAY = ""
 _PLAIN = (bool, int, float, str, NoneType)
 
 
@@ -24,10 +25,10 @@ def to_bytes(value: object) -> bytes:
 
     Besides those these are tuples, numbers, text and None; arrays are of numbers.
     """
-    parts: list[Any] = []  # the last one is the value itself
-    places: dict[
-        int, tuple[object, msgspec.msgpack.Ext]
-    ] = {}  # holds what it knows by identity
+    # The last one is the value itself
+    parts: list[Any] = []
+    # Holds what it knows by identity
+    places: dict[int, tuple[object, msgspec.msgpack.Ext]] = {}
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.generic):

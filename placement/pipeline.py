@@ -64,25 +64,50 @@ class Assembly:
     """A question made ready for every answer; table and problem are made once, when asked for.
 
     Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
+
+    Attributes
+    ----------
+    setting : Setting
+        Scene, runs, braking rule, detectors.
+    candidates : sequence of CandidatePose
+        Poses to choose from: rows of the table. Ids are unique.
+    wishes : Wishes
+        Demands on a layout.
+    fusion : Fusion
+        "any": a frame counts if any unit detects; "single": one unit must
+        confirm alone.
+    effort : Effort
+        How hard the optimiser tries.
+    existing : Layout, optional
+        What is mounted already.
+    private_ground : PrivateGround, optional
+        What cameras must not look into.
+    may_look : callable, optional
+        Which poses respect private ground, (n,) bool; None: all.
+    uncertainty : Uncertainty, optional
+        What is drawn in sampled worlds.
+    n_samples : int
+        Worlds to choose in; 0: the one as planned.
+    first_sample : int
+        Number of the first of them.
+    compute : Compute
+        Seed, threads, cache of tables, progress.
+    known_table : DetectionTable, optional
+        Table of the candidates where there is one already.
     """
 
-    setting: Setting  #: Scene, runs, braking rule, detectors.
-    candidates: Sequence[
-        CandidatePose
-    ]  #: Poses to choose from: rows of the table. Ids are unique.
-    wishes: Wishes = field(default_factory=Wishes)  #: Demands on a layout.
-    #: "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    setting: Setting
+    candidates: Sequence[CandidatePose]
+    wishes: Wishes = field(default_factory=Wishes)
     fusion: Fusion = "any"
-    effort: Effort = field(default_factory=Effort)  #: How hard the optimiser tries.
-    existing: Layout | None = None  #: What is mounted already.
-    private_ground: PrivateGround | None = None  #: What cameras must not look into.
-    #: Which poses respect private ground, (n,) bool; None: all.
+    effort: Effort = field(default_factory=Effort)
+    existing: Layout | None = None
+    private_ground: PrivateGround | None = None
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
-    uncertainty: Uncertainty | None = None  #: What is drawn in sampled worlds.
-    n_samples: int = 0  #: Worlds to choose in; 0: the one as planned.
-    first_sample: int = 0  #: Number of the first of them.
-    compute: Compute = DEFAULT_COMPUTE  #: Seed, threads, cache of tables, progress.
-    #: Table of the candidates where there is one already.
+    uncertainty: Uncertainty | None = None
+    n_samples: int = 0
+    first_sample: int = 0
+    compute: Compute = DEFAULT_COMPUTE
     known_table: DetectionTable | None = None
 
     def __post_init__(self) -> None:
@@ -184,7 +209,8 @@ class Assembly:
         self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
     ) -> list[SampledApr]:
         """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
-        assert self.uncertainty is not None  # assemble reads it with every question
+        # `assemble` reads it with every question
+        assert self.uncertainty is not None
         return out_of_sample_layouts(
             self.setting,
             layouts,
@@ -342,45 +368,76 @@ FOUND = "found"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Highest:
-    """The layout of the highest APR, where another one is chosen that bears failures better."""
+    """The layout of the highest APR, where another one is chosen that bears failures better.
+
+    Attributes
+    ----------
+    given_up : float
+        APR that might be given up.
+    """
 
     layout: Layout
     pose_index: tuple[int, ...]
     certificate: Certificate
     problem: PlacementProblem
-    given_up: float  # APR that might be given up
+    given_up: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """Result of the optimiser, and the problem that it solved."""
+    """Result of the optimiser, and the problem that it solved.
 
-    layout: Layout  #: The best layout.
-    greedy: Layout  #: The layout that plain greedy search finds within the same limits.
-    # : Rows of the table that make `greedy`, where it was found; a refinement has its
-    # own table.
+    Attributes
+    ----------
+    layout : Layout
+        The best layout.
+    greedy : Layout
+        The layout that plain greedy search finds within the same limits.
+    greedy_index : tuple of int
+        Rows of the table that make `greedy`, where it was found; a refinement
+        has its own table.
+    certificate : Certificate
+        Proof of `layout`.
+    presolve : PresolveStatistics
+        What was left of the problem before any solver started.
+    problem : PlacementProblem
+        The problem, with the detection table.
+    pose_index : tuple of int
+        Rows of the table that make `layout`.
+    nominal : PlacementProblem
+        The layout alone in the world as planned, its runs as they are:
+        `problem` itself unless worlds were sampled, runs have levels of a
+        score, or a share of the cars sees: then with cars that do not.
+    nominal_index : tuple of int
+        Rows of its table that make `layout`.
+    seconds : mapping of str to float
+        Time per stage. [s]
+    presolved : callable, optional
+        What presolve left of it, found when first asked for; None: layouts were
+        moved since.
+    next_unit : NextUnit, optional
+        What greedy choice would add to `layout`, budgets aside; None: nothing
+        fits, or not known.
+    highest : Highest, optional
+        None where nothing of the APR might be given up.
+    preferred : (SampledApr, SampledApr), optional
+        `layout` and the one of the layout found and the greedy one that was not
+        taken, in fresh worlds that decided it; None: they were not asked.
+    """
+
+    layout: Layout
+    greedy: Layout
     greedy_index: tuple[int, ...]
-    certificate: Certificate  #: Proof of `layout`.
-    presolve: (
-        PresolveStatistics  #: What was left of the problem before any solver started.
-    )
-    problem: PlacementProblem  #: The problem, with the detection table.
-    pose_index: tuple[int, ...]  #: Rows of the table that make `layout`.
-    # : The layout alone in the world as planned, its runs as they are: `problem` itself
-    # unless : worlds were sampled, runs have levels of a score, or a share of the cars
-    # sees: then with : cars that do not.
+    certificate: Certificate
+    presolve: PresolveStatistics
+    problem: PlacementProblem
+    pose_index: tuple[int, ...]
     nominal: PlacementProblem
-    nominal_index: tuple[int, ...]  #: Rows of its table that make `layout`.
-    seconds: Mapping[str, float]  #: Time per stage. [s]
-    # : What presolve left of it, found when first asked for; None: layouts were moved
-    # since.
+    nominal_index: tuple[int, ...]
+    seconds: Mapping[str, float]
     presolved: Callable[[], ReducedProblem] | None = None
-    # : What greedy choice would add to `layout`, budgets aside; None: nothing fits, or
-    # not known.
     next_unit: NextUnit | None = None
-    highest: Highest | None = None  #: None where nothing of the APR might be given up.
-    # : `layout` and the one of the layout found and the greedy one that was not taken,
-    # in fresh : worlds that decided it; None: they were not asked.
+    highest: Highest | None = None
     preferred: tuple[SampledApr, SampledApr] | None = None
 
     def __repr__(self) -> str:
@@ -437,7 +494,8 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         raise InputError(
             "budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`"
         )
-    _ = assembly.limits  # what cannot be met is refused before anything is computed
+    # What cannot be met is refused before anything is computed
+    _ = assembly.limits
     started = time.perf_counter()
     table = assembly.table
     table_done = optimised = time.perf_counter()

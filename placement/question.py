@@ -154,15 +154,28 @@ def read_point(text: str, where: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuestionField:
-    """A field of :class:`Question`, taken apart."""
+    """A field of :class:`Question`, taken apart.
 
-    name: str  # of the field
-    key: str  # such as "site_cost": the name in a question file
-    # int, float, bool or str, or one of the words of a Literal; with limits in a
-    # :class:`msgspec.Meta`
+    Attributes
+    ----------
+    name : str
+        Of the field.
+    key : str
+        Such as "site_cost": the name in a question file.
+    kind : Any
+        Int, float, bool or str, or one of the words of a Literal; with limits
+        in a :class:`msgspec.Meta`.
+    default : Any
+        None: nothing is given.
+    description : str
+        Other fields stand in it between backticks.
+    """
+
+    name: str
+    key: str
     kind: Any
-    default: Any  # None: nothing is given
-    description: str  # other fields stand in it between backticks
+    default: Any
+    description: str
 
 
 _KEYS = {
@@ -170,7 +183,8 @@ _KEYS = {
     "build_up_s": "brake_build_up",
     "case_range": "range",
 }
-_UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
+# A key has none
+_UNIT = re.compile("_(eur|m|deg|s|mps2)$")
 
 
 @cache
@@ -181,7 +195,8 @@ def question_fields() -> dict[str, QuestionField]:
     known = {}
     for field in fields(Question):
         name, kind = field.name, hints[field.name]
-        if get_origin(kind) in (Union, UnionType):  # of a value and None
+        # Of a value and None
+        if get_origin(kind) in (Union, UnionType):
             kind = next(one for one in get_args(kind) if one is not NoneType)
         says = words[name]
         if "expected" in says:
@@ -261,7 +276,8 @@ def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     return values
 
 
-_ENDLESS = "inf"  # JSON has no infinity
+# JSON has no infinity
+_ENDLESS = "inf"
 
 
 def question_values(question: Question) -> dict[str, Any]:

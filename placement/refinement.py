@@ -53,19 +53,31 @@ def certify(
 
 
 # ---------- places, and the steps from one pose to its neighbours
-_DIGITS = 2  # of metres and degrees: finer than anyone mounts
+# Of metres and degrees: finer than anyone mounts
+_DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Where poses of a grid may be moved to."""
+    """Where poses of a grid may be moved to.
 
-    scene: Scene  # its sites say how high
-    candidates: tuple[CandidatePose, ...]  # the grid
-    # (n,): which of them stand for poses that may be chosen: not forbidden, and not
-    # existing.
+    Attributes
+    ----------
+    scene : Scene
+        Its sites say how high.
+    candidates : tuple of CandidatePose
+        The grid.
+    is_free : (n,) bool
+        Which of them stand for poses that may be chosen: not forbidden, and not
+        existing.
+    row_of : mapping of str to int
+        Row of every id.
+    """
+
+    scene: Scene
+    candidates: tuple[CandidatePose, ...]
     is_free: BoolArray
-    row_of: Mapping[str, int]  # row of every id
+    row_of: Mapping[str, int]
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
         """Lowest and highest position for a row of the grid, in the world frame, in metres."""
@@ -175,7 +187,8 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     return _others(poses, unit)
 
 
-LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
+# Of the height: each costs rays of its own
+LIFTS_M = (1.0, 0.5, 0.25, 0.1)
 
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
@@ -210,21 +223,29 @@ def _others(
 
 
 # ---------- the search
-_MAX_MOUNTS = (
-    16  # whose rays are cached, some ten megabytes each at the study's junction
-)
-_PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
+# Whose rays are cached, some ten megabytes each at the study's junction
+_MAX_MOUNTS = 16
+# Of the time: for the whole grid, when the search is over
+_PROOF_SHARE = 0.4
 _LEAST_SOLVER_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Tried:
-    """A pose at hand."""
+    """A pose at hand.
+
+    Attributes
+    ----------
+    origin : int
+        Row of the grid's pose that it is, or stands in for: same place, same
+        sensor.
+    packed : (ceil(n_frames / 8),) uint8
+        Its row of a detection table.
+    """
 
     candidate: CandidatePose
-    # row of the grid's pose that it is, or stands in for: same place, same sensor
     origin: int
-    packed: NDArray[np.uint8]  # (ceil(n_frames / 8),): its row of a detection table
+    packed: NDArray[np.uint8]
 
 
 class _Search:
@@ -243,7 +264,8 @@ class _Search:
         self.places = build_places(setting.scene, candidates, self.grid.limits)
         self.live = LiveTable(setting, compute=compute, max_mounts=_MAX_MOUNTS)
         self.end_s = end_s
-        self.new: dict[str, _Tried] = {}  # poses that are not of the grid, by id
+        # Poses that are not of the grid, by id
+        self.new: dict[str, _Tried] = {}
         self.units = [self._of_grid(row) for row in placement.pose_index]
         self.values = objective_values(self.grid, placement.pose_index)
 
@@ -368,7 +390,8 @@ class _Search:
             for _, new in pair_units(placement.layout.units, poses)
             if new is not None
         )
-        pose_index = tuple(rows[new] for new in in_order)  # as the layout has its units
+        # As the layout has its units
+        pose_index = tuple(rows[new] for new in in_order)
         certificate = certify(
             self.values,
             solution.certificate,
@@ -385,28 +408,44 @@ class _Search:
             pose_index=pose_index,
             nominal=problem,
             nominal_index=pose_index,
-            next_unit=None,  # between the poses of the grid there are ever more
+            # Between the poses of the grid there are ever more
+            next_unit=None,
         )
         return refined, candidates, moves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refinement:
-    """A layout, and what it was before."""
+    """A layout, and what it was before.
 
-    unrefined: Placement  # the one given: its certificate is about the grid alone
-    # the refined one: its problem's table has the poses tried behind those of the grid,
-    # and the bounds of its certificate are about these, not about all poses in between.
-    # The one given, where nothing better was found.
+    Attributes
+    ----------
+    unrefined : Placement
+        The one given: its certificate is about the grid alone.
+    placement : Placement
+        The refined one: its problem's table has the poses tried behind those of
+        the grid, and the bounds of its certificate are about these, not about
+        all poses in between. The one given, where nothing better was found.
+    candidates : tuple of CandidatePose
+        The rows of that table.
+    before, after : mapping of Objective to float
+        In the order of the problem's stages; `after` is `before` or better.
+    moves : tuple of Move
+        What became of each unit; empty where nothing better was found.
+    n_tried : int
+        New poses whose detections were computed.
+    seconds : float
+        Time spent. [s]
+    """
+
+    unrefined: Placement
     placement: Placement
-    candidates: tuple[CandidatePose, ...]  # the rows of that table
-    # before, after: in the order of the problem's stages; `after` is `before` or better
+    candidates: tuple[CandidatePose, ...]
     before: Mapping[Objective, float]
     after: Mapping[Objective, float]
-    # what became of each unit; empty where nothing better was found
     moves: "tuple[Move, ...]"
-    n_tried: int  # new poses whose detections were computed
-    seconds: float  # time spent. [s]
+    n_tried: int
+    seconds: float
 
     @property
     def is_improved(self) -> bool:
@@ -479,10 +518,18 @@ _SAME_PLACE_M = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Move:
-    """One unit before and after."""
+    """One unit before and after.
 
-    before: CandidatePose | None  # None: the unit is new
-    after: CandidatePose | None  # None: the unit is gone
+    Attributes
+    ----------
+    before : CandidatePose, optional
+        None: the unit is new.
+    after : CandidatePose, optional
+        None: the unit is gone.
+    """
+
+    before: CandidatePose | None
+    after: CandidatePose | None
 
     @property
     def is_same_place(self) -> bool:

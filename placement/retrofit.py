@@ -46,12 +46,19 @@ _SAME_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RetrofitPoses:
-    """All poses that may be mounted in the end."""
+    """All poses that may be mounted in the end.
 
-    # the units as they are, in the layout's order; then their re-aims; then what can be
-    # added
+    Attributes
+    ----------
+    candidates : tuple of CandidatePose
+        The units as they are, in the layout's order; then their re-aims; then
+        what can be added.
+    unit_index : (n_poses,) int
+        Which unit each of them is; -1: a new one.
+    """
+
     candidates: tuple[CandidatePose, ...]
-    unit_index: IntArray  # (n_poses,): which unit each of them is; -1: a new one
+    unit_index: IntArray
 
     @property
     def n_units(self) -> int:
@@ -96,15 +103,33 @@ def build_retrofit_poses(
 # ---------- labour: what it costs to re-aim or to remove a unit
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labour:
-    """Prices of work without hardware: people and a lift."""
+    """Prices of work without hardware: people and a lift.
 
-    people: float  # at work together
-    wage_eur_per_h: float  # of each, also on the way
-    travel_h: float  # there and back
-    lift_eur: float  # for the visit
-    re_aim_h: float  # at the pole
-    remove_h: float  # at the pole
-    source: str  # where the numbers come from
+    Attributes
+    ----------
+    people : float
+        At work together.
+    wage_eur_per_h : float
+        Of each, also on the way.
+    travel_h : float
+        There and back.
+    lift_eur : float
+        For the visit.
+    re_aim_h : float
+        At the pole.
+    remove_h : float
+        At the pole.
+    source : str
+        Where the numbers come from.
+    """
+
+    people: float
+    wage_eur_per_h: float
+    travel_h: float
+    lift_eur: float
+    re_aim_h: float
+    remove_h: float
+    source: str
 
     @property
     def re_aim_eur(self) -> float:
@@ -136,22 +161,37 @@ def load_labour() -> Labour:
 # ---------- changes
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A change, and what it brings."""
+    """A change, and what it brings.
 
-    # removed, added: poses that go and that come, as rows of the table; a unit that is
-    # re-aimed is in both
+    Attributes
+    ----------
+    removed, added : tuple of int
+        Poses that go and that come, as rows of the table; a unit that is
+        re-aimed is in both.
+    price_eur : float
+        Labour, units and sites. [EUR]
+    pose_index : tuple of int
+        What is mounted afterwards, ascending.
+    value : PlacementValue
+        Of what is mounted afterwards.
+    gained, lost : tuple of str
+        Ids of runs that are avoided only afterwards, and only before.
+    n_compared : int
+        Number of alternatives of its kind that were tried, including itself; 0
+        for a combination.
+    certificate : Certificate, optional
+        Of a combination.
+    """
+
     removed: tuple[int, ...]
     added: tuple[int, ...]
-    price_eur: float  # labour, units and sites. [EUR]
-    pose_index: tuple[int, ...]  # what is mounted afterwards, ascending
-    value: PlacementValue  # of what is mounted afterwards
-    # gained, lost: ids of runs that are avoided only afterwards, and only before
+    price_eur: float
+    pose_index: tuple[int, ...]
+    value: PlacementValue
     gained: tuple[str, ...]
     lost: tuple[str, ...]
-    # number of alternatives of its kind that were tried, including itself; 0 for a
-    # combination
     n_compared: int = 0
-    certificate: Certificate | None = None  # of a combination
+    certificate: Certificate | None = None
 
     @property
     def is_proven(self) -> bool:
@@ -179,14 +219,11 @@ class Retrofit:
         The best re-aims and additions together within the budget, if there is one.
     """
 
-    before: PlacementValue  # of what is mounted now
-    removals: tuple[Change, ...]  # of every unit, the one that loses least first
-    # the best of every unit, the best first; they may be worse than no change
+    before: PlacementValue
+    removals: tuple[Change, ...]
     re_aims: tuple[Change, ...]
-    addition: Change | None  # the best new unit; None if no addition is an improvement
-    combination: (
-        Change | None
-    )  # the best re-aims and additions within the budget, if there is one
+    addition: Change | None
+    combination: Change | None
 
 
 def find_retrofit(
@@ -370,7 +407,8 @@ def best_joining(
     :func:`placement.optimiser.presolve.presolve_freely`.
     """
     poses = units_of(reduced, each)
-    if not len(poses):  # none detects anything that counts
+    # None detects anything that counts
+    if not len(poses):
         return int(each[0])
     best = best_with_each(
         reduced, units_of(reduced, np.array(mounted, dtype=np.int64)), poses
@@ -379,7 +417,8 @@ def best_joining(
 
 
 # ---------- answers to somebody who plans by hand
-LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
+# An APR that is higher by less is the same
+LEAST_GAIN = 1.0e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -400,18 +439,11 @@ class Advice:
         How many were tried so; 0 of a search.
     """
 
-    units: tuple[
-        CandidatePose, ...
-    ]  # all that is mounted then; those that stay keep their ids
-    # before, after: worth of the present and the new layout on the detection table;
-    # `before` is None where nothing is mounted. Costs are of the same kind: of what is
-    # new, or of everything.
+    units: tuple[CandidatePose, ...]
     before: PlacementValue | None
     after: PlacementValue
-    certificate: Certificate | None = (
-        None  # of a search; None: all were tried one by one
-    )
-    n_compared: int = 0  # how many were tried so; 0 of a search
+    certificate: Certificate | None = None
+    n_compared: int = 0
 
     @property
     def is_proven(self) -> bool:

@@ -59,14 +59,19 @@ from .question import Question, map_options, read_cars, read_point, split_names
 # ---------- radio
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radio:
-    """Radio between RSUs, VRUs and the VUT."""
+    """Radio between RSUs, VRUs and the VUT.
 
-    # : Probability that a message is lost: an RSU's collective perception message (CPM)
-    # of one : frame, or a VRU's awareness message (VAM). 0 .. 1
+    Attributes
+    ----------
+    packet_loss : float
+        Probability that a message is lost: an RSU's collective perception
+        message (CPM) of one frame, or a VRU's awareness message (VAM). 0 .. 1.
+    vam_rate : float
+        Share of the runs whose VRU carries a device that sends VAMs. 0 .. 1.
+    """
+
     packet_loss: float = 0.0
-    vam_rate: float = (
-        0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
-    )
+    vam_rate: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
@@ -80,25 +85,52 @@ VUT_SENSORS = ("camera", "lidar")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Setting:
-    """The question, but for the layout."""
+    """The question, but for the layout.
 
-    scene: Scene  #: what stands still, and the mount sites
-    runs: tuple[Run, ...]  #: what happens there
-    axis: FrameAxis  #: frames and weights of `runs`
-    rule: AebRule  #: from detected frames to braking
-    detector: Detector  #: of cameras, in the evaluator
-    table_detector: PlanningDetector  #: of cameras, in the detection table
-    refusals: tuple[Refusal, ...] = ()  #: what was asked for, but cannot be driven
-    radio: Radio = field(default_factory=Radio)  #: from detections to the VUT
-    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
-    vut_camera: CameraModel | None = None  #: in place of the study's
-    levels: Levels | None = (
-        None  #: what runs count by the speed at contact; None: if avoided
-    )
-    # : share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
+    Attributes
+    ----------
+    scene : Scene
+        What stands still, and the mount sites.
+    runs : tuple of Run
+        What happens there.
+    axis : FrameAxis
+        Frames and weights of `runs`.
+    rule : AebRule
+        From detected frames to braking.
+    detector : Detector
+        Of cameras, in the evaluator.
+    table_detector : PlanningDetector
+        Of cameras, in the detection table.
+    refusals : tuple of Refusal
+        What was asked for, but cannot be driven.
+    radio : Radio
+        From detections to the VUT.
+    vut_sensors : tuple of str
+        What the VUT itself looks with.
+    vut_camera : CameraModel, optional
+        In place of the study's.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: if avoided.
+    cars : float
+        Share of the VUTs whose own sensors are one more unit in every run. 0 ..
+        1.
+    seen_by_vut : (n_frames,) bool, optional
+        In which the VUT's own sensors detect, where that is known already; see
+        :func:`placement.evaluator.with_sight`.
+    """
+
+    scene: Scene
+    runs: tuple[Run, ...]
+    axis: FrameAxis
+    rule: AebRule
+    detector: Detector
+    table_detector: PlanningDetector
+    refusals: tuple[Refusal, ...] = ()
+    radio: Radio = field(default_factory=Radio)
+    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
+    vut_camera: CameraModel | None = None
+    levels: Levels | None = None
     cars: float = 0.0
-    # : (n_frames,): in which the VUT's own sensors detect, where that is known already;
-    # see : :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -180,12 +212,21 @@ def _select(question: Question) -> Selection:
 
 
 class Drives(NamedTuple):
-    """The runs that a question lays on a scene."""
+    """The runs that a question lays on a scene.
 
-    runs: tuple[Run, ...]  # what is driven
-    refused: tuple[Refusal, ...]  # what the junction does not carry
-    # cases none of whose speeds were asked for, or that meet somebody who is not to be
-    # protected
+    Attributes
+    ----------
+    runs : tuple of Run
+        What is driven.
+    refused : tuple of Refusal
+        What the junction does not carry.
+    left_out : tuple of Refusal
+        Cases none of whose speeds were asked for, or that meet somebody who is
+        not to be protected.
+    """
+
+    runs: tuple[Run, ...]
+    refused: tuple[Refusal, ...]
     left_out: tuple[Refusal, ...]
 
 

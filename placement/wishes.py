@@ -39,10 +39,7 @@ class Part:
         Where the price comes from; it begins with "assumption" where that is nowhere.
     """
 
-    eur: Annotated[
-        float, Meta(ge=0.0, description="euros, at least 0")
-    ]  # its price. [EUR]
-    # where the price comes from; it begins with "assumption" where that is nowhere
+    eur: Annotated[float, Meta(ge=0.0, description="euros, at least 0")]
     source: str
 
 
@@ -59,9 +56,7 @@ class SitePrices:
         kinds.
     """
 
-    parts: dict[str, Part]  # what sites may take, by name
-    # names of the parts that a site takes, by its kind; "pole" stands for all other
-    # kinds
+    parts: dict[str, Part]
     kinds: dict[str, tuple[str, ...]]
 
     def __post_init__(self) -> None:
@@ -120,46 +115,62 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
 # ---------- demands
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """Demands on a layout."""
+    """Demands on a layout.
 
-    budget_units: int | None = (
-        None  #: At most so many units in all, the existing ones among them.
-    )
-    budget_eur: float | None = (
-        None  #: At most so much money for new units and their sites. [EUR]
-    )
-    # : APR that must be reached, 0..1: with the fewest units or the least cost. With
-    # ``max`` as : infinity: as much as all candidates together reach.
+    Attributes
+    ----------
+    budget_units : int, optional
+        At most so many units in all, the existing ones among them.
+    budget_eur : float, optional
+        At most so much money for new units and their sites. [EUR]
+    target : float, optional
+        APR that must be reached, 0..1: with the fewest units or the least cost.
+        With ``max`` as infinity: as much as all candidates together reach.
+    saves : str
+        What a target is reached with the least of.
+    min_case_apr : float
+        APR that must be reached in every case.
+    survive : int
+        Units or sites that may fail, any of them: target and floors hold then,
+        too; without these, the APR that is left is the first objective.
+    give_up : float
+        APR that may be given up so that more is left when a unit fails.
+    failing : Failing
+        What fails at once: a unit, or a site with all that it carries.
+    existing : tuple of str
+        Ids of candidates that are mounted already: they stay, and cost nothing.
+    forced_sites, forbidden_sites : tuple of str
+        Ids of sites that must, and must not, carry units, in addition to the
+        scene's.
+    site_capacity : int, optional
+        Units per site, in place of the scene's.
+    site_cost_eur : float, optional
+        For a site that is used, in place of the scene's. [EUR]
+    prices : SitePrices, optional
+        For sites without a price; by default they cost nothing.
+    separation_m : float
+        Least distance on the ground between two units; on one site there is one
+        at most then. [m]
+    tail : float
+        Share of the sampled worlds that counts, the worst ones, see
+        :class:`placement.optimiser.problem.Measure`.
+    """
+
+    budget_units: int | None = None
+    budget_eur: float | None = None
     target: float | None = None
-    saves: str = "units"  #: What a target is reached with the least of.
-    min_case_apr: float = 0.0  #: APR that must be reached in every case.
-    # : Units or sites that may fail, any of them: target and floors hold then, too;
-    # without these, : the APR that is left is the first objective.
+    saves: str = "units"
+    min_case_apr: float = 0.0
     survive: int = 0
-    give_up: float = (
-        0.0  #: APR that may be given up so that more is left when a unit fails.
-    )
-    failing: Failing = (
-        "unit"  #: What fails at once: a unit, or a site with all that it carries.
-    )
-    #: Ids of candidates that are mounted already: they stay, and cost nothing.
+    give_up: float = 0.0
+    failing: Failing = "unit"
     existing: tuple[str, ...] = ()
-    # : forced_sites and forbidden_sites: ids of sites that must, and must not, carry
-    # units, in : addition to the scene's.
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
-    site_capacity: int | None = None  #: Units per site, in place of the scene's.
-    site_cost_eur: float | None = (
-        None  #: For a site that is used, in place of the scene's. [EUR]
-    )
-    prices: SitePrices | None = (
-        None  #: For sites without a price; by default they cost nothing.
-    )
-    # : Least distance on the ground between two units; on one site there is one at most
-    # then. [m]
+    site_capacity: int | None = None
+    site_cost_eur: float | None = None
+    prices: SitePrices | None = None
     separation_m: float = 0.0
-    #: Share of the sampled worlds that counts, the worst ones, see
-    #: :class:`placement.optimiser.problem.Measure`.
     tail: float = 1.0
 
     def __post_init__(self) -> None:
@@ -244,8 +255,10 @@ def build_limits(
         )
         distance_m = np.linalg.norm(where_m[:, None, :] - where_m[None, :, :], axis=2)
         pairs = np.argwhere(np.triu(distance_m < wishes.separation_m, k=1))
-        rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]  # existing units may stay
-    capacity = np.maximum(capacity, existing_at)  # existing units have found room
+        # Existing units may stay
+        rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]
+    # Existing units have found room
+    capacity = np.maximum(capacity, existing_at)
     cost[existing_at > 0] = 0.0
     usable = site_index[~is_forbidden_site[site_index] | is_existing]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())

@@ -35,11 +35,11 @@ from .fronts import Options
 CORE_OPTIONS = 4_000
 """Options that are handed to the solver at first; more where they can be in a better choice."""
 _MAX_CORE = 40_000
-_ROUNDING = 1.0e-9  # of sums, relative
+# Of sums, relative
+_ROUNDING = 1.0e-9
 _MAX_CUTS = 120
-_UNIT_SUM = (
-    1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
-)
+# The solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
+_UNIT_SUM = 1.0e5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,12 +58,10 @@ class Knapsack:
         What all chosen options may take together.
     """
 
-    group: IntArray  # (n,): ascending, 0, 1, 2
-    profit: FloatArray  # (n,): of each option
-    rows: (
-        FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
-    )
-    limits: FloatArray  # (m,): what all chosen options may take together
+    group: IntArray
+    profit: FloatArray
+    rows: FloatArray
+    limits: FloatArray
 
     @property
     def starts(self) -> IntArray:
@@ -78,12 +76,18 @@ class Knapsack:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """Options that were chosen."""
+    """Options that were chosen.
 
-    # (n_groups,): option of each group; None: nothing was found within the time, or
-    # `bound` is minus infinity and nothing keeps the limits
+    Attributes
+    ----------
+    chosen : (n_groups,) int, optional
+        Option of each group; None: nothing was found within the time, or
+        `bound` is minus infinity and nothing keeps the limits.
+    objective, bound : float
+        Sum of profits, and what no choice exceeds.
+    """
+
     chosen: IntArray | None
-    # objective, bound: sum of profits, and what no choice exceeds
     objective: float
     bound: float
 
@@ -225,7 +229,8 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
         if lowest - solved.x[-1] <= 1.0e-9 * max(1.0, abs(lowest)):
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
-            most *= 100.0  # a limit that is hard to keep
+            # A limit that is hard to keep
+            most *= 100.0
     return np.asarray(best * scale)
 
 
@@ -317,19 +322,25 @@ def _first(position: IntArray) -> IntArray:
 
 
 # ---------- the choice
-_HELD = (
-    1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
-)
-_STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
+# Scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
+_HELD = 1.0e5
+# Of the time, for the first stage and its bound
+_STAGES_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class District:
-    """Junctions that shall reach an APR together."""
+    """Junctions that shall reach an APR together.
+
+    Attributes
+    ----------
+    least_apr : float
+        Of their accidents together, by weight.
+    """
 
     name: str
     junctions: IntArray
-    least_apr: float  # of their accidents together, by weight
+    least_apr: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -348,10 +359,9 @@ class CityWishes:
         APR that each junction reaches by itself; by default 0.
     """
 
-    budget_units: int | None = None  # at most so many new units
-    budget_eur: float | None = None  # at most so much money. [EUR]
-    districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
-    # (n_junctions,): APR that each junction reaches by itself; by default 0
+    budget_units: int | None = None
+    budget_eur: float | None = None
+    districts: Sequence[District] = field(default_factory=tuple)
     least_apr: FloatArray | None = None
 
 
@@ -371,12 +381,8 @@ class CityChoice:
         and the first stage's bound is what the fronts leave open.
     """
 
-    rows: IntArray  # (n_junctions,): row of the options, for each junction
-    # a stage for each objective. The bound of the first holds for all layouts of all
-    # junctions, those of the others for the points of the fronts
+    rows: IntArray
     certificate: Certificate
-    # what no choice among the points exceeds in the first stage: what is between this
-    # and the first stage's bound is what the fronts leave open
     bound_of_points: float
 
 
@@ -530,15 +536,23 @@ def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray
 # ---------- the stages after the first
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Later:
-    """The stages after the first, and what they hold."""
+    """The stages after the first, and what they hold.
+
+    Attributes
+    ----------
+    rows : int
+        Of all options, those of these.
+    held : list of (float, float)
+        Rows of at least so much, in shares.
+    """
 
     options: Options
-    rows: IntArray  # of all options, those of these
+    rows: IntArray
     share: FloatArray
     wishes: CityWishes
     gap: float
     end_s: float
-    held: list[tuple[FloatArray, float]]  # rows of at least so much, in shares
+    held: list[tuple[FloatArray, float]]
     chosen: IntArray
 
     def solve(self, apr: float) -> list[Stage]:
@@ -550,9 +564,8 @@ class _Later:
         smallest = self._smallest_margin()
         # At a given APR, the sum of prevented accidents by their time to spare says the
         # same.
-        prevented = (
-            self.share[self.options.junction] * self.options.apr
-        )  # fewer than before
+        # Fewer than before
+        prevented = self.share[self.options.junction] * self.options.apr
         mean = self._most(
             Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr
         )
@@ -587,7 +600,8 @@ class _Later:
         value = float(profit[self.chosen].sum())
         if objective is not Objective.COST:
             self.held.append((profit, value))
-        if unit == 0.0:  # nothing is prevented: there is no time to spare
+        # Nothing is prevented: there is no time to spare
+        if unit == 0.0:
             return build_stage(objective, 0.0, 0.0, now_s() - began_s)
         return build_stage(
             objective, value / unit, found.bound / unit, now_s() - began_s
@@ -607,7 +621,8 @@ class _Later:
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low = 0
-        high = len(levels)  # levels below low can be kept, those from high on cannot
+        # Levels below low can be kept, those from high on cannot
+        high = len(levels)
         if len(levels):
             bound = float(levels[-1])
         else:
@@ -620,7 +635,8 @@ class _Later:
                 answer = self._solve(self._knapsack(profit, rows))
                 found = answer.chosen
                 if found is None and answer.bound > -np.inf:
-                    break  # the time was up
+                    # The time was up
+                    break
             if found is None:
                 high = middle
                 if middle:
@@ -632,7 +648,8 @@ class _Later:
                 low = middle + 1
         value = reached()
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
-        self.chosen = np.searchsorted(keep, self.chosen)  # go on with these alone
+        # Go on with these alone
+        self.chosen = np.searchsorted(keep, self.chosen)
         self.options, self.rows = self.options.taken(keep), self.rows[keep]
         self.held = [(row[keep], least) for row, least in self.held]
         return build_stage(Objective.SMALLEST_MARGIN, value, bound, now_s() - began_s)
@@ -710,12 +727,22 @@ def _floor(share: float) -> str:
 # ---------- the city's own front
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A junction gets more: with the steps before it, the most for the money that they take."""
+    """A junction gets more: with the steps before it, the most for the money that they take.
+
+    Attributes
+    ----------
+    row : int
+        Of the options: what it has from here on.
+    taken : float
+        By all junctions together: euros or units.
+    apr : float
+        Of all junctions together.
+    """
 
     junction: int
-    row: int  # of the options: what it has from here on
-    taken: float  # by all junctions together: euros or units
-    apr: float  # of all junctions together
+    row: int
+    taken: float
+    apr: float
 
 
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
@@ -795,11 +822,9 @@ class Phases:
         What no other order exceeds.
     """
 
-    year: IntArray  # (n,): from 1; 0 where nothing is mounted
-    # Sum over junctions of gain times the years, up to the last one, in which it is
-    # there
+    year: IntArray
     gain_years: float
-    bound: float  # What no other order exceeds
+    bound: float
 
 
 def plan_phases(
@@ -864,7 +889,8 @@ def _solve(
     import cvxpy as cp
 
     n = len(units)
-    x = cp.Variable(n * n_years, boolean=True)  # junction by junction, its year
+    # Junction by junction, its year
+    x = cp.Variable(n * n_years, boolean=True)
     one_each = sp.kron(sp.eye_array(n), np.ones((1, n_years)), format="csr")
     until = np.tril(np.ones((n_years, n_years)))
     ready = sp.csr_array(np.kron(units.astype(np.float64)[None], until))

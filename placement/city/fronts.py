@@ -41,9 +41,8 @@ class Point:
         already.
     """
 
-    units: int  # New ones: the existing ones are not counted
-    cost_eur: float  # Of the new units and their sites. [EUR]
-    # As :class:`placement.optimiser.PlacementValue` has them, with the existing units
+    units: int
+    cost_eur: float
     apr: float
     apr_one_failed: float
     smallest_margin_s: float
@@ -86,12 +85,9 @@ class JunctionFront:
         From so many euros on, up to the next step, no layout has a higher APR.
     """
 
-    points: tuple[Point, ...]  # the first takes nothing
-    # from so many new units on, up to the next step, no layout has a higher APR
+    points: tuple[Point, ...]
     by_units: Steps
-    by_cost: (
-        Steps  # from so many euros on, up to the next step, no layout has a higher APR
-    )
+    by_cost: Steps
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
@@ -182,13 +178,9 @@ class Options:
         What the option is worth, see :class:`Point`.
     """
 
-    junction: (
-        IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
-    )
-    units: IntArray  # (n,): new units
-    cost_eur: FloatArray  # (n,): of these. [EUR]
-    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is
-    # worth, see :class:`Point`
+    junction: IntArray
+    units: IntArray
+    cost_eur: FloatArray
     apr: FloatArray
     apr_one_failed: FloatArray
     smallest_margin_s: FloatArray
@@ -286,11 +278,7 @@ class SiteFront:
         those kept.
     """
 
-    # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are
-    # not bounded
     limits: tuple[float, ...]
-    # good ones with fewer sites than new units: rows of the detection table, with the
-    # existing ones
     layouts: tuple[tuple[int, ...], ...]
 
     def limit(self, n_sites: int) -> float:
@@ -357,9 +345,8 @@ def front_by_sites(
     )
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
-    if (
-        not is_free.any()
-    ):  # what remains is mounted already, or where there is no more room
+    # What remains is mounted already, or where there is no more room
+    if not is_free.any():
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full, are_best = _front_of_full_sites(
@@ -380,7 +367,8 @@ def front_by_sites(
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
             parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_existing)
             if are_best and n_units == widest[:n_sites].sum() and parts:
-                layouts[n_sites, n_units] = parts[0]  # the best one there is
+                # The best one there is
+                layouts[n_sites, n_units] = parts[0]
                 continue
             fewer = ((n_sites, n_units - 1), (n_sites - 1, n_units))
             starts = [*parts, *(layouts[key] for key in fewer if key in layouts)]

@@ -49,32 +49,51 @@ class TimeUpError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionWishes:
-    """How a junction's front is looked for."""
+    """How a junction's front is looked for.
 
-    grid: CandidateGrid  # poses at each site
-    max_units: int  # most new units
-    # for all of it; of what is left after the detection table, the optimiser takes what
-    # the question allows it. [s]
+    Attributes
+    ----------
+    grid : CandidateGrid
+        Poses at each site.
+    max_units : int
+        Most new units.
+    time_limit_s : float
+        For all of it; of what is left after the detection table, the optimiser
+        takes what the question allows it. [s]
+    existing : Layout, optional
+        What is mounted there already.
+    """
+
+    grid: CandidateGrid
+    max_units: int
     time_limit_s: float
-    existing: Layout | None = None  # what is mounted there already
+    existing: Layout | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts, and the sizes of its question."""
+    """A junction's front with its layouts, and the sizes of its question.
 
-    front: JunctionFront  # points and bounds
-    layouts: tuple[
-        Layout | None, ...
-    ]  # of each point, existing units too; None: nothing mounted
+    Attributes
+    ----------
+    front : JunctionFront
+        Points and bounds.
+    layouts : tuple of Layout, optional
+        Of each point, existing units too; None: nothing mounted.
+    possible_runs : int
+        These, and those for which the junction has no room.
+    seconds : dict of str to float
+        Processor time of the thread that solved it, by stage. [s]
+    """
+
+    front: JunctionFront
+    layouts: tuple[Layout | None, ...]
     sites: int
     poses: int
     runs: int
-    possible_runs: int  # these, and those for which the junction has no room
+    possible_runs: int
     frames: int
-    seconds: dict[
-        str, float
-    ]  # processor time of the thread that solved it, by stage. [s]
+    seconds: dict[str, float]
 
 
 def solve_junction(
@@ -177,9 +196,8 @@ def find_front(
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_existing = len(forced)
-    base = placement_value(
-        problem, forced
-    )  # what the VUT avoids by itself, where there are none
+    # What the VUT avoids by itself, where there are none
+    base = placement_value(problem, forced)
 
     def fronts_of(
         part: PlacementProblem, tell: Callable[[str], None]
@@ -222,7 +240,8 @@ def find_front(
         try:
             by_cost = cost_front(problem, effort=effort())
         except InputError as error:
-            if error.where != "candidates":  # else the poses avoid nothing
+            # Else the poses avoid nothing
+            if error.where != "candidates":
                 raise
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(

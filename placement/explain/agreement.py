@@ -132,7 +132,8 @@ def _cause(
     if isinstance(unit.sensor, LidarModel):
         return place + "about as many points as it takes"
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
-    from ..evaluator import build_surroundings, perceive_frames  # loads the compiler
+    # Loads the compiler
+    from ..evaluator import build_surroundings, perceive_frames
 
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
     frames = np.array([frame - int(setting.axis.run_start[run])])

@@ -29,7 +29,8 @@ from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 
 STAGE = "other priorities"
-TIME_LIMIT_S = 10.0  # most time for each alternative: it is mentioned in passing
+# Most time for each alternative: it is mentioned in passing
+TIME_LIMIT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,20 +97,26 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-EQUAL_APR = (
-    0.001  # front-runners no farther apart are equal: results print a tenth of a point
-)
+# Front-runners no farther apart are equal: results print a tenth of a point
+EQUAL_APR = 0.001
 
 Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunner:
-    """A layout that leads on the detection table, by the evaluator."""
+    """A layout that leads on the detection table, by the evaluator.
 
-    layout: Layout  # its units
-    # apr, apr_one_failed: all units together, and when the most needed one fails; 0 for
-    # a single unit. 0..1
+    Attributes
+    ----------
+    layout : Layout
+        Its units.
+    apr, apr_one_failed : float
+        All units together, and when the most needed one fails; 0 for a single
+        unit. 0..1.
+    """
+
+    layout: Layout
     apr: float
     apr_one_failed: float
 

@@ -50,20 +50,27 @@ class Demand:
         Index of the floor.
     """
 
-    # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive":
-    # that all floors hold when units fail; "capacity": of all sites; "separation":
-    # rivals among the sites; "forced_sites", "forbidden": all of them together
     kind: Kind
-    floor: int | None = None  # index of the floor
+    floor: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Separation:
-    """The effect of a least distance between units on the limits."""
+    """The effect of a least distance between units on the limits.
 
-    distance_m: float  # pairs of sites that are nearer are rivals. [m]
-    pair_distance_m: FloatArray  # (n_pairs,): distances of the limits' rivals. [m]
-    site_capacity: IntArray  # (n_sites,): units that each site could carry without it
+    Attributes
+    ----------
+    distance_m : float
+        Pairs of sites that are nearer are rivals. [m]
+    pair_distance_m : (n_pairs,) float
+        Distances of the limits' rivals. [m]
+    site_capacity : (n_sites,) int
+        Units that each site could carry without it.
+    """
+
+    distance_m: float
+    pair_distance_m: FloatArray
+    site_capacity: IntArray
 
 
 class Wish:
@@ -204,17 +211,12 @@ class Relaxation:
         A set of poses that does.
     """
 
-    demand: Demand  # which
-    # what can be had in place of its number: units, euros, share, failed units, units
-    # per site, metres. NaN where it has none.
+    demand: Demand
     value: float = np.nan
-    # of a demand that lists poses or sites: those that have to go
     given_up: tuple[int, ...] = ()
-    suffices: bool = (
-        False  # the whole wish can be met then; else only this conflict is settled
-    )
-    is_least: bool = True  # proven: less does not do
-    pose_index: tuple[int, ...] = ()  # a set of poses that does
+    suffices: bool = False
+    is_least: bool = True
+    pose_index: tuple[int, ...] = ()
 
 
 def relax(
@@ -288,9 +290,8 @@ def find_relaxation(
             is_least=answer.is_proven,
             pose_index=answer.pose_index,
         )
-    if (
-        separation is not None and "capacity" not in kinds
-    ):  # sites may carry any number of units
+    # Sites may carry any number of units
+    if separation is not None and "capacity" not in kinds:
         any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
         separation = replace(separation, site_capacity=any_number)
     trial = _Trial(demand, with_it, oracle, separation)
@@ -408,10 +409,18 @@ class _Trial:
 # ---------- conflicts
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conflict:
-    """Demands that cannot all be met; any part of them can."""
+    """Demands that cannot all be met; any part of them can.
 
-    demands: tuple[Demand, ...]  # in the order of ``Wish.demands``
-    # for each demand the least by which it has to give way, where that was found
+    Attributes
+    ----------
+    demands : tuple of Demand
+        In the order of ``Wish.demands``.
+    relaxations : tuple of Relaxation
+        For each demand the least by which it has to give way, where that was
+        found.
+    """
+
+    demands: tuple[Demand, ...]
     relaxations: tuple[Relaxation, ...]
 
 
@@ -437,7 +446,8 @@ def find_conflicts(
             asked[active] = oracle.find(wish.part(active))
         return asked[active]
 
-    if ask(frozenset()).pose_index is None:  # forced and forbidden, say
+    # Forced and forbidden, say
+    if ask(frozenset()).pose_index is None:
         return ()
     left = wish.everything
     found = []
@@ -462,7 +472,8 @@ def _smallest_conflict(
     wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> frozenset[int]:
     """A smallest conflict among demands that cannot all be met; any, where time is short."""
-    met = list[frozenset[int]]()  # demands that some set of poses meets together
+    # Demands that some set of poses meets together
+    met = list[frozenset[int]]()
     for size in range(len(demands) + 1):
         for tried in map(frozenset, combinations(sorted(demands), size)):
             if any(tried <= known for known in met):
@@ -470,7 +481,8 @@ def _smallest_conflict(
             answer = ask(tried)
             if _is_refused(answer):
                 return tried
-            if answer.pose_index is None:  # time is up
+            # Time is up
+            if answer.pose_index is None:
                 return _thinned(demands, ask)
             met.append(wish.met_by(answer.pose_index, tried))
     raise ValueError("the demands can be met")

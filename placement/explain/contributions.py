@@ -35,18 +35,31 @@ from ..optimiser.bitsets import avoided_with_each
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """The contribution of one unit of a set, on the detection table."""
+    """The contribution of one unit of a set, on the detection table.
 
-    pose_index: int  # row of the table
-    only_runs: (
-        IntArray  # (n,): runs with weight that are avoided with it and not without it
-    )
-    marginal_apr: float  # APR of the whole set less that of the others, 0..1
-    without: PlacementValue  # what the others are worth
-    # by how much later, on average by weight, the runs that the others avoid, too, are
-    # confirmed without it. [s]
+    Attributes
+    ----------
+    pose_index : int
+        Row of the table.
+    only_runs : (n,) int
+        Runs with weight that are avoided with it and not without it.
+    marginal_apr : float
+        APR of the whole set less that of the others, 0..1.
+    without : PlacementValue
+        What the others are worth.
+    mean_delay_s : float
+        By how much later, on average by weight, the runs that the others avoid,
+        too, are confirmed without it. [s]
+    max_delay_s : float
+        The most of it in any of these runs. [s]
+    """
+
+    pose_index: int
+    only_runs: IntArray
+    marginal_apr: float
+    without: PlacementValue
     mean_delay_s: float
-    max_delay_s: float  # the most of it in any of these runs. [s]
+    max_delay_s: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "only_runs", freeze(self.only_runs))
@@ -86,7 +99,8 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-MAX_PAIR_UNITS = 12  # for layouts with more units, only single failures are evaluated
+# For layouts with more units, only single failures are evaluated
+MAX_PAIR_UNITS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,18 +124,11 @@ class Failure:
         The site that fails with all its units; empty: units fail, their poles stand.
     """
 
-    unit_ids: tuple[str, ...]  # the units that fail
-    # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
+    unit_ids: tuple[str, ...]
     apr: float
-    # of the runs with weight that the others still avoid, the least time from the onset
-    # of braking to the last moment; NaN where they avoid none. [s]
     smallest_margin_s: float
-    # runs with weight that all units together avoid and the others do not, those with
-    # the highest speed first
     lost_run_ids: tuple[str, ...]
-    site_id: str = (
-        ""  # the site that fails with all its units; empty: units fail, poles stand
-    )
+    site_id: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,14 +148,10 @@ class Failures:
         One for each site: power or a crash takes all of its units at once.
     """
 
-    none_failed: Failure  # of all units together
-    one_failed: tuple[Failure, ...]  # one for each unit
-    # one for each pair; empty for a layout of one unit or of more than
-    # ``MAX_PAIR_UNITS``
+    none_failed: Failure
+    one_failed: tuple[Failure, ...]
     two_failed: tuple[Failure, ...]
-    site_failed: tuple[
-        Failure, ...
-    ] = ()  # one for each site: power or a crash takes all its units
+    site_failed: tuple[Failure, ...] = ()
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:

@@ -25,7 +25,8 @@ from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits, check_reach
 
 # ---------- greedy choice
-_MAX_ADDED = 12  # values with failed units take too long to compute for more
+# Values with failed units take too long to compute for more
+_MAX_ADDED = 12
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
@@ -54,20 +55,27 @@ def meets(reduced: ReducedProblem, units: IntArray) -> bool:
 
 # ---------- the oracle
 _FEW_UNITS = 6
-_SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
+# Of the remaining time, that one question may take
+_SHARE_OF_TIME = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """The answer to whether a wish can be met."""
+    """The answer to whether a wish can be met.
 
-    pose_index: (
-        tuple[int, ...] | None
-    )  # a set of poses that meets it; None: none was found
-    is_proven: bool  # that there is none; or that none has a better `value`
-    value: float = (
-        np.nan
-    )  # where a number was asked for: the least, or the most, found; else NaN
+    Attributes
+    ----------
+    pose_index : tuple of int, optional
+        A set of poses that meets it; None: none was found.
+    is_proven : bool
+        That there is none; or that none has a better `value`.
+    value : float
+        Where a number was asked for: the least, or the most, found; else NaN.
+    """
+
+    pose_index: tuple[int, ...] | None
+    is_proven: bool
+    value: float = np.nan
 
 
 _NONE = Answer(pose_index=None, is_proven=True)
@@ -134,9 +142,8 @@ class Oracle:
             return _NONE
         reduced = self._presolve(problem)
         measure = measure.of_runs(reduced.run_index)
-        if (
-            not measure.weight.any()
-        ):  # nothing that counts can be avoided: any set is as good
+        # Nothing that counts can be avoided: any set is as good
+        if not measure.weight.any():
             return replace(self.find(problem), value=0.0)
         everything = Requirement(
             measure=measure, least=measure.limit, n_failures=n_failures
@@ -192,7 +199,8 @@ class Oracle:
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
-            if len(units) <= _FEW_UNITS:  # exchanges take long for more
+            # Exchanges take long for more
+            if len(units) <= _FEW_UNITS:
                 search.keep(improve(reduced, units, search.limit, deadline=deadline))
 
         def has_set() -> bool:

@@ -63,13 +63,10 @@ class Tolerance:
         Lower and higher, the same. [m]
     """
 
-    unit_id: str  # the unit
-    # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up:
-    # the largest of the tried turns up to which every run that the layout avoids is
-    # still avoided; 0: not even the smallest. [deg]
+    unit_id: str
     yaw_deg: tuple[float, float]
     pitch_deg: tuple[float, float]
-    height_m: tuple[float, float]  # lower and higher, the same. [m]
+    height_m: tuple[float, float]
 
 
 def find_tolerances(
@@ -151,12 +148,17 @@ def find_standing(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Errors:
-    """Runs that are avoided with one unit off, by its number, what is off and by how much."""
+    """Runs that are avoided with one unit off, by its number, what is off and by how much.
+
+    Attributes
+    ----------
+    planned : (2, n_runs) bool
+        By VUTs that do not see, and that do.
+    """
 
     setting: Setting
     units: Sequence[CandidatePose]
     steps: Steps
-    # (2, n_runs) each: by VUTs that do not see, and that do
     planned: BoolArray
     avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
@@ -176,9 +178,8 @@ class _Errors:
     def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
         is_lost = self.planned & ~self.avoided[number, kind, step]
         cars = self.setting.cars
-        is_driven = np.array(
-            [cars < 1.0, cars > 0.0]
-        )  # by cars that do not see, and that do
+        # By cars that do not see, and that do
+        is_driven = np.array([cars < 1.0, cars > 0.0])
         return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 
     def tolerances(self) -> tuple[Tolerance, ...]:

@@ -42,16 +42,25 @@ Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "othe
 
 THE_VUT = "the VUT"
 Names = tuple[NDArray[np.object_], list[list[str]]]
-_OFF_SURFACE_M = 1.0e-3  # rays end this much before the point they are cast to
+# Rays end this much before the point they are cast to
+_OFF_SURFACE_M = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A unit, a run, and the frames in which the unit should have detected the road user."""
+    """A unit, a run, and the frames in which the unit should have detected the road user.
+
+    Attributes
+    ----------
+    run_index : int
+        Of the setting's runs.
+    frame_index : (n,) int
+        Frames of that run, from 0.
+    """
 
     unit: CandidatePose
-    run_index: int  # of the setting's runs
-    frame_index: IntArray  # (n,): frames of that run, from 0
+    run_index: int
+    frame_index: IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -48,16 +48,11 @@ class RecordedEvaluation:
         them is detected.
     """
 
-    axis: FrameAxis  # A run per drive, all of equal weight
-    vut: Verdict | None  # the VUT's own camera alone; None where it is not recorded
-    units: Mapping[str, Verdict]  # each roadside unit alone, by the name of its folder
-    rsu_all: Verdict  # all of them fused: in each frame any of them may be the detector
-    vut_and_rsus: (
-        Verdict | None
-    )  # the same with the VUT's camera; None where that is not recorded
-    # frames of a roadside unit with several VRUs of the drive's class in view: it is
-    # not known which one the VUT is about to hit, so that they count only if each of
-    # them is detected
+    axis: FrameAxis
+    vut: Verdict | None
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict | None
     n_ambiguous: int
 
 

@@ -27,10 +27,11 @@ from geometry.files import (
     write_new,
 )
 
+# That are read; other road users are only written
 VRU_CLASSES = (
     "pedestrian",
     "bicycle",
-)  # that are read; other road users are only written
+)
 _MOST_FRAMES = 100_000_000
 _SIDES = ("min_x", "min_y", "max_x", "max_y")
 _WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
@@ -38,10 +39,16 @@ Box = tuple[float, float, float, float]
 
 
 class FrameKey(NamedTuple):
-    """Scenario and number of a frame, as in a file's name SCENARIO_FRAME.txt."""
+    """Scenario and number of a frame, as in a file's name SCENARIO_FRAME.txt.
+
+    Attributes
+    ----------
+    number : int
+        Runs on over all drives of the scenario.
+    """
 
     scenario: int
-    number: int  # runs on over all drives of the scenario
+    number: int
 
     @property
     def file_name(self) -> str:
@@ -51,21 +58,35 @@ class FrameKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingFormat:
-    """The study's folder layout, and how motion is read from it: ``carla_ncap_format.toml``."""
+    """The study's folder layout, and how motion is read from it: ``carla_ncap_format.toml``.
+
+    Attributes
+    ----------
+    n_reset_frames : int
+        Between two drives.
+    vut_folder : str
+        All other folders are units and have a number for a name.
+    vut_indices : tuple of str
+        What stands for the VUT in Eval.
+    actor_types : mapping of str to str
+        Spelling to "pedestrian", "bicycle" or "other".
+    window_s : float
+        This and the following are those of the section `motion`. [s]
+    """
 
     width_px: int
     height_px: int
     frame_rate_hz: float
-    n_reset_frames: int  # between two drives
-    vut_folder: str  # all other folders are units and have a number for a name
+    n_reset_frames: int
+    vut_folder: str
     world_folder: str
     eval_folder: str
-    vut_indices: tuple[str, ...]  # what stands for the VUT in Eval
+    vut_indices: tuple[str, ...]
     label_fields: tuple[str, ...]
     world_fields: tuple[str, ...]
     eval_fields: tuple[str, ...]
-    actor_types: Mapping[str, str]  # spelling to "pedestrian", "bicycle" or "other"
-    window_s: float  # this and the following: [motion]
+    actor_types: Mapping[str, str]
+    window_s: float
     min_frames: int
     min_closing_speed_mps: float
     max_same_direction_deg: float
@@ -84,28 +105,56 @@ def load_format() -> RecordingFormat:
 
 
 class Label(NamedTuple):
-    """Where an actor is in a unit's image."""
+    """Where an actor is in a unit's image.
 
-    class_name: str  # "pedestrian", "bicycle" or "other"
-    box_px: Box  # of the visible pixels
-    distance_m: float  # from the unit
+    Attributes
+    ----------
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    box_px : Box
+        Of the visible pixels.
+    distance_m : float
+        From the unit.
+    """
+
+    class_name: str
+    box_px: Box
+    distance_m: float
 
 
 class Detection(NamedTuple):
-    """A detection in a unit's image."""
+    """A detection in a unit's image.
 
-    unit: str  # as in the file
-    class_name: str  # "pedestrian", "bicycle" or "other"
+    Attributes
+    ----------
+    unit : str
+        As in the file.
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    confidence : float
+        0 .. 1.
+    """
+
+    unit: str
+    class_name: str
     box_px: Box
-    confidence: float  # 0 .. 1
+    confidence: float
     line_number: int
 
 
 class World(NamedTuple):
-    """How the bodies move in a frame."""
+    """How the bodies move in a frame.
 
-    distance_m: float  # between the origins of VUT and VRU
-    vut_speed_mps: float  # target speeds of the drive: the bodies may still stand
+    Attributes
+    ----------
+    distance_m : float
+        Between the origins of VUT and VRU.
+    vut_speed_mps : float
+        Target speeds of the drive: the bodies may still stand.
+    """
+
+    distance_m: float
+    vut_speed_mps: float
     vru_speed_mps: float
 
 
@@ -123,11 +172,19 @@ def json_of(path: Path, **limits: int) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """The fields of a line, or of an element of XML, taken by name."""
+    """The fields of a line, or of an element of XML, taken by name.
 
-    place: str  # file and line, or file and words
+    Attributes
+    ----------
+    place : str
+        File and line, or file and words.
+    line : int
+        Of a file that has lines.
+    """
+
+    place: str
     words: Mapping[str, str]
-    line: int = 0  # of a file that has lines
+    line: int = 0
 
     def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
         """A field's number; raises InputError unless it lies between `least` and `most`."""
@@ -274,30 +331,42 @@ def _box(row: Fields) -> Box:
 
 
 # ---------- writing
-_BICYCLE = "bycicle"  # as the study's paper spells it
+# As the study's paper spells it
+_BICYCLE = "bycicle"
 CONFIDENCE = 1.0
 """Of every detection that is written."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WrittenDrive:
-    """A drive to write."""
+    """A drive to write.
 
-    scenario: int  # index in the recording
-    vru_class: str  # "pedestrian", "bicycle", "motorcycle" or "car"
-    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
+    Attributes
+    ----------
+    scenario : int
+        Index in the recording.
+    vru_class : str
+        "pedestrian", "bicycle", "motorcycle" or "car".
+    vut_speed_mps, vru_speed_mps : float
+        Target speeds. [m/s]
+    distance_m : (n_frames,) float
+        Between the origins of VUT and VRU; the last frame is that of the
+        impact. [m]
+    labels_px, detections_px : mapping of str to (n_frames, 4) float
+        Per unit, by the name of its folder, the VRU's box and what was found; a
+        box without area stands for none. [px]
+    label_distance_m : mapping of str to (n_frames,) float
+        Per unit, how far the VRU is. [m]
+    """
+
+    scenario: int
+    vru_class: str
     vut_speed_mps: float
     vru_speed_mps: float
-    # (n_frames,): between the origins of VUT and VRU; the last frame is that of the
-    # impact. [m]
     distance_m: FloatArray
-    # labels_px, detections_px: (n_frames, 4): per unit, by the name of its folder, the
-    # VRU's box and what was found; a box without area stands for none. [px]
     labels_px: Mapping[str, FloatArray]
     detections_px: Mapping[str, FloatArray]
-    label_distance_m: Mapping[
-        str, FloatArray
-    ]  # (n_frames,): per unit, how far the VRU is. [m]
+    label_distance_m: Mapping[str, FloatArray]
 
     def __post_init__(self) -> None:
         check_one_of("vru_class", self.vru_class, _WRITTEN)
@@ -374,7 +443,8 @@ def write_folder(
             (temporary / name).mkdir(parents=True)
         for file_name, text in texts:
             write_new(temporary / file_name, text)
-        temporary.rename(folder)  # onto an empty folder, too
+        # Onto an empty folder, too
+        temporary.rename(folder)
 
 
 def _files(

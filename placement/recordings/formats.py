@@ -38,11 +38,17 @@ _NOWHERE = (np.nan, np.nan, np.nan)
 
 
 class BoxRow(NamedTuple):
-    """A box in a file, and where it stands there: a line, or words."""
+    """A box in a file, and where it stands there: a line, or words.
+
+    Attributes
+    ----------
+    class_name : str
+        "pedestrian", "cyclist", "car", "other" or "ignore".
+    """
 
     place: str
     frame: int
-    class_name: str  # "pedestrian", "cyclist", "car", "other" or "ignore"
+    class_name: str
     box_px: Box
     track: int = -1
     score: float = np.nan
@@ -53,26 +59,41 @@ class BoxRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedBoxes:
-    """Boxes (n) in a camera's frames: annotated, or found by a detector."""
+    """Boxes (n) in a camera's frames: annotated, or found by a detector.
 
-    source: str  # file that they come from
-    frame: IntArray  # (n,): from 0; consecutive numbers are consecutive frames
+    Attributes
+    ----------
+    source : str
+        File that they come from.
+    frame : (n,) int
+        From 0; consecutive numbers are consecutive frames.
+    box_px : (n, 4) float
+        Left, upper, right, lower side; without area: not in view. [px]
+    track : (n,) int
+        Whose box it is; -1: not said.
+    score : (n,) float
+        A detector's; not a number where it is annotated.
+    seen_share : (n,) float
+        That nothing hides; not a number where it is not said.
+    hidden_level : (n,) int
+        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
+    position_m : (n, 3) float
+        Middle of the body's foot in the recording's own frame; not a number:
+        not said. [m]
+    left_out : mapping of str to int
+        What is not among them, how often.
+    """
+
+    source: str
+    frame: IntArray
     class_name: tuple[str, ...]
-    # (n, 4): left, upper, right, lower side; without area: not in view. [px]
     box_px: FloatArray
-    track: IntArray  # (n,): whose box it is; -1: not said
-    score: FloatArray  # (n,): a detector's; not a number where it is annotated
-    seen_share: (
-        FloatArray  # (n,): that nothing hides; not a number where it is not said
-    )
-    # (n,): KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said
+    track: IntArray
+    score: FloatArray
+    seen_share: FloatArray
     hidden_level: IntArray
-    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not
-    # said. [m]
     position_m: FloatArray
-    left_out: Mapping[str, int] = field(
-        default_factory=dict
-    )  # what is not among them, how often
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -170,8 +191,10 @@ _MOT = (
     "visibility",
     "z",
 )
-_MOT_LEAST = 7  # the rest is -1, or missing
-_WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
+# The rest is -1, or missing
+_MOT_LEAST = 7
+# Fields from 2016 on; in 2015 there were x, y, z in their place
+_WITH_CLASSES = 9
 _PEDESTRIAN = 1
 # Ignored: riders, statues, reflections.
 _MOT_OTHERS = {3: "car", 2: IGNORE, 7: IGNORE, 8: IGNORE, 12: IGNORE}
@@ -420,7 +443,8 @@ def find_format(path: Path) -> str:
     if first.lstrip().startswith(("{", "[")):
         return COCO
     if not first:
-        return "MOT challenge"  # a detector that found nothing
+        # A detector that found nothing
+        return "MOT challenge"
     n_fields = len(first.split(","))
     words = first.split()
     if n_fields == 1 and len(words) > 2 and not words[2][0].isdigit():

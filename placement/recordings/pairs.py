@@ -16,21 +16,26 @@ HIDDEN_SHARES = (1.0, 0.75, 0.25)
 """Share seen at KITTI's levels in view, partly and largely hidden: assumed, half of it or more."""
 
 _FROM_THE_SIDE_DEG = 90.0
-_MOSTLY = 0.5  # a box of which more lies in a region to ignore does not count
-_LEAST_FRAMES = 10  # with boxes, to tell a frame rate
-_OUTSIDE_FRAMES = (
-    10  # detections may go on for so long where nobody is annotated any more
-)
+# A box of which more lies in a region to ignore does not count
+_MOSTLY = 0.5
+# With boxes, to tell a frame rate
+_LEAST_FRAMES = 10
+# Detections may go on for so long where nobody is annotated any more
+_OUTSIDE_FRAMES = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairedBoxes:
-    """Pictures of a recording, and which of its boxes their labels are."""
+    """Pictures of a recording, and which of its boxes their labels are.
+
+    Attributes
+    ----------
+    label_index : (n,) int
+        Into the annotated boxes, in the order of the pictures' labels.
+    """
 
     pictures: tuple[LabelledPicture, ...]
-    label_index: (
-        IntArray  # (n,): into the annotated boxes, in the order of the pictures' labels
-    )
+    label_index: IntArray
 
 
 def pair_boxes(

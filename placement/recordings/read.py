@@ -49,7 +49,8 @@ UNSEEN = "unseen"
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
-_OF_FRAMES = (".png", ".bin")  # images and points of the frames
+# Images and points of the frames
+_OF_FRAMES = (".png", ".bin")
 
 
 # ---------- drives: frames of a scenario up to the impact
@@ -74,16 +75,12 @@ class Drive:
         a frame that is missing. [m]
     """
 
-    scenario: int  # index in the recording
-    vru_class: str  # "pedestrian", "bicycle", or "unseen"
-    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
+    scenario: int
+    vru_class: str
     vut_speed_mps: float
     vru_speed_mps: float
-    # at which the distance falls in the last second before the impact. [m/s]
     closing_speed_mps: float
-    first_number: int  # frame number of the first frame; the others follow one by one
-    # (n_frames,): between the origins of VUT and VRU; the last one is that of the
-    # impact. NaN for a frame that is missing. [m]
+    first_number: int
     distance_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -179,9 +176,8 @@ def _drive(
     _, vut_speed, vru_speed = world[frames[0]]
     impact = int(np.argmin(distance))
     first = 0
-    if (
-        is_after_reset
-    ):  # without the frames in which the bodies stand at their starts, but the last
+    # Without the frames in which the bodies stand at their starts, but the last
+    if is_after_reset:
         has_moved = np.abs(distance - distance[0]) > form.standing_m
         if has_moved.any():
             first = int(np.argmax(has_moved)) - 1
@@ -268,16 +264,14 @@ class Recording:
         What was left out: reason and count.
     """
 
-    folder: Path  # where it was read
-    units: tuple[str, ...]  # names of the roadside units' folders, ascending
-    has_vut: bool  # the VUT's own camera is recorded, too
-    drives: tuple[Drive, ...]  # at least one
-    # per unit ("car": the VUT): VRUs in view, boxes clipped to the image
+    folder: Path
+    units: tuple[str, ...]
+    has_vut: bool
+    drives: tuple[Drive, ...]
     labels: Mapping[str, Mapping[FrameKey, list[Label]]]
-    # per unit: VRUs found, boxes clipped to the image
     detections: Mapping[str, Mapping[FrameKey, list[Detection]]]
-    n_frames: int  # frames with WorldData
-    skipped: Mapping[str, int]  # what was left out: reason and count
+    n_frames: int
+    skipped: Mapping[str, int]
 
     @property
     def n_missing(self) -> int:

@@ -35,7 +35,8 @@ def random_bits(key: Any, counter: int) -> Any:
     return bits ^ (bits >> np.uint64(31))
 
 
-_N_LAYERS = 128  # of the ziggurat
+# Of the ziggurat
+_N_LAYERS = 128
 # where its lowest layer ends, and the tail begins: of 128 layers [2]
 _TAIL = 3.442619855899
 
@@ -71,9 +72,8 @@ def _normal(key: Any, counter: int) -> Any:
     """A standard normal number."""
     bits = random_bits(key, counter)
     while True:
-        layer = np.int64(
-            bits & np.uint64(_N_LAYERS - 1)
-        )  # these bits are not in the share
+        # These bits are not in the share
+        layer = np.int64(bits & np.uint64(_N_LAYERS - 1))
         x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]
         if abs(x) < _HALF_WIDTH[layer + 1]:
             return x

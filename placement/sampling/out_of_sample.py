@@ -48,11 +48,10 @@ class MeanEstimate:
     """
 
     mean: float
-    standard_error: float  # of the mean; NaN for a single sample
-    # low, high: confidence interval of the true mean
+    standard_error: float
     low: float
     high: float
-    method: str  # how the interval was found, in words
+    method: str
 
 
 def estimate_mean(
@@ -158,23 +157,34 @@ def resampled_cvar(
 STAGE = "out of sample"
 APART = 100_000
 """Number of the first world in which layouts are chosen among: the answer is judged in others."""
-N_DRAWS = 4  # of a world: a draw costs a sixth of a world
+# Of a world: a draw costs a sixth of a world
+N_DRAWS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledApr:
-    """Accident prevention ratio of a layout, world by world."""
+    """Accident prevention ratio of a layout, world by world.
+
+    Attributes
+    ----------
+    axis : FrameAxis
+        Runs as planned.
+    apr_by_sample : (n_samples,) float
+        0 .. 1.
+    avoided_share : (n_runs,) float
+        Of all worlds, in which each run is avoided. 0 .. 1.
+    driving : TrafficCount
+        Vehicles that drove by in these worlds.
+    alone : float
+        Mean APR of all cars without units; 0 where they are blind. 0 .. 1.
+    """
 
     layout: Layout
-    axis: FrameAxis  # runs as planned
-    apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
-    avoided_share: (
-        FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
-    )
-    driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
-    alone: float = (
-        0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
-    )
+    axis: FrameAxis
+    apr_by_sample: FloatArray
+    avoided_share: FloatArray
+    driving: TrafficCount = NO_TRAFFIC
+    alone: float = 0.0
 
     def __post_init__(self) -> None:
         set_arrays(self, "", apr_by_sample=(-1,), avoided_share=(self.axis.n_runs,))
@@ -202,13 +212,21 @@ class SampledApr:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreshWorlds:
-    """Runs that layouts avoid in some worlds that none was chosen in."""
+    """Runs that layouts avoid in some worlds that none was chosen in.
 
-    avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
-    driving: TrafficCount  # vehicles that drove by, in all of them
-    alone: (
-        FloatArray  # (n_worlds, n_runs): share of the cars that avoid it without units
-    )
+    Attributes
+    ----------
+    avoided : (n_layouts, n_worlds, n_runs) float
+        Share of the draws in a world.
+    driving : TrafficCount
+        Vehicles that drove by, in all of them.
+    alone : (n_worlds, n_runs) float
+        Share of the cars that avoid it without units.
+    """
+
+    avoided: FloatArray
+    driving: TrafficCount
+    alone: FloatArray
 
 
 def out_of_sample_layouts(
@@ -303,9 +321,8 @@ def look_at_fresh_worlds(
         index = draw // n_draws
         if draw % n_draws == 0:
             driving += sample.driving
-            seen = seen_by_vut(
-                sample, quiet
-            )  # once in each world: nothing repeats in its images
+            # Once in each world: nothing repeats in its images
+            seen = seen_by_vut(sample, quiet)
             if seen is None:
                 own = []
             else:
@@ -330,7 +347,8 @@ def look_at_fresh_worlds(
     return FreshWorlds(avoided=avoided / n_draws, driving=driving, alone=alone)
 
 
-@lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
+# Worlds of one question may be looked at in parts
+@lru_cache(maxsize=1)
 def _shared(setting: Setting, is_still: bool, compute: Compute) -> SharedScene:
     return share_scene(setting, is_still=is_still, compute=compute)
 

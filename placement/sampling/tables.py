@@ -175,19 +175,30 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 # ---------- detection tables of sampled worlds
 STAGE = "sampled detection tables"
 _log = logging.getLogger(__name__)
-_ROWS = 256  # unpacked at a time
+# Unpacked at a time
+_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledTable:
-    """Detections in many sampled worlds: every run once in each."""
+    """Detections in many sampled worlds: every run once in each.
 
-    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds;
-    # last brake times have lost what messages take longer than the rule says
+    Attributes
+    ----------
+    table : DetectionTable
+        Run ids end in "#1", "#2" and so on; weights are divided by the number
+        of worlds; last brake times have lost what messages take longer than the
+        rule says.
+    sample_index : (n_runs,) int
+        World of each run of `table`, from 0.
+    seen_by_vut : (n_frames,) bool, optional
+        Of `table`, where cars see.
+    """
+
     table: DetectionTable
-    sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
+    sample_index: IntArray
     n_samples: int
-    seen_by_vut: BoolArray | None = None  # (n_frames,): of `table`, where cars see
+    seen_by_vut: BoolArray | None = None
 
 
 def sampled_table(
@@ -293,8 +304,10 @@ def build_sample_tables(
 
     def share(sample: Sample) -> SharedScene | None:
         if not sample.uncertainty.road_users.are_as_planned:
-            return None  # they are looked at in other places, world by world
-        with lock:  # where all tables are in the cache, nobody asks
+            # They are looked at in other places, world by world
+            return None
+        # Where all tables are in the cache, nobody asks
+        with lock:
             if not shared:
                 is_still = sample.uncertainty.moving is None
                 shared.append(
@@ -321,7 +334,8 @@ def build_sample_tables(
                 tables = as_planned
                 progress(STAGE, 1, 1)
             pending.append((sample, tables))
-            if len(pending) > at_once:  # one more waits
+            # One more waits
+            if len(pending) > at_once:
                 yield from _received(*pending.popleft())
         while pending:
             yield from _received(*pending.popleft())
@@ -560,7 +574,8 @@ def _coins(sample: Sample) -> Callable[..., FloatArray]:
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
 
-    @cache  # poses that may be the same unit share them
+    # Poses that may be the same unit share them
+    @cache
     def draw(*thing: object) -> FloatArray:
         coins = np.empty(len(runs))
         draw_coins(counter, sample.streams.key(*thing), coins)

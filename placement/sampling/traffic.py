@@ -21,19 +21,31 @@ from scenarios.runs import Run
 from .uncertainty import StandingTraffic, VehicleKind
 
 # ---------- ways of VUT and VRU
-_STEP_M = 0.25  # along a way, from one footprint to the next
-_TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
+# Along a way, from one footprint to the next
+_STEP_M = 0.25
+# Bodies nearer than this stand in one another
+_TOGETHER_M = 1.0e-3
 
 GroupKey = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Footprints:
-    """Rectangles on the road, and circles around them."""
+    """Rectangles on the road, and circles around them.
 
-    corners_m: FloatArray  # (n, 4, 2): world frame. [m]
-    middle_m: FloatArray  # (2, n). [m]
-    radius_m: FloatArray  # (n,). [m]
+    Attributes
+    ----------
+    corners_m : (n, 4, 2) float
+        World frame. [m]
+    middle_m : (2, n) float
+        [m]
+    radius_m : (n,) float
+        [m]
+    """
+
+    corners_m: FloatArray
+    middle_m: FloatArray
+    radius_m: FloatArray
 
     def are_any_within(self, others: "Footprints", limit_m: FloatArray) -> BoolArray:
         """Which others, (n_others,), are within a limit of any of these, (n,), which has its own.
@@ -61,14 +73,22 @@ def _footprints(corners_m: FloatArray) -> Footprints:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """The ground that runs of a case, an approach and a position sweep over, at any speed."""
+    """The ground that runs of a case, an approach and a position sweep over, at any speed.
 
-    # footprints of VUT and VRU, close to one another along their ways
+    Attributes
+    ----------
+    swept : Footprints
+        Footprints of VUT and VRU, close to one another along their ways.
+    reach_m : (n,) float
+        Nothing of a body between two footprints is farther than this from the
+        nearer one. [m]
+    parked : Footprints
+        Of the case's own obstructions.
+    """
+
     swept: Footprints
-    # (n,): nothing of a body between two footprints is farther than this from the
-    # nearer one. [m]
     reach_m: FloatArray
-    parked: Footprints  # of the case's own obstructions
+    parked: Footprints
 
     def blocks(self, footprints: Footprints, *, clearance_m: float) -> BoolArray:
         """Which footprints, (n,), are nearer than this to a way, or in an obstruction."""
@@ -142,12 +162,14 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
+# Above kerbs, below bonnets and walls; and just below each roof
 _HEIGHTS_M = (
     0.35,
     1.0,
-)  # above kerbs, below bonnets and walls; and just below each roof
+)
 _BELOW_ROOF_M = 0.1
-_MOUTH_M = 10.0  # so much of a lane says where it points at its mouth
+# So much of a lane says where it points at its mouth
+_MOUTH_M = 10.0
 _PARALLEL = 1.0e-3
 
 Rng = Callable[..., np.random.Generator]
@@ -155,12 +177,24 @@ Rng = Callable[..., np.random.Generator]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Kerbside:
-    """One lane along which vehicles stand."""
+    """One lane along which vehicles stand.
 
-    lane: Lane  # of an arm
-    is_in: bool  # whether it leads into the junction
-    first_m: float  # from the lane's mouth to the first place. [m]
-    end_m: float  # from the lane's mouth to the end of the last one. [m]
+    Attributes
+    ----------
+    lane : Lane
+        Of an arm.
+    is_in : bool
+        Whether it leads into the junction.
+    first_m : float
+        From the lane's mouth to the first place. [m]
+    end_m : float
+        From the lane's mouth to the end of the last one. [m]
+    """
+
+    lane: Lane
+    is_in: bool
+    first_m: float
+    end_m: float
 
     def at(self, near_m: float, actor: Actor) -> PlacedActor:
         """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
@@ -186,16 +220,25 @@ class Kerbside:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Street:
-    """Where in a scene vehicles may stand."""
+    """Where in a scene vehicles may stand.
 
-    traffic: StandingTraffic  # how many, of which kinds
-    # parking, entries: parking lanes, and lanes that lead into the junction
+    Attributes
+    ----------
+    traffic : StandingTraffic
+        How many, of which kinds.
+    parking, entries : tuple of Kerbside
+        Parking lanes, and lanes that lead into the junction.
+    solid : RayCaster
+        Everything but the ground, relative to `origin_m`.
+    origin_m : (3,) float
+        Near the junction: rays are cast in single precision. [m]
+    """
+
+    traffic: StandingTraffic
     parking: tuple[Kerbside, ...]
     entries: tuple[Kerbside, ...]
-    solid: RayCaster  # everything but the ground, relative to `origin_m`
-    origin_m: (
-        FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
-    )
+    solid: RayCaster
+    origin_m: FloatArray
     scene: Scene
 
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:

@@ -42,9 +42,8 @@ _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
 }
 _WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
-_UNIFORM_REACH = np.sqrt(
-    3.0
-)  # standard deviations from a uniform distribution's mean to its end
+# Standard deviations from a uniform distribution's mean to its end
+_UNIFORM_REACH = np.sqrt(3.0)
 
 
 def _up_to(
@@ -77,11 +76,16 @@ _OUT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Errors of units after installation."""
+    """Errors of units after installation.
+
+    Attributes
+    ----------
+    height_sd_m : float
+        The same poles, the same view.
+    """
 
     yaw_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
     pitch_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
-    # the same poles, the same view
     height_sd_m: Annotated[float, says(_SD_M)] = _up_to(0.5, "metres")
 
     def __post_init__(self) -> None:
@@ -90,17 +94,27 @@ class MountingErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyJitter:
-    """By how much messages take longer than the braking rule says."""
+    """By how much messages take longer than the braking rule says.
 
-    # {"gamma", "uniform"}: of the time on top of the rule's latency; never negative
+    Attributes
+    ----------
+    distribution : str
+        {"gamma", "uniform"}: of the time on top of the rule's latency; never
+        negative.
+    mean_s, sd_s : float
+        Mean and standard deviation; with a deviation of 0 it is always the
+        mean. [s]
+    drawn_per : str
+        {"run", "sample"}: how often it is drawn.
+    budget : LatencyBudget, optional
+        In place of all that: totals are drawn from it, and stand in for the
+        rule's latency.
+    """
+
     distribution: str = "gamma"
-    # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the
-    # mean. [s]
     mean_s: float = _up_to(10.0, "seconds")
     sd_s: float = _up_to(10.0, "seconds")
-    drawn_per: str = "run"  # {"run", "sample"}: how often it is drawn
-    # in place of all that: totals are drawn from it, and stand in for the rule's
-    # latency
+    drawn_per: str = "run"
     budget: LatencyBudget | None = None
 
     def __post_init__(self) -> None:
@@ -222,33 +236,17 @@ class StandingTraffic:
         Nobody stands nearer to the way of a VUT or a VRU. [m]
     """
 
-    taken_share: float = _up_to(
-        1.0
-    )  # probability that a place in a parking lane is taken
-    # waiting_share, following_share: probability that somebody waits at the stop line
-    # of a lane; then, again and again, that another one stands behind
+    taken_share: float = _up_to(1.0)
     waiting_share: float = _up_to(1.0)
     following_share: float = _up_to(1.0)
-    free_place_m: float = _up_to(
-        1000.0, "metres", default=5.5
-    )  # length of a place that stays free
-    # parked_gap_m, waiting_gap_m: from bumper to bumper
+    free_place_m: float = _up_to(1000.0, "metres", default=5.5)
     parked_gap_m: float = _up_to(1000.0, "metres", default=0.8)
-    clear_of_mouth_m: float = _up_to(
-        1000.0, "metres", default=5.0
-    )  # no parking nearer to it
+    clear_of_mouth_m: float = _up_to(1000.0, "metres", default=5.0)
     waiting_gap_m: float = _up_to(1000.0, "metres", default=2.0)
-    # from the line on which pedestrians cross an arm to the first bumper that waits
     crosswalk_gap_m: float = _up_to(1000.0, "metres", default=3.0)
-    along_arm_m: float = _up_to(
-        1000.0, "metres", default=60.0
-    )  # nobody stands farther away
-    clearance_m: float = _up_to(
-        1000.0, "metres", default=0.5
-    )  # nor nearer to a VUT's or VRU's way
-    vehicles: tuple[
-        VehicleKind, ...
-    ] = ()  # what stands there; shares of each use sum to 1
+    along_arm_m: float = _up_to(1000.0, "metres", default=60.0)
+    clearance_m: float = _up_to(1000.0, "metres", default=0.5)
+    vehicles: tuple[VehicleKind, ...] = ()
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -372,45 +370,63 @@ class RoadUsers:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Uncertainty:
-    """All that is uncertain; by default nothing is."""
+    """All that is uncertain; by default nothing is.
 
-    mounting: MountingErrors = field(
-        default_factory=MountingErrors
-    )  # how far off units are
-    latency: LatencyJitter = field(
-        default_factory=LatencyJitter
-    )  # how long messages take
-    # probability that the message of one unit in one frame is lost; in place of the
-    # setting's
+    Attributes
+    ----------
+    mounting : MountingErrors
+        How far off units are.
+    latency : LatencyJitter
+        How long messages take.
+    packet_loss : float
+        Probability that the message of one unit in one frame is lost; in place
+        of the setting's.
+    draws_detections : bool
+        Whether a planning detector that gives probabilities is drawn frame by
+        frame.
+    person_share, unit_person_share : float
+        Of the variance of what decides a frame, what is the same in all frames
+        of a run: for all units, and for one of them.
+    burst_frames : float
+        Whether messages get lost lasts so many frames on average, then it is
+        drawn anew; 1: each.
+    loss_shared_by : str
+        {"unit", "pole"}: who loses the same messages.
+    outages : Outages
+        Units out of order.
+    blinding : Blinding
+        Cameras that see nothing.
+    v2x_share : float
+        Of all cars, those that hear the units.
+    most_draws : int
+        In worlds to choose in, a run of k times the mean weight is drawn k
+        times, at most so often.
+    traffic : StandingTraffic
+        What stands at random.
+    road_users : RoadUsers
+        How those of the cases move.
+    moving : MovingTraffic, optional
+        What drives by; see :func:`with_moving_traffic`.
+    name : str
+        What it is called in reports.
+    """
+
+    mounting: MountingErrors = field(default_factory=MountingErrors)
+    latency: LatencyJitter = field(default_factory=LatencyJitter)
     packet_loss: float = _up_to(1.0)
-    # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
-    # person_share, unit_person_share: of the variance of what decides a frame, what is
-    # the same in all frames of a run: for all units, and for one of them
     person_share: float = _up_to(1.0)
     unit_person_share: float = 0.0
-    # whether messages get lost lasts so many frames on average, then it is drawn anew;
-    # 1: each
     burst_frames: float = _up_to(1000.0, "frames", default=1.0, least=1.0)
-    loss_shared_by: str = "unit"  # {"unit", "pole"}: who loses the same messages
-    outages: Outages = field(default_factory=Outages)  # units out of order
-    blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
-    v2x_share: float = _up_to(
-        1.0, default=1.0
-    )  # of all cars, those that hear the units
-    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most
-    # so often
+    loss_shared_by: str = "unit"
+    outages: Outages = field(default_factory=Outages)
+    blinding: Blinding = field(default_factory=Blinding)
+    v2x_share: float = _up_to(1.0, default=1.0)
     most_draws: int = 1
-    traffic: StandingTraffic = field(
-        default_factory=StandingTraffic
-    )  # what stands at random
-    road_users: RoadUsers = field(
-        default_factory=RoadUsers
-    )  # how those of the cases move
-    moving: MovingTraffic | None = (
-        None  # what drives by; see :func:`with_moving_traffic`
-    )
-    name: str = "none"  # what it is called in reports
+    traffic: StandingTraffic = field(default_factory=StandingTraffic)
+    road_users: RoadUsers = field(default_factory=RoadUsers)
+    moving: MovingTraffic | None = None
+    name: str = "none"
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -445,7 +461,8 @@ _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
     *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
-_AS = "as"  # what else is as in one of the names
+# What else is as in one of the names
+_AS = "as"
 # Sections whose values are fields of :class:`Uncertainty` itself: field and reader of
 # each key; but for the first of a section they may be left out.
 _Reader = Callable[[Table, str, str], Any]
@@ -524,7 +541,8 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
         if vehicles and "traffic" not in document:
             refuse("vehicles", "no section traffic", "where they stand")
         mounting = document
-        if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
+        # How units are aimed
+        if isinstance(aimed := document.get("mounting"), str):
             mounting = {"mounting": pick(_shipped()["aimed"], aimed, "mounting")}
         parts: dict[str, Any] = {
             "mounting": _read_numbers(mounting, "mounting", MountingErrors),

@@ -73,14 +73,25 @@ PURPOSES = ("choose", "judge")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomStreams:
-    """Where the random numbers of one sampled world come from."""
+    """Where the random numbers of one sampled world come from.
 
-    seed: int  # the user's
-    purpose: str  # {"choose", "judge"}: what the world is for
-    index: int  # number of the world
-    draw: int = (
-        0  # of detections and lost messages: a world may be looked at more than once
-    )
+    Attributes
+    ----------
+    seed : int
+        The user's.
+    purpose : str
+        {"choose", "judge"}: what the world is for.
+    index : int
+        Number of the world.
+    draw : int
+        Of detections and lost messages: a world may be looked at more than
+        once.
+    """
+
+    seed: int
+    purpose: str
+    index: int
+    draw: int = 0
 
     def rng(self, *key: object) -> np.random.Generator:
         """Generator of one thing of this world; its draws do not depend on any other thing."""
@@ -120,38 +131,59 @@ def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
     return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
 
 
-_CUT_OFF = 3.0  # standard deviations: who is off by more, notices
+# Standard deviations: who is off by more, notices
+_CUT_OFF = 3.0
 # Two thirds of all heights are as planned, a sixth is this much lower, and a sixth
 # higher: in mean, variance and the moments up to the fifth as if they were normal
 # (Gauss and Hermite's rule of three points). Few heights come up again: what hides what
 # from there need not be found out anew.
-_HEIGHT_STEP = np.sqrt(3.0)  # standard deviations
-_LEVEL = 0.9674215661017014  # two thirds of all normal numbers are nearer to 0
-_LOWEST_M = 0.1  # above the road
+# Standard deviations
+_HEIGHT_STEP = np.sqrt(3.0)
+# Two thirds of all normal numbers are nearer to 0
+_LEVEL = 0.9674215661017014
+# Above the road
+_LOWEST_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """One world that may turn out to be."""
+    """One world that may turn out to be.
 
-    streams: RandomStreams  # where its random numbers come from
-    uncertainty: Uncertainty  # what they are drawn of
-    # the runs with all that stands in the street in them; deadlines less what messages
-    # take longer than the rule says; the share of messages that is lost
+    Attributes
+    ----------
+    streams : RandomStreams
+        Where its random numbers come from.
+    uncertainty : Uncertainty
+        What they are drawn of.
+    setting : Setting
+        The runs with all that stands in the street in them; deadlines less what
+        messages take longer than the rule says; the share of messages that is
+        lost.
+    planned : tuple of CandidatePose
+        Poses as planned.
+    candidates : tuple of CandidatePose
+        The same as they are really mounted; ids, sites and sensors are as
+        planned.
+    vehicles : tuple of PlacedActor
+        All that stands in the street, in whichever runs.
+    driving : TrafficCount
+        How many drive by, in all runs together.
+    n_as_planned : int
+        Runs whose road users' drawn motions lead to no impact, and are not
+        used.
+    extra_latency_s : (n_runs,) float
+        What messages take longer than the rule says. [s]
+    """
+
+    streams: RandomStreams
+    uncertainty: Uncertainty
     setting: Setting
-    planned: tuple[CandidatePose, ...]  # poses as planned
-    # the same as they are really mounted; ids, sites and sensors are as planned
+    planned: tuple[CandidatePose, ...]
     candidates: tuple[CandidatePose, ...]
-    vehicles: tuple[
-        PlacedActor, ...
-    ]  # all that stands in the street, in whichever runs
-    driving: TrafficCount  # how many drive by, in all runs together
-    n_as_planned: (
-        int  # runs whose road users' drawn motions lead to no impact, and are not used
-    )
-    extra_latency_s: (
-        FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
-    )
+    vehicles: tuple[PlacedActor, ...]
+    driving: TrafficCount
+    n_as_planned: int
+    extra_latency_s: FloatArray
 
     @property
     def drawn_detector(self) -> ResponseDetector | None:
@@ -192,7 +224,8 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     for row, copy in zip(rows.tolist(), copies.tolist(), strict=True):
         run = setting.runs[row]
         if copy:
-            key = (id(run.encounter), copy)  # one and the same in all weathers
+            # One and the same in all weathers
+            key = (id(run.encounter), copy)
             encounter = encounters.setdefault(key, replace(run.encounter))
             run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
         runs.append(run)
@@ -388,9 +421,8 @@ def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
 # ---------- road users who move otherwise than a case says
 
 
-_MAX_EARLY_S = (
-    0.3  # of a contact before the impact: more is another impact, somewhere else
-)
+# Of a contact before the impact: more is another impact, somewhere else
+_MAX_EARLY_S = 0.3
 
 
 def draw_road_users(
@@ -412,7 +444,8 @@ def draw_road_users(
     drawn = []
     n_kept = 0
     for run in runs:
-        key = id(run.encounter)  # one and the same in all weathers
+        # One and the same in all weathers
+        key = id(run.encounter)
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
             both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
@@ -421,7 +454,8 @@ def draw_road_users(
             )
         other = changed[key]
         n_kept += other is None
-        if other is not None:  # its bodies move so in every weather
+        # Its bodies move so in every weather
+        if other is not None:
             run = replace(run, **{name: getattr(other, name) for name in _MOVED})
         drawn.append(run)
     return tuple(drawn), n_kept
@@ -446,7 +480,8 @@ def _draw_one(
         if measured is not None and run.case.recorded is None:
             speed_kmh, start_mps2 = measured.draw(random, planned_mps / MPS_PER_KMH)
             speed_mps = speed_kmh * MPS_PER_KMH + faster_mps
-    else:  # who stands or brakes does what the case is about
+    else:
+        # Who stands or brakes does what the case is about
         speed_mps = planned_mps
         nearer_share = 0.0
     if turn_deg or aside_m:

@@ -51,9 +51,12 @@ CERTIFICATE_FILE = "certificate.json"
 class StoredUnit(Struct, frozen=True, kw_only=True):
     """A unit of the layout."""
 
-    row: _Count  # of the detection table
-    pose: Text  # its name there
-    unit: dict[str, Any]  # as ``layout.json`` has it
+    # Of the detection table
+    row: _Count
+    # Its name there
+    pose: Text
+    # As ``layout.json`` has it
+    unit: dict[str, Any]
 
 
 class Claim(Struct, frozen=True, kw_only=True):
@@ -62,9 +65,11 @@ class Claim(Struct, frozen=True, kw_only=True):
     name: Text
     objective: float
     bound: float
-    gap: float | None  # None: infinite
+    # None: infinite
+    gap: float | None
     seconds: float
-    is_proven: bool  # is the layout claimed to be the best?
+    # Is the layout claimed to be the best?
+    is_proven: bool
 
 
 class StoredCertificate(Struct, frozen=True, kw_only=True):
@@ -73,15 +78,19 @@ class StoredCertificate(Struct, frozen=True, kw_only=True):
     As :func:`build_certificate` makes them.
     """
 
-    instance: dict[str, Any]  # what :func:`instance_of` says
-    model: dict[
-        str, Any
-    ]  # what :func:`model_of` says, and the names of the "stages" in order
+    # What :func:`instance_of` says
+    instance: dict[str, Any]
+    # What :func:`model_of` says, and the names of the "stages" in order
+    model: dict[str, Any]
     layout: Annotated[list[StoredUnit], _SOME]
-    claims: Annotated[list[Claim], _SOME] = field(name="stages")  # objectives in order
-    is_proven: bool  # is the layout claimed to be the best in all?
-    solver: Text  # name and version of what the proof rests on
-    versions: dict[str, Any]  # of the programs that the numbers depend on
+    # Objectives in order
+    claims: Annotated[list[Claim], _SOME] = field(name="stages")
+    # Is the layout claimed to be the best in all?
+    is_proven: bool
+    # Name and version of what the proof rests on
+    solver: Text
+    # Of the programs that the numbers depend on
+    versions: dict[str, Any]
     presolve: _Sizes  # type: ignore[valid-type]  # sizes before and after
 
     @property

@@ -39,7 +39,8 @@ from ..optimiser import Floor, Limits, PlacementProblem
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
-TOLERANCE = 1.0e-9  # metres and degrees that differ by no more are equal
+# Metres and degrees that differ by no more are equal
+TOLERANCE = 1.0e-9
 
 _OF_GRID = re.compile(
     r"(?P<site>.+)/(?P<height>[^/]+)m/(?P<yaw>[^/]+)/(?P<pitch>[^/]+)/(?P<sensor>.+)"
@@ -68,15 +69,13 @@ class Mounts:
         Name and :func:`scene_hash` of the scene.
     """
 
-    sites: tuple[str, ...]  # site of each pose; empty: none
-    position_m: FloatArray  # (n_poses, 3): world frame. [m]
-    # yaw_deg, pitch_deg: (n_poses,): counter-clockwise from east, positive up. [deg]
+    sites: tuple[str, ...]
+    position_m: FloatArray
     yaw_deg: FloatArray
     pitch_deg: FloatArray
-    latency_s: FloatArray  # (n_poses,): of its own; NaN: that of the rule. [s]
-    sensor_index: IntArray  # (n_poses,): row of `sensors`
-    sensors: tuple[Sensor, ...]  # models, complete
-    # scene_name, scene_sha256: name and :func:`scene_hash` of the scene
+    latency_s: FloatArray
+    sensor_index: IntArray
+    sensors: tuple[Sensor, ...]
     scene_name: str
     scene_sha256: str
 
@@ -138,7 +137,8 @@ class Mounts:
         for row, name in enumerate(pose_ids):
             parts = _OF_GRID.fullmatch(name)
             if parts is None or parts["site"] not in sites:
-                continue  # a unit with a name of its own
+                # A unit with a name of its own
+                continue
             sensor = self.sensors[int(self.sensor_index[row])]
             for key, value in (
                 ("site", self.sites[row]),
@@ -247,7 +247,8 @@ def scene_hash(scene: Scene) -> str:
     }
     if limits:
         words["speed_limits"] = limits
-    if scene.zero_height_m is not None:  # else as before scenes had it
+    # Else as before scenes had it
+    if scene.zero_height_m is not None:
         words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())
     return digest.hexdigest()
@@ -300,9 +301,8 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNDAMAGED = "an undamaged instance file (.npz)"
-_UNPACKED_BYTES = (
-    4  # of memory for each byte of a file, unpacked, while it is read and checked
-)
+# Of memory for each byte of a file, unpacked, while it is read and checked
+_UNPACKED_BYTES = 4
 
 
 class _Field(Struct, frozen=True):
@@ -339,9 +339,10 @@ def save_problem(
     """
     arrays = _to_arrays(problem, mounts)
 
+    # As numpy's savez_compressed: 6 % larger, a third of its time
     def write(
         file: BinaryIO,
-    ) -> None:  # as numpy's savez_compressed: 6 % larger, a third of its time
+    ) -> None:
         with zipfile.ZipFile(
             file, "w", zipfile.ZIP_DEFLATED, compresslevel=1
         ) as archive:
@@ -353,10 +354,16 @@ def save_problem(
 
 
 class StoredProblem(NamedTuple):
-    """Content of an instance file."""
+    """Content of an instance file.
+
+    Attributes
+    ----------
+    mounts : Mounts, optional
+        None: the file does not say what the poses are.
+    """
 
     problem: PlacementProblem
-    mounts: Mounts | None  # None: the file does not say what the poses are
+    mounts: Mounts | None
 
 
 def load_problem(path: str | Path) -> PlacementProblem:
@@ -476,9 +483,11 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     if is_never_lost(rule):
         del values["track_memory_s"]
     if limits.failing == "unit":
-        del values["failing"]  # the same file, and hash, as before sites could fail
+        # The same file, and hash, as before sites could fail
+        del values["failing"]
     if set(axis.positions) == {AT_ZERO.name}:
-        del values["positions"]  # the same file, and hash, as before there were others
+        # The same file, and hash, as before there were others
+        del values["positions"]
     arrays = {
         name: np.asarray(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
@@ -564,10 +573,9 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     """An archive that says what kind it is; whatever is wrong with it is an InputError."""
+    # What damaged ones raise has no end: zipfile's, ..
     with (
-        reading(
-            path, _UNDAMAGED, Exception
-        ),  # what damaged ones raise has no end: zipfile's, ..
+        reading(path, _UNDAMAGED, Exception),
         reading(path, "a readable instance file", OSError),
         open_file(path) as file,
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
@@ -575,7 +583,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     ):
         if "kind" not in archive.files:
             refuse(f"{path}: kind", "nothing", f"a text such as {KIND}")
-        assert archive.zip is not None  # it is open
+        # It is open
+        assert archive.zip is not None
         names = archive.zip.namelist()
         if len(set(names)) < len(names):
             # Programs differ in which of the two they read.
@@ -590,9 +599,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
-    if not isinstance(
-        array, np.ndarray
-    ):  # what does not begin as an array comes as bytes
+    # What does not begin as an array comes as bytes
+    if not isinstance(array, np.ndarray):
         refuse(f"{where}: {name}", "no array", "an array")
     if array.dtype.kind == "U" and not is_text(array):
         refuse(f"{where}: {name}", "characters that are none", "texts")

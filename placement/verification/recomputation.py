@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 # ---------- values
 # shares and times that differ by no more are equal: they carry rounding noise
 EPSILON = 1.0e-9
-EPSILON_EUR = 1.0e-6  # so are sums of prices
+# So are sums of prices
+EPSILON_EUR = 1.0e-6
 
 _BLOCK_BYTES = 1 << 22
 
@@ -80,7 +81,8 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
         sets = np.column_stack([sets, np.full(len(sets), len(packed) - 1)])
     if n_units == 0:
         return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
-    if problem.fusion == "single":  # each for itself: the first to confirm counts
+    # Each for itself: the first to confirm counts
+    if problem.fusion == "single":
         poses, where = np.unique(sets, return_inverse=True)
         alone = _margins_of_bits(problem, packed[poses])
         return np.asarray(alone[where.reshape(sets.shape)].max(axis=1))
@@ -250,19 +252,18 @@ def _margins_of_bits(
     rule = problem.rule
     moment_s = axis.last_brake_time_s - rule.latency_s
     run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    is_in_time = (
-        axis.time_s <= moment_s[run_of_frame] + EPSILON
-    )  # times of a run ascend
+    # Times of a run ascend
+    is_in_time = axis.time_s <= moment_s[run_of_frame] + EPSILON
     length = np.bincount(run_of_frame[is_in_time], minlength=axis.n_runs)
-    order = np.argsort(
-        -length, kind="stable"
-    )  # runs that have a frame come before all others
+    # Runs that have a frame come before all others
+    order = np.argsort(-length, kind="stable")
     start = axis.run_start[order]
     last_s = axis.last_brake_time_s[order]
     moment_s = moment_s[order]
     margin_s = np.full((len(bits), axis.n_runs), -np.inf)
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
-    seen_s = np.full((len(bits), axis.n_runs), -np.inf)  # when last
+    # When last
+    seen_s = np.full((len(bits), axis.n_runs), -np.inf)
     for position in range(int(length.max())):
         runs = slice(int(np.count_nonzero(length > position)))
         frame = start[runs] + position
@@ -356,9 +357,8 @@ def simple_limits(
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
     most = most_units(problem)
     nobody = np.empty((1, 0), dtype=np.int64)
-    of_vut = float(
-        _apr(problem, margins_s(problem, nobody))[0]
-    )  # when all units have failed
+    # When all units have failed
+    of_vut = float(_apr(problem, margins_s(problem, nobody))[0])
     forced = np.flatnonzero(limits.is_forced)
     price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     least_eur = float(price[usable].min(initial=np.inf))

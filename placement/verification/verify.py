@@ -39,42 +39,70 @@ from .recomputation import (
 if TYPE_CHECKING:
     from ..optimiser import PlacementProblem
 
-MAX_SETS = 50_000  # so many sets of poses are compared at most
-_MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
-_ROUNDED_GAP = 1.0e-9  # certificates round gaps
+# So many sets of poses are compared at most
+MAX_SETS = 50_000
+# Sets times frames; half a minute
+_MAX_LOOKS = 2_000_000_000
+# Certificates round gaps
+_ROUNDED_GAP = 1.0e-9
 _SIZES = ("poses", "frames", "windows", "runs")
-_SOLVER_TOLERANCE = (
-    1.0e-6  # relative; solvers meet their rows and whole numbers up to this
-)
+# Relative; solvers meet their rows and whole numbers up to this
+_SOLVER_TOLERANCE = 1.0e-6
 
 
 class Check(NamedTuple):
-    """Something that was looked at."""
+    """Something that was looked at.
 
-    name: str  # what
-    passed: bool  # whether it is as it should be
-    detail: str  # in words
+    Attributes
+    ----------
+    name : str
+        What.
+    passed : bool
+        Whether it is as it should be.
+    detail : str
+        In words.
+    """
+
+    name: str
+    passed: bool
+    detail: str
 
 
 class StageProof(NamedTuple):
-    """Grounds for a stage of a certificate."""
+    """Grounds for a stage of a certificate.
 
-    name: str  # the stage
-    claims_optimum: (
-        bool  # whether the certificate says that the layout is proven best in it
-    )
-    is_proven_again: bool  # whether that was proven here, without a solver
-    reason: str  # how; or what it rests on instead
+    Attributes
+    ----------
+    name : str
+        The stage.
+    claims_optimum : bool
+        Whether the certificate says that the layout is proven best in it.
+    is_proven_again : bool
+        Whether that was proven here, without a solver.
+    reason : str
+        How; or what it rests on instead.
+    """
+
+    name: str
+    claims_optimum: bool
+    is_proven_again: bool
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """Result of checking a certificate."""
+    """Result of checking a certificate.
 
-    checks: tuple[Check, ...]  # in the order in which they were made
-    proofs: tuple[
-        StageProof, ...
-    ]  # of every stage; none if the layout could not be made out
+    Attributes
+    ----------
+    checks : tuple of Check
+        In the order in which they were made.
+    proofs : tuple of StageProof
+        Of every stage; none if the layout could not be made out.
+    """
+
+    checks: tuple[Check, ...]
+    proofs: tuple[StageProof, ...]
 
     @property
     def passed(self) -> bool:
@@ -125,9 +153,8 @@ def verify_certificate(
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
     checks += _mount_checks(problem, stored, mounts, units)
     if not all(check.passed for check in checks if check.name in ("poses", "stages")):
-        return Verification(
-            checks=tuple(checks), proofs=()
-        )  # there is nothing to recompute
+        # There is nothing to recompute
+        return Verification(checks=tuple(checks), proofs=())
     chosen = np.array([stored.pose_index], dtype=np.int64)
     checks += [
         Check(

@@ -13,13 +13,16 @@ from typing import Any
 
 import numpy as np
 
-if __name__ == "__main__":  # whoever else imports this file may lack SUMO
+# Whoever else imports this file may lack SUMO
+if __name__ == "__main__":
     import libsumo
     from libsumo import constants
 
 VUT = "vut"
-_EXACT_MAPPING = 2  # keepRoute: where it is put, on whichever lane lies there
-_SPEED_AS_SET = 0  # speedMode: no safe gap, no right of way, no red light
+# keepRoute: where it is put, on whichever lane lies there
+_EXACT_MAPPING = 2
+# speedMode: no safe gap, no right of way, no red light
+_SPEED_AS_SET = 0
 
 
 def simulate(job: dict[str, Any]) -> dict[str, Any]:
@@ -130,9 +133,8 @@ class _Vut:
                 self.drive["angle_deg"][row],
                 _EXACT_MAPPING,
             )
-        except (
-            libsumo.TraCIException
-        ):  # no lane within 100 m, or it has driven off the network
+        except libsumo.TraCIException:
+            # No lane within 100 m, or it has driven off the network
             self.remove()
 
     def remove(self) -> None:

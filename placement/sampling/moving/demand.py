@@ -45,11 +45,21 @@ _KIND_KEYS = ("sumo_class", "share")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrivingKind:
-    """A kind of vehicle that drives."""
+    """A kind of vehicle that drives.
 
-    actor: Actor  # its body
-    sumo_class: str  # one of `SUMO_CLASSES`
-    share: float  # of all vehicles, 0 .. 1
+    Attributes
+    ----------
+    actor : Actor
+        Its body.
+    sumo_class : str
+        One of `SUMO_CLASSES`.
+    share : float
+        Of all vehicles, 0 .. 1.
+    """
+
+    actor: Actor
+    sumo_class: str
+    share: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,17 +88,15 @@ class Demand:
         What it is called in reports.
     """
 
-    vehicles_per_hour_per_lane: float  # into the junction, on each lane of an arm
-    arms: Mapping[
-        str, float
-    ]  # in place of that, on all lanes of an arm together, by name. [1/h]
-    turns: Mapping[str, float]  # share of each of ``TURNS``; sums to 1
-    vehicles: tuple[DrivingKind, ...]  # shares sum to 1
-    speed_limit_mps: float  # on all lanes. [m/s]
-    approach_m: float  # length of each arm, at least. [m]
-    warm_up_s: float  # until the streets are full. [s]
-    pause_s: tuple[float, float]  # shortest and longest time between two windows. [s]
-    name: str = "default"  # in reports
+    vehicles_per_hour_per_lane: float
+    arms: Mapping[str, float]
+    turns: Mapping[str, float]
+    vehicles: tuple[DrivingKind, ...]
+    speed_limit_mps: float
+    approach_m: float
+    warm_up_s: float
+    pause_s: tuple[float, float]
+    name: str = "default"
 
     def per_hour(self, arm: str, n_lanes: int) -> float:
         """Vehicles an hour on all entry lanes of an arm."""

@@ -46,10 +46,10 @@ from .trajectories import (
 )
 
 JUNCTION = "junction"
-_SAME_LENGTH_M = (
-    5.0  # lanes of an arm whose lengths differ by less go as far as one another
-)
-_SHORTEST_M = 8.0  # pieces of an arm shorter than this are no edges of their own
+# Lanes of an arm whose lengths differ by less go as far as one another
+_SAME_LENGTH_M = 5.0
+# Pieces of an arm shorter than this are no edges of their own
+_SHORTEST_M = 8.0
 _TURN_OF_DIRECTION = {
     "s": "straight",
     "l": "left",
@@ -62,14 +62,24 @@ _NETCONVERT_TIMEOUT_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadNetwork:
-    """A junction as SUMO knows it."""
+    """A junction as SUMO knows it.
 
-    xml: str  # content of the .net.xml file
-    origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
-    n_entry_lanes: dict[str, int]  # by arm
-    ways: dict[
-        str, dict[str, dict[str, str]]
-    ]  # by arm, turn, exit arm: the edges of the way
+    Attributes
+    ----------
+    xml : str
+        Content of the .net.xml file.
+    origin_m : (2,) float
+        Its origin in the world frame, whose axes it has. [m]
+    n_entry_lanes : dict of str to int
+        By arm.
+    ways : dict of str to dict of str to dict of str to str
+        By arm, turn, exit arm: the edges of the way.
+    """
+
+    xml: str
+    origin_m: FloatArray
+    n_entry_lanes: dict[str, int]
+    ways: dict[str, dict[str, dict[str, str]]]
 
 
 def sumo_program(name: str) -> str:
@@ -144,9 +154,8 @@ class _Plain:
         self.nodes: list[str] = []
         self.edges: list[str] = []
         self.connections: list[str] = []
-        self.at_junction: dict[
-            tuple[bool, str], tuple[str, int]
-        ] = {}  # lane -> edge and index
+        # Lane -> edge and index
+        self.at_junction: dict[tuple[bool, str], tuple[str, int]] = {}
 
     def shape(self, points_m: FloatArray) -> str:
         """Points of the world frame, as SUMO writes them."""
@@ -353,10 +362,10 @@ class SimulatedWindows:
         to.
     """
 
-    trajectories: Trajectories  # vehicles near the junction, on the simulation's clock
-    impact_s: dict[Any, float]  # by group: when its runs end. [s]
-    n_departed: int  # vehicles that entered the network until the end
-    n_waiting: int  # those that found no room to
+    trajectories: Trajectories
+    impact_s: dict[Any, float]
+    n_departed: int
+    n_waiting: int
 
 
 def simulate_windows(
@@ -519,12 +528,24 @@ SUMO = "sumo"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingTraffic:
-    """Where vehicles that drive by come from."""
+    """Where vehicles that drive by come from.
 
-    name: str  # in reports
-    middle_m: FloatArray  # (2,): middle of the junction. World frame. [m]
-    demand: Demand  # what SUMO drives
-    network: RoadNetwork  # on which SUMO drives it, anew in each world
+    Attributes
+    ----------
+    name : str
+        In reports.
+    middle_m : (2,) float
+        Middle of the junction. World frame. [m]
+    demand : Demand
+        What SUMO drives.
+    network : RoadNetwork
+        On which SUMO drives it, anew in each world.
+    """
+
+    name: str
+    middle_m: FloatArray
+    demand: Demand
+    network: RoadNetwork
 
     def draw(
         self,

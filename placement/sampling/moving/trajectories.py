@@ -13,9 +13,8 @@ from geometry.files import says
 from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
-_GAP_STEPS = (
-    1.5  # a vehicle that is away for longer than so many steps has left and come back
-)
+# A vehicle that is away for longer than so many steps has left and come back
+_GAP_STEPS = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,15 +39,12 @@ class Trajectories:
         From when to when traffic is known. [s]
     """
 
-    bodies: tuple[Actor, ...]  # one per vehicle
-    # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
+    bodies: tuple[Actor, ...]
     row_start: IntArray
-    time_s: FloatArray  # (n_rows,): on any clock. [s]
-    position_m: FloatArray  # (n_rows, 2): middle of the footprint. World frame. [m]
-    # (n_rows,): without jumps of a full turn from one to the next. [deg]
+    time_s: FloatArray
+    position_m: FloatArray
     yaw_deg: FloatArray
-    step_s: float  # from sample to sample. [s]
-    # first_s, last_s: from when to when traffic is known. [s]
+    step_s: float
     first_s: float
     last_s: float
 
@@ -150,8 +146,10 @@ def build_trajectories(
 
 
 # ---------- windows
-REACH_M = 100.0  # vehicles farther than this from the middle of the junction are cut
-_TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
+# Vehicles farther than this from the middle of the junction are cut
+REACH_M = 100.0
+# Bodies nearer than this stand in one another
+_TOGETHER_M = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +180,8 @@ class TrafficCount:
         return text
 
 
-NO_TRAFFIC = TrafficCount()  # nobody drives by
+# Nobody drives by
+NO_TRAFFIC = TrafficCount()
 
 
 def cut_window(
