@@ -1,4 +1,7 @@
-"""Layouts to compare with: random ones within the same limits, and an expert's rule of thumb."""
+"""Layouts to compare with: random ones, and an expert's rule of thumb.
+
+All of them are within the same limits as the layout itself.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -117,7 +120,7 @@ def random_sets(
 
 # ---------- an expert's rule of thumb
 def find_corners(junction: Junction) -> dict[str, FloatArray]:
-    """Corners between neighbouring arms, clockwise from the first one behind north.
+    """Corners between neighbouring arms, clockwise from north.
 
     Named by the two arms, "north/west": midway between where their kerbs reach the
     junction, (2,), world frame, in metres. An arm that is alone has none.
@@ -141,7 +144,10 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
 
 
 def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
-    """Where an arm's kerbs reach the junction: seen from its middle the left and the right one."""
+    """Left and right end of an arm's kerbs at the junction, (2,) each.
+
+    Left and right are as seen from the junction's middle.
+    """
     edges: list[FloatArray] = []
     outward: Line | None = None
     for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
@@ -165,7 +171,10 @@ def middle_m(scene: Scene) -> FloatArray:
 
 
 def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatArray:
-    """Angles between where poses look and the direction to a point (3,), (n_poses,) in degrees."""
+    """Angles between where poses look and the direction to a point.
+
+    `point_m` is (3,); angles are (n_poses,), in degrees.
+    """
     position = np.array([unit.pose.position_m for unit in poses]).reshape(-1, 3)
     yaw = np.radians([unit.pose.yaw_deg for unit in poses])
     pitch = np.radians([unit.pose.pitch_deg for unit in poses])
@@ -183,12 +192,13 @@ def corner_poses(
     junction: Junction,
     looked_at_m: FloatArray,
 ) -> dict[str, int]:
-    """The pose at each corner of a junction that looks at a point (3,) the most directly.
+    """At each corner, the pose that looks at a point most directly.
 
-    Each corner has a site of its own: the nearest one, and where two corners want the
-    same, those that are the nearest in sum. Corners for which there is no site are left
-    out. Poses and sites that are forbidden do not count; of poses that look equally
-    directly the first one does.
+    `looked_at_m` is the point, (3,), in the world frame. Each corner has a site of
+    its own: the nearest one, and where two corners want the same, those that are
+    the nearest in sum. Corners for which there is no site are left out. Poses and
+    sites that are forbidden do not count; of poses that look equally directly the
+    first one does.
 
     Returns
     -------
@@ -214,7 +224,10 @@ def corner_poses(
 def _most_direct(
     limits: Limits, candidates: Sequence[CandidatePose], looked_at_m: FloatArray
 ) -> dict[int, int]:
-    """At each site that may carry something, the row of the pose that looks there most directly."""
+    """By site, the row of the pose that looks at a point most directly.
+
+    Sites that may carry nothing are left out.
+    """
     sites = limits.site_index
     off_deg = off_axis_deg(candidates, looked_at_m).round(6)
     # Stable: of equally direct ones the first comes first
@@ -229,7 +242,9 @@ def _most_direct(
 # ---------- both
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """What to compare with, before anything is known of what it detects: rows of candidates.
+    """Rows of candidates to compare a layout with.
+
+    They are chosen before anything is known of what they detect.
 
     Attributes
     ----------
@@ -275,7 +290,7 @@ def propose(
     n_units: int,
     rng: np.random.Generator,
 ) -> Proposals:
-    """Random layouts of so many units, and the poses that an expert's rule of thumb knows.
+    """Propose random layouts, and the poses of an expert's rule of thumb.
 
     Raises InputError where the scene has no junction.
     """

@@ -1,4 +1,4 @@
-"""Results cached on disk for the next call, under a hash of all that they were made from.
+"""Results cached on disk, under a hash of everything they depend on.
 
 What is read is data, never a pickle, and only from a folder into which nobody else may
 write. A file is written whole or not at all; one that is damaged, or of other inputs,
@@ -70,7 +70,10 @@ def tell_unused(path: Path, error: Exception, *, what: str) -> None:
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """True if a folder can hold a cache, made if it is missing; says once if it cannot."""
+    """True if a folder can hold a cache; it is made if it is missing.
+
+    A folder that cannot is logged once.
+    """
     trouble = trouble_with(folder)
     if trouble:
         _log.warning("nothing is cached: %s %s", folder, trouble)
@@ -101,9 +104,10 @@ def save_arrays(
     fingerprint: str,
     is_compressed: bool = False,
 ) -> None:
-    """Write arrays, whole or not at all; a folder that cannot be written to is only logged.
+    """Write arrays, whole or not at all.
 
-    `what` is their name in messages, `kind` that of the format.
+    A folder that cannot be written to is only logged. `what` is their name in
+    messages, `kind` that of the format.
     """
     if is_compressed:
         save = np.savez_compressed
@@ -119,9 +123,13 @@ def save_arrays(
 
 
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
-    """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    """Read arrays of a fingerprint; None if the file does not fit.
+
+    That the file is damaged or was made from other inputs is logged.
+    """
 
     def read(file: BinaryIO) -> Arrays:
+        """Arrays of an open file; ValueError if it is of other inputs."""
         # Opened before: numpy does not close a file that turns out to be no archive.
         with np.load(file, allow_pickle=False) as stored:
             if (
@@ -138,7 +146,10 @@ def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays
 
 
 def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
-    """Hash of what arrays hold, which fits one fingerprint only: 64 hexadecimal digits."""
+    """Hash of what arrays hold, 64 hexadecimal digits.
+
+    It is keyed with the fingerprint, so that it fits no other one.
+    """
     digest = hashlib.blake2b(key=fingerprint.encode(), digest_size=32)
     for name, array in arrays.items():
         digest.update(f"{name} {array.dtype} {array.shape}\0".encode())
@@ -148,10 +159,11 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 
 # ---------- many small results of one question
 class CachedArrays:
-    """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
+    """Small cached arrays by key, all of one fingerprint.
 
-    They are in `arrays`; without a folder nothing is cached. Where two processes write
-    at once, what one of them found may be lost.
+    An example are the frames that each unit detects. They are in `arrays`; without
+    a folder nothing is cached. Where two processes write at once, what one of them
+    found may be lost.
     """
 
     def __init__(
@@ -187,6 +199,7 @@ class CachedArrays:
         _prune(self._path, most=MAX_FILES)
 
     def _load(self) -> Arrays:
+        """Arrays in the file; none where there is no usable file."""
         if self._path is None:
             return {}
         found = load_arrays(
@@ -207,12 +220,13 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """Value of `make`, from the last call that asked for the same; without a folder always made.
+    """Value of `make`, or the cached one of an earlier call.
 
-    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of
-    `packages`. `kind` is the value's type hint; `classes` are dataclasses that stand
-    where it names a protocol. Only a value that `is_worth_it` is cached. Arrays that
-    are read-only stay so.
+    Without a folder, and for other inputs than before, it is made. `make` uses
+    nothing but `made_from` (see :class:`Fingerprints`) and the files of `packages`.
+    `kind` is the value's type hint; `classes` are dataclasses that stand where it
+    names a protocol. Only a value that `is_worth_it` is cached. Arrays that are
+    read-only stay so.
     """
     if folder is None:
         return make()

@@ -63,7 +63,10 @@ class CandidatePose:
 
 
 def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
-    """A unit as if the ground below it was the plane z = 0; the same one where it is."""
+    """A unit as if the ground below it were the plane z = 0.
+
+    Where it is that plane, the same unit is returned.
+    """
     ground_m = float(ground_height_m(scene, unit.pose.position_m[:2]))
     if ground_m == 0.0:
         return unit
@@ -123,7 +126,7 @@ class CandidateGrid:
         return round(360.0 / self.yaw_step_deg)
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
-        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
+        """Yaw and pitch of each direction that is tried for a sensor.
 
         A LiDAR that scans all round sees the same however it is turned, as long as it
         is level: then only yaw 0 is tried.
@@ -151,12 +154,18 @@ def is_ring(sensor: Sensor) -> bool:
 
 
 def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
-    """True if a sensor sees the same at every yaw: a level LiDAR that scans all round."""
+    """True if a sensor sees the same at every yaw.
+
+    That is so for a level LiDAR that scans all round.
+    """
     return is_ring(sensor) and pitch_deg == 0.0
 
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """True if points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
+    """True for points (n, 3) in a unit's field of view, (n,) bool.
+
+    Neither distance nor occlusion matters.
+    """
     sensor = unit.sensor
     pose = unit.pose
     is_inside: BoolArray
@@ -232,7 +241,10 @@ def build_candidates(
 
 @cache
 def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
-    """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
+    """The default grid, or a coarse one with a ninth of its poses.
+
+    They are read from ``data/candidates.toml`` and ``coarse_candidates.toml``.
+    """
     if is_coarse:
         where = "coarse_candidates.toml"
     else:

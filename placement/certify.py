@@ -1,4 +1,7 @@
-"""How many worlds to choose in, and how much a layout may lack of the best over all of them."""
+"""Number of sampled worlds to choose in, and the gap that remains.
+
+The gap is what a layout may lack of the best one over all worlds.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -45,7 +48,9 @@ class Block:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapEstimate:
-    """Limits of the best mean APR and of a layout's own, both at once with a confidence.
+    """Limits of the best mean APR and of a layout's own mean APR.
+
+    Both hold at once with 95 % confidence.
 
     Attributes
     ----------
@@ -67,22 +72,29 @@ class GapEstimate:
 
     @property
     def bias(self) -> float:
-        """Part of the gap that more worlds in a block, or a better layout, would make smaller."""
+        """Part of the gap that more worlds in a block would reduce.
+
+        A better layout would reduce it, too.
+        """
         return max(0.0, self.most.mean - self.least.mean)
 
     @property
     def chance(self) -> float:
-        """Part of the gap that more blocks, or more worlds to judge in, would make smaller."""
+        """Part of the gap that more blocks would reduce.
+
+        More worlds to judge in would reduce it, too.
+        """
         return self.gap - min(self.bias, self.gap)
 
 
 def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
-    """The gap from bounds of blocks (n_blocks,) and APRs of a layout in other worlds (n_worlds,).
+    """Estimate the gap from blocks' bounds and a layout's APRs.
 
-    The expected bound of a block is not below the best expected APR: in each block the
-    best layout is at least as good as the one that is best over all. Both means have an
-    interval of Student's t with 95 %, of which one end each counts: 2.5 % on either
-    side, 5 % together.
+    `bounds` (n_blocks,) are those of the blocks, `aprs` (n_worlds,) those of the
+    layout in other worlds. The expected bound of a block is not below the best
+    expected APR: in each block the best layout is at least as good as the one that
+    is best over all. Both means have an interval of Student's t with 95 %, of which
+    one end each counts: 2.5 % on either side, 5 % together.
 
     References
     ----------
@@ -101,7 +113,7 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certified:
-    """The best of the layouts that were found in blocks of worlds, and what it may lack.
+    """Best layout found in blocks of worlds, and what it may lack.
 
     Attributes
     ----------
@@ -256,7 +268,7 @@ def grow(
     first: int = 0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Grown:
-    """Choose in twice as many worlds, again and again, until the layout gets no better.
+    """Choose in twice as many worlds until the layout gets no better.
 
     A round's layout is chosen in the worlds from `first` on, as if so many had been
     asked for. It is compared with that of the round before in 60 fresh worlds, the same
@@ -324,7 +336,7 @@ def grow(
 def _round(
     assembly: Assembly, found: Placement, before: SampledApr | None
 ) -> tuple[SampledApr, Round]:
-    """What was chosen in some worlds, in fresh ones next to what the round before had."""
+    """Judge one round's layout in fresh worlds, next to the one before."""
     stage = found.certificate.stages[0]
     gain = None
     mounted = {pose_key(unit) for unit in found.layout.units}

@@ -1,4 +1,4 @@
-"""Machine code for the steps to come, made in a second process while the first ones are done.
+"""Compile kernels in a second process while the first steps run.
 
 A small made-up question is answered while runs are laid and the detection table is
 built.
@@ -32,7 +32,10 @@ _TIME_LIMIT_S = 20.0
 
 
 def compile_ahead() -> None:
-    """Compile what optimiser and evaluator need, unless that was done before on this machine."""
+    """Compile the kernels of optimiser and evaluator ahead of their use.
+
+    Nothing is done if they were compiled before on this machine.
+    """
     from .evaluator.pixels import see
     from .optimiser.walk_kernels import grow
 

@@ -1,4 +1,4 @@
-"""The options of a computation in one value: seed, threads, cache and progress."""
+"""Options of a computation: seed, threads, cache and progress."""
 
 import os
 from collections import Counter
@@ -26,7 +26,11 @@ def threads(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
-    """Small matrices are multiplied by the thread that asks: idle threads of BLAS only spin."""
+    """Context in which BLAS uses one thread.
+
+    Small matrices are multiplied by the calling thread: further threads of BLAS
+    would only spin.
+    """
     limited: AbstractContextManager[Any] = _blas().limit(limits=1)
     return limited
 
@@ -106,7 +110,10 @@ class Compute:
         return partial(Compute, **known), ()
 
     def within(self, stage: str) -> "Compute":
-        """These options for a part of a larger stage, under whose name progress is reported."""
+        """These options for a part of a larger stage.
+
+        Progress is reported under the name of that stage.
+        """
 
         def report(part: str, done: int, total: int, /) -> None:
             self.progress(stage, done, total)

@@ -22,7 +22,10 @@ _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
 class Fingerprints:
-    """Hashes of values by what they hold; what occurs in several of them is read once."""
+    """Hashes of values by their content.
+
+    A value that is part of several others is read once.
+    """
 
     def __init__(self) -> None:
         # By identity; the object is held, so that no other one gets the same.
@@ -38,6 +41,7 @@ class Fingerprints:
         return self._digest(values).hex()
 
     def _digest(self, value: object) -> bytes:
+        """Digest of one value and of everything inside it, 16 bytes."""
         is_data = is_dataclass(value) and not isinstance(value, type)
         if is_data and id(value) in self._known:
             return self._known[id(value)][1]
@@ -67,7 +71,10 @@ class Fingerprints:
 
 
 def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
-    """Hash of packages and of the libraries that decide their results, 32 hexadecimal digits."""
+    """Hash of packages and of the libraries that decide their results.
+
+    It has 32 hexadecimal digits.
+    """
     code = (sys.version, *map(version, _LIBRARIES), *map(hash_of_files, packages))
     return Fingerprints().of(code)
 

@@ -1,4 +1,7 @@
-"""Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
+"""Private ground, and how much of it cameras have in view.
+
+Private ground are gardens, terraces and window fronts.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,10 +43,11 @@ _SHORT_OF_M = 0.05
 def is_in_sight(
     caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
 ) -> BoolArray:
-    """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
+    """True for points (n, 3) that nothing hides from a mount.
 
-    The caster has the frame of the points. Things nearer than `near_m`, such as the
-    sensor's pole, hide nothing.
+    It is False for points that are nearer than `near_m`. The caster has the frame
+    of the points. Things nearer than `near_m`, such as the sensor's pole, hide
+    nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
     ways = points_m - mount
@@ -91,7 +95,7 @@ class GroundCoverage:
 
 
 class GroundSurvey:
-    """The ground around a junction, for several cameras: what does not depend on them."""
+    """Ground around a junction, prepared for several cameras."""
 
     def __init__(self, scene: Scene) -> None:
         outline = scene.outline_m
@@ -111,7 +115,10 @@ class GroundSurvey:
         self.is_road: BoolArray = np.asarray(on_road, dtype=bool)
 
     def density(self, unit: CandidatePose) -> FloatArray:
-        """Pixels per metre that a camera has of each cell, (n_north, n_east); 0: unseen."""
+        """Pixels per metre of a camera on each cell, (n_north, n_east).
+
+        A cell that it does not see has 0.
+        """
         found = np.zeros(len(self._points_m))
         camera = unit.sensor
         if isinstance(camera, CameraModel):
@@ -131,11 +138,12 @@ class GroundSurvey:
 def find_ground_coverage(
     scene: Scene, units: Sequence[CandidatePose]
 ) -> GroundCoverage:
-    """How finely cameras see the ground around a junction, where nothing drives or parks.
+    """Pixel density of cameras on the ground around a junction.
 
-    Cells of a square metre, up to 45 m around the middle, one metre above the road.
-    Pixels per metre across the line of sight are focal length over depth; through a
-    lens they are what it shows of ten centimetres. LiDARs take no pictures.
+    Nothing drives or parks there. Cells of a square metre, up to 45 m around the
+    middle, one metre above the road. Pixels per metre across the line of sight are
+    focal length over depth; through a lens they are what it shows of ten
+    centimetres. LiDARs take no pictures.
     """
     survey = GroundSurvey(scene)
     density = np.zeros(survey.is_road.shape)
@@ -154,7 +162,10 @@ _ACROSS_M = 0.1
 
 
 def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
-    """Pixels per metre across the line of sight at points (n, 3) of the picture; 0 at its edge."""
+    """Pixels per metre across the line of sight at points (n, 3).
+
+    Points are in the picture; at its edge the density is 0.
+    """
     assert isinstance(unit.sensor, CameraModel)
     east, north = (points_m - unit.pose.position_m)[:, :2].T
     across = np.stack([-north, east, np.zeros_like(east)], axis=1)
@@ -206,10 +217,11 @@ class PrivateGround:
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
+    """Private ground in a scene's world frame, read from a GIS file.
 
-    A column "name" or "id" names an area. Raises InputError if the file cannot be read,
-    has no polygon, is of another place, or lies on earth while the scene does not.
+    GeoJSON, GeoPackage and Shapefile are read. A column "name" or "id" names an
+    area. Raises InputError if the file cannot be read, has no polygon, is of
+    another place, or lies on earth while the scene does not.
     """
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
@@ -222,6 +234,7 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         )
 
     def to_world(points: Any) -> Any:
+        """Points of the file in the world frame of the scene."""
         if not found.crs:
             if not scene.crs:
                 return points - scene.source_origin_m
@@ -254,9 +267,10 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas, shapely polygons by name: one each square metre, at least one each.
+    """Points all over areas, one each square metre.
 
-    Raises InputError where one is empty, or all together are too large.
+    `areas` are shapely polygons by name; each has one point at least. Raises
+    InputError where one is empty, or all together are too large.
     """
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
@@ -306,6 +320,7 @@ class PrivateSight:
         self._lie_open = lru_cache(_MAX_PLACES)(self._look_from)
 
     def _look_from(self, *place: float) -> BoolArray:
+        """Points that lie open to a place: x, y, z and the near distance."""
         mount_m = np.array(place[:3]) - self._origin
         near_m = place[3]
         return is_in_sight(
@@ -313,7 +328,10 @@ class PrivateSight:
         )
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
-        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
+        """True for points of the ground that a pose sees, (n_points,) bool.
+
+        It has them in its picture, and nothing hides them.
+        """
         in_picture = np.isfinite(_depth_in_picture(self._points_m, candidate))
         return self._lie_open(*_place(candidate)) & in_picture
 
@@ -333,14 +351,18 @@ class PrivateSight:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of each private area each pose has in its picture, (n_candidates, n_areas)."""
+    """Share of each private area that each pose sees.
+
+    It is (n_candidates, n_areas), 0 .. 1.
+    """
     return PrivateSight(scene, ground).shares(candidates)
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
-    """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
+    """True for candidates that respect every private area.
 
-    Raises InputError where no candidate is left.
+    They see at most `max_share` of it; (n_candidates,) bool. Raises InputError
+    where no candidate is left.
     """
     share = shares.max(axis=1)
     kept = np.asarray(share <= max_share)
@@ -359,7 +381,10 @@ def _place(candidate: CandidatePose) -> tuple[float, ...]:
 
 
 def _depth_in_picture(points_m: FloatArray, candidate: CandidatePose) -> FloatArray:
-    """Depth of points (n, 3) in a camera's picture, hidden or not; infinite outside of it."""
+    """Depth of points (n, 3) in a camera's picture, hidden or not.
+
+    It is infinite for points outside of the picture.
+    """
     camera = candidate.sensor
     if not isinstance(camera, CameraModel):
         return np.full(len(points_m), np.inf)

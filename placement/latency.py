@@ -1,4 +1,4 @@
-"""Latency from a frame to the onset of braking: budgets, and APR by the total latency."""
+"""Latency budgets, and APR by the latency from frame to braking."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -92,7 +92,10 @@ class LatencyBudget:
     def sample_s(
         self, rng: np.random.Generator, size: int | tuple[int, ...]
     ) -> FloatArray:
-        """Draw totals, (*size), between :attr:`best_s` and :attr:`worst_s`, in seconds."""
+        """Draw totals, (*size), in seconds.
+
+        They lie between :attr:`best_s` and :attr:`worst_s`.
+        """
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
         total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
@@ -110,10 +113,11 @@ def fixed_latency(latency_s: float) -> LatencyBudget:
 def load_latency_budget(
     name_or_path: str = DEFAULT_LATENCY_BUDGET, *, where: str = "latency budget"
 ) -> LatencyBudget:
-    """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
+    """Latency budget by its name, or from a TOML file.
 
-    `where` says what named it. Raises InputError if it is unknown, or a field is not
-    what it should be.
+    Names, and the layout of such a file, are those of ``data/latency.toml``.
+    `where` says what named it. Raises InputError if it is unknown, or a field is
+    not what it should be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -138,6 +142,7 @@ def load_latency_budgets() -> Mapping[str, LatencyBudget]:
 
 
 def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
+    """Budgets of a TOML document by their names."""
     budgets = {}
     for name, table in document.items():
         where = f"{file}: {name}"
@@ -161,6 +166,8 @@ class _BudgetTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _PartTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a latency budget in TOML."""
+
     name: str
     fixed_s: _Seconds | None = None
     low_s: _Seconds | None = None
@@ -170,7 +177,10 @@ class _PartTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
-    """A part of the budget `where`; errors name it by its name, or by its place `here`."""
+    """Read a part of the budget `where`.
+
+    Errors name it by its name, or by its place `here` if it has none.
+    """
     name = take_text(entry, "name", here)
     if not (name.strip() and name.isprintable()):
         raise InputError(f"{where}.name", name, "printable text")
@@ -213,7 +223,7 @@ def apr_by_latency(
     *,
     vut_latency_s: float | None = None,
 ) -> dict[str, FloatArray]:
-    """APR of every sensing party by the latency from a frame to braking, each (n_latencies,).
+    """APR of every sensing party by latency, each (n_latencies,).
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames
     do not depend on the latency [s]: one evaluation is enough. A unit with a latency of
@@ -238,6 +248,7 @@ def apr_by_latency(
     levels = evaluation.levels
 
     def share(party: list[tuple[BoolArray, float | None]], latency_s: float) -> float:
+        """Share of the weight that a party avoids at one latency."""
         arrival_s = earliest_arrival_s(
             [(seen, latency_s if own_s is None else own_s) for seen, own_s in party],
             axis,

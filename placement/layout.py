@@ -109,7 +109,10 @@ class Layout:
         return str(self.to_frame().round(2).to_html())
 
     def to_frame(self) -> "pd.DataFrame":
-        """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
+        """The units as a table with a row for each, under its id.
+
+        Columns are those of :func:`layout_records`.
+        """
         # Takes longer to load than all else here
         import pandas as pd
 
@@ -118,7 +121,9 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """One of the objectives that are optimised in order, each holding those before it.
+    """One of the objectives, which are optimised in order.
+
+    Each stage holds the values of those before it.
 
     Attributes
     ----------
@@ -166,14 +171,19 @@ class Certificate:
         return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
-        """The stages as a table: objective, bound, gap and seconds, a row each under its name."""
+        """The stages as a table with a row for each, under its name.
+
+        Columns are objective, bound, gap and seconds.
+        """
         import pandas as pd
 
         return pd.DataFrame([asdict(stage) for stage in self.stages]).set_index("name")
 
 
 def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -> float:
-    """Relative distance of objective and bound as HiGHS defines it; 0 up to a `tolerance`.
+    """Relative distance of objective and bound, as HiGHS defines it.
+
+    It is 0 up to a `tolerance` of the absolute distance.
 
     >>> relative_gap(0.5, 0.6)
     0.2
@@ -187,9 +197,10 @@ def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -
 
 
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
-    """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
+    """Units as plain records.
 
-    And latency_s of their own, and fov_deg of a lens that is not set as in the
+    Fields are id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar. And
+    latency_s of their own, and fov_deg of a lens that is not set as in the
     catalogue.
     """
     return [
@@ -246,10 +257,11 @@ def layout_from_records(
     *,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
+    """Layout from plain records as :func:`layout_records` writes them.
 
-    `sensors` are models in addition to the catalogue's. Raises InputError where a field
-    is missing or not of its kind, an id is repeated, or a sensor is unknown.
+    The field "site" may be missing. `sensors` are models in addition to the
+    catalogue's. Raises InputError where a field is missing or not of its kind, an
+    id is repeated, or a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
@@ -299,12 +311,13 @@ def load_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
+    """Load a layout from JSON or CSV.
 
-    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`.
-    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and
-    look along compass bearings, see :func:`placement.layout.unit_record`: that takes
-    the `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
+    JSON is an object with the key "layout", a list of units. Or from calibrations
+    of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in
+    JSON written by hand, units may lie at latitudes and longitudes and look along
+    compass bearings, see :func:`placement.layout.unit_record`: that takes the
+    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
     if the file cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
@@ -348,7 +361,10 @@ def read_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from the text of a layout file, see :func:`load_layout`; `name` if it has none."""
+    """Layout from the text of a layout file, see :func:`load_layout`.
+
+    It is called `name` if the text gives it no name.
+    """
     document = parse_json(text, where, "a layout")
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
@@ -430,10 +446,11 @@ def find_layout(
     scene: Scene | None = None,
     sensors: str = "",
 ) -> Layout:
-    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
+    """A layout by its name, or from a file.
 
-    A list of units with places on earth takes the `scene`; `sensors` are models, as a
-    user lists them, beside the catalogue's.
+    The only name is carlancap-12, the study's layout. Raises InputError for
+    anything else. A list of units with places on earth takes the `scene`; `sensors`
+    are models, as a user lists them, beside the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
@@ -445,6 +462,8 @@ def find_layout(
 
 
 class _StudyUnit(Struct, frozen=True, kw_only=True):
+    """A unit of ``data/carla_ncap_layout.toml``."""
+
     id: str
     site: str
     position_m: Point3
@@ -475,7 +494,7 @@ def load_carlancap_layout() -> Layout:
 
 
 def find_baseline(scene: Scene) -> Layout | None:
-    """The study's layout, to compare others with at its junction; None at another one."""
+    """The study's layout to compare with, at its junction; else None."""
     study = load_carlancap_layout()
     if scene.name == study.scene_name:
         return study
@@ -507,9 +526,10 @@ def is_list(records: Sequence[Any]) -> bool:
 
 
 def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Rows of a CSV file with a header, each with where it stands; a warning names other columns.
+    """Rows of a CSV file with a header, each with where it stands.
 
-    Raises InputError for what is no CSV, or has no row.
+    A warning names columns that are not known. Raises InputError for what is no
+    CSV, or has no row.
     """
     rows = list(read_csv_rows(path))
     if not rows:
@@ -579,7 +599,10 @@ def _one_of(
     first: tuple[str, float],
     other: tuple[str, float],
 ) -> float:
-    """The number in one of two fields, times the field's factor; exactly one must be given."""
+    """Number in one of two fields, times the field's factor.
+
+    Raises InputError unless exactly one of them is given.
+    """
     found = [
         (name, factor * value)
         for name, factor in (first, other)

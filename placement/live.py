@@ -1,7 +1,8 @@
-"""Detections of units while somebody moves them: rays are cached, points projected again.
+"""Detections of units while somebody moves them.
 
-Rays depend on a sensor's place, not on where it looks: they are cast once per mount
-position. Rows are those of :func:`placement.visibility.build_detection_table`.
+Rays are cached; points are projected again. Rays depend on a sensor's place,
+not on where it looks: they are cast once per mount position. Rows are those of
+:func:`placement.visibility.build_detection_table`.
 """
 
 from collections import OrderedDict
@@ -36,10 +37,10 @@ _T = TypeVar("_T")
 
 
 class LiveTable:
-    """Rows of a detection table, made when they are asked for; not for several threads at once.
+    """Rows of a detection table that are computed on demand.
 
-    `compute` has the seed of a table with the same rows; up to `max_mounts` positions
-    are cached.
+    An object is not for several threads at once. `compute` has the seed of a table
+    with the same rows; up to `max_mounts` positions are cached.
     """
 
     def __init__(
@@ -125,7 +126,10 @@ class LiveTable:
     def _sensing(
         self, key: _Key, units: Sequence[CandidatePose]
     ) -> tuple[Sensing, float]:
-        """View from the mount of units in every direction, as far as they reach, and how far."""
+        """View from the mount of units, and how far it reaches.
+
+        It is cast in every direction, as far as any of the units needs.
+        """
         assert self._world is not None
         detector = self._setting.table_detector
         needed_m = max(reach_m(unit.sensor, detector, self._world) for unit in units)
@@ -144,7 +148,10 @@ class LiveTable:
 
 
 def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> None:
-    """Cache a value as the newest one; the oldest is given up where there are too many."""
+    """Cache a value as the newest one.
+
+    The oldest is dropped where there are more than `most`.
+    """
     cached[key] = value
     cached.move_to_end(key)
     if len(cached) > most:
@@ -158,11 +165,12 @@ def table_verdict(
     *,
     with_vut: bool = False,
 ) -> Verdict:
-    """Verdict on all units together by the detection table, and on the VUT if asked for.
+    """Verdict on all units together by the detection table.
 
-    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; the
-    VUT's is the setting's. As for the optimiser, a run is avoided if a confirmed track
-    is alive at the last moment.
+    With `with_vut`, the VUT's own sensors are one more unit. `detected`, (n_units,
+    n_frames) bool, is that of :meth:`LiveTable.detected`; the VUT's is the
+    setting's. As for the optimiser, a run is avoided if a confirmed track is alive
+    at the last moment.
     """
     axis = setting.axis
     rule = setting.rule

@@ -1,4 +1,7 @@
-"""Memory that something needs and that this machine has, checked before anything long starts."""
+"""Memory that a task needs and that the machine has.
+
+It is checked before anything long starts.
+"""
 
 import os
 import sys
@@ -9,7 +12,7 @@ from geometry.errors import refuse
 # Of the program itself: libraries, scene, runs, report
 _PROGRAM_BYTES = 400 * 2**20
 _BYTES_PER_ENTRY = 0.125 + 1.0
-"""Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
+"""Memory per entry of the table: a bit in it, and up to seven copies in presolve."""
 _LIMIT_FILES = (
     "/sys/fs/cgroup/memory.max",
     "/sys/fs/cgroup/memory/memory.limit_in_bytes",
@@ -17,7 +20,9 @@ _LIMIT_FILES = (
 
 
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
-    """Memory of a placement at its peak, when presolve has the whole detection table.
+    """Peak memory of a placement, in bytes.
+
+    The peak is in presolve, which holds the whole detection table.
 
     Parameters
     ----------
@@ -44,9 +49,10 @@ def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
 
 
 def machine_bytes() -> int | None:
-    """Memory that this process may use: the machine's, or less by a container's or a shell's limit.
+    """Memory that this process may use, in bytes.
 
-    None where the system does not say.
+    It is the machine's, or less where a container or a shell sets a limit. None
+    where the system does not say.
     """
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
@@ -69,7 +75,10 @@ def machine_bytes() -> int | None:
 
 
 def available_bytes() -> int:
-    """Memory that can still be had: what is free, within :func:`machine_bytes`; else huge."""
+    """Memory that is still free within :func:`machine_bytes`.
+
+    Where the system does not say, a huge number is returned.
+    """
     sizes = [machine_bytes() or sys.maxsize]
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()

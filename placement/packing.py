@@ -1,8 +1,8 @@
-"""Frozen values as MessagePack and back, with arrays and shared parts kept as they were.
+"""Frozen values to and from MessagePack.
 
-An array, dataclass, Struct or named tuple is written once, wherever it occurs: after
-its parts, in a list. In its place stands its number in that list, as an extension type
-of MessagePack.
+Arrays and shared parts are kept as they were. An array, dataclass, Struct or
+named tuple is written once, wherever it occurs: after its parts, in a list. In
+its place stands its number in that list, as an extension type of MessagePack.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,9 @@ _PLAIN = (bool, int, float, str, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
-    """Bytes of a value; TypeError unless it is made of what this module's docstring names.
+    """Bytes of a value.
 
+    Raises TypeError unless it is made of what this module's docstring names.
     Besides those these are tuples, numbers, text and None; arrays are of numbers.
     """
     # The last one is the value itself
@@ -31,6 +32,7 @@ def to_bytes(value: object) -> bytes:
     places: dict[int, tuple[object, msgspec.msgpack.Ext]] = {}
 
     def plain(value: Any) -> Any:
+        """A value as MessagePack has it; parts are replaced by their place."""
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, _PLAIN):
@@ -48,6 +50,7 @@ def to_bytes(value: object) -> bytes:
 
 
 def _take_apart(value: Any, plain: Any) -> list[Any]:
+    """An array, or a class and its fields, as a list of plain values."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biuf":
             raise TypeError(f"an array that is not of numbers: {value.dtype}")
@@ -100,6 +103,7 @@ def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> An
 
 
 def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> Any:
+    """Array from its bytes; ValueError unless it is of numbers."""
     if np.dtype(dtype).kind not in "biuf":
         raise ValueError(f"an array that is not of numbers: {dtype}")
     array = np.frombuffer(content, dtype).reshape(shape)
@@ -116,7 +120,10 @@ def _tuples(value: Any) -> Any:
 
 
 def _is_of(value: Any, hint: Any) -> bool:
-    """True if a value, and the items of a tuple, are of the classes that a hint names."""
+    """True if a value is of the classes that a hint names.
+
+    Of a tuple, every item is checked.
+    """
     named = get_args(hint)
     if get_origin(hint) is tuple:
         if type(value) is not tuple:

@@ -1,4 +1,7 @@
-"""From a question to a layout: the one assembly of what every answer needs, and the search."""
+"""From a question to a layout: the assembly, and the search.
+
+Everything that an answer needs is assembled here and nowhere else.
+"""
 
 import logging
 import time
@@ -61,9 +64,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assembly:
-    """A question made ready for every answer; table and problem are made once, when asked for.
+    """A question made ready for every answer.
 
-    Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
+    Table and problem are built once, when they are first asked for. Another
+    assembly with other candidates or wishes is made by ``dataclasses.replace``.
 
     Attributes
     ----------
@@ -129,9 +133,10 @@ class Assembly:
 
     @cached_property
     def table(self) -> DetectionTable:
-        """Detections of all candidates, from the cache or built: in the sampled worlds, if any.
+        """Detections of all candidates, from the cache or built.
 
-        Raises InputError if it does not fit into the memory of this machine.
+        With sampled worlds they are the detections in these. Raises InputError if
+        it does not fit into the memory of this machine.
         """
         if self.known_table is not None:
             return self.known_table
@@ -142,6 +147,7 @@ class Assembly:
 
     @cached_property
     def _sampled(self) -> SampledTable | None:
+        """Table of the sampled worlds; None in the world as planned."""
         if self.uncertainty is None or self.n_samples == 0:
             return None
         setting = self.setting
@@ -208,7 +214,10 @@ class Assembly:
     def in_fresh_worlds(
         self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
     ) -> list[SampledApr]:
-        """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
+        """Judge layouts in the same fresh worlds, in which none was chosen.
+
+        `first` is the number of the first world.
+        """
         # `assemble` reads it with every question
         assert self.uncertainty is not None
         return out_of_sample_layouts(
@@ -232,13 +241,14 @@ def assemble(
     counts_money: bool = False,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Assembly:
-    """Make of a question what every answer needs; all is checked before any ray is cast.
+    """Make a question ready for every answer.
 
-    `scene` is in place of the one that the question names; `setting` has scene and runs
-    where they have been laid already. `grid` has the poses to try at each site, in
-    place of the question's grid and the study's poses; `existing` is in place of the
-    mounted units that the question names. With `counts_money`, sites without a price
-    cost what is assumed, also where no money is asked for.
+    All of it is checked before any ray is cast. `scene` is in place of the one that
+    the question names; `setting` has scene and runs where they have been laid
+    already. `grid` has the poses to try at each site, in place of the question's
+    grid and the study's poses; `existing` is in place of the mounted units that the
+    question names. With `counts_money`, sites without a price cost what is assumed,
+    also where no money is asked for.
 
     Candidates are the grid's, at the study's junction its 12 poses, and the existing
     units; or those of `within` and the existing ones. Raises InputError: a word is
@@ -315,6 +325,7 @@ def _candidates(
     grid: CandidateGrid | None,
     existing: Sequence[CandidatePose],
 ) -> tuple[CandidatePose, ...]:
+    """Candidate poses of a question: the grid's, or those of `within`."""
     within = _named_layout(question.within, "within", scene, question.sensors)
     if within is not None:
         return _distinct(within.units, existing)
@@ -326,6 +337,7 @@ def _candidates(
 
 
 def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:
+    """Layout that a question names, checked; None for an empty name."""
     if not name:
         return None
     layout = find_layout(name, where, scene=scene, sensors=sensors)
@@ -345,6 +357,7 @@ def _respects(
     ground: PrivateGround,
     max_share: float,
 ) -> BoolArray:
+    """True for candidates that respect private ground, (n,) bool."""
     return respects_private_ground(
         private_shares(scene, candidates, ground), max_share=max_share
     )
@@ -363,12 +376,14 @@ def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effo
 # ---------- the best layout
 
 FOUND = "found"
-"""Name of the layout that was found, where fresh worlds compare it with greedy choice's."""
+"""Name of the layout found, where fresh worlds compare it with the greedy one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Highest:
-    """The layout of the highest APR, where another one is chosen that bears failures better.
+    """Layout of the highest APR, where another one is chosen.
+
+    The chosen one loses less when a unit fails.
 
     Attributes
     ----------
@@ -505,6 +520,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     problem = assembly.problem
 
     def answer() -> _Answer:
+        """Solve the problem, and look for the greedy layout next to it."""
         nonlocal optimised
         reduced = assembly.presolved
         first, sturdy = solve_sturdily(
@@ -570,9 +586,10 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
 def _by_worlds(
     assembly: Assembly, found: _Answer
 ) -> tuple[_Answer, tuple[SampledApr, SampledApr] | None]:
-    """The answer with greedy choice's layout if fresh worlds prefer it; the one it takes.
+    """Replace the layout by the greedy one if fresh worlds prefer that.
 
-    And the other one, both there; None where these worlds are not asked.
+    The second value has both in these worlds, the one that is taken first. And the
+    other one, both there; None where these worlds are not asked.
     """
     problem = assembly.problem
     first = found.first
@@ -612,7 +629,7 @@ def may_prefer(
     solution: Solution,
     greedy: Sequence[int],
 ) -> bool:
-    """True if fresh worlds decide between the layout found for a problem and greedy choice's.
+    """True if fresh worlds decide between the layout found and the greedy one.
 
     Worlds that were chosen in are few, and the plan knows nothing of chance: they
     decide wherever worlds were sampled or detections are drawn. By rule, the plan
@@ -649,7 +666,10 @@ def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
-    """An answer from the cache, or a new one. Raises InputError: wishes cannot be met."""
+    """An answer from the cache, or a new one.
+
+    Raises InputError if wishes cannot be met.
+    """
     problem = assembly.problem
     wishes = assembly.wishes
     effort = assembly.effort

@@ -1,4 +1,7 @@
-"""Poses between those of the grid: a layout whose units are turned, tilted, zoomed and lifted."""
+"""Refinement: poses between those of the grid.
+
+The units of a layout are turned, tilted, zoomed and lifted.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,11 +40,11 @@ from .setting import Setting
 def certify(
     values: Mapping[Objective, float], certificate: Certificate, solver: str
 ) -> Certificate:
-    """The bounds of a certificate for a set of poses that is as good as its layout or better.
+    """Certificate of a set that is as good as another's layout or better.
 
-    A bound holds for all sets that are as good in the stages before as the
-    certificate's layout, and so for those that are as good as this one. `solver` is the
-    new certificate's text about it.
+    It has the bounds of that certificate. A bound holds for all sets that are as
+    good in the stages before as the certificate's layout, and so for those that are
+    as good as this one. `solver` is the new certificate's text about it.
     """
     stages = (
         build_stage(name, value, proven.bound, proven.seconds)
@@ -80,7 +83,10 @@ class Places:
     row_of: Mapping[str, int]
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
-        """Lowest and highest position for a row of the grid, in the world frame, in metres."""
+        """Lowest and highest position for a row of the grid.
+
+        They are heights in the world frame, in metres.
+        """
         pose = self.candidates[origin]
         own_m = float(pose.pose.position_m[2])
         site = self.site_of(origin)
@@ -116,10 +122,11 @@ def moved(
     pitch_deg: float,
     fov_deg: float | None = None,
 ) -> CandidatePose | None:
-    """Replacement for a row of the grid, moved and turned; None if it would be inside something.
+    """Pose of a row of the grid, moved and turned.
 
-    Height, pitch and field of view (by default the grid's) are brought into their
-    ranges. The pose's id says where it is mounted and how it looks.
+    None if it would be inside something. Height, pitch and field of view (by
+    default the grid's) are brought into their ranges. The pose's id says where it
+    is mounted and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -215,6 +222,7 @@ def _as_it_is(unit: CandidatePose) -> dict[str, float]:
 def _others(
     poses: Iterable[CandidatePose | None], unit: CandidatePose
 ) -> list[CandidatePose]:
+    """Poses that are not the unit itself, each id once."""
     return [
         *{
             one.id: one for one in poses if one is not None and one.id != unit.id
@@ -329,6 +337,7 @@ class _Search:
         ]
 
     def _of_grid(self, row: int) -> _Tried:
+        """Pose of a row of the grid, with its row of the table."""
         return _Tried(
             candidate=self.places.candidates[row],
             origin=row,
@@ -336,7 +345,7 @@ class _Search:
         )
 
     def _problem(self, poses: Iterable[_Tried]) -> PlacementProblem:
-        """The grid's problem on some poses; those that are forced must be among them."""
+        """The grid's problem on some poses, which include the forced ones."""
         poses = list(poses)
         limits = self.grid.limits.of_poses(
             np.array([one.origin for one in poses], dtype=np.int64)
@@ -353,7 +362,7 @@ class _Search:
     def prove(
         self, placement: Placement, solver: Effort, *, end_s: float
     ) -> "tuple[Placement, tuple[CandidatePose, ...], tuple[Move, ...]] | None":
-        """The best set and its bounds among the whole grid and all new poses, and the moves there.
+        """Best set among the grid and all new poses, with bounds and moves.
 
         None where nothing could be said in time of how good it is.
         """
@@ -573,7 +582,10 @@ class Move:
 
 
 def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
-    """True if two poses are of one sensor model at one place, whatever their heights."""
+    """True if two poses are of one sensor model at one place.
+
+    Heights do not matter.
+    """
     away_m = one.pose.position_m[:2] - other.pose.position_m[:2]
     return one.sensor.name == other.sensor.name and bool(
         np.hypot(*away_m) <= _SAME_PLACE_M
@@ -610,11 +622,11 @@ def pair_units(
 def rename(
     before: Layout, poses: Sequence[CandidatePose], *, named: Sequence[str], name: str
 ) -> tuple[Layout, tuple[Move, ...]]:
-    """A layout of the poses, whose units keep their names where they stay in place, and the moves.
+    """Name the poses of a new layout, and list what moved.
 
-    Names of `named` mean one pose and no other, such as those of an existing layout.
-    Units come in the order of `before`, new ones behind; the moves leave out units that
-    stayed as they were.
+    Units that stay in place keep their names. Names of `named` mean one pose and no
+    other, such as those of an existing layout. Units come in the order of `before`,
+    new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (name for name in map("U{}".format, count(1)) if name not in taken)

@@ -1,4 +1,4 @@
-"""Retrofit of mounted units: remove one, re-aim one, add one, or the best changes for a budget.
+"""Retrofit of mounted units: remove, re-aim, add, or combine.
 
 Removals, re-aims and additions are tried one by one; a combination is a placement
 problem with the units already in place. All values are those of the detection table.
@@ -74,10 +74,10 @@ class RetrofitPoses:
 def build_retrofit_poses(
     layout: Layout, grid: CandidateGrid, additions: Sequence[CandidatePose]
 ) -> RetrofitPoses:
-    """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
+    """Poses of a retrofit: units, their re-aims, and new poses.
 
-    Additions with the id of a unit are left out. Raises InputError if two ids are
-    equal.
+    A re-aim has the same place and sensor, and a direction of the grid. Additions
+    with the id of a unit are left out. Raises InputError if two ids are equal.
     """
     aims = []
     numbers = [*range(len(layout.units))]
@@ -234,12 +234,13 @@ def find_retrofit(
     budget_eur: float | None = None,
     effort: Effort | None = None,
 ) -> Retrofit:
-    """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
+    """Find the best change of every kind.
 
-    The problem is on the table of all poses, with those mounted as forced ones that
-    cost nothing; its budgets and forced sites do not matter. `budget_eur` and `effort`
-    are for the combination; an addition must not cost more, either. All other changes
-    are tried one by one.
+    Changes are compared by APR, APR when one unit fails, margins, then price. The
+    problem is on the table of all poses, with those mounted as forced ones that
+    cost nothing; its budgets and forced sites do not matter. `budget_eur` and
+    `effort` are for the combination; an addition must not cost more, either. All
+    other changes are tried one by one.
     """
     if effort is None:
         effort = Effort()
@@ -286,10 +287,11 @@ def find_retrofit(
 def combined_limits(
     limits: Limits, poses: RetrofitPoses, *, re_aim_eur: float, budget_eur: float
 ) -> Limits:
-    """Limits in which every unit stays or is re-aimed, and others are added within the budget.
+    """Limits in which units stay or are re-aimed, and others are added.
 
-    Every unit becomes a site of its own, on which one of its poses must be chosen. What
-    room the real sites have left is for new ones; rivals of units are forbidden.
+    Changes are paid from the budget. Every unit becomes a site of its own, on which
+    one of its poses must be chosen. What room the real sites have left is for new
+    ones; rivals of units are forbidden.
     """
     n_units = poses.n_units
     n_sites = limits.n_sites
@@ -332,9 +334,10 @@ def find_addition(
     *,
     budget_eur: float | None,
 ) -> Change | None:
-    """The best new unit next to the existing ones; None if none is allowed or an improvement.
+    """Best new unit next to the existing ones.
 
-    All that are allowed are tried; a budget is for the new unit and its site alone.
+    None if no unit is allowed, or none is an improvement. All that are allowed are
+    tried; a budget is for the new unit and its site alone.
     """
     standing = np.arange(poses.n_units)
     new = np.flatnonzero(poses.unit_index < 0)
@@ -366,6 +369,7 @@ def _change(
     price_eur: float = 0.0,
     n_compared: int = 0,
 ) -> Change:
+    """A change to the poses `after`, with its value and its runs."""
     standing = range(poses.n_units)
     run_ids = np.array(problem.table.axis.run_ids)
     was = run_margins_s(problem, standing) > -np.inf
@@ -383,7 +387,10 @@ def _change(
 
 
 def _best_first(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """Changes by the value of what is mounted afterwards; equal ones keep their order."""
+    """Changes by the value of what is mounted afterwards, best first.
+
+    Equal ones keep their order.
+    """
 
     def compare(one: Change, other: Change) -> int:
         values = _without_cost(one.value), _without_cost(other.value)
@@ -400,9 +407,10 @@ def _without_cost(value: PlacementValue) -> PlacementValue:
 def best_joining(
     reduced: ReducedProblem, mounted: Sequence[int], each: IntArray
 ) -> int:
-    """The pose of `each`, rows of the table, that joins those `mounted` best; the first of equals.
+    """The pose of `each` that joins the mounted ones best.
 
-    Best by APR, then APR when one unit fails, smallest and mean margin, and price.
+    `each` and `mounted` are rows of the table; of equals the first is taken. Best
+    by APR, then APR when one unit fails, smallest and mean margin, and price.
     Limits and floors do not matter; `reduced` is by
     :func:`placement.optimiser.presolve.presolve_freely`.
     """
@@ -447,7 +455,7 @@ class Advice:
 
     @property
     def is_proven(self) -> bool:
-        """True if nothing of its kind is better by what is asked for, the first objective."""
+        """True if nothing of its kind is better in the first objective."""
         if self.certificate is None:
             return self.n_compared > 0
         return self.certificate.stages[0].gap == 0.0
@@ -483,9 +491,10 @@ class Adviser:
         self._live = LiveTable(assembly.setting, compute=assembly.compute)
 
     def best_next(self, units: Sequence[CandidatePose]) -> Advice:
-        """The unit that gains most next to the mounted ones; costs are its own and its site's.
+        """The unit that gains most next to the mounted ones.
 
-        Raises InputError if none is allowed, or none is an improvement.
+        Costs are its own and its site's. Raises InputError if none is allowed, or
+        none is an improvement.
         """
         if not units:
             return self.complete(units, n_units=1)
@@ -503,10 +512,11 @@ class Adviser:
         )
 
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
-        """The best layout of `n_units` that has the mounted units; costs are of what is new.
+        """The best layout of `n_units` that keeps the mounted units.
 
-        One more unit is found by trying all. Raises InputError if so many are mounted
-        already, the sites cannot carry them, or one unit more is no improvement.
+        Costs are those of what is new. One more unit is found by trying all. Raises
+        InputError if so many are mounted already, the sites cannot carry them, or
+        one unit more is no improvement.
         """
         if n_units <= len(units):
             expected = f"more than the {len(units)} that are mounted already"
@@ -524,9 +534,10 @@ class Adviser:
         return self._search(units, wishes)
 
     def re_aim(self, units: Sequence[CandidatePose]) -> Advice:
-        """The best directions of all units, each at its place with its sensor; nothing is bought.
+        """The best directions of all mounted units.
 
-        Raises InputError if nothing is mounted, or no unit can look elsewhere.
+        Each keeps its place and sensor; nothing is bought. Raises InputError if
+        nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
             refuse("re-aim", "no unit", "at least one unit")
@@ -569,6 +580,7 @@ class Adviser:
         )
 
     def _solve(self, problem: PlacementProblem, starts: Sequence[IntArray]) -> Solution:
+        """Solve a problem, and report its stages."""
         return solve_placement(
             problem,
             effort=self._assembly.effort,
@@ -577,9 +589,10 @@ class Adviser:
         )
 
     def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
-        """The layout of least cost whose APR is that of the mounted one; costs are of everything.
+        """The cheapest layout with the APR of the mounted one.
 
-        Raises InputError if nothing is mounted, or it avoids nothing.
+        Costs are those of everything. Raises InputError if nothing is mounted, or
+        it avoids nothing.
         """
         if not units:
             refuse("the cheapest that keeps this", "no unit", "a unit")
@@ -624,7 +637,10 @@ class Adviser:
 
     # ---------- problems
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
-        """The optimiser's answer, started from the mounted units where that is allowed."""
+        """The optimiser's answer, as advice.
+
+        It starts from the mounted units where that is allowed.
+        """
         problem = self._problem(units, wishes)
         has_start = bool(len(units)) and wishes.budget_units is None
         solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
@@ -648,7 +664,10 @@ class Adviser:
         return self._problem(units, self._one_more(units)), poses
 
     def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
-        """One more row than the mounted units: a further unit, or another direction of one."""
+        """Wishes for one more row than the mounted units.
+
+        It is a further unit, or another direction of one.
+        """
         return replace(
             self._wishes,
             budget_units=len(units) + 1,
@@ -682,6 +701,7 @@ class Adviser:
         return (*units, *grid)
 
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
+        """Detection table of some units."""
         names = tuple(unit.id for unit in units)
         axis = self._setting.axis
         return DetectionTable(

@@ -1,4 +1,7 @@
-"""The setting in which layouts are placed and judged: scene, runs, braking, detectors, radio."""
+"""The setting in which layouts are placed and judged.
+
+It has scene, runs, braking rule, detectors and radio.
+"""
 
 import logging
 import math
@@ -202,6 +205,7 @@ def check_question(question: Question) -> None:
 
 
 def _select(question: Question) -> Selection:
+    """Cases that a question selects."""
     return select_cases(
         question.cases,
         speeds=question.speeds or None,
@@ -289,7 +293,10 @@ def drive(
 
 
 def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
-    """The only run of a question at a position; InputError if there are none, or several."""
+    """The only run of a question at a position.
+
+    Raises InputError if there are none, or several.
+    """
     where = "position"
     place = read_position(position, where)
     for case in select_cases(question.cases, force=True).cases:
@@ -380,7 +387,10 @@ def build_setting(
 
 
 def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
-    """Latitude and longitude around which accidents count; None where nobody knows."""
+    """Latitude and longitude around which accidents count.
+
+    None where they are not known.
+    """
     if question.near:
         return _read_place_deg(question.near)
     if not scene.crs or split_source(question.weights) is None:
@@ -391,6 +401,7 @@ def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
 
 
 def _read_place_deg(text: str) -> tuple[float, float]:
+    """Latitude and longitude in a text, in degrees; else an InputError."""
     try:
         latitude, longitude = read_point(text, "near")
     except InputError:
@@ -403,7 +414,10 @@ def _read_place_deg(text: str) -> tuple[float, float]:
 
 
 def _check_every_case(drives: Drives, scene: Scene) -> None:
-    """Raise InputError for the first case that no approach carries, with all its reasons."""
+    """Raise InputError for the first case that no approach carries.
+
+    The message has all its reasons.
+    """
     driven = {run.case.name for run in drives.runs}
     reasons: dict[str, dict[str, list[str]]] = {}
     for refusal in drives.refused:

@@ -1,4 +1,7 @@
-"""Demands on a layout - units, money, targets, sites - with prices, and the problem they make."""
+"""Demands on a layout, and the problem that they make.
+
+Demands are on units, money, targets and sites; prices belong to them.
+"""
 
 import re
 from collections import Counter
@@ -22,7 +25,7 @@ from .optimiser.problem import Fusion
 from .question import Question, read_number, split_names
 from .setting import Setting
 
-# ---------- prices of sites that have none of their own: assumptions, each with its source
+# ---------- prices of sites without one: assumptions, each with its source
 _FILE = "prices.toml"
 _OTHERWISE = "pole"
 
@@ -92,7 +95,7 @@ def load_prices() -> SitePrices:
 
 
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
-    """Assumed prices of sites that have none of their own, a sentence for each kind."""
+    """Assumed prices of sites without one, a sentence for each kind."""
     count = Counter(site.kind for site in sites if not site.cost_eur > 0.0)
     sentences = []
     for kind, number in count.most_common():
@@ -281,7 +284,10 @@ def build_limits(
 
 
 def _check_room(wishes: Wishes, scene: Scene, most: int) -> None:
-    """Raise InputError if the sites, or the candidates at them, cannot carry the budget."""
+    """Raise InputError if the budget has more units than there is room for.
+
+    Sites, and the candidates at them, limit the number.
+    """
     if wishes.budget_units is None or wishes.budget_units <= most:
         return
     n_existing = len(wishes.existing)
@@ -365,10 +371,11 @@ def read_wishes(
     existing: Sequence[CandidatePose] = (),
     counts_money: bool = False,
 ) -> Wishes:
-    """Wishes of a question, whose budget is of units in addition to the existing ones.
+    """Wishes of a question.
 
-    With `counts_money`, sites without a price cost what is assumed, whatever is asked
-    for. Raises InputError for words that mean nothing.
+    Its budget is of units in addition to the existing ones. With `counts_money`,
+    sites without a price cost what is assumed, whatever is asked for. Raises
+    InputError for words that mean nothing.
     """
     survive, failing = _failures(question.survive)
     counts_money |= question.budget_cost is not None
@@ -416,7 +423,10 @@ docs/decisions/default_question.md has why.
 
 
 def _give_up(question: Question, survive: int) -> float:
-    """What may be given up; nothing where failures count already, or something else is asked."""
+    """APR that may be given up to lose less when a unit fails.
+
+    Nothing where failures count already, or something else is asked for.
+    """
     others = {
         "target": bool(question.target),
         "min_case_apr": question.min_case_apr > 0.0,
@@ -446,6 +456,7 @@ def _failures(text: str) -> tuple[int, Failing]:
 
 
 def _tail(risk: str, n_samples: int) -> float:
+    """Share of the sampled worlds that counts, from the word on risk."""
     if risk == "mean":
         return 1.0
     if n_samples == 0:

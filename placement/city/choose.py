@@ -1,7 +1,8 @@
-"""Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
+"""Choice of what each junction gets, with bounds.
 
-APR by the junctions' weights; APR if at each junction the unit needed most fails;
-smallest time to spare; its mean over the accidents prevented; cost. Each stage holds
+The sum over all junctions is the best one, objective by objective. APR by the
+junctions' weights; APR if at each junction the unit needed most fails; smallest
+time to spare; its mean over the accidents prevented; cost. Each stage holds
 those before it.
 """
 
@@ -33,7 +34,7 @@ from .fronts import Options
 
 
 CORE_OPTIONS = 4_000
-"""Options that are handed to the solver at first; more where they can be in a better choice."""
+"""Options that the solver gets at first; more where they can be in a better choice."""
 _MAX_CORE = 40_000
 # Of sums, relative
 _ROUNDING = 1.0e-9
@@ -44,7 +45,9 @@ _UNIT_SUM = 1.0e5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Knapsack:
-    """A problem: the highest sum of profits of one option per group, within limits.
+    """Multiple-choice knapsack: one option per group, within limits.
+
+    The sum of the profits is maximised.
 
     Attributes
     ----------
@@ -156,6 +159,7 @@ def solve_knapsack(
 
 
 def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> Choice:
+    """A choice with its value; a bound within rounding is that value."""
     if chosen is None:
         objective = -np.inf
     else:
@@ -173,7 +177,10 @@ def _tiny(amount: float) -> float:
 
 # ---------- prices on the limits
 def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float]:
-    """The best option of each group at some prices, the first of equals, and the bound of these."""
+    """Best option of each group at some prices, and the bound of these.
+
+    Of equal options the first one is taken.
+    """
     worth = problem.profit - prices @ problem.rows
     most = np.maximum.reduceat(worth, problem.starts)
     rows = np.flatnonzero(worth == most[problem.group])
@@ -184,7 +191,11 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
 def _shortfalls(
     problem: Knapsack, prices: FloatArray
 ) -> tuple[IntArray, float, FloatArray]:
-    """As :func:`priced_choice`, and by how much each option falls short of its group's best."""
+    """Best options and bound at some prices, and every shortfall.
+
+    See :func:`priced_choice`. A shortfall, (n,), is that to the best option of the
+    group.
+    """
     best, bound = priced_choice(problem, prices)
     worth = problem.profit - prices @ problem.rows
     return best, bound, worth[best][problem.group] - worth
@@ -235,7 +246,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
 
 
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
-    """Options that fall short by least, and by how much the first one outside does.
+    """Options with the least shortfall, and that of the first one outside.
 
     The best option of each group whose others are in the core is there, too; groups
     without others are settled.
@@ -505,6 +516,7 @@ def _may_be(options: Options, wishes: CityWishes) -> BoolArray:
 def _problem(
     options: Options, share: FloatArray, wishes: CityWishes, *, profit: FloatArray
 ) -> Knapsack:
+    """Knapsack of options within a city's wishes."""
     rows: list[FloatArray] = []
     limits: list[float] = []
     if wishes.budget_units is not None:
@@ -556,6 +568,7 @@ class _Later:
     chosen: IntArray
 
     def solve(self, apr: float) -> list[Stage]:
+        """Solve the stages one after the other."""
         by_weight = self.share[self.options.junction]
         self.held.append((by_weight * self.options.apr, apr))
         one_failed = self._most(
@@ -575,6 +588,7 @@ class _Later:
     def _knapsack(
         self, profit: FloatArray, rows: IntArray | slice = slice(None)
     ) -> Knapsack:
+        """Knapsack of some options that holds the stages before."""
         whole = _problem(self.options, self.share, self.wishes, profit=profit)
         least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
         return Knapsack(
@@ -593,6 +607,7 @@ class _Later:
     def _most(
         self, objective: Objective, profit: FloatArray, *, unit: float = 1.0
     ) -> Stage:
+        """Maximise a profit, in units of `unit`, and hold its value."""
         began_s = now_s()
         found = self._solve(self._knapsack(profit), self.gap)
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
@@ -608,7 +623,10 @@ class _Later:
         )
 
     def _smallest_margin(self) -> Stage:
-        """The largest smallest margin: options with less are left out, as many as can be."""
+        """Maximise the smallest margin, by bisection.
+
+        Options with less are left out, as many as possible.
+        """
         began_s = now_s()
         margin_s = self.options.smallest_margin_s
         counts = self.options.apr > TOLERANCE
@@ -727,7 +745,9 @@ def _floor(share: float) -> str:
 # ---------- the city's own front
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A junction gets more: with the steps before it, the most for the money that they take.
+    """A step at which a junction gets more.
+
+    With the steps before, it is the most for the money that they take.
 
     Attributes
     ----------
@@ -830,13 +850,14 @@ class Phases:
 def plan_phases(
     units: IntArray, gain: FloatArray, *, units_per_year: int, years: int | None = None
 ) -> Phases:
-    """Spread units over years, at most so many a year: the most gain times years that it is there.
+    """Spread units over years so that gain times years is largest.
 
-    A junction counts from the year in which its last unit is mounted. Solved as a
-    mixed-integer model, or for thousands of junctions by the largest gain per unit
-    first (Smith, 1956), with the bound where units may be divided. `units` and `gain`,
-    (n,), are those of each junction. Raises InputError if the years, by default as many
-    as it takes, do not suffice.
+    At most `units_per_year` are mounted in a year. A junction counts from the year
+    in which its last unit is mounted. Solved as a mixed-integer model, or for
+    thousands of junctions by the largest gain per unit first (Smith, 1956), with
+    the bound where units may be divided. `units` and `gain`, (n,), are those of
+    each junction. Raises InputError if the years, by default as many as it takes,
+    do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)
@@ -871,7 +892,10 @@ def _gain_years(year: IntArray, gain: FloatArray, n_years: int) -> float:
 def _in_order(
     units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray, float]:
-    """Years where the largest gain per unit comes first; the sum if parts gained parts of it."""
+    """Years if the largest gain per unit comes first, and a bound.
+
+    The bound is the sum where parts of a junction gain parts of it.
+    """
     order = np.argsort(-gain / units, kind="stable")
     end = np.cumsum(units[order])
     year = np.empty(len(units), dtype=np.int64)
@@ -886,6 +910,7 @@ def _in_order(
 def _solve(
     units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray | None, float]:
+    """Years by a mixed-integer model, and its bound; None if not found."""
     import cvxpy as cp
 
     n = len(units)

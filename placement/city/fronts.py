@@ -53,7 +53,7 @@ class Point:
         return {Objective(name): getattr(self, name) for name in _WORTH}
 
     def is_beaten_by(self, other: "Point") -> bool:
-        """True if another point takes no more and is no worse, objective by objective."""
+        """True if another point takes no more and is worse in nothing."""
         return (
             other.units <= self.units
             and other.cost_eur <= self.cost_eur + COST_TOLERANCE_EUR
@@ -152,7 +152,10 @@ def lowest(steps: Sequence[Steps]) -> Steps:
 
 
 def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
-    """Steps that rise: what holds for more holds for less; steps that say the same are one."""
+    """Steps that rise.
+
+    A bound for more holds for less; steps that say the same become one.
+    """
     least = np.minimum.accumulate([bound for _, bound in reversed(steps)])[::-1]
     rising: list[tuple[float, float]] = []
     for (start, _), bound in zip(steps, least.tolist(), strict=True):
@@ -197,7 +200,10 @@ class Options:
         return 0
 
     def taken(self, rows: IntArray) -> "Options":
-        """Some of the options, by rows in ascending order; each junction keeps one at least."""
+        """Some of the options, by rows in ascending order.
+
+        Each junction keeps one at least.
+        """
         return Options(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
@@ -222,10 +228,11 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
 def stack_bounds(
     fronts: Sequence[JunctionFront], *, counts_units: bool, counts_cost: bool
 ) -> Options:
-    """Upper bounds of layouts other than the points, as options whose other values are 0.
+    """Upper bounds as options, for layouts other than the points.
 
-    Each layout of a junction takes at least as much as one of them and has no higher
-    APR. With units and cost counted, an option stands for a step of both.
+    Their APR with a failure and their margins are 0. Each layout of a junction takes at least as
+    much as one of them and has no higher APR. With units and cost counted, an
+    option stands for a step of both.
     """
     rows = []
     for index, front in enumerate(fronts):
@@ -380,7 +387,10 @@ def front_by_sites(
 
 
 def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
-    """Lowest and highest price of the sites in each tier, cheap ones first; three tiers at most."""
+    """Lowest and highest price of the sites in each tier.
+
+    Cheap tiers come first; there are three at most.
+    """
     prices = np.unique(limits.site_cost_eur[rooms_of(limits) > 0]).tolist()
     own = [(price, price) for price in prices[:_MAX_TIERS]]
     if len(prices) <= _MAX_TIERS:
@@ -391,10 +401,11 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 def bounds_by_money(
     limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]
 ) -> Steps:
-    """What no layout for so much money exceeds: by the units and sites that so much buys at most.
+    """Upper bounds of the APR by money.
 
-    So many new units at so many sites, the dearest of which is of some tier, cost at
-    least what the cheapest ones and one site of that tier do; they do no more than what
+    They follow from the units and sites that so much money buys at most. So many
+    new units at so many sites, the dearest of which is of some tier, cost at least
+    what the cheapest ones and one site of that tier do; they do no more than what
     sites up to that tier can.
 
     Parameters
@@ -439,10 +450,10 @@ def _front_of_full_sites(
     max_sites: int,
     effort: Callable[[], Effort],
 ) -> tuple[list[float], dict[int, tuple[int, ...]], bool]:
-    """Bounds for 1, 2 .. full sites, the layout of each number, and whether those are the best.
+    """Bounds for 1, 2 .. full sites, with layouts.
 
-    They are where poses are columns one by one; of a class the pose that adds most is
-    taken.
+    The last value says whether these layouts are the best ones. They are where
+    poses are columns one by one; of a class the pose that adds most is taken.
     """
     limits = problem.limits
     table = problem.table
@@ -490,7 +501,10 @@ def _front_of_full_sites(
 def _one_of_each(
     reduced: ReducedProblem, classes: list[tuple[int, ...]]
 ) -> tuple[int, ...]:
-    """Existing units, and of each class the pose that adds most to those before it."""
+    """Existing units, and of each class the pose that adds most.
+
+    Poses are added one after the other.
+    """
     units = forced_units(reduced)
     for poses in classes:
         members = np.searchsorted(reduced.pose_index, poses)
@@ -501,9 +515,10 @@ def _one_of_each(
 def _classes_of(
     table: DetectionTable, at_site: list[list[int]], sizes: list[int]
 ) -> list[list[tuple[int, ...]]]:
-    """Poses of each site one by one; where that makes too many sets, those together that see alike.
+    """Poses of each site in classes.
 
-    A class sees what any of its poses does: bounds hold, but are higher.
+    A class is a single pose; where that makes too many sets, it has those that see
+    alike. A class sees what any of its poses does: bounds hold, but are higher.
     """
     n_sets = sum(
         comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size

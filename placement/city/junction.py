@@ -1,4 +1,7 @@
-"""The front of one junction of a city: what units and money buy there, with bounds for all sums."""
+"""Front of one junction of a city, by units and by money.
+
+Bounds hold for all sums.
+"""
 
 import logging
 import time
@@ -144,6 +147,7 @@ def solve_junction(
     end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
     def effort() -> Effort:
+        """Effort of the next step, from the time that is left."""
         left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
         return Effort(
             solver=question.solver,
@@ -186,12 +190,12 @@ def find_front(
     begin: Callable[[str], None],
     first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """Front of what units and money buy, and the layout of each point; the first takes nothing.
+    """Front of what units and money buy, and the layout of each point.
 
-    The problem has a number of units, the existing ones among them, and no floors.
-    `effort` says what the next step may take, `begin` is called with each step. No
-    point is worse than what the poses `first`, (n,), the existing ones among them, can
-    do. Layouts are rows of the table.
+    The first point takes nothing. The problem has a number of units, the existing
+    ones among them, and no floors. `effort` says what the next step may take,
+    `begin` is called with each step. No point is worse than what the poses `first`,
+    (n,), the existing ones among them, can do. Layouts are rows of the table.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
@@ -202,6 +206,7 @@ def find_front(
     def fronts_of(
         part: PlacementProblem, tell: Callable[[str], None]
     ) -> tuple[Front, SiteFront]:
+        """Fronts by units and by sites of a part of the problem."""
         assert limits.budget_units is not None
         tell("front by units")
         by_units = pareto_front(
@@ -327,6 +332,7 @@ def _merge(
 
 
 def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
+    """Upper bounds of the APR by new units."""
     steps = [
         (float(point.units - n_existing), max(point.apr_bound, base))
         for point in front.points
@@ -345,6 +351,7 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
     steps: list[tuple[float, float]] = [(0.0, base)]
 
     def add(eur: float, bound: float) -> None:
+        """Add a step; it replaces those that cost no less."""
         before_eur, before = steps[-1]
         if eur <= before_eur:
             steps.pop()
@@ -388,6 +395,7 @@ class _Watch:
         self(stage, 0, 0)
 
     def _note(self) -> None:
+        """Add the time since the last note to the current stage."""
         at_s = time.process_time()
         self._seconds[self._stage] = (
             self._seconds.get(self._stage, 0.0) + at_s - self._began_s

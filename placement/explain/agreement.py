@@ -1,4 +1,4 @@
-"""Agreement of detection table and evaluator: the runs on which they differ, and why."""
+"""Runs on which detection table and evaluator differ, and why."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -55,9 +55,10 @@ def find_disagreements(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Disagreement, ...]:
-    """Runs on which table and evaluator disagree, for each unit alone, then for all fused.
+    """Runs on which table and evaluator disagree.
 
-    `pose_index` are the table's rows of the layout's units, in their order.
+    Each unit is compared alone, then all fused. `pose_index` are the table's rows
+    of the layout's units, in their order.
     """
     units, axis, detected = (
         evaluation.layout.units,
@@ -76,6 +77,7 @@ def find_disagreements(
     on_table = dict(zip((unit.id for unit in units), detected, strict=True))
 
     def differing_frames(unit: CandidatePose, run: int) -> IntArray:
+        """Frames of a run, before its last moment, in which a unit differs."""
         frames = np.arange(axis.n_frames)[axis.frames_of(run)]
         counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
         differs = (
@@ -86,6 +88,7 @@ def find_disagreements(
     def compare(
         parties: Sequence[CandidatePose], verdict: Verdict
     ) -> Iterator[Disagreement]:
+        """Disagreements of a unit, or of all units fused."""
         is_fused = verdict is evaluation.headline
         with_vut = is_fused and evaluation.cars == 1.0
         rows = np.array([on_table[unit.id] for unit in parties])
@@ -144,6 +147,7 @@ def _cause(
 
 
 def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) -> str:
+    """Description of what the evaluator sees in one frame, in words."""
     expected = bool(setting.table_detector.is_expected(evidence)[0])
     seen = (
         f"{float(box_height_px(evidence.visible_px)[0]):.1f} px high, "

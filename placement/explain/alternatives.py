@@ -1,4 +1,7 @@
-"""Layouts that other priorities choose, and which of those that lead the evaluator prefers."""
+"""Layouts that other priorities choose, and a choice among leaders.
+
+Leaders on the detection table are compared by the evaluator.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -153,10 +156,11 @@ def build_front_runner(
 def recommend(
     runners: Sequence[FrontRunner], mounted_wrongly: Callable[[int], float]
 ) -> tuple[int, Deciding]:
-    """Number of the front-runner to recommend, and what the first one was passed over for.
+    """Number of the front-runner to recommend, and what decided.
 
-    In this order: APR; APR when the most needed unit fails; APR that a usual error of
-    mounting leaves, `mounted_wrongly` by number, asked only for those equal so far.
+    The second value says what the first one was passed over for. In this order:
+    APR; APR when the most needed unit fails; APR that a usual error of mounting
+    leaves, `mounted_wrongly` by number, asked only for those equal so far.
     Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended:
     "order".
     """

@@ -1,4 +1,4 @@
-"""Conflicts: demands that contradict each other, and the least by which one must give way.
+"""Conflicts between demands, and the least by which one must give way.
 
 A problem is taken apart into demands, of which any part makes a problem again. Parts
 are asked for in order of size, but for those that a set of poses found before meets,
@@ -106,11 +106,11 @@ class Wish:
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
-        """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
+        """Demands that a set of poses meets all at once.
 
-        That floors hold when units fail counts as met where that is so for all floors
-        that are met without failures, or where it is asked for: then floors must hold
-        so.
+        Those of `active` are among them if the set meets them. That floors hold
+        when units fail counts as met where that is so for all floors that are met
+        without failures, or where it is asked for: then floors must hold so.
         """
         survive = frozenset(
             n for n in self.everything if self.demands[n].kind == "survive"
@@ -125,6 +125,7 @@ class Wish:
         return met
 
     def _limits_of(self, active: Set[int]) -> Limits:
+        """Limits of the active demands; equal ones are one object."""
         key = frozenset(
             number
             for number in active
@@ -224,7 +225,10 @@ def relax(
     relaxation: Relaxation,
     separation: Separation | None = None,
 ) -> PlacementProblem:
-    """The problem with a demand relaxed that has no number of its own to be asked for."""
+    """The problem with one demand relaxed.
+
+    The demand has no number of its own that could be optimised.
+    """
     kind = relaxation.demand.kind
     value = relaxation.value
     limits = problem.limits
@@ -259,9 +263,10 @@ def relax(
 def find_relaxation(
     wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
 ) -> Relaxation | None:
-    """The least by which a demand has to give way so that others, which can be met, are met, too.
+    """The least by which a demand has to give way for others to be met.
 
-    None if nothing was found in time; `suffices` is to be filled in.
+    The others can be met together without it. None if nothing was found in time;
+    `suffices` is to be filled in.
     """
     demand = wish.demands[number]
     separation = wish.separation
@@ -309,7 +314,10 @@ def find_relaxation(
 
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
-    """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
+    """Entries of a demand, in groups that belong together.
+
+    All forbidden poses of a site are one group.
+    """
     if demand.kind == "forced_sites":
         return [(site,) for site in np.flatnonzero(limits.is_forced_site).tolist()]
     forbidden = np.flatnonzero(limits.is_forbidden)
@@ -327,7 +335,10 @@ class _Trial:
     separation: Separation | None
 
     def first(self, values: Sequence[float]) -> Relaxation | None:
-        """The first of some values, each looser than the one before, that can be met."""
+        """The first of some values that can be met.
+
+        Each value is looser than the one before.
+        """
         low = 0
         high = len(values)
         best = None
@@ -348,7 +359,10 @@ class _Trial:
     def fewest(
         self, items: Sequence[tuple[int, ...]], without: Answer
     ) -> Relaxation | None:
-        """Fewest items that have to go; `without` is what can be had without all of them."""
+        """The fewest items that have to go.
+
+        `without` is the answer without any of them.
+        """
         if without.pose_index is None:
             return None
         enough = [item for item in items if self._is_violated(item, without.pose_index)]
@@ -367,7 +381,10 @@ class _Trial:
         return replace(best, is_least=is_proven)
 
     def _thinned(self, best: Relaxation, given_up: list[tuple[int, ...]]) -> Relaxation:
-        """No item that is given up could stay, as far as time goes; others might be fewer."""
+        """Drop given-up items that could stay, as far as time goes.
+
+        Other items might be fewer.
+        """
         for item in given_up.copy():
             if self.oracle.left_s() <= 0.0:
                 break
@@ -392,13 +409,18 @@ class _Trial:
         given_up: Sequence[tuple[int, ...]],
         poses: tuple[int, ...] = (),
     ) -> Relaxation:
+        """A relaxation of the demand that gives up some items."""
         gone = tuple(part for item in given_up for part in item)
         return Relaxation(
             demand=self.demand, value=value, given_up=gone, pose_index=poses
         )
 
     def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
-        """A relaxation; no poses if it cannot be met, and then whether that is proven."""
+        """Try a relaxation.
+
+        It has no poses if it cannot be met; `is_least` then says whether that is
+        proven.
+        """
         relaxation = self._relaxation(value, given_up)
         answer = self.oracle.find(relax(self.problem, relaxation, self.separation))
         return replace(
@@ -430,10 +452,11 @@ def find_conflicts(
     separation: Separation | None = None,
     time_limit_s: float = 30.0,
 ) -> tuple[Conflict, ...]:
-    """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
+    """Smallest conflicts that explain why no set of poses does.
 
-    `time_limit_s` is for all questions together, but for presolve. None if the wish can
-    be met, if it was not found out that it cannot, or if nothing would help.
+    No two of them have a demand in common. `time_limit_s` is for all questions
+    together, but for presolve. None if the wish can be met, if it was not found out
+    that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -471,7 +494,10 @@ def _is_refused(answer: Answer) -> bool:
 def _smallest_conflict(
     wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> frozenset[int]:
-    """A smallest conflict among demands that cannot all be met; any, where time is short."""
+    """A smallest conflict among demands that cannot all be met.
+
+    Where time is short, it is any conflict.
+    """
     # Demands that some set of poses meets together
     met = list[frozenset[int]]()
     for size in range(len(demands) + 1):
@@ -504,6 +530,7 @@ def _relaxations(
     conflict: frozenset[int],
     ask: Callable[[frozenset[int]], Answer],
 ) -> tuple[Relaxation, ...]:
+    """Relaxations of the demands of a conflict, as far as found."""
     found = []
     for number in sorted(conflict):
         suffices = ask(wish.everything - {number}).pose_index is not None
@@ -557,7 +584,10 @@ def build_separation(
     scene: Scene,
     candidates: Sequence[CandidatePose],
 ) -> Separation | None:
-    """The effect of a least distance between units on the limits; None where none is asked for."""
+    """Effect of a least distance between units on the limits.
+
+    None where no distance is asked for.
+    """
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
@@ -618,6 +648,7 @@ class _Words:
         return f"one of them to give way: {ways}"
 
     def _demand(self, demand: Demand) -> str:
+        """A demand as the question states it, in words."""
         limits = self.problem.limits
         kind = demand.kind
         if demand.floor is not None:
@@ -646,6 +677,7 @@ class _Words:
         )
 
     def _way_out(self, relaxation: Relaxation) -> str:
+        """A relaxation as a change of the question, in words."""
         demand, kind, value = (
             relaxation.demand,
             relaxation.demand.kind,
@@ -716,7 +748,10 @@ _FIELDS = {
 
 
 def _inserted(name: str, number: str) -> str:
-    """A number after the field that a name begins with: "`min_case_apr` 0.8 in CPNA-25"."""
+    """Insert a number after the field that a name begins with.
+
+    An example is "`min_case_apr` 0.8 in CPNA-25".
+    """
     return f"`{_field(name)}` {number} {name.partition(' ')[2]}".rstrip()
 
 

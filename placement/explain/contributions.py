@@ -1,4 +1,4 @@
-"""Contribution of each unit to a layout: what is left without some, and what one more would add."""
+"""Contributions of units: what is left without some, or with one more."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -68,7 +68,10 @@ class Contribution:
 def find_contributions(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> tuple[Contribution, ...]:
-    """The contribution of each unit of a set, in order; limits and floors do not matter."""
+    """Contribution of each unit of a set, in order.
+
+    Limits and floors do not matter.
+    """
     poses = list(pose_index)
     value = placement_value(problem, poses)
     margin_s = run_margins_s(problem, poses)
@@ -155,7 +158,7 @@ class Failures:
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """Evaluate the failure of each unit of a layout, of each pair, and of each site.
+    """Evaluate the failure of each unit, each pair, and each site.
 
     In each frame any remaining unit may be the one that detects, and the VUT where
     every VUT sees. The worst comes first: the lowest APR, then the smallest margin,
@@ -180,6 +183,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     def failure(
         failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = ""
     ) -> Failure:
+        """Achievement of the units that are left when some fail."""
         onsets = find_onsets(np.minimum(arrival_s, own_s), axis, rule=rule)
         avoided = onsets.is_in_time
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
@@ -211,6 +215,8 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
 
 
 def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
+    """Failures by APR, then by smallest margin, the worst first."""
+
     def key(failure: Failure) -> tuple[float, float]:
         margin_s = failure.smallest_margin_s
         return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
@@ -221,7 +227,10 @@ def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
 # ---------- one more unit
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextUnit:
-    """The further unit that greedy choice would add, budgets aside, on the detection table."""
+    """The further unit that greedy choice would add.
+
+    Budgets do not count; values are those of the detection table.
+    """
 
     pose: Annotated[str, says("Id of the candidate pose.")]
     apr: Annotated[float, says("Accident prevention ratio with it, 0..1.")]
@@ -231,10 +240,11 @@ class NextUnit:
 def find_next_unit(
     problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
 ) -> NextUnit | None:
-    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
+    """The pose with which a layout has the highest APR.
 
-    Budgets do not count: it is what one more unit buys. Sites, rivals and wishes do.
-    Another layout of as many units may be better still.
+    It is the one that greedy choice would add next. Budgets do not count: it is
+    what one more unit buys. Sites, rivals and wishes do. Another layout of as many
+    units may be better still.
 
     Parameters
     ----------

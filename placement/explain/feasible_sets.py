@@ -1,4 +1,7 @@
-"""Search for sets of poses that meet a wish, and for the least by which a number must give way."""
+"""Search for sets of poses that meet a wish.
+
+Where none does, it finds the least by which a number must give way.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -133,9 +136,10 @@ class Oracle:
     def most(
         self, problem: PlacementProblem, measure: Measure, n_failures: int
     ) -> Answer:
-        """The highest ratio left when the most painful units fail, within limits and floors.
+        """The highest ratio left when units fail, within limits and floors.
 
-        `measure` is that of all runs; the problem's floors hold, too.
+        Those units fail whose loss costs most. `measure` is that of all runs; the
+        problem's floors hold, too.
         """
         problem = replace(problem, goal="best", survive=n_failures)
         if self._is_refused_at_once(problem):
@@ -162,7 +166,10 @@ class Oracle:
         return _answer(found, is_proven=bound <= value + SOLVER_TOLERANCE, value=value)
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
-        """True if limits contradict each other, or all poses together reach too little."""
+        """True if it is plain that the problem has no solution.
+
+        Limits contradict each other, or all poses together reach too little.
+        """
         limits = problem.limits
         shared = self._shared.for_problem(problem)
         usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
@@ -186,9 +193,10 @@ class Oracle:
     def _search(
         self, reduced: ReducedProblem, aim: Requirement | None = None
     ) -> Search | Answer:
-        """A search that has a set within limits and floors; else the answer that there is none.
+        """Search for a set within limits and floors.
 
-        It begins with a set found quickly, and takes a part of the time left.
+        Where there is none, the answer says so. It begins with a set found quickly,
+        and takes a part of the time left.
         """
         deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
         search = Search(reduced, deadline=deadline)

@@ -1,4 +1,4 @@
-"""Tolerances: by how much one unit may be off before a run is lost, and what then is lost."""
+"""Tolerances of mounting: how far off a unit may be, and what is lost."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ STEPS: Steps = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
 
 USUAL_DEG = 1.0
 USUAL_M = 0.05
-"""Errors of a careful mounting: half a bubble of a spirit level, the play of a clamp."""
+"""Errors of a careful mounting: half a spirit level's bubble, the play of a clamp."""
 
 _QUICK_STEPS: Steps = {
     "yaw": (0.5, USUAL_DEG, 2.0),
@@ -44,7 +44,7 @@ _USUAL: Mapping[ErrorKind, float] = {
 }
 
 MAX_UNITS = 30
-"""Of larger layouts nobody asks what a usual error loses: one look for each takes too long."""
+"""Largest layout whose usual errors are evaluated: each unit takes looks of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +148,9 @@ def find_standing(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Errors:
-    """Runs that are avoided with one unit off, by its number, what is off and by how much.
+    """Runs that are avoided with one unit off.
+
+    They are by the unit's number, what is off and by how much.
 
     Attributes
     ----------
@@ -163,6 +165,7 @@ class _Errors:
     avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
     def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
+        """The error of one unit: the APR that is left, and the runs lost."""
         axis = self.setting.axis
         avoided = self.avoided[number, kind, step]
         blind, seeing = (weight_share(part, axis.weight) for part in avoided)
@@ -176,6 +179,7 @@ class _Errors:
         )
 
     def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
+        """Runs that are lost with one unit off."""
         is_lost = self.planned & ~self.avoided[number, kind, step]
         cars = self.setting.cars
         # By cars that do not see, and that do
@@ -183,6 +187,7 @@ class _Errors:
         return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 
     def tolerances(self) -> tuple[Tolerance, ...]:
+        """Tolerances of all units."""
         return tuple(
             Tolerance(
                 unit_id=unit.id,
@@ -214,6 +219,7 @@ def _find_errors(
     fusion: Fusion,
     compute: Compute,
 ) -> _Errors:
+    """Runs that are avoided with each unit off by each of the steps."""
     setting = with_sight(setting, compute=compute)
     keys = [
         (number, kind, sign * step)
@@ -245,6 +251,7 @@ def _find_errors(
         return np.asarray(np.any(each, axis=0))
 
     def avoided(rows: Sequence[int]) -> BoolArray:
+        """True for runs that some rows avoid, (2, n_runs)."""
         blind = in_time(arrival_s[rows])
         if own_s is None:
             seeing = blind

@@ -1,4 +1,7 @@
-"""Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
+"""Runs that a layout does not avoid, and why.
+
+It says what is in the way, how late braking comes, and what would help.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -48,7 +51,7 @@ _OFF_SURFACE_M = 1.0e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A unit, a run, and the frames in which the unit should have detected the road user.
+    """Frames in which a unit should have detected the road user.
 
     Attributes
     ----------
@@ -87,7 +90,7 @@ class Reason:
 def find_reasons(
     setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
-    """Reasons of each look why its unit does not detect, the most frequent one first."""
+    """Reasons why units do not detect, the most frequent one first."""
     if not looks:
         return []
     run_index = list(dict.fromkeys(look.run_index for look in looks))
@@ -161,7 +164,10 @@ def _causes(
 def _things_between(
     world: World, names: Names, unit: CandidatePose, frames: IntArray, open_sight: Sight
 ) -> list[str]:
-    """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
+    """The thing that blocks most rays to the road user in each frame.
+
+    It is empty where nothing does.
+    """
     views = world.views
     vehicles = world.vehicles
     eye = unit.pose.position_m - world.origin_m
@@ -203,7 +209,7 @@ def _rays(
 
 
 def _names(scene: Scene, runs: Sequence[Run]) -> Names:
-    """Name of the thing of each triangle of the scene, and of each body of every obstruction."""
+    """Names of things: by triangle of the scene, and by parked body."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
     of_standing = []
     for parked in find_obstructions(runs)[0]:
@@ -240,7 +246,9 @@ class Rescue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that is not avoided in the world as planned, on the detection table.
+    """A run with weight that is not avoided on the detection table.
+
+    It is in the world as planned.
 
     Attributes
     ----------
@@ -302,6 +310,7 @@ def find_unavoided(
         )
 
     def find() -> tuple[Unavoided, ...]:
+        """Find the runs, then the reasons and rescues of all at once."""
         is_missed = run_margins_s(problem, chosen) == -np.inf
         misses = [
             _find_miss(setting, problem, candidates, chosen, run)
@@ -341,7 +350,7 @@ def _find_miss(
     chosen: list[int],
     run: int,
 ) -> tuple[Unavoided, Look | None]:
-    """Outcome of a run with the chosen units, and what the one that should see best has missed."""
+    """Outcome of a run, and the look of the unit that should see best."""
     axis = problem.table.axis
     rule = problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
@@ -402,7 +411,10 @@ def _find_miss(
 def _find_joining(
     problem: PlacementProblem, candidates: Sequence[CandidatePose], chosen: list[int]
 ) -> tuple[IntArray, FloatArray]:
-    """Candidates that may join the chosen ones, (n,), and the distance to the nearest of these."""
+    """Candidates that may join the chosen ones, with their distances.
+
+    They are (n,); a distance is that to the nearest chosen unit, in metres.
+    """
     limits = replace(
         problem.limits,
         budget_units=None,
@@ -430,7 +442,10 @@ def _nearest_rescue(
     joining: tuple[IntArray, FloatArray],
     run: int,
 ) -> Rescue | None:
-    """The nearest candidate that saves a run; of several at the same place the quickest."""
+    """The nearest candidate that saves a run.
+
+    Of several at the same place it is the quickest.
+    """
     axis = problem.table.axis
     rule = problem.rule
     poses, distance_m = joining
@@ -462,7 +477,10 @@ def _nearest_rescue(
 
 
 def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
-    """Frames of a run in which the VUT detects, (n_frames of the run,), if it sees."""
+    """Frames of a run in which the VUT detects; none if it is blind.
+
+    They are (n_frames of the run,).
+    """
     seen = problem.seen_by_vut
     if seen is None:
         return []

@@ -1,4 +1,7 @@
-"""Evaluation of recorded detections: match them with labels, confirm, and brake in time."""
+"""Evaluation of recorded detections.
+
+They are matched with labels, confirmed, and braked for.
+"""
 
 import math
 from collections import Counter
@@ -23,7 +26,7 @@ RECORDED = "recorded"
 """Approach and weather of every drive: a recording does not contain them."""
 
 _FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
-"""By class of VRU, which detections may match its label: a detector may find the rider."""
+"""Detections that may match a label, by its class: a detector may find the rider."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,7 +100,10 @@ def take_units(
 
 
 def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
-    """Detection table whose rows are the roadside units, by the names of their folders."""
+    """Detection table whose rows are the roadside units.
+
+    Their ids are the names of their folders.
+    """
     return pack_table(
         tuple(evaluation.units),
         evaluation.axis,
@@ -106,9 +112,10 @@ def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
 
 
 def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
-    """Frames of the drives, laid end to end; runs are called "recording/SCENARIO/KMH".
+    """Frames of the drives, laid end to end.
 
-    Cases are "scenario-3-pedestrian" and so on.
+    Runs are called "recording/SCENARIO/KMH". Cases are "scenario-3-pedestrian" and
+    so on.
     """
     form = load_format()
     drives = recording.drives
@@ -151,10 +158,11 @@ def is_same_direction(
     closing_speed_mps: float,
     form: RecordingFormat,
 ) -> bool:
-    """True if the VUT catches up with a VRU that goes its way, by the law of cosines.
+    """True if the VUT catches up with a VRU that goes its way.
 
-    False for a VRU that stands, or is as fast as the VUT. The format says up to which
-    angle the ways count as the same.
+    That follows from the speeds by the law of cosines. False for a VRU that stands,
+    or is as fast as the VUT. The format says up to which angle the ways count as
+    the same.
     """
     v = vut_speed_mps
     u = vru_speed_mps
@@ -209,7 +217,10 @@ def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
 def _detected(
     recording: Recording, unit: str, form: RecordingFormat, min_confidence: float
 ) -> tuple[BoolArray, int]:
-    """Frames in which a unit detects the VRU, and the number of those with several in view."""
+    """Frames in which a unit detects the VRU.
+
+    The second value says how many have several VRUs in view.
+    """
     all_labels = recording.labels[unit]
     all_found = recording.detections[unit]
     detected = []
@@ -256,6 +267,7 @@ def _evaluate(
     rule: AebRule,
     n_ambiguous: int,
 ) -> RecordedEvaluation:
+    """Verdicts of units alone and fused, from detected frames."""
     any_unit = np.logical_or.reduce(list(detected.values()))
     return RecordedEvaluation(
         axis=axis,
@@ -270,6 +282,7 @@ def _evaluate(
 
 
 def _verdict(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> Verdict:
+    """Verdict on detected frames, with the rule's latency."""
     arrival_s = earliest_arrival_s([(detected, rule.latency_s)], axis)
     onsets = find_onsets(arrival_s, axis, rule=rule)
     return Verdict(

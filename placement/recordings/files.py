@@ -1,4 +1,4 @@
-"""The study's folder layout: its files are read line by line, and whole folders written.
+"""The study's folder layout: files read line by line, folders written.
 
 Reading is strict: every error names file, line and field.
 """
@@ -58,7 +58,9 @@ class FrameKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingFormat:
-    """The study's folder layout, and how motion is read from it: ``carla_ncap_format.toml``.
+    """The study's folder layout, and how motion is read from it.
+
+    It is the content of ``carla_ncap_format.toml``.
 
     Attributes
     ----------
@@ -160,13 +162,19 @@ class World(NamedTuple):
 
 # ---------- folders, JSON, lines of text
 def entries_of(folder: Path, expected: str) -> list[Path]:
-    """What is in a folder; InputError, with what is expected, where it cannot be read."""
+    """Entries of a folder.
+
+    Raises InputError, with what is expected, where it cannot be read.
+    """
     with reading(folder, expected, OSError):
         return list(folder.iterdir())
 
 
 def json_of(path: Path, **limits: int) -> Any:
-    """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
+    """Content of a JSON file.
+
+    `limits` are those of :func:`geometry.files.read_bytes`.
+    """
     return parse_json(read_bytes(path, **limits), str(path), "a JSON file")
 
 
@@ -187,7 +195,10 @@ class Fields:
     line: int = 0
 
     def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
-        """A field's number; raises InputError unless it lies between `least` and `most`."""
+        """Number of a field.
+
+        Raises InputError unless it lies between `least` and `most`.
+        """
         where = f"{self.place}: {name}"
         if name not in self.words:
             raise InputError(where, Unquoted("nothing"), "a number")
@@ -237,10 +248,11 @@ def read_lines(
 
 
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
-    """Labels of a unit's frame, ``UNIT/SCENARIO_FRAME.txt``, and how many lines repeat others.
+    """Labels of a unit's frame, and how many lines repeat others.
 
-    The file is empty where nothing is in view; boxes may extend beyond the image. Lines
-    repeat because the generator opens its files for appending.
+    The file is ``UNIT/SCENARIO_FRAME.txt``. The file is empty where nothing is in
+    view; boxes may extend beyond the image. Lines repeat because the generator
+    opens its files for appending.
     """
     rows, n_repeated = _distinct(path, form.label_fields)
     return [
@@ -252,7 +264,10 @@ def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
 
 
 def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection], int]:
-    """Detections of all units, ``Eval/SCENARIO_FRAME.txt``, and how many lines repeat others."""
+    """Detections of all units, and how many lines repeat others.
+
+    The file is ``Eval/SCENARIO_FRAME.txt``.
+    """
     rows, n_repeated = _distinct(path, form.eval_fields)
     return [
         Detection(
@@ -267,10 +282,11 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
 
 
 def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
-    """Distance and speeds of a frame, ``WorldData/SCENARIO_FRAME.txt``, and how often they repeat.
+    """Distance and speeds of a frame, and how often they repeat.
 
-    The generator ends the line without a line break: a frame that is recorded twice
-    reads ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
+    The file is ``WorldData/SCENARIO_FRAME.txt``. The generator ends the line
+    without a line break: a frame that is recorded twice reads ``12.5 5.6 1.412.5
+    5.6 1.4``. Different numbers in a file are an error.
     """
     text = read_text(path, "text").strip()
     once, n_repeated = _once(text, len(form.world_fields))
@@ -295,7 +311,10 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
 
 
 def _once(text: str, n_fields: int) -> tuple[str, int]:
-    """The first `n_fields` words of a text that may repeat them, and how often it does."""
+    """First `n_fields` words of a text that may repeat them.
+
+    The second value says how often it does.
+    """
     lines = [line.strip() for line in text.splitlines()]
     if len(lines) > 1 and len(set(lines)) == 1:
         return lines[0], len(lines) - 1
@@ -323,6 +342,7 @@ def _class(row: Fields, form: RecordingFormat) -> str:
 
 
 def _box(row: Fields) -> Box:
+    """Box of a row; InputError if a side is on the wrong side."""
     x_min, y_min, x_max, y_max = row.box(_SIDES, most=math.inf)
     if x_max < x_min or y_max < y_min:
         got = Unquoted(" ".join(row.words[name] for name in _SIDES))
@@ -397,12 +417,13 @@ def write_recording(
     n_reset_frames: int | None = None,
     also: Mapping[str, str] | None = None,
 ) -> None:
-    """Write drives (with the same units) as the study's generator does, whole or not at all.
+    """Write drives as the study's generator does, whole or not at all.
 
-    Frame numbers run on over all drives. After each drive there are `n_reset_frames`
-    frames, by default as many as the generator's, with the bodies back at their starts,
-    as in its first frame. `also` are other files that shall be there, with their text.
-    Raises InputError if units differ, or the folder is not empty or not writable.
+    All drives have the same units. Frame numbers run on over all drives. After each
+    drive there are `n_reset_frames` frames, by default as many as the generator's,
+    with the bodies back at their starts, as in its first frame. `also` are other
+    files that shall be there, with their text. Raises InputError if units differ,
+    or the folder is not empty or not writable.
     """
     form = load_format()
     if not drives:
@@ -427,9 +448,10 @@ def write_recording(
 def write_folder(
     folder: Path, texts: Iterable[tuple[str, str]], *, folders: Iterable[str] = ()
 ) -> None:
-    """Write a new folder of text files, whole or not at all; `folders` are made in it before.
+    """Write a new folder of text files, whole or not at all.
 
-    Raises InputError if the folder is not empty or not writable.
+    `folders` are made in it before. Raises InputError if the folder is not empty or
+    not writable.
     """
     temporary = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
     with ExitStack() as stack, reading(folder, "a folder that can be written", OSError):

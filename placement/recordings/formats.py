@@ -1,4 +1,4 @@
-"""Boxes of recordings in the formats of others, and which format a recording is in.
+"""Boxes of recordings in other formats, and which format it is.
 
 MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from
 0 here. KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and
@@ -27,12 +27,15 @@ from geometry.untrusted_files import read_xml
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
 
 IGNORE = "ignore"
-"""Class of a region in which nothing is annotated: what is found there does not count."""
+"""Class of a region without annotations: what is found there does not count."""
 
 JUMPS = "tracks that jump"
 _MOST_HEIGHTS = 8.0
-"""A box's middle that moves on by more of its heights in a frame jumps: assumption. The most in
-PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in WILDTRACK (2 Hz) 5.8."""
+"""Most of its heights that a box's middle moves on in a frame; more is a jump.
+
+An assumption: the most in PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in
+WILDTRACK (2 Hz) 5.8.
+"""
 
 _NOWHERE = (np.nan, np.nan, np.nan)
 
@@ -201,7 +204,11 @@ _MOT_OTHERS = {3: "car", 2: IGNORE, 7: IGNORE, 8: IGNORE, 12: IGNORE}
 
 
 def mot_rows(path: Path) -> Iterator[BoxRow]:
-    """Boxes with an id are annotated, to be ignored if their flag is 0; others were found."""
+    """Rows of a file of MOT challenge.
+
+    Boxes with an id are annotated, and ignored if their flag is 0; others were
+    found.
+    """
     for fields in read_lines(path, _MOT, separator=",", least=_MOT_LEAST):
         frame = fields.whole("frame", least=1)
         track = fields.whole("id")
@@ -293,7 +300,10 @@ def pointrcnn_rows(path: Path) -> Iterator[BoxRow]:
 
 # ---------- CVML
 def cvml_rows(path: Path) -> Iterator[BoxRow]:
-    """Annotated people; frames are in order, and all as far apart (one frame rate)."""
+    """Rows of a CVML file: annotated people.
+
+    Frames are in order, and all as far apart (one frame rate).
+    """
     root = read_xml(path, expected="CVML")
     if root.tag != "dataset":
         raise InputError(str(path), root.tag, "CVML: an element <dataset> with frames")
@@ -333,6 +343,8 @@ _Pixel = Annotated[int, Meta(ge=-100_000, le=100_000)]
 
 
 class _View(msgspec.Struct, frozen=True):
+    """A person's box in one view of WILDTRACK."""
+
     viewNum: Annotated[int, Meta(ge=0, lt=N_VIEWS)]
     xmin: _Pixel
     ymin: _Pixel
@@ -347,11 +359,12 @@ class _Person(msgspec.Struct, frozen=True):
 
 
 def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
-    """Everybody who is annotated, view by view; a box without area means: not in this view.
+    """Annotated people of WILDTRACK, view by view.
 
-    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a
-    file is not what it should be, views are missing, or the files' numbers are not all
-    as far apart (mixed frame rates).
+    A box without area means that the person is not in this view. Frames are
+    numbered 0, 1, .. in the order of their files. Raises InputError if a file is
+    not what it should be, views are missing, or the files' numbers are not all as
+    far apart (mixed frame rates).
     """
     rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
     for frame, path in enumerate(_files(folder)):
@@ -382,7 +395,10 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """What a folder and those below it hold, by relative name; empty folders count as well."""
+    """Frames of a folder of WILDTRACK, in the order of their numbers.
+
+    Raises InputError if there are none, two of a number, or if steps differ.
+    """
     entries = entries_of(folder, "a folder with frames")
     named = [(int(m[1]), path) for path in entries if (m := _NAME.fullmatch(path.name))]
     found = dict(named)
@@ -421,9 +437,10 @@ _BY_FIELDS = {6: "RRC", 15: "PointRCNN"} | dict.fromkeys(range(7, 11), "MOT chal
 
 
 def find_format(path: Path) -> str:
-    """Name of the format of a recording, by its content: a folder's files, a file's beginning.
+    """Name of the format of a recording, by its content.
 
-    Raises InputError, with the formats that are known, if it is in none of them.
+    A folder's files, or the beginning of a file, tell it. Raises InputError, with
+    the formats that are known, if it is in none of them.
     """
     with reading(path, "a recording", OSError):
         is_folder = stat.S_ISDIR(path.stat().st_mode)
@@ -457,6 +474,7 @@ def find_format(path: Path) -> str:
 
 
 def _of_folder(path: Path) -> str | None:
+    """Name of the format of a folder; None if it is of no known format."""
     form = load_format()
     if any((path / name).is_dir() for name in (form.world_folder, form.eval_folder)):
         return STUDY
@@ -473,10 +491,10 @@ def _unknown(where: str, got: str) -> InputError:
 
 
 def read_boxes(path: Path) -> RecordedBoxes:
-    """Boxes of a file in any of the formats that are known; the file itself says in which.
+    """Boxes of a file in any of the known formats.
 
-    Raises InputError, with line or frame, if it is none of them, or not what its format
-    asks for.
+    The file itself says in which one. Raises InputError, with line or frame, if it
+    is none of them, or not what its format asks for.
     """
     name = find_format(path)
     if name not in _READERS:

@@ -1,4 +1,4 @@
-"""Annotated boxes next to what a detector found, and how long it takes to confirm a track."""
+"""Annotated boxes next to a detector's, and frames to confirm a track."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,10 @@ from ..detectors.fitting import LabelledPicture
 from .formats import RecordedBoxes
 
 HIDDEN_SHARES = (1.0, 0.75, 0.25)
-"""Share seen at KITTI's levels in view, partly and largely hidden: assumed, half of it or more."""
+"""Share that is seen at KITTI's levels: in view, partly and largely hidden.
+
+An assumption: partly hidden stands for up to half, largely hidden for half or more.
+"""
 
 _FROM_THE_SIDE_DEG = 90.0
 # A box of which more lies in a region to ignore does not count
@@ -47,13 +50,14 @@ def pair_boxes(
     first_track: int = 0,
     n_frames: int | None = None,
 ) -> PairedBoxes:
-    """Pictures with labels of some classes, and the boxes of at least `min_score` found in them.
+    """Pair annotated boxes of some classes with what was found.
 
-    `classes` are those that are annotated, and the road users that they are. Boxes
-    mostly in a region to ignore, or on other annotated things, are no false alarms.
-    Tracks are numbered from `first_track` on. `n_frames` were recorded; by default as
-    many as have boxes. Raises InputError if nobody of these classes is annotated, or
-    frames of the two files do not belong together.
+    Only boxes of at least `min_score` count. `classes` are those that are
+    annotated, and the road users that they are. Boxes mostly in a region to ignore,
+    or on other annotated things, are no false alarms. Tracks are numbered from
+    `first_track` on. `n_frames` were recorded; by default as many as have boxes.
+    Raises InputError if nobody of these classes is annotated, or frames of the two
+    files do not belong together.
     """
     is_label = annotated.is_class(*classes) & (annotated.track >= 0)
     if not is_label.any():
@@ -104,7 +108,7 @@ def pair_boxes(
 
 
 def _step(frame: IntArray) -> int:
-    """How far apart frames with boxes are, at least; 0 where there are too few to tell."""
+    """Least distance of frames with boxes; 0 where too few tell it."""
     frames = np.unique(frame)
     if len(frames) >= _LEAST_FRAMES:
         return int(np.gcd.reduce(np.diff(frames)))
@@ -112,10 +116,11 @@ def _step(frame: IntArray) -> int:
 
 
 def seen_shares(annotated: RecordedBoxes) -> FloatArray:
-    """Share of each annotated box (n,) that is seen, as well as the recording tells it.
+    """Share of each annotated box that is seen, (n,).
 
-    As annotated; else by KITTI's level (see ``HIDDEN_SHARES``); else what the box of no
-    single nearer person covers. A box whose lower side is further down is nearer.
+    It is as exact as the recording tells it. As annotated; else by KITTI's level
+    (see ``HIDDEN_SHARES``); else what the box of no single nearer person covers. A
+    box whose lower side is further down is nearer.
     """
     shares = np.ones(len(annotated))
     for frame in np.unique(annotated.frame).tolist():

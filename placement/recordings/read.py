@@ -1,4 +1,4 @@
-"""A recording from its folder: its frames cut into drives, its labels and detections.
+"""A recording from its folder: drives, labels and detections.
 
 Anything that would make the result wrong is an error; frames that are left out are
 counted.
@@ -230,7 +230,9 @@ def _laid_out(
 
 
 def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
-    """How fast a distance falls, by least squares: minus the slope of the line through it.
+    """Speed at which a distance falls, by least squares.
+
+    It is minus the slope of the line through the distances.
 
     >>> round(closing_speed_mps(np.array([-0.2, -0.1]), np.array([6.0, 5.5])), 9)
     5.0
@@ -286,14 +288,14 @@ class Recording:
 
 
 def read_recording(folder: Path) -> Recording:
-    """Read a folder in the format of the released CarlaNCAP data, and count what is left out.
+    """Read a folder in the format of the released CarlaNCAP data.
 
-    It has unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In
-    ``Eval``, cam_index is the name of a unit's folder; where there is no unit folder
-    ``12``, that number means the VUT's camera, as -1 does: the release does not say
-    which it uses. Raises InputError if a folder is missing or holds no frame, a line is
-    not what it should be, Eval names a unit that has no folder, or nothing remains that
-    could be judged.
+    What is left out is counted. It has unit folders ``0``, ``1``.. and ``car``,
+    ``WorldData`` and ``Eval``. In ``Eval``, cam_index is the name of a unit's
+    folder; where there is no unit folder ``12``, that number means the VUT's
+    camera, as -1 does: the release does not say which it uses. Raises InputError if
+    a folder is missing or holds no frame, a line is not what it should be, Eval
+    names a unit that has no folder, or nothing remains that could be judged.
     """
     name = find_format(folder)
     if name != STUDY:
@@ -348,6 +350,7 @@ def read_recording(folder: Path) -> Recording:
 def _find_units(
     folder: Path, form: RecordingFormat, skipped: Counter[str]
 ) -> tuple[list[str], bool]:
+    """Names of the unit folders, and if the VUT's camera is recorded."""
     entries = entries_of(folder, "a folder with a recording")
     names = {entry.name for entry in entries if entry.is_dir()}
     for name in (form.world_folder, form.eval_folder):
@@ -422,7 +425,10 @@ def _read_all_detections(
 def _of_vrus(
     boxes: Iterable[Any], others: str, form: RecordingFormat, skipped: Counter[str]
 ) -> Iterator[Any]:
-    """Boxes of VRUs, as far as they lie inside the image; what else there is, is counted."""
+    """Boxes of VRUs, clipped to the image.
+
+    Anything else is counted and left out.
+    """
     for one in boxes:
         box = one.box_px
         low = max(box[0], 0.0), max(box[1], 0.0)

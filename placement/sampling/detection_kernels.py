@@ -28,7 +28,10 @@ Array = NDArray[Any]
 
 @kernel
 def random_bits(key: Any, counter: int) -> Any:
-    """Random 64 bits of a key (uint64): number `counter` of the sequence of SplitMix64."""
+    """Number `counter` of the sequence of SplitMix64, 64 random bits.
+
+    `key` (uint64) is the state that the sequence begins with.
+    """
     bits = key + np.uint64(counter + 1) * np.uint64(0x9E3779B97F4A7C15)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -42,7 +45,10 @@ _TAIL = 3.442619855899
 
 
 def _layers() -> tuple[Array, Array]:
-    """Half widths of the layers from the lowest on, the last one 0, and the density there."""
+    """Half widths of the ziggurat's layers, and the density there.
+
+    Both are (n + 1,), from the lowest layer on; the last width is 0.
+    """
     density = np.exp(-0.5 * _TAIL**2)
     area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(
         _TAIL / math.sqrt(2.0)
@@ -102,11 +108,11 @@ def _linked(
     before: int,
     last: float,
 ) -> float:
-    """Noise at a place of a run, from that at a place before; -1 is before the first.
+    """Noise at a place of a run, from that at an earlier place.
 
-    Standard normal, a first-order autoregression: the frame of number `place` of a run
-    has the fresh random number of counter `run` + `place`; `correlation` is that of a
-    frame with the next.
+    Place -1 is before the first frame. Standard normal, a first-order
+    autoregression: the frame of number `place` of a run has the fresh random number
+    of counter `run` + `place`; `correlation` is that of a frame with the next.
     """
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
@@ -132,12 +138,13 @@ def draw_frames(
     deviations: Array,
     packed: Array,
 ) -> None:
-    """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
+    """Set the bits of frames whose noise is below a limit.
 
-    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is
-    the sum of what the `person` (n_frames,) adds, of a number that lasts for a run, and
-    of one that is linked from frame to frame, with this `correlation`; `deviations`
-    (2,) are those of the last two.
+    `packed` (n_bytes,) are the bits; the limit is that of what a frame shows.
+    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise
+    is the sum of what the `person` (n_frames,) adds, of a number that lasts for a
+    run, and of one that is linked from frame to frame, with this `correlation`;
+    `deviations` (2,) are those of the last two.
     """
     step = np.sqrt(1.0 - correlation**2)
     run = -1
@@ -182,12 +189,13 @@ def lose_frames(
     again: float,
     packed: Array,
 ) -> None:
-    """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
+    """Clear the bits of a share of the frames.
 
-    Whether a frame is lost is drawn anew with the probability `again`, and is else as
-    in the frame before: a chain of two states (E. N. Gilbert, "Capacity of a
-    burst-noise channel", Bell System Technical Journal 39, 1960), with the same share
-    of lost frames whatever `again` is.
+    `packed` (n_bytes,) are the bits; counters are `run` + `place`. Whether a frame
+    is lost is drawn anew with the probability `again`, and is else as in the frame
+    before: a chain of two states (E. N. Gilbert, "Capacity of a burst-noise
+    channel", Bell System Technical Journal 39, 1960), with the same share of lost
+    frames whatever `again` is.
     """
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))

@@ -57,13 +57,13 @@ class MeanEstimate:
 def estimate_mean(
     values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)
 ) -> MeanEstimate:
-    """Mean of independent samples within `bounds`, and between which limits the true mean lies.
+    """Mean of independent samples, with a confidence interval.
 
-    The interval has 95 % confidence: Student's t [1]_, cut off at the bounds. Where
-    samples show no spread, at most a share q of all worlds differs, since n draws in a
-    row would show none of a larger share with a probability below (1 - q)^n = 0.05, and
-    these may be as bad or as good as can be [2]_. Raises InputError for no sample, or
-    one out of bounds.
+    Samples lie within `bounds`. The interval has 95 % confidence: Student's t [1]_,
+    cut off at the bounds. Where samples show no spread, at most a share q of all
+    worlds differs, since n draws in a row would show none of a larger share with a
+    probability below (1 - q)^n = 0.05, and these may be as bad or as good as can be
+    [2]_. Raises InputError for no sample, or one out of bounds.
 
     References
     ----------
@@ -109,12 +109,12 @@ def estimate_mean(
 
 
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
-    """Conditional value at risk: the mean over the worst share of equally likely worlds.
+    """Conditional value at risk: mean over the worst share of worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up
-    to 1 / n_samples, 0 among them, it is the worst world alone. Where the share ends
-    within a world, that one counts in part. Raises InputError if there is no sample, or
-    the tail is no share.
+    Worlds are equally likely. max over t of t - mean(max(0, t - apr)) / tail. A
+    tail of 1 is the expectation; up to 1 / n_samples, 0 among them, it is the worst
+    world alone. Where the share ends within a world, that one counts in part.
+    Raises InputError if there is no sample, or the tail is no share.
 
     References
     ----------
@@ -139,11 +139,11 @@ _N_RESAMPLED = 1000
 def resampled_cvar(
     apr_by_sample: ArrayLike, tail: float, *, seed: int = 0
 ) -> FloatArray:
-    """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
+    """CVaR of layouts in worlds drawn with repetition.
 
-    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods:
-    another look at the jackknife", Annals of Statistics 7, 1979). All layouts have the
-    same worlds in each draw.
+    `apr_by_sample` is (n_layouts, n_samples). (n_layouts, 1000): the bootstrap's
+    distribution (B. Efron, "Bootstrap methods: another look at the jackknife",
+    Annals of Statistics 7, 1979). All layouts have the same worlds in each draw.
     """
     samples = float_array(apr_by_sample, (-1, -1), "samples")
     rng = np.random.default_rng(seed)
@@ -156,7 +156,7 @@ def resampled_cvar(
 
 STAGE = "out of sample"
 APART = 100_000
-"""Number of the first world in which layouts are chosen among: the answer is judged in others."""
+"""Number of the first world to choose among layouts in; the answer is judged in others."""
 # Of a world: a draw costs a sixth of a world
 N_DRAWS = 4
 
@@ -239,12 +239,12 @@ def out_of_sample_layouts(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
-    """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
+    """Evaluate layouts by detection tables in new sampled worlds.
 
-    No draw is shared with the worlds of
-    :func:`placement.sampling.tables.sampled_table`, also not for the same seed. What is
-    avoided is cached, unless vehicles drive by or a network looks at pictures; progress
-    counts the worlds.
+    All layouts are judged in the same worlds. No draw is shared with the worlds of
+    :func:`placement.sampling.tables.sampled_table`, also not for the same seed.
+    What is avoided is cached, unless vehicles drive by or a network looks at
+    pictures; progress counts the worlds.
     """
     look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
     is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
@@ -394,7 +394,10 @@ def _avoided(
     rule: AebRule,
     fusion: str,
 ) -> BoolArray:
-    """Runs in which braking comes in time, (n_runs,), by frames detected and their latency."""
+    """True for runs in which braking comes in time, (n_runs,).
+
+    `arrivals` are frames that are detected, with their latency.
+    """
     if fusion == "any":
         together = [arrivals]
     else:

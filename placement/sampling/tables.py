@@ -1,4 +1,7 @@
-"""Detection tables of sampled worlds, end to end in one table for the optimiser."""
+"""Detection tables of sampled worlds.
+
+They are laid end to end in one table for the optimiser.
+"""
 
 import hashlib
 import logging
@@ -54,13 +57,14 @@ def build_drawn_tables(
     lasting: SharedScene | None = None,
     n_draws: int = 1,
 ) -> tuple[DetectionTable, ...]:
-    """Detection tables of a sampled world in which chance decides every frame of a camera.
+    """Detection tables of a world in which chance decides every frame.
 
-    Random numbers of a pose do not depend on the other poses, but for those of the
-    person, and are the same in all weathers; frames are linked as in the evaluator.
-    Boxes are not drawn; a LiDAR counts the points that it may expect. `lasting` is what
-    this world shares with others. A table for each of `n_draws`: what can be seen, and
-    who is hard to see, is the same in all.
+    Only detections of cameras are drawn. Random numbers of a pose do not depend on
+    the other poses, but for those of the person, and are the same in all weathers;
+    frames are linked as in the evaluator. Boxes are not drawn; a LiDAR counts the
+    points that it may expect. `lasting` is what this world shares with others. A
+    table for each of `n_draws`: what can be seen, and who is hard to see, is the
+    same in all.
     """
     setting = sample.setting
     world = build_world(
@@ -85,6 +89,7 @@ def build_drawn_tables(
     packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
+        """Draw the detections of poses at one mount position."""
         from .detection_kernels import draw_frames
 
         candidates = [sample.candidates[row] for row in rows]
@@ -118,9 +123,10 @@ def build_drawn_tables(
 
 
 def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
-    """Frames in which the VUT's own sensors detect in a sampled world, if cars see, (n_frames,).
+    """Frames in which the VUT's sensors detect in a sampled world.
 
-    By the evaluator's routine; drawn detections have random numbers of this world.
+    They are (n_frames,); None where no car sees. By the evaluator's routine; drawn
+    detections have random numbers of this world.
     """
     compute = replace(compute, progress=silent)
     if sample.drawn_detector is not None:
@@ -134,10 +140,10 @@ def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
 def _limits(
     world: World, candidates: Sequence[CandidatePose], detector: ResponseDetector
 ) -> tuple[FloatArray, IntArray]:
-    """Limits below which a standard normal number is a detection, for one mount position.
+    """Limits below which a standard normal number is a detection.
 
-    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is
-    seen.
+    All candidates are at one mount position. (n, n_weathers, n_entries), and the
+    entry that each frame shows; -1 where nothing is seen.
     """
     from scipy.special import ndtri
 
@@ -162,7 +168,7 @@ def _limits(
 
 
 def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
-    """Everything but the probabilities that a drawn table depends on, and how it is drawn."""
+    """Text that names how a table is drawn, but for the probabilities."""
     lasting = detector.lasting
     if lasting is None:
         shares = ""
@@ -210,12 +216,12 @@ def sampled_table(
     first: int = 0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
-    """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
+    """Detections of all candidates in many sampled worlds.
 
-    Where mounts, the street or detections are drawn, every world takes nearly as long
-    as the plan's own table. A packed table has n_poses x n_frames / 8 bytes per world,
-    in memory and in the cache, which has single worlds. Progress counts the mount
-    positions of all.
+    Worlds are laid end to end, from number `first` on. Where mounts, the street or
+    detections are drawn, every world takes nearly as long as the plan's own table.
+    A packed table has n_poses x n_frames / 8 bytes per world, in memory and in the
+    cache, which has single worlds. Progress counts the mount positions of all.
     """
     samples = draw_samples(
         setting,
@@ -287,14 +293,15 @@ def build_sample_tables(
     lasting: SharedScene | None = None,
     n_draws: int = 1,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
-    """Detection table of one sampled world after the other, from the cache or built anew.
+    """Detection tables of sampled worlds, one after the other.
 
-    Detections that are not told are taken out, see :func:`.silence`. Worlds that look
-    as planned share one build, all of them what scene and bodies hide. The next world
-    is drawn and built while one is looked at; with few poses, several may be built
-    `at_once`, by one thread each. `n_samples` is for the progress, `lasting` as of
-    :func:`share_scene`. Each world comes `n_draws` times, with detections and lost
-    messages drawn anew; only single draws are cached.
+    They come from the cache, or are built anew. Detections that are not told are
+    taken out, see :func:`.silence`. Worlds that look as planned share one build,
+    all of them what scene and bodies hide. The next world is drawn and built while
+    one is looked at; with few poses, several may be built `at_once`, by one thread
+    each. `n_samples` is for the progress, `lasting` as of :func:`share_scene`. Each
+    world comes `n_draws` times, with detections and lost messages drawn anew; only
+    single draws are cached.
     """
     lock = Lock()
     if lasting is None:
@@ -303,6 +310,7 @@ def build_sample_tables(
         shared = [lasting]
 
     def share(sample: Sample) -> SharedScene | None:
+        """Shared scene of still worlds, built when first asked for."""
         if not sample.uncertainty.road_users.are_as_planned:
             # They are looked at in other places, world by world
             return None
@@ -342,7 +350,10 @@ def build_sample_tables(
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
-    """What all sampled worlds have in common; in still ones nothing drives that was not planned."""
+    """Scene that all sampled worlds have in common.
+
+    In still worlds nothing drives that was not planned.
+    """
     return build_shared_scene(
         setting.scene,
         setting.runs,
@@ -443,7 +454,10 @@ def obtain_table(
 def _append(
     packed: NDArray[np.uint8], part: NDArray[np.uint8], *, first_bit: int, n_bits: int
 ) -> None:
-    """Write a table's columns into a larger one, from a bit on that need not begin a byte."""
+    """Write a table's columns into a larger table, from a bit on.
+
+    That bit need not begin a byte.
+    """
     byte, shift = divmod(first_bit, 8)
     for row in range(0, len(part), _ROWS):
         rows = slice(row, row + _ROWS)
@@ -461,14 +475,14 @@ def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
     )
 
 
-# ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
+# ---------- frames that are not reported: lost messages, outages, blinded cameras
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
-    """A table without the detections that do not reach the VUT, the same ones in all weathers.
+    """Table without the detections that do not reach the VUT.
 
-    All is drawn for each run, and anew each time that a world is looked at, but for low
-    sun, which is that of the VUT and shines by day alone. Poses that may be the same
-    unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs are never
-    blinded.
+    They are the same ones in all weathers. All is drawn for each run, and anew each
+    time that a world is looked at, but for low sun, which is that of the VUT and
+    shines by day alone. Poses that may be the same unit (see :func:`.unit_key`) are
+    out of order and dirty together. LiDARs are never blinded.
     """
     drawn = sample.uncertainty
     loss = sample.setting.radio.packet_loss
@@ -508,9 +522,10 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
 
 
 def blinded_frames(sample: Sample) -> BoolArray:
-    """Frames in which the VUT's camera is dirty or dazzled, (n_frames,); none beside a LiDAR.
+    """Frames in which the VUT's camera is dirty or dazzled.
 
-    Each run's VUT is another car.
+    They are (n_frames,); there are none where the VUT has a LiDAR. Each run's VUT
+    is another car.
     """
     runs = sample.setting.runs
     blinding = sample.uncertainty.blinding
@@ -529,7 +544,10 @@ def blinded_frames(sample: Sample) -> BoolArray:
 
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
-    """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
+    """Function that finds the runs in which a unit reports nothing.
+
+    It takes the unit's pose as planned and as mounted, and returns (n_runs,) bool.
+    """
     outages = sample.uncertainty.outages
     blinding = sample.uncertainty.blinding
     coins = _coins(sample)
@@ -537,6 +555,7 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
+        """True for runs in which the unit reports nothing, (n_runs,)."""
         unit = unit_key(planned)
         pole = mount_key(planned)
         silent = coins("unit", *unit) < outages.unit_share
@@ -567,7 +586,10 @@ def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
 
 
 def _coins(sample: Sample) -> Callable[..., FloatArray]:
-    """Function of a thing: its numbers from 0 to 1 by run (n_runs,), the same in all weathers."""
+    """Function of a thing that draws its numbers from 0 to 1 by run.
+
+    They are (n_runs,), the same in all weathers.
+    """
     from .detection_kernels import draw_coins
 
     runs = sample.setting.runs

@@ -1,4 +1,4 @@
-"""Vehicles that stand at random: in the parking lanes of the arms, and at the stop lines."""
+"""Vehicles that stand at random: parked, or waiting at stop lines."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,10 +48,11 @@ class Footprints:
     radius_m: FloatArray
 
     def are_any_within(self, others: "Footprints", limit_m: FloatArray) -> BoolArray:
-        """Which others, (n_others,), are within a limit of any of these, (n,), which has its own.
+        """True for others, (n_others,), within a limit of any of these.
 
-        The gap along one of the normals of two sides is at least the distance of the
-        middles over the root of 2, less both radii.
+        `limit_m` is (n,): each of these has its own. The gap along one of the
+        normals of two sides is at least the distance of the middles over the root
+        of 2, less both radii.
         """
         east, north = self.middle_m[:, None, :] - others.middle_m[:, :, None]
         reach_m = limit_m + (self.radius_m + others.radius_m[:, None] + _TOGETHER_M)
@@ -63,6 +64,7 @@ class Footprints:
 
 
 def _footprints(corners_m: FloatArray) -> Footprints:
+    """Footprints of rectangles (n, 4, 2), with circles around them."""
     diagonal = corners_m[:, 0] - corners_m[:, 2]
     return Footprints(
         corners_m=corners_m,
@@ -73,7 +75,9 @@ def _footprints(corners_m: FloatArray) -> Footprints:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """The ground that runs of a case, an approach and a position sweep over, at any speed.
+    """Ground that runs of one case, approach and position sweep over.
+
+    It is the same at any speed.
 
     Attributes
     ----------
@@ -91,7 +95,10 @@ class Ways:
     parked: Footprints
 
     def blocks(self, footprints: Footprints, *, clearance_m: float) -> BoolArray:
-        """Which footprints, (n,), are nearer than this to a way, or in an obstruction."""
+        """True for footprints, (n,), that are too near to a way.
+
+        Those that stand in an obstruction count as well.
+        """
         in_obstruction = np.full(len(self.parked.corners_m), _TOGETHER_M)
         return self.swept.are_any_within(
             footprints, clearance_m + self.reach_m
@@ -132,6 +139,7 @@ def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
 
 
 def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
+    """Ways of the runs of one group."""
     swept = []
     reach = []
     # In all weathers the encounter is one and the same.
@@ -197,7 +205,10 @@ class Kerbside:
     end_m: float
 
     def at(self, near_m: float, actor: Actor) -> PlacedActor:
-        """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
+        """A body on the lane, at a distance from the lane's mouth.
+
+        It faces as the lane is driven.
+        """
         ends = [self._point(near_m), self._point(near_m + actor.length_m)]
         if self.is_in:
             rear, front = reversed(ends)
@@ -211,6 +222,7 @@ class Kerbside:
         return PlacedActor(actor=actor, pose=pose)
 
     def _point(self, from_mouth_m: float) -> FloatArray:
+        """Point of the lane's centreline, (2,)."""
         if self.is_in:
             points = self.lane.centreline_m[::-1]
         else:
@@ -280,7 +292,10 @@ class Street:
 
 
 def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
-    """Find where in a scene vehicles may stand; raises InputError where there is no junction."""
+    """Find where in a scene vehicles may stand.
+
+    Raises InputError where there is no junction.
+    """
     parking = []
     entries = []
 

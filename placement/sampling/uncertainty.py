@@ -1,4 +1,7 @@
-"""Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
+"""Everything that is uncertain, read from TOML.
+
+Mounting errors, traffic, misses, lost messages and latencies are.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -49,7 +52,10 @@ _UNIFORM_REACH = np.sqrt(3.0)
 def _up_to(
     most: float, unit: str = "", *, default: Any = 0.0, least: float = 0.0
 ) -> Any:
-    """Field of a number from `least` to `most`, which :func:`_check_numbers` looks at."""
+    """Field of a number from `least` to `most`.
+
+    The limits are checked by :func:`_check_numbers`.
+    """
     return field(default=default, metadata={"limits": (least, most, unit)})
 
 
@@ -171,7 +177,9 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
+    """Share of runs in which cameras of units and of the VUT are blind.
+
+    A blind camera sees nothing for the whole run.
 
     Attributes
     ----------
@@ -210,7 +218,7 @@ class VehicleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
-    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+    """Vehicles that stand at random: parked, or waiting to enter.
 
     Attributes
     ----------
@@ -260,6 +268,7 @@ class StandingTraffic:
                 self._check_mix(use)
 
     def _check_mix(self, use: str) -> None:
+        """Raise InputError unless the shares of one use sum to 1."""
         if not self.vehicles:
             refuse("vehicles", "none", "at least one kind of vehicle")
         total = sum(getattr(kind, use) for kind in self.vehicles)
@@ -306,7 +315,10 @@ class MeasuredPeople:
                 raise InputError(name, list(values), expected)
 
     def draw(self, rng: np.random.Generator, planned_kmh: float) -> tuple[float, float]:
-        """A speed in km/h and an acceleration in m/s^2; a planned speed beyond all stays."""
+        """Draw a speed in km/h and an acceleration in m/s^2.
+
+        A planned speed beyond all measured ones stays.
+        """
         speed, start = (
             float(np.interp(rng.random(), self.probability, values))
             for values in (self.speed_kmh, self.start_mps2)
@@ -317,7 +329,9 @@ class MeasuredPeople:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUsers:
-    """How road users may move otherwise than their case says; by default they do not.
+    """How road users may deviate from their case.
+
+    By default they do not.
 
     Attributes
     ----------
@@ -449,7 +463,10 @@ class Uncertainty:
 
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
-    """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""
+    """Uncertainty with vehicles that drive by.
+
+    They replace the vehicles that wait at the stop lines.
+    """
     standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
     return replace(uncertainty, moving=moving, traffic=standing)
 
@@ -489,10 +506,12 @@ _PEOPLE = ("pedestrian", "cyclist")
 def load_uncertainty(
     name_or_path: str = "default", *, where: str = "uncertainty"
 ) -> Uncertainty:
-    """Uncertainty by name (``UNCERTAINTY_NAMES``), or a file like ``data/uncertainty.toml``.
+    """Uncertainty by its name, or from a file.
 
-    `where` says what named it, for error messages. Raises InputError if the name is
-    unknown, or the file or a field is not what it should be.
+    Names are ``UNCERTAINTY_NAMES``; a file is laid out as
+    ``data/uncertainty.toml``. `where` says what named it, for error messages.
+    Raises InputError if the name is unknown, or the file or a field is not what it
+    should be.
     """
     if name_or_path in UNCERTAINTY_NAMES:
         return _load_named(name_or_path)
@@ -506,7 +525,7 @@ def load_uncertainty(
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
-    """Uncertainty and traffic that a question draws in so many sampled worlds of a scene.
+    """Uncertainty and traffic of a question, drawn in sampled worlds.
 
     Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where
     traffic is given and no world is sampled; MissingExtraError where SUMO is asked for
@@ -578,7 +597,10 @@ def _with_rest(document: Table) -> Table:
 def _section(
     document: Table, key: str, known: Sequence[str], at: str = ""
 ) -> Table | None:
-    """A section without unknown keys, None where it is left out; `at` is where its parent is."""
+    """A section without unknown keys; None where it is left out.
+
+    `at` is the place of its parent.
+    """
     table = document.get(key)
     if table is not None:
         if not isinstance(table, dict):
@@ -590,7 +612,10 @@ def _section(
 def _read_numbers(
     document: Table, key: str, kind: Callable[..., _T], **more: Any
 ) -> _T:
-    """A value whose numbers a section has, all of them; the default where it is left out."""
+    """A value whose numbers a section has, all of them.
+
+    It is the default where the section is left out.
+    """
     names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
     table = _section(document, key, names)
     if table is None:
@@ -602,6 +627,7 @@ def _read_numbers(
 
 
 def _read_latency(document: Table) -> LatencyJitter:
+    """Latency jitter of a document."""
     where = "latency"
     has_budget = isinstance(document.get(where), dict) and "budget" in document[where]
     known = ("budget",) if has_budget else ("distribution", "mean_s", "sd_s")
@@ -622,6 +648,7 @@ def _read_latency(document: Table) -> LatencyJitter:
 
 
 def _read_road_users(document: Table) -> RoadUsers:
+    """Deviations of road users of a document, by case."""
     measured = _read_people(document)
     where = "road_users"
     table = _section(document, where, (*_SPEEDS, "start_nearer_share", *_WAYS))
@@ -640,6 +667,7 @@ def _read_road_users(document: Table) -> RoadUsers:
 
 
 def _read_people(document: Table) -> dict[str, MeasuredPeople]:
+    """Measured speeds and starts of a document, by class."""
     where = "people"
     keys = ("speed_kmh", "start_mps2")
     table = _section(document, where, ("probability", *_PEOPLE))
@@ -659,12 +687,14 @@ def _read_people(document: Table) -> dict[str, MeasuredPeople]:
 def _read_list(
     table: Table, key: str, where: str, length: int = -1
 ) -> tuple[float, ...]:
+    """Numbers of a list; `length` -1 stands for any number of them."""
     return tuple(
         float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist()
     )
 
 
 def _read_vehicles(document: Table) -> tuple[VehicleKind, ...]:
+    """Kinds of vehicles of a document."""
     kinds = []
     names = ("parked_share", "waiting_share")
     for index, entry in enumerate(

@@ -1,4 +1,4 @@
-"""Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
+"""Sampled worlds: mounting errors, vehicles, latencies, road users."""
 
 import hashlib
 import zlib
@@ -43,7 +43,7 @@ from .uncertainty import MountingErrors, RoadUsers, Uncertainty
 
 
 class FrameLinks(NamedTuple):
-    """Frames that share their random numbers, and frames that follow one another, (n_frames,).
+    """Links between frames, for their random numbers, (n_frames,) each.
 
     The place of each in its run, and what makes the sum of both another for each frame;
     the same for the same run in several weathers.
@@ -54,9 +54,10 @@ class FrameLinks(NamedTuple):
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
-    """Which frames belong together, from numbers as `draw_index` gives, (n_frames,).
+    """Find which frames belong together.
 
-    Equal ones share their random numbers, those that follow one another are linked.
+    `frames` are numbers as `draw_index` gives, (n_frames,). Equal ones share their
+    random numbers, those that follow one another are linked.
     """
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
@@ -94,7 +95,10 @@ class RandomStreams:
     draw: int = 0
 
     def rng(self, *key: object) -> np.random.Generator:
-        """Generator of one thing of this world; its draws do not depend on any other thing."""
+        """Generator of one thing of this world.
+
+        Its draws do not depend on any other thing.
+        """
         thing = zlib.crc32(repr(key).encode())
         return np.random.default_rng(
             [self.seed, PURPOSES.index(self.purpose) + 1, self.index, thing]
@@ -108,14 +112,17 @@ class RandomStreams:
 
 
 def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
-    """Equal for poses of one physical mount: one site, or one point where there is none."""
+    """Key of a physical mount: a site, or a point where there is none.
+
+    It is equal for all poses of that mount.
+    """
     if candidate.site_id:
         return ("site", candidate.site_id)
     return ("point", *candidate.pose.position_m[:2].tolist())
 
 
 def unit_key(candidate: CandidatePose) -> tuple[object, ...]:
-    """Equal for poses of one sensor model at one mount that look into the same quarter.
+    """Key of a unit: its mount, sensor model and quarter of the compass.
 
     They share what becomes of the unit: none is chosen because it alone was in order.
     """
@@ -200,18 +207,22 @@ class Sample:
 
     @property
     def is_seen_as_planned(self) -> bool:
-        """True if whoever is in its place, such as the VUT, detects what it would in the plan."""
+        """True if the VUT, as planned, detects what it would in the plan.
+
+        So does anybody else who is in its place.
+        """
         is_empty = not self.vehicles and not self.driving.n_vehicles
         is_run_as_planned = is_empty and self.uncertainty.road_users.are_as_planned
         return is_run_as_planned and self.drawn_detector is None
 
 
 def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
-    """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
+    """Setting in which heavy runs are repeated.
 
-    Copies share its weight and are drawn each by itself: the variance of a weighted sum
-    is least so (Neyman), if runs are equally uncertain. Their ids end in "+1", "+2" and
-    so on.
+    A run of k times the mean weight is there k times (rounded), at most `most`
+    times. Copies share its weight and are drawn each by itself: the variance of a
+    weighted sum is least so (Neyman), if runs are equally uncertain. Their ids end
+    in "+1", "+2" and so on.
     """
     axis = setting.axis
     times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
@@ -310,6 +321,7 @@ def _draw(
     street: Street | None,
     ways: dict[GroupKey, Ways],
 ) -> Sample:
+    """Draw one world."""
     axis = setting.axis
     rule = setting.rule
     extra_s = uncertainty.latency.draw_s(
@@ -370,7 +382,10 @@ def _with_lasting_noise(
     uncertainty: Uncertainty,
     streams: RandomStreams,
 ) -> Setting:
-    """Setting whose detectors draw what is the same in all frames of a run as shares say."""
+    """Setting whose detectors draw noise that lasts for a run.
+
+    The shares of its variance are those of the uncertainty.
+    """
     shares = (uncertainty.person_share, uncertainty.unit_person_share)
     if not uncertainty.draws_detections or shares == (0.0, 0.0):
         return setting
@@ -394,6 +409,7 @@ def _as_mounted(
     errors: MountingErrors,
     streams: RandomStreams,
 ) -> tuple[CandidatePose, ...]:
+    """Candidates as they are really mounted."""
     spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
     if not spread.any():
         return candidates
@@ -410,6 +426,7 @@ def _as_mounted(
 
 
 def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
+    """A pose that is off by angles and a height; never below the road."""
     east, north, up = pose.position_m.tolist()
     position_m = np.array([east, north, max(up + height_m, min(up, _LOWEST_M))])
     pitch_deg = float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0))
@@ -432,11 +449,12 @@ def draw_road_users(
     rng: Callable[..., np.random.Generator],
     scene: Scene,
 ) -> tuple[tuple[Run, ...], int]:
-    """Runs of one sampled world, and how many road users move as planned because they must.
+    """Runs of one sampled world, with road users who move otherwise.
 
-    `rng` gives each encounter its generator: a run is the same in all weathers, and
-    does not depend on others. Speed, start, heading and way are drawn evenly within
-    their limits, measured speeds and starts as often as measured. The planned way stays
+    The second value says how many move as planned because they must. `rng` gives
+    each encounter its generator: a run is the same in all weathers, and does not
+    depend on others. Speed, start, heading and way are drawn evenly within their
+    limits, measured speeds and starts as often as measured. The planned way stays
     where something stands in the other one, the planned motion where the drawn one
     leads to no impact at the planned place.
     """
@@ -464,6 +482,7 @@ def draw_road_users(
 def _draw_one(
     run: Run, users: RoadUsers, rule: AebRule, random: np.random.Generator, scene: Scene
 ) -> Run | None:
+    """Draw one run; None where it has no impact at the planned place."""
     encounter = run.encounter
     planned_mps = encounter.vru_motion.speed_mps
     faster_mps = (
@@ -504,7 +523,10 @@ def _draw_one(
 
 
 def _sense(run: Run) -> float:
-    """Of a turn: 1 = counter-clockwise; -1 where traffic keeps left, all else being mirrored."""
+    """Sense of a turn: 1 is counter-clockwise, -1 clockwise.
+
+    It is -1 where traffic keeps left, since all is mirrored.
+    """
     if run.case.kind != "crossing":
         return 1.0
     _, north = rotated([1.0, 0.0], float(run.vru_yaw_deg[-1] - run.vut_yaw_deg[-1]))
@@ -523,14 +545,15 @@ def change_motion(
     aside_m: float = 0.0,
     start_mps2: float | None = None,
 ) -> Run | None:
-    """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
+    """A run whose road user moves otherwise than planned.
 
-    Its way from rest to the impact is shorter by `nearer_share`, turned about the
-    impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left. With
-    `start_mps2` it sets off so, else over the planned distance. The VUT keeps its way;
-    both are at the impact as planned. Frames are those of the planned run; the last
-    brake time is computed anew. None: the bodies do not touch, or long before,
-    somewhere else.
+    It is faster or slower, starts nearer to the impact, or takes another way. Its
+    way from rest to the impact is shorter by `nearer_share`, turned about the
+    impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left.
+    With `start_mps2` it sets off so, else over the planned distance. The VUT keeps
+    its way; both are at the impact as planned. Frames are those of the planned run;
+    the last brake time is computed anew. None: the bodies do not touch, or long
+    before, somewhere else.
     """
     encounter, vru = run.encounter, run.encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
@@ -578,6 +601,7 @@ def change_motion(
 
 
 def _later(motion: Motion, seconds: float) -> Motion:
+    """A motion that begins and brakes later."""
     return replace(
         motion,
         start_time_s=motion.start_time_s + seconds,

@@ -1,7 +1,8 @@
-"""``certificate.json``: what was solved, what was found, and how good it is said to be.
+"""Certificates: what was solved and found, and how good it is.
 
-Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they
-are enough to check the claim without the optimiser.
+``certificate.json`` is the file's name. Next to it lies ``instance.npz``, the
+whole problem (:mod:`.instances`): together they are enough to check the claim
+without the optimiser.
 """
 
 import json
@@ -175,9 +176,10 @@ def save_certificate(
     problem: PlacementProblem,
     mounts: Mounts | None = None,
 ) -> None:
-    """Write ``certificate.json``, a document of :func:`build_certificate`, and ``instance.npz``.
+    """Write ``certificate.json`` and ``instance.npz`` into a folder.
 
-    Raises OSError if the folder cannot be written to.
+    `document` is that of :func:`build_certificate`. Raises OSError if the folder
+    cannot be written to.
     """
     save_problem(folder / INSTANCE_FILE, problem, mounts)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -230,7 +232,10 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
 
 
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
-    """The model in words: fusion, what avoided means, and the formula of each stage."""
+    """The model in words.
+
+    It has fusion, what avoided means, and the formula of each stage.
+    """
     words = load_data("placement", "certificate.toml")
     formulas = words["formulas"]
     avoided = words["avoided"]

@@ -1,6 +1,7 @@
-"""``instance.npz``: a whole problem as a file that any program can read, and its hash.
+"""Placement problems in files, and their hash.
 
-It is compressed and holds no Python objects: numpy's arrays under the names in
+``instance.npz`` holds a whole problem so that any program can read it. It is
+compressed and holds no Python objects: numpy's arrays under the names in
 ``data/instance.toml``. It may also say where and what the poses are, see
 :class:`Mounts`.
 """
@@ -49,7 +50,9 @@ _OF_GRID = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounts:
-    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in.
+    """Site, pose and sensor of each row of a problem's table.
+
+    The scene that it was made in is named as well.
 
     Attributes
     ----------
@@ -93,7 +96,10 @@ class Mounts:
             raise InputError("mount_sensor", got, "a row of sensors")
 
     def differences(self, row: int, unit: CandidatePose) -> list[str]:
-        """Differences of a unit from the pose of a row, in words; its name does not count."""
+        """Differences of a unit from the pose of a row, in words.
+
+        Its name does not count.
+        """
         found = []
         if unit.site_id != self.sites[row]:
             found.append(
@@ -126,7 +132,7 @@ class Mounts:
     def misnamed(
         self, pose_ids: Sequence[str], feet_m: Mapping[str, FloatArray] | None = None
     ) -> str:
-        """The first pose of the grid whose name does not say where it is, in words; or nothing.
+        """The first pose of the grid with a wrong name, in words; or nothing.
 
         Names of the grid have site, height, yaw, pitch and sensor. All poses of a site
         are one above the other, as far apart as their names say; above the site, if
@@ -209,6 +215,7 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
 
     def add(name: str, array: NDArray[Any]) -> None:
+        """Add an array to the digest: name, type, shape and bytes."""
         # no -0.0, which equals 0.0
         if array.dtype.kind == "f":
             values = array + 0.0
@@ -279,6 +286,7 @@ def _fields_of(sensor: Sensor) -> dict[str, object]:
 
 
 def _read_sensor(text: str) -> Sensor:
+    """Sensor model of a text in JSON."""
     try:
         given = parse_json(text, "sensors", "a sensor model")
         kind = given.pop("kind")
@@ -306,7 +314,7 @@ _UNPACKED_BYTES = 4
 
 
 class _Field(Struct, frozen=True):
-    """An array of the file: its type, what its axes count, whether it may be missing."""
+    """An array of the file: its type, its axes, and if it may be missing."""
 
     dtype: str
     axes: tuple[str, ...] = ()
@@ -314,7 +322,10 @@ class _Field(Struct, frozen=True):
 
 
 class _Fields(Struct, frozen=True):
-    """All arrays by name, from ``data/instance.toml``: of a problem, and of :class:`Mounts`."""
+    """All arrays by name, from ``data/instance.toml``.
+
+    Some are those of a problem, some those of :class:`Mounts`.
+    """
 
     problem: dict[str, _Field]
     mounts: dict[str, _Field]
@@ -332,10 +343,11 @@ _ATTRIBUTES = {name: name.removeprefix("mount_") for name in _MOUNT_FIELDS} | {
 def save_problem(
     path: Path, problem: PlacementProblem, mounts: Mounts | None = None
 ) -> None:
-    """Write a problem, whole or not at all; the same problem always makes the same file.
+    """Write a problem, whole or not at all.
 
-    Raises InputError if a name ends with a null character, which numpy's text cannot
-    hold, and OSError if the file cannot be written.
+    The same problem always makes the same file. Raises InputError if a name ends
+    with a null character, which numpy's text cannot hold, and OSError if the file
+    cannot be written.
     """
     arrays = _to_arrays(problem, mounts)
 
@@ -343,6 +355,7 @@ def save_problem(
     def write(
         file: BinaryIO,
     ) -> None:
+        """Write the arrays as an archive."""
         with zipfile.ZipFile(
             file, "w", zipfile.ZIP_DEFLATED, compresslevel=1
         ) as archive:
@@ -449,6 +462,7 @@ def is_never_lost(rule: AebRule) -> bool:
 
 
 def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
+    """Arrays of a problem, by the names of the file's fields."""
     table, axis, limits, rule = (
         problem.table,
         problem.table.axis,
@@ -508,6 +522,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
 
 
 def _from_arrays(arrays: Arrays) -> PlacementProblem:
+    """Problem of the arrays of a file."""
     axis = _build(FrameAxis, arrays)
     table = _build(DetectionTable, arrays, axis=axis)
     if len(set(table.pose_ids)) < table.n_poses:
@@ -542,7 +557,10 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
 
 
 def _build(kind: type[_T], arrays: Arrays, **more: Any) -> _T:
-    """A dataclass from the arrays that are called as its fields, texts and numbers plain."""
+    """A dataclass from the arrays that are called as its fields.
+
+    Texts and numbers become plain values.
+    """
     given: dict[str, Any] = {}
     for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
         if name in arrays:
@@ -572,7 +590,10 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
-    """An archive that says what kind it is; whatever is wrong with it is an InputError."""
+    """An open archive that says of what kind it is.
+
+    Whatever is wrong with it raises InputError.
+    """
     # What damaged ones raise has no end: zipfile's, ..
     with (
         reading(path, _UNDAMAGED, Exception),
@@ -597,6 +618,7 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
+    """An array of an archive; InputError if it is none, or damaged."""
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
     # What does not begin as an array comes as bytes
@@ -608,7 +630,10 @@ def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
 
 
 def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> None:
-    """True if all fields are there, of their types, and agree about what their axes count."""
+    """Raise InputError unless all fields are there and fit together.
+
+    Types must be right, and shapes agree about what their axes count.
+    """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, field in known.items():
         if name not in arrays:

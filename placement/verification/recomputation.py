@@ -1,8 +1,9 @@
-"""Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
+"""Recompute the worth of sets of poses from a saved problem.
 
-Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the
-names of the objectives. Frames are gone through one after the other; there is no
-presolve, no window and no model. To be read against ``docs/method.md``.
+The optimiser's code is not used. Shared with :mod:`placement.optimiser` are
+only the problem as it lies in a file and the names of the objectives. Frames
+are gone through one after the other; there is no presolve, no window and no
+model. To be read against ``docs/method.md``.
 """
 
 import math
@@ -32,7 +33,10 @@ _BLOCK_BYTES = 1 << 22
 
 
 def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
-    """Objectives of a problem in order: those of a goal or of failures first, then the five."""
+    """Objectives of a problem in order.
+
+    Those of a goal or of failures come first, then the five of every problem.
+    """
     order = [Objective.APR, Objective.APR_ONE_FAILED]
     order += [Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN]
     if problem.survive:
@@ -46,7 +50,10 @@ def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
 def stage_values(
     problem: "PlacementProblem", objective: Objective, sets: IntArray
 ) -> FloatArray:
-    """Values of sets of poses in a stage: (n_sets, n_units) distinct rows -> (n_sets,)."""
+    """Values of sets of poses in a stage, (n_sets,).
+
+    `sets` are distinct rows, (n_sets, n_units).
+    """
     if objective is Objective.UNITS:
         return np.full(len(sets), float(sets.shape[1]))
     if objective is Objective.COST:
@@ -66,7 +73,7 @@ def stage_values(
 
 
 def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
-    """Margins of all runs for sets of poses: (n_sets, n_units) -> (n_sets, n_runs).
+    """Margins of all runs for sets of poses, (n_sets, n_runs).
 
     That is last brake time - (confirmation + latency); minus infinity where that is too
     late or there is no confirmation. The VUT, if it sees, is one unit more, also where
@@ -93,7 +100,10 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
 
 
 def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray:
-    """Margins if all of some poses were mounted at once, whatever the limits, (n_runs,)."""
+    """Margins if all of some poses were mounted at once, (n_runs,).
+
+    Limits do not matter.
+    """
     if problem.fusion == "any":
         return np.asarray(margins_s(problem, poses[None, :])[0])
     everything = np.full(problem.table.axis.n_runs, -np.inf)
@@ -103,7 +113,10 @@ def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray
 
 
 def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
-    """Price of sets: each unit, and each site once, in euros: (n_sets, n_units) -> (n_sets,)."""
+    """Prices of sets in euros, (n_sets,).
+
+    Each unit is paid, and each site once; `sets` is (n_sets, n_units).
+    """
     limits = problem.limits
     total = np.zeros(len(sets))
     for unit in range(sets.shape[1]):
@@ -155,7 +168,10 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
 def floor_values(
     problem: "PlacementProblem", floor: "Floor", sets: IntArray
 ) -> FloatArray:
-    """Share of a floor that sets reach after the failures that it allows for, (n_sets,)."""
+    """Share of a floor that sets reach after failures, (n_sets,).
+
+    So many units or sites fail as the floor allows for.
+    """
     return _of_blocks(
         problem, sets, lambda block: _left(problem, block, floor.n_failures, floor)
     )
@@ -167,10 +183,10 @@ def _left(
     n_failures: int,
     floor: "Floor | None" = None,
 ) -> FloatArray:
-    """Smallest ratio that is left when any so many units, or whole sites, fail, (n_sets,).
+    """Smallest ratio left when any `n_failures` fail, (n_sets,).
 
-    Failing more never leaves more: the sites of any so many units are all that need be
-    tried.
+    Units fail, or whole sites. Failing more never leaves more: the sites of any so
+    many units are all that need be tried.
     """
     if n_failures > sets.shape[1]:
         return _apr(problem, margins_s(problem, sets[:, :0]), floor)
@@ -192,7 +208,10 @@ def _left(
 def _apr(
     problem: "PlacementProblem", margin_s: FloatArray, floor: "Floor | None" = None
 ) -> FloatArray:
-    """Weight of the avoided runs; of a floor's own runs, or of the worst worlds on average."""
+    """Weight of the avoided runs, (n_sets,).
+
+    It is that of a floor's own runs, or the mean of the worst worlds.
+    """
     is_avoided: BoolArray = margin_s > -np.inf
     weight = problem.table.axis.weight
     if floor is not None and floor.is_counted is not None:
@@ -226,14 +245,20 @@ def _apr(
 
 
 def _smallest_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
-    """Smallest margin of the avoided runs that have weight; 0 where there is none, (n_sets,)."""
+    """Smallest margin of the avoided runs with weight, (n_sets,).
+
+    It is 0 where no run is avoided.
+    """
     counts = (margin_s > -np.inf) & (problem.table.axis.weight > 0.0)
     smallest = np.where(counts, margin_s, np.inf).min(axis=1)
     return np.where(counts.any(axis=1), smallest, 0.0)
 
 
 def _mean_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
-    """Mean margin of the avoided runs by their weights; 0 where there is none, (n_sets,)."""
+    """Weighted mean margin of the avoided runs, (n_sets,).
+
+    It is 0 where no run is avoided.
+    """
     counts = np.where(margin_s > -np.inf, problem.table.axis.weight, 0.0)
     total = counts.sum(axis=1)
     summed = (counts * np.where(counts > 0.0, margin_s, 0.0)).sum(axis=1)
@@ -295,6 +320,7 @@ def _of_blocks(
     sets: IntArray,
     values: Callable[[IntArray], FloatArray],
 ) -> FloatArray:
+    """Values of all sets, block by block, (n_sets,)."""
     if not len(sets):
         return np.zeros(0)
     return np.concatenate([values(block) for block in _blocks(problem, sets)])
@@ -330,7 +356,7 @@ def most_units(problem: "PlacementProblem") -> int:
 def simple_limits(
     problem: "PlacementProblem", stages: Sequence[Stage]
 ) -> dict[Objective, float]:
-    """What no layout can be better than in each objective, by a look at all poses at once.
+    """Bounds of all objectives, by a look at all poses at once.
 
     `stages` are what is claimed of a layout: limits of later stages hold for layouts
     that are as good in earlier ones. The more poses, the earlier each run is confirmed:
@@ -380,7 +406,10 @@ def simple_limits(
 
 # ---------- other sets
 class BestOther(NamedTuple):
-    """The best of the sets that are as good as the layout in all stages before; NaN if none is."""
+    """Best of the sets that are as good as the layout before a stage.
+
+    Its value is NaN if there is none.
+    """
 
     name: Objective
     value: float
@@ -394,14 +423,20 @@ def n_sets_of_all(problem: "PlacementProblem") -> int:
 
 
 def all_sets(problem: "PlacementProblem") -> Iterator[IntArray]:
-    """All sets of usable poses that are not too large, (n_sets, n_units) for each size."""
+    """All sets of usable poses that are not too large, size by size.
+
+    For each size an array (n_sets, n_units) is yielded.
+    """
     usable = usable_poses(problem)
     for size in range(1, most_units(problem) + 1):
         yield np.array(list(combinations(usable.tolist(), size)), dtype=np.int64)
 
 
 def neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> Iterator[IntArray]:
-    """The layout, and all sets with one unit left out, exchanged or added, size by size."""
+    """Sets with one unit left out, exchanged or added, and the layout.
+
+    They are yielded size by size.
+    """
     layout = np.array(rows, dtype=np.int64)
     others = np.setdiff1d(usable_poses(problem), layout)
     fewer = [np.delete(layout, index) for index in range(len(layout))]
@@ -425,10 +460,11 @@ def n_neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> int:
 def best_others(
     problem: "PlacementProblem", stages: Sequence[Stage], families: Iterator[IntArray]
 ) -> list[BestOther]:
-    """Best value of each claimed stage among families of sets, each (n_sets, n_units).
+    """Best value of each claimed stage among families of sets.
 
-    Sets that are not allowed, or miss a floor, are left out; so are, from each stage
-    on, those that are not as good in it as what is claimed.
+    Each family is (n_sets, n_units). Sets that are not allowed, or miss a floor,
+    are left out; so are, from each stage on, those that are not as good in it as
+    what is claimed.
     """
     alive = []
     for sets in families:
@@ -463,5 +499,8 @@ def best_others(
 
 
 def _with_each(units: IntArray, others: IntArray) -> IntArray:
-    """Some units together with each of other poses in turn, (n_others, n_units + 1)."""
+    """Some units with each of other poses in turn.
+
+    It is (n_others, n_units + 1).
+    """
     return np.column_stack([np.tile(units, (len(others), 1)), others])

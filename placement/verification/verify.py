@@ -1,10 +1,11 @@
-"""An independent check of a certificate: everything that can be recomputed is recomputed.
+"""Independent check of a certificate.
 
-That the layout is within all limits, and what it is worth, is recomputed by
-:mod:`.recomputation`. That no other is better than the bound is proven again where all
-poses together reach no more, or all sets can be compared. Elsewhere the proof rests on
-the solver that the certificate names; but layouts that differ in one unit are compared,
-if they are not too many. Whether the detection table is right is the evaluator's
+Everything that can be recomputed is recomputed. That the layout is within all
+limits, and what it is worth, is recomputed by :mod:`.recomputation`. That no
+other is better than the bound is proven again where all poses together reach no
+more, or all sets can be compared. Elsewhere the proof rests on the solver that
+the certificate names; but layouts that differ in one unit are compared, if they
+are not too many. Whether the detection table is right is the evaluator's
 question.
 """
 
@@ -208,6 +209,7 @@ def _check(name: str, wrong: Sequence[str], right: str) -> Check:
 def _instance_checks(
     problem: "PlacementProblem", stored: StoredCertificate, mounts: Mounts | None
 ) -> list[Check]:
+    """Checks that the certificate is about this instance."""
     found = problem_hash(problem, mounts)
     text = f"SHA-256 {found[:16]}.."
     if found != stored.sha256:
@@ -226,6 +228,7 @@ def _instance_checks(
 def _model_checks(
     problem: "PlacementProblem", stored: StoredCertificate
 ) -> list[Check]:
+    """Checks that the certificate states the problem's model."""
     asked = model_of(problem)
     wrong = [name for name, value in asked.items() if stored.model.get(name) != value]
     names = [stage.name for stage in stored.stages]
@@ -319,9 +322,10 @@ def _mount_checks(
     mounts: Mounts | None,
     units: Sequence[CandidatePose],
 ) -> list[Check]:
-    """Whether units are mounted as the poses that were solved, and poses as their names say.
+    """Checks that units are mounted as the poses that were solved.
 
-    Sites and prices of the problem follow from the poses, too.
+    Poses must be as their names say. Sites and prices of the problem follow from
+    the poses, too.
     """
     if mounts is None:
         return []
@@ -364,7 +368,7 @@ def _mount_checks(
 def _stage_checks(
     stage: Stage, objective: Objective, is_proven: bool, value: float, limit: float
 ) -> list[Check]:
-    """Checks of a stage's claims about the layout, and of its numbers among themselves."""
+    """Checks of a stage's claims, and of its numbers among themselves."""
     name = stage.name
     claimed = stage.objective
     bound = stage.bound
@@ -419,7 +423,10 @@ def _compare(
     max_sets: int,
     report: Callable[[str], None],
 ) -> tuple[list[Check], list[StageProof]]:
-    """Look for a set of poses that a bound does not allow for: among all, or near the layout."""
+    """Look for a set of poses that a claimed bound does not allow for.
+
+    All sets are compared, or those near the layout.
+    """
     if all(proof.is_proven_again for proof in proofs):
         return checks, proofs
     most = min(max_sets, _MAX_LOOKS // problem.table.axis.n_frames)

@@ -1,7 +1,8 @@
-"""One simulation of SUMO in a process of its own: ``python child.py INPUT.json OUTPUT.npz``.
+"""One simulation of SUMO in a process of its own.
 
-libsumo holds one simulation per process, and brings libraries that must not meet those
-of its caller: this file imports nothing of the toolkit. It reads and writes what
+It is started by ``python child.py INPUT.json OUTPUT.npz``. libsumo holds one
+simulation per process, and brings libraries that must not meet those of its
+caller: this file imports nothing of the toolkit. It reads and writes what
 :mod:`.sumo` says.
 """
 

@@ -1,4 +1,7 @@
-"""How much drives through a junction, where to and with what: from TOML to SUMO's routes."""
+"""Demand of traffic through a junction, from TOML to SUMO's routes.
+
+It says how much drives, where to and with what.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -144,6 +147,7 @@ def load_demand(path: Path | None = None) -> Demand:
 
 
 def _read(document: Table, where: str, name: str) -> Demand:
+    """Demand of a document; errors name the place `where`."""
     table = read_table(document, _DemandFile, where)
     if table.pause_s[0] > table.pause_s[1]:
         expected = "[shortest, longest], in seconds"
@@ -191,10 +195,11 @@ _SIZES = ("length_m", "width_m", "height_m")
 
 
 def read_body(entry: Table, where: str) -> Actor:
-    """A vehicle by a table's `actor`, or a box by `name`, `length_m`, `width_m` and `height_m`.
+    """Body of a vehicle, from the catalogue or as a box.
 
-    A box reaches down to the road. Raises InputError for any other key, or a body of
-    the catalogue that is no vehicle.
+    A table has `actor`, or `name`, `length_m`, `width_m` and `height_m`. A box
+    reaches down to the road. Raises InputError for any other key, or a body of the
+    catalogue that is no vehicle.
     """
     known = ("actor",) if "actor" in entry else ("name", *_SIZES)
     for key in entry:
@@ -217,11 +222,11 @@ def write_routes(
     ways: Mapping[str, Mapping[str, Mapping[str, str]]],
     n_lanes: Mapping[str, int],
 ) -> str:
-    """Vehicle types and flows as a SUMO route file; gaps between vehicles are exponential.
+    """Vehicle types and flows as a SUMO route file.
 
-    `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes
-    of each arm. Raises InputError if the demand names an arm that the junction does not
-    have, or nobody drives.
+    Gaps between vehicles are exponential. `ways` has by arm, turn and exit the
+    edges of the route; `n_lanes` the entry lanes of each arm. Raises InputError if
+    the demand names an arm that the junction does not have, or nobody drives.
     """
     for arm in demand.arms:
         if arm not in n_lanes:
@@ -230,9 +235,10 @@ def write_routes(
     lines = ["<routes>", '<vTypeDistribution id="all">']
     for kind in demand.vehicles:
         body = kind.actor
+        name = quoteattr(body.name)
+        sumo_class = quoteattr(kind.sumo_class)
         lines.append(
-            "<vType"
-            f' id={quoteattr(body.name)} vClass={quoteattr(kind.sumo_class)} probability="{kind.share}"'
+            f'<vType id={name} vClass={sumo_class} probability="{kind.share}"'
             f' length="{body.length_m}" width="{body.width_m}"'
             f' height="{body.height_m}"/>'
         )

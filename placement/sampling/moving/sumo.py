@@ -1,11 +1,12 @@
-"""SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
+"""A scene's lanes as a SUMO network, and the traffic on it.
 
-netconvert puts plain nodes and edges together; the simulation runs in a child process
-(:mod:`.child`). Windows of time, one per group of runs, follow one another with random
-pauses, so that each meets another moment of the signal programme. In each, the VUT of
-one run is moved along its path without braking; SUMO's vehicles react to it as to any
-other. It obeys neither lights nor right of way, as Euro NCAP's does not: who comes into
-its way is left out of the run by :mod:`.trajectories`.
+The traffic is that of one sampled world. netconvert puts plain nodes and edges
+together; the simulation runs in a child process (:mod:`.child`). Windows of
+time, one per group of runs, follow one another with random pauses, so that each
+meets another moment of the signal programme. In each, the VUT of one run is
+moved along its path without braking; SUMO's vehicles react to it as to any
+other. It obeys neither lights nor right of way, as Euro NCAP's does not: who
+comes into its way is left out of the run by :mod:`.trajectories`.
 """
 
 import importlib.util
@@ -83,7 +84,10 @@ class RoadNetwork:
 
 
 def sumo_program(name: str) -> str:
-    """Path of one of SUMO's programs; raises MissingExtraError where SUMO is not installed."""
+    """Path of one of SUMO's programs.
+
+    Raises MissingExtraError where SUMO is not installed.
+    """
     try:
         import sumo
     except ImportError:
@@ -106,13 +110,13 @@ def missing_sumo() -> MissingExtraError:
 def build_network(
     scene: Scene, *, speed_limit_mps: float, approach_m: float
 ) -> RoadNetwork:
-    """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
+    """Network of a scene's junction, connected by netconvert.
 
-    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The
-    map's own lanes through the junction are used where it has some. Lights stand where
-    the scene has some; else priority is netconvert's. Raises InputError: no junction,
-    no lane leads in or out, or netconvert cannot read the lanes; MissingExtraError:
-    SUMO is not installed.
+    The lanes are written as plain XML. Lanes keep their lines; arms that end sooner
+    than `approach_m` go straight on. The map's own lanes through the junction are
+    used where it has some. Lights stand where the scene has some; else priority is
+    netconvert's. Raises InputError: no junction, no lane leads in or out, or
+    netconvert cannot read the lanes; MissingExtraError: SUMO is not installed.
     """
     program = sumo_program("netconvert")
     junction = build_junction(scene)
@@ -164,7 +168,10 @@ class _Plain:
         )
 
     def add_arm(self, arm: Arm, *, is_in: bool) -> list[str]:
-        """Edges of an arm in driving order; where a lane begins or ends, a new edge does."""
+        """Add the edges of an arm, and return them in driving order.
+
+        Where a lane begins or ends, a new edge does.
+        """
         if is_in:
             lanes = arm.entry_lanes
         else:
@@ -215,6 +222,7 @@ class _Plain:
         return names
 
     def _add_node(self, name: str, position_m: FloatArray, is_end: bool) -> None:
+        """Write a node in the coordinates of the network."""
         east, north = (position_m - self.origin_m).tolist()
         if is_end:
             kind = "dead_end"
@@ -231,16 +239,19 @@ class _Plain:
         ends: tuple[str, str],
         is_in: bool,
     ) -> None:
+        """Write an edge with its lanes, in driving direction."""
         lines = [points[::-1] if is_in else points for _, points in members]
         lanes = "".join(
             f'<lane index="{i}" width="{lane.width_m:.2f}" shape="{self.shape(line)}"/>'
             for i, ((lane, _), line) in enumerate(zip(members, lines, strict=True))
         )
+        # The edge itself lies midway between its outermost lanes.
         middle = 0.5 * (lines[0][[0, -1]] + lines[-1][[0, -1]])
+        begin, end = map(quoteattr, ends)
         self.edges.append(
-            "<edge"
-            f' id={quoteattr(name)} from={quoteattr(ends[0])} to={quoteattr(ends[1])} numLanes="{len(members)}"'
-            f' speed="{self.speed_mps:.3f}" shape="{self.shape(middle)}">{lanes}</edge>'
+            f"<edge id={quoteattr(name)} from={begin} to={end}"
+            f' numLanes="{len(members)}" speed="{self.speed_mps:.3f}"'
+            f' shape="{self.shape(middle)}">{lanes}</edge>'
         )
 
     def connect(self, junction: Junction) -> None:
@@ -254,20 +265,23 @@ class _Plain:
                         end = self.at_junction.get((False, leaving.id))
                         if lane is None or begin is None or end is None:
                             continue
-                        (from_edge, from_lane) = begin
-                        (to_edge, to_lane) = end
+                        from_edge, from_lane = begin
+                        to_edge, to_lane = end
+                        line = self.shape(lane.centreline_m)
                         self.connections.append(
-                            "<connection"
-                            f' from={quoteattr(from_edge)} to={quoteattr(to_edge)} fromLane="{from_lane}"'
-                            f' toLane="{to_lane}"'
-                            f' shape="{self.shape(lane.centreline_m)}"/>'
+                            f"<connection from={quoteattr(from_edge)}"
+                            f' to={quoteattr(to_edge)} fromLane="{from_lane}"'
+                            f' toLane="{to_lane}" shape="{line}"/>'
                         )
 
 
 def _piece(
     points: FloatArray, near_m: float, far_m: float, wanted_m: float
 ) -> FloatArray:
-    """The part of a line between two distances from its begin, straight on if it ends sooner."""
+    """Part of a line between two distances from its begin.
+
+    It goes straight on where the line ends sooner.
+    """
     along = along_m(points)
     inside = points[(along > near_m + 0.01) & (along < far_m - 0.01)]
     ends = points_at(points, np.array([near_m, far_m]))
@@ -285,6 +299,7 @@ def _straight_on(points: FloatArray, more_m: float) -> FloatArray:
 def _run_netconvert(
     program: str, plain: _Plain, scene: Scene, *, has_lights: bool
 ) -> str:
+    """Connect the plain files by netconvert; text of the network."""
     if has_lights:
         kind = "traffic_light"
     else:
@@ -321,7 +336,10 @@ def _run_netconvert(
 def _find_ways(
     xml: str, entry: dict[str, list[str]], leaving: dict[str, list[str]], scene: Scene
 ) -> dict[str, dict[str, dict[str, str]]]:
-    """Ways through the junction by arm, turn and exit arm, from the connections of a network."""
+    """Ways through the junction by arm, turn and exit arm.
+
+    They are read from the connections of a network.
+    """
     arm_in = {edges[-1]: arm for arm, edges in entry.items()}
     arm_out = {edges[0]: arm for arm, edges in leaving.items()}
     ways: dict[str, dict[str, dict[str, str]]] = {}
@@ -377,7 +395,7 @@ def simulate_windows(
     step_s: float,
     rng: np.random.Generator,
 ) -> SimulatedWindows:
-    """Drive traffic through a junction long enough to cut one window for each group of runs.
+    """Drive traffic long enough to cut a window for each group of runs.
 
     Parameters
     ----------
@@ -453,9 +471,10 @@ def simulate_windows(
 def _vut_drive(
     run: Run, network: RoadNetwork, *, last_step: int
 ) -> dict[str, Any] | None:
-    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane.
+    """Drive of a run's VUT, step by step, as the child wants it.
 
-    It takes the way through the junction that leads most nearly where its path points.
+    None where it has no lane. It takes the way through the junction that leads most
+    nearly where its path points.
     """
     turns = network.ways.get(run.approach, {})
     first, last = run.vut_yaw_deg[[0, -1]].tolist()
@@ -485,6 +504,7 @@ def _vut_drive(
 
 
 def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
+    """Run the child process on a job, and read its arrays."""
     child = Path(__file__).with_name("child.py")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -629,7 +649,10 @@ def _driving_by(
     in_parked: Sequence[BoolArray],
     clearance_m: float,
 ) -> tuple[tuple[MovingActor, ...], int]:
-    """Vehicles of a window that drive by in a run, and how many are left out of it."""
+    """Vehicles of a window that drive by in a run.
+
+    The second value says how many are left out.
+    """
     n_frames = len(run.time_s)
     near = [
         (body, bool(stands_in[-n_frames:].any()))
@@ -646,9 +669,10 @@ def _driving_by(
 
 
 def load_traffic(source: str, scene: Scene) -> MovingTraffic:
-    """Vehicles that drive by, as a question names them: "sumo", or a .toml file of demand for it.
+    """Vehicles that drive by, as a question names them.
 
-    Raises InputError if it is not what it should be; MissingExtraError without SUMO.
+    The name is "sumo", or a .toml file of demand for it. Raises InputError if it is
+    not what it should be; MissingExtraError without SUMO.
     """
     path = Path(source)
     if source != SUMO and path.suffix.lower() != ".toml":

@@ -1,4 +1,4 @@
-"""Where vehicles are at what time, and windows of it: what drives by while a run lasts."""
+"""Trajectories of vehicles, and the windows that runs cut of them."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -64,9 +64,10 @@ class Trajectories:
         return np.flatnonzero((begin <= last_s) & (end >= first_s))
 
     def at(self, vehicle: int, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position (n, 2) and yaw (n,) of a vehicle at any times (n,), between samples linearly.
+        """Position (n, 2) and yaw (n,) of a vehicle at times (n,).
 
-        Not a number before it comes, after it has left, and while it is away.
+        Between samples they are linear. Not a number before it comes, after it has
+        left, and while it is away.
         """
         rows = slice(int(self.row_start[vehicle]), int(self.row_start[vehicle + 1]))
         known_s = self.time_s[rows]
@@ -233,9 +234,10 @@ def last_frames(body: MovingActor, n_frames: int) -> MovingActor | None:
 def frames_in_parked(
     window: Sequence[MovingActor], parked: Sequence[PlacedActor]
 ) -> tuple[BoolArray, ...]:
-    """Frames in which each vehicle of a window, at least one, stands in something parked.
+    """Frames in which vehicles stand in something parked.
 
-    Raises ValueError where vehicles have different numbers of frames.
+    The window has at least one vehicle; each has (n_frames,) bool. Raises
+    ValueError where vehicles have different numbers of frames.
     """
     position = np.stack([body.position_m for body in window])
     yaw = np.stack([body.yaw_deg for body in window])
@@ -261,9 +263,10 @@ def frames_in_parked(
 def meets_road_users(
     run: Run, traffic: Sequence[MovingActor], *, clearance_m: float
 ) -> tuple[bool, ...]:
-    """Which vehicles come nearer than the clearance to the VUT or the VRU before the impact.
+    """True for vehicles that come too near to the VUT or the VRU.
 
-    In any frame of the run, or midway between two.
+    That is nearer than the clearance, before the impact. In any frame of the run,
+    or midway between two.
     """
     if not traffic:
         return ()
@@ -296,7 +299,10 @@ def meets_road_users(
 def _twice(
     position_m: FloatArray, yaw_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Frames, and the moments midway between them: (..., n, 2), (..., n) -> (..., 2 n - 1, ..)."""
+    """Frames, and the moments midway between them.
+
+    Shapes are (..., n, 2) and (..., n) -> (..., 2 n - 1, 2) and (..., 2 n - 1).
+    """
     turn_deg = (np.diff(yaw_deg, axis=-1) + 180.0) % 360.0 - 180.0
     midway_m = 0.5 * (position_m[..., 1:, :] + position_m[..., :-1, :])
     return (
