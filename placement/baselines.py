@@ -94,6 +94,7 @@ def random_sets(
     InputError
         A number is below 1.
     """
+    # Every set begins with the forced poses; the draws below share what is free.
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
     # Every set begins alike
@@ -105,9 +106,11 @@ def random_sets(
     def allowed(units: tuple[int, ...]) -> bool:
         return is_allowed(limits, units)
 
+    # Draw sets until there are enough, or the tries are used up.
     sets: list[tuple[int, ...]] = []
     for _ in range(n * _MAX_TRIES):
         units = forced
+        # Add poses at random until the set is full or nothing fits any more.
         while len(units) < n_units and len(free(units)):
             units = (*units, int(rng.choice(free(units))))
         units = tuple(sorted(units))
@@ -128,6 +131,7 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     arms = [*junction.arms.values()]
     if len(arms) < 2:
         return {}
+    # A corner is midway between the right kerb of one arm and the left of the next.
     corners = {
         f"{arm.name}/{following.name}": 0.5
         * (_kerbs_m(arm)[0] + _kerbs_m(following)[1])
@@ -150,6 +154,7 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
     """
     edges: list[FloatArray] = []
     outward: Line | None = None
+    # Collect both edges of every lane at its mouth.
     for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
         for lane in lanes:
             line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
@@ -160,6 +165,7 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
     # An arm has lanes: that is how it was found
     assert outward is not None
+    # The outermost edges are the kerbs.
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
     return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
 
@@ -178,10 +184,12 @@ def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatAr
     position = np.array([unit.pose.position_m for unit in poses]).reshape(-1, 3)
     yaw = np.radians([unit.pose.yaw_deg for unit in poses])
     pitch = np.radians([unit.pose.pitch_deg for unit in poses])
+    # Unit vectors along the optical axes, (n_poses, 3).
     ahead = np.stack(
         [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1
     )
     to_point = point_m - position
+    # The angle by its tangent is exact for small angles, too.
     beside = np.linalg.norm(np.cross(ahead, to_point), axis=1)
     return np.asarray(np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1))))
 
@@ -213,9 +221,11 @@ def corner_poses(
     if not corners or not sites:
         return {}
     on_ground = np.array([candidates[row].pose.position_m[:2] for row in best.values()])
+    # Distance of every site (columns) from every corner (rows).
     distance_m = np.array(
         [np.hypot(*(on_ground - corner).T) for corner in corners.values()]
     )
+    # Assign sites to corners so that the sum of distances is smallest.
     pairs = zip(*linear_sum_assignment(distance_m), strict=True)
     names = [*corners]
     return {names[corner]: best[sites[site]] for corner, site in pairs}
@@ -232,9 +242,11 @@ def _most_direct(
     off_deg = off_axis_deg(candidates, looked_at_m).round(6)
     # Stable: of equally direct ones the first comes first
     order = np.lexsort([off_deg, sites])
+    # Forbidden poses and sites without room do not count.
     order = order[
         ~limits.is_forbidden[order] & (limits.site_capacity[sites[order]] > 0)
     ]
+    # The first row of each site is its most direct pose.
     used, first = np.unique(sites[order], return_index=True)
     return dict(zip(used.tolist(), order[first].tolist(), strict=True))
 
@@ -337,16 +349,19 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
     limits = problem.limits
     corners = proposals.corners
     units = np.flatnonzero(limits.is_forced)
+    # Corners by what their camera prevents alone, the best first.
     first = sorted(corners, key=lambda name: -apr(problem, [corners[name]]))
     for row in (*proposals.forced, *(corners[name] for name in first)):
         if len(units) < proposals.n_units and fitting(limits, units)[row]:
             units = np.append(units, row)
+    # The expert's layout counts only if it is within the limits.
     is_complete = len(units) > 0 and is_allowed(limits, units)
     if is_complete:
         expert = tuple(sorted(units.tolist()))
     else:
         expert = ()
     random = None
+    # Random layouts are judged by their margins in every run.
     if proposals.random:
         measure = problem.measure()
         margins_s = np.array(

@@ -84,6 +84,7 @@ def _prune(path: Path, *, most: int) -> None:
     """Remove the oldest files of the same name and kind as a path."""
     pattern = f"{path.name.split('-')[0]}-*{path.suffix}"
     try:
+        # Files are sorted by the time of their last change, the oldest first.
         files_by_age = sorted(
             path.parent.glob(pattern), key=lambda file: file.stat().st_mtime
         )
@@ -113,6 +114,7 @@ def save_arrays(
         save = np.savez_compressed
     else:
         save = np.savez
+    # The file says of what kind and of which inputs it is.
     content: dict[str, Any] = {
         "format": kind,
         "fingerprint": fingerprint,
@@ -151,6 +153,7 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
     It is keyed with the fingerprint, so that it fits no other one.
     """
     digest = hashlib.blake2b(key=fingerprint.encode(), digest_size=32)
+    # Name, type and shape belong to the content.
     for name, array in arrays.items():
         digest.update(f"{name} {array.dtype} {array.shape}\0".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -230,6 +233,7 @@ def cached_value(
     """
     if folder is None:
         return make()
+    # The fingerprint covers the code and everything that the value is made from.
     fingerprint = Fingerprints().of(hash_of_code(packages), *made_from)
     path = folder / f"{name}-{fingerprint}.msgpack"
 
@@ -243,6 +247,7 @@ def cached_value(
     if found is not None:
         _log.info("%s (cached): read from %s", name, path)
         return found
+    # Nothing was cached: compute the value, and cache it if that is worth it.
     value = make()
     if is_worth_it(value):
         content = to_bytes(value)

@@ -144,6 +144,7 @@ class CandidateGrid:
             level = [(0.0, 0.0)]
         else:
             level = []
+        # A ring that is tilted sees something else at each yaw.
         tilts_deg = self.ring_pitches_deg[self.ring_pitches_deg != 0.0].tolist()
         return level + list(product(yaws_deg, tilts_deg))
 
@@ -170,6 +171,7 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
     pose = unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):
+        # A LiDAR sees by angles around its own axes.
         offsets = points_m - pose.position_m
         ahead, left, up = np.moveaxis(
             offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0
@@ -179,6 +181,7 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
         is_inside = np.abs(azimuth_deg) <= 0.5 * sensor.horizontal_fov_deg
         is_inside &= np.abs(elevation_deg) <= 0.5 * sensor.vertical_fov_deg
     else:
+        # A camera sees what is projected into its image.
         column, row, _ = project_points(points_m, pose, sensor).T
         # NaN, behind the lens, is inside nothing.
         is_inside = (column >= 0.0) & (column <= sensor.width_px)
@@ -216,6 +219,7 @@ def build_candidates(
     if not scene.sites:
         refuse(f"{scene.name}: sites", "none", "at least one mount site")
     grid = grid or load_candidate_grid()
+    # The grid is the product of sites, heights, sensors and directions.
     candidates = [
         CandidatePose(
             id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}",
@@ -261,6 +265,7 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
 
     Raises InputError if a sensor is unknown, or a number cannot be.
     """
+    # Only what the question gives replaces the default.
     changes: dict[str, Any] = {}
     if question.sensors:
         changes["sensors"] = tuple(own_models(question.sensors).values())
@@ -295,6 +300,7 @@ def own_models(sensors: str) -> dict[str, Sensor]:
 
 def _sensors(word: str) -> Sequence[Sensor]:
     """The model of a name; all of a catalogue FILE.toml, or FILE.toml:NAME."""
+    # A word is a file, a file with a name, or a name of the catalogue.
     path, _, name = word.rpartition(":")
     if word.endswith(".toml"):
         return list(load_catalogue(Path(word)).values())

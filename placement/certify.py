@@ -152,8 +152,10 @@ def certify(
         "question",
         "a budget and the mean APR: only they are certified",
     )
+    # Each block is solved by itself: its bound and its layouts are independent.
     compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
+    # Equal layouts of several blocks are judged once.
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
         **{one.found: f"best of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -161,9 +163,11 @@ def certify(
     layouts = [
         pick_layout(assembly.candidates, rows, name) for rows, name in names.items()
     ]
+    # The best of the pool is chosen in fresh worlds ...
     compute.progress("choose in fresh worlds", 0, 0)
     pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
+    # ... and judged in others, so that the choice does not flatter it.
     compute.progress("judge in other fresh worlds", 0, 0)
     best = [pool[0].layout]
     (judged,) = assembly.in_fresh_worlds(best, n_worlds=n_judged, first=n_judged)
@@ -193,6 +197,7 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
         solution = solve_placement(problem, reduced, effort=part.effort, n_stages=1)
         return solution, solve_greedy(problem, reduced)
 
+    # Only a solution that is proven in its block is worth caching.
     solution, greedy = cached_value(
         compute.cache_folder,
         "block",
@@ -291,6 +296,7 @@ def grow(
     rounds = list[Round]()
     best: tuple[Assembly, Placement, SampledApr] | None = None
     stopped: Stopped = "most"
+    # Each round has twice as many worlds as the one before.
     for n_worlds in SIZES:
         if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
             stopped = "time"
@@ -312,6 +318,7 @@ def grow(
                 raise
             stopped = "memory"
             break
+        # Compare the round's layout with the one before in fresh worlds.
         judged, this = _round(trial, found, None if best is None else best[2])
         rounds.append(this)
         if best is not None and not (this.low or 0.0) > 0.0:
@@ -323,6 +330,7 @@ def grow(
         best = trial, found, judged
     # The first round is taken in any case
     assert best is not None
+    # The best round is the last one that was ahead.
     assembly, placement, judged = best
     growth = Growth(
         taken=assembly.n_samples,

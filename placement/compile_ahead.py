@@ -45,6 +45,7 @@ def compile_ahead() -> None:
     logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
     compute = Compute(workers=1)
     setting = build_setting(_QUESTION, compute=compute)
+    # A few hundred poses suffice to reach every kernel.
     every = build_candidates(setting.scene, load_candidate_grid())
     candidates = every[:: max(1, len(every) // _N_POSES)]
     if not is_compiled(grow):
@@ -82,6 +83,7 @@ def _table_of_chance(pose_ids: tuple[str, ...], setting: Setting) -> DetectionTa
     rng = np.random.default_rng(_SEED)
     axis = setting.axis
     detected = np.zeros((len(pose_ids), axis.n_frames), dtype=bool)
+    # Each pose sees some runs, from a random frame to the end.
     for row in detected:
         for run in np.flatnonzero(rng.random(axis.n_runs) < _SEEN_SHARE):
             begin, end = axis.run_start[run : run + 2]

@@ -99,6 +99,7 @@ def _of_frames(
 ) -> DetectionTable:
     """Table whose columns are some frames of another one."""
     packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
+    # Blocks of rows are unpacked at a time, to bound the memory.
     for row in range(0, table.n_poses, _ROWS):
         bits = table.detected(slice(row, row + _ROWS))[:, frames]
         packed[row : row + _ROWS] = np.packbits(bits, axis=1, bitorder="little")
@@ -135,11 +136,13 @@ def level_axis(
     Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact
     that they stay below, in km/h. Weights are those of the runs times the gain.
     """
+    # Columns of the new axis, level by level.
     ids = []
     starts = [0]
     frames = []
     times = []
     deadlines = []
+    # Each level takes the frames of its run that are in time for it.
     for run, below_kmh, deadline_s in zip(
         levels.run_index.tolist(),
         levels.below_kmh.tolist(),
@@ -204,6 +207,7 @@ def repeated_axis(
     Weights and last brake times are of all repeated runs, (n_endings * n_runs,).
     """
     n = len(endings)
+    # Starts of the runs of each repetition, shifted by the frames before it.
     starts = [axis.run_start[:-1] + index * axis.n_frames for index in range(n)]
     return _of_runs(
         axis,
@@ -256,6 +260,7 @@ def plain_axis(axis: FrameAxis) -> FrameAxis:
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     if len(first) == axis.n_runs:
         return axis
+    # Rows of the first level of each run, in the order of the axis.
     rows = np.sort(first)
     frames = [axis.frames_of(row) for row in rows.tolist()]
 
@@ -277,7 +282,9 @@ def _at_once(
 
     Only frames that are in time for the level are left.
     """
+    # Frames before the last moment keep their times.
     n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
+    # Frames after it follow one another by a picosecond.
     after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
     # No moment comes before
     if last_s == -np.inf:

@@ -251,6 +251,7 @@ def earliest_arrival_s(
     (n_frames,) frames that it detects in, and its latency [s].
     """
     arrival = np.full(axis.n_frames, np.inf)
+    # The earliest message of any party counts.
     for detected, latency_s in parties:
         arrival = np.minimum(
             arrival, np.where(detected, axis.time_s + latency_s, np.inf)
@@ -268,6 +269,7 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
         return earliest, iter([np.full_like(earliest, np.inf)])
+    # Without a row that alone has the minimum, the second smallest counts.
     second = np.partition(times_s, 1, axis=0)[1]
     alone = np.where(second > earliest, times_s.argmin(axis=0), -1)
     return earliest, (
@@ -310,6 +312,7 @@ def apr_of_arrivals(
 
     if cars == 0.0:
         return share(arrival_s)
+    # A VUT that sees is one more party.
     own_s = earliest_arrival_s([(evaluation.vut.detected, rule.latency_s)], axis)
     seeing = share(np.minimum(arrival_s, own_s))
     if cars == 1.0:

@@ -45,6 +45,7 @@ class Fingerprints:
         is_data = is_dataclass(value) and not isinstance(value, type)
         if is_data and id(value) in self._known:
             return self._known[id(value)][1]
+        # The type is part of the hash: 1 and True differ.
         digest = hashlib.blake2b(type(value).__name__.encode() + b"\0", digest_size=16)
         if isinstance(value, np.ndarray):
             digest.update(f"{value.dtype}{value.shape}".encode())
@@ -84,6 +85,7 @@ def hash_of_files(package: str) -> bytes:
     """Hash of a package's code and data, 16 bytes."""
     digest = hashlib.blake2b(digest_size=16)
     folder = Path(str(files(package)))
+    # Names and sizes are hashed as well as contents.
     for path in sorted(folder.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             digest.update(

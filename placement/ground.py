@@ -50,6 +50,7 @@ def is_in_sight(
     nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
+    # Rays begin beyond `near_m` and end a little before the points.
     ways = points_m - mount
     lengths = np.linalg.norm(ways, axis=1)
     is_far = lengths > near_m + _SHORT_OF_M
@@ -84,6 +85,7 @@ class GroundCoverage:
         road = self.density[self.is_road]
         found = {}
         above = 0.0
+        # Bands from the finest on: each one's share is what it adds.
         for name, least in (*BANDS, ("coarser", np.nextafter(0.0, 1.0))):
             if len(road):
                 here = float((road >= least).mean())
@@ -100,6 +102,7 @@ class GroundSurvey:
     def __init__(self, scene: Scene) -> None:
         outline = scene.outline_m
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+        # Middles of the cells, symmetric about the middle of the junction.
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
         self.east_m, self.north_m = middle[0] + steps, middle[1] + steps
         grid = np.stack(np.meshgrid(self.east_m, self.north_m), axis=-1)
@@ -108,6 +111,7 @@ class GroundSurvey:
             0.0,
             LOOK_AT_M,
         ]
+        # Rays are cast relative to the junction: they have single precision.
         self._origin_m = np.append(middle, 0.0)
         self._caster = build_caster(scene.vertices_m - self._origin_m, scene.triangles)
         on_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
@@ -122,6 +126,7 @@ class GroundSurvey:
         found = np.zeros(len(self._points_m))
         camera = unit.sensor
         if isinstance(camera, CameraModel):
+            # Only cells in the picture need rays.
             depth_m = _depth_in_picture(self._points_m, unit)
             shown = np.flatnonzero(np.isfinite(depth_m))
             mount_m = unit.pose.position_m - self._origin_m
@@ -168,6 +173,7 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
     """
     assert isinstance(unit.sensor, CameraModel)
     east, north = (points_m - unit.pose.position_m)[:, :2].T
+    # A short line across the line of sight, projected at both ends.
     across = np.stack([-north, east, np.zeros_like(east)], axis=1)
     across *= 0.5 * _ACROSS_M / np.maximum(np.hypot(east, north), 1.0e-6)[:, None]
     ends = [
@@ -241,6 +247,7 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
             return points
         return transform(points, found.crs, scene.crs)
 
+    # Take the polygons; other shapes are left out.
     areas = []
     for number, feature in enumerate(found.features, start=1):
         shape = feature.geometry
@@ -275,6 +282,7 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         refuse("no_look", f"{total_m2:,.0f} square metres", f"at most {_MAX_POINTS:,}")
+    # Points on a square grid inside each area.
     points = []
     index = []
     for number, (name, shape) in enumerate(areas):
@@ -340,6 +348,7 @@ class PrivateSight:
         n_areas = len(self._ground.names)
         counts = np.bincount(self._ground.area_index, minlength=n_areas)
         share = np.zeros((len(candidates), n_areas))
+        # Poses at the same place follow one another, so that rays are cast once.
         for row in sorted(
             range(len(candidates)), key=lambda row: _place(candidates[row])
         ):

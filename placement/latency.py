@@ -186,6 +186,7 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         raise InputError(f"{where}.name", name, "printable text")
     where = f"{where}.{name}"
     part = read_table(entry, _PartTable, where)
+    # A part has a fixed time, or a range.
     given = [key for key in _RANGE if key in entry]
     if part.fixed_s is not None and given:
         refuse(f"{where}.{given[0]}", "it beside fixed_s", "one of them")
@@ -203,6 +204,7 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         refuse(f"{where}.{missing}", "nothing", "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
+    # Each part says where its numbers come from.
     reasons = [key for key in ("source", "assumption") if key in entry]
     if len(reasons) != 1:
         refuse(where, " and ".join(reasons) or "neither", "either source or assumption")
@@ -233,6 +235,7 @@ def apr_by_latency(
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
+    # Parties by name: what each member detects, and its own latency if it has one.
     units = {
         unit.id: (evaluation.units[unit.id].detected, unit.latency_s)
         for unit in evaluation.layout.units
@@ -259,6 +262,7 @@ def apr_by_latency(
         counts = levels.of_onsets(onsets.onset_s, TIME_TOLERANCE_S)
         return float(counts @ axis.weight / axis.weight.sum())
 
+    # One curve for each party.
     return {
         name: np.array([share(party, latency_s) for latency_s in latencies_s])
         for name, party in parties.items()

@@ -268,10 +268,12 @@ def layout_from_records(
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
+        # Fields that the toolkit does not know are ignored.
         known = {
             key: record[key] for key in _UnitRecord.__struct_fields__ if key in record
         }
         unit = read_table(known, _UnitRecord, here)
+        # A unit has one sensor: a camera or a LiDAR.
         kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
             refuse(here, " and ".join(kinds), "one of them")
@@ -279,6 +281,7 @@ def layout_from_records(
             refuse(f"{here}.{SENSOR_KINDS[0]}", "nothing", "a value")
         kind = kinds[0]
         model = getattr(unit, kinds[0])
+        # Models that the layout brings along go before the catalogue's.
         own = (sensors or {}).get(model)
         sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
         if sensor_kind(sensor) != kind:
@@ -372,6 +375,7 @@ def read_layout(
         raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
+    # Models in the file come with their own fields.
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
     models = {**(sensors or {}), **own}
     called = str(document.get("name", name))
@@ -411,6 +415,7 @@ def check_layout(layout: Layout, scene: Scene) -> None:
             got,
             f"one of {scene.name}, the scene that is looked at",
         )
+    # Each unit is above the ground, near the scene, in the open, at a known site.
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -550,6 +555,7 @@ def unit_record(
     name do not matter. Raises InputError where a field is missing or not of its kind, a
     site or a model is unknown.
     """
+    # Columns by what they mean, whatever they are called.
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}
     unit_id, site_id = (str(row.get(name) or "").strip() for name in ("id", "site"))
@@ -565,6 +571,7 @@ def unit_record(
         position = sites[site_id].position_m[:2]
     else:
         position = read_position(row, where, scene.crs)
+    # Heights above the ground become heights in the world frame.
     height_m = _one_of(row, where, ("height", 1.0), ("z", 1.0))
     if read_number(row, "height", where) is not None:
         height_m += float(ground_height_m(scene, np.asarray(position)))
@@ -576,6 +583,7 @@ def unit_record(
     if not model:
         refuse(f"{where}: model", "nothing", "a model of the catalogue")
     sensor = sensors.get(model) or pick_sensor(model, f"{where}: model")
+    # The record has the fields of a layout file.
     record = {
         "id": unit_id,
         "site": site_id,

@@ -72,6 +72,7 @@ class LiveTable:
         packed = np.zeros(
             (len(units), -(-self._setting.axis.n_frames // 8)), dtype=np.uint8
         )
+        # Rows that are not cached, by the mount position whose rays they need.
         missing: dict[_Key, list[int]] = {}
         for row, unit in enumerate(units):
             known = self._rows.get(unit_key(unit))
@@ -108,6 +109,7 @@ class LiveTable:
             packed[missing[key]] = known[0].packed(alike)
             return known
 
+        # Positions are cast in parts, as many at a time as may be cached.
         with one_blas_thread(), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
@@ -132,6 +134,7 @@ class LiveTable:
         """
         assert self._world is not None
         detector = self._setting.table_detector
+        # A cached view serves if it reaches as far as the units need.
         needed_m = max(reach_m(unit.sensor, detector, self._world) for unit in units)
         if key in self._mounts and self._mounts[key][1] >= needed_m:
             return self._mounts[key]

@@ -54,6 +54,7 @@ def machine_bytes() -> int | None:
     It is the machine's, or less where a container or a shell sets a limit. None
     where the system does not say.
     """
+    # The smallest of the limits that are known counts.
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         sizes.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -79,6 +80,7 @@ def available_bytes() -> int:
 
     Where the system does not say, a huge number is returned.
     """
+    # Linux says what is available without swapping.
     sizes = [machine_bytes() or sys.maxsize]
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()

@@ -78,6 +78,7 @@ def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> An
     known = {
         _name_of(one): one for kind in (hint, *classes) for one in _classes_in(kind)
     }
+    # Parts are made in order: each refers only to those before it.
     made: list[Any] = []
 
     def find(code: int, data: memoryview) -> Any:
@@ -124,6 +125,7 @@ def _is_of(value: Any, hint: Any) -> bool:
 
     Of a tuple, every item is checked.
     """
+    # Items of a tuple are checked one by one.
     named = get_args(hint)
     if get_origin(hint) is tuple:
         if type(value) is not tuple:
@@ -160,6 +162,7 @@ def _field_names(kind: Any) -> tuple[str, ...]:
 @cache
 def _classes_in(hint: Any) -> frozenset[type]:
     """Classes with fields that a type hint names, directly or within others."""
+    # Walk through the hint and the hints of the fields that it names.
     found: set[type] = set()
     pending = [hint]
     while pending:

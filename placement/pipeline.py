@@ -173,6 +173,7 @@ class Assembly:
         that see, each is there twice, see
         :func:`placement.detection_table.mixed_table`.
         """
+        # Start from the table of the plain runs, in one world or in many.
         setting = with_sight(self.setting, compute=self.compute)
         table = self.table
         if setting.cars:
@@ -183,10 +184,12 @@ class Assembly:
         if self._sampled is not None:
             seen = self._sampled.seen_by_vut
             sample_index = self._sampled.sample_index
+        # With a score, each run becomes its levels.
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
                 seen = seen[level_axis(setting.axis, setting.levels, setting.rule)[1]]
+        # With a share of cars that see, each run is there twice.
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
             seen = np.concatenate([seen, np.zeros_like(seen)])
@@ -255,6 +258,7 @@ def assemble(
     unknown, a layout does not fit the scene, a wish cannot be met at its sites, or no
     run can be laid.
     """
+    # Words first: a misspelt question is refused before anything is loaded.
     _check_together(question)
     if scene is None:
         if setting is None:
@@ -263,6 +267,7 @@ def assemble(
             scene = setting.scene
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
+    # Poses to choose from, less those that look into private ground.
     units = () if existing is None else existing.units
     candidates = _candidates(question, scene, grid, units)
     private_ground = None
@@ -277,8 +282,10 @@ def assemble(
         )
         # Existing units stay, wherever they look.
         candidates = _distinct([*compress(candidates, may_look(candidates))], units)
+    # Demands are checked against the sites before any run is laid.
     wishes = read_wishes(question, existing=units, counts_money=counts_money)
     build_limits(wishes, scene, candidates)
+    # What is drawn in sampled worlds, and how hard the optimiser tries.
     uncertainty = load_drawn(question, scene, n_samples=question.n_samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
@@ -326,11 +333,13 @@ def _candidates(
     existing: Sequence[CandidatePose],
 ) -> tuple[CandidatePose, ...]:
     """Candidate poses of a question: the grid's, or those of `within`."""
+    # A question may name its poses itself.
     within = _named_layout(question.within, "within", scene, question.sensors)
     if within is not None:
         return _distinct(within.units, existing)
     if grid is not None:
         return build_candidates(scene, grid, extra=existing)
+    # At the study's junction, its poses are among the candidates.
     study = find_baseline(scene)
     extra = _distinct(() if study is None else study.units, existing)
     return build_candidates(scene, build_grid(question), extra=extra)
@@ -511,6 +520,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         )
     # What cannot be met is refused before anything is computed
     _ = assembly.limits
+    # Detections first, then the optimiser.
     started = time.perf_counter()
     table = assembly.table
     table_done = optimised = time.perf_counter()
@@ -540,6 +550,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         next_unit = find_next_unit(problem, reduced, chosen.pose_index)
         return _Answer(first, sturdy, greedy_index, next_unit)
 
+    # The answer may be cached, and fresh worlds may prefer the greedy layout.
     compute.progress("optimise", 0, 0)
     found = _cached(assembly, answer)
     if asks_worlds:
@@ -547,6 +558,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     else:
         found, preferred = (found, None)
     pick = partial(pick_layout, assembly.candidates)
+    # Where failures cost less with another layout, that one is the answer.
     solution = found.first
     highest = None
     asked = problem
@@ -638,6 +650,7 @@ def may_prefer(
     """
     wishes = assembly.wishes
     setting = assembly.setting
+    # Anything but the highest APR is left as it was asked for.
     is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
     is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
     is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(
@@ -694,6 +707,7 @@ def _nominal(
     assembly: Assembly, problem: PlacementProblem, pose_index: tuple[int, ...]
 ) -> tuple[PlacementProblem, tuple[int, ...]]:
     """The problem without chance, and the rows of a layout in it."""
+    # The plan: no levels, no share of cars, no sampled worlds.
     cars = assembly.setting.cars
     plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
     if problem.sample_index is not None:
@@ -718,6 +732,7 @@ def pick_layout(
 
     A name that a unit of another layout brings along is not given again.
     """
+    # Names of the grid hold a slash; they get the first free short name.
     chosen = [candidates[index] for index in pose_index]
     taken = {candidate.id for candidate in chosen}
     free = (name for name in (f"U{number}" for number in count(1)) if name not in taken)

@@ -46,6 +46,7 @@ def certify(
     good in the stages before as the certificate's layout, and so for those that are
     as good as this one. `solver` is the new certificate's text about it.
     """
+    # Each stage has the new value and the proven bound.
     stages = (
         build_stage(name, value, proven.bound, proven.seconds)
         for (name, value), proven in zip(
@@ -128,6 +129,7 @@ def moved(
     default the grid's) are brought into their ranges. The pose's id says where it
     is mounted and how it looks.
     """
+    # Height, angles and field of view are rounded and brought into their ranges.
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
     height_m = float(np.clip(round(height_m, _DIGITS), low_m, high_m))
@@ -175,6 +177,7 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     sensor = unit.sensor
     has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
     poses = []
+    # All steps in yaw and pitch; a zoom changes neither.
     for step_deg, turn_sign, tilt_sign, zoom_sign in product(
         STEPS_DEG, *[(-1, 0, 1)] * 3
     ):
@@ -200,6 +203,7 @@ LIFTS_M = (1.0, 0.5, 0.25, 0.1)
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
     """The same pose higher and lower on its site, each id once."""
+    # Everything but the height stays.
     own = _as_it_is(unit)
     lifts_m = (sign * size_m for size_m in LIFTS_M for sign in (-1.0, 1.0))
     heights_m = (own["height_m"] + lift_m for lift_m in lifts_m)
@@ -288,6 +292,7 @@ class _Search:
         """
         position = 0
         n_settled = 0
+        # Go round the units until none improves, or the time is up.
         while n_settled < len(self.units) and now_s() < self.end_s:
             unit = self.units[position]
             if self.places.is_free[unit.origin] and any(
@@ -303,6 +308,7 @@ class _Search:
 
     def _take_best(self, position: int, poses: Sequence[CandidatePose]) -> bool:
         """Exchange one unit for the best of some poses; whether that improves."""
+        # The other units stay; each trial joins them in turn.
         others = [unit for index, unit in enumerate(self.units) if index != position]
         taken = {unit.candidate.id for unit in others}
         tried = self._look(
@@ -325,6 +331,7 @@ class _Search:
     def _look(self, origin: int, poses: Sequence[CandidatePose]) -> list[_Tried]:
         """Poses with their rows, from the grid or computed anew."""
         row_of = self.places.row_of
+        # Rows of the table for poses that are new.
         unknown = [
             pose for pose in poses if pose.id not in row_of and pose.id not in self.new
         ]
@@ -347,6 +354,7 @@ class _Search:
     def _problem(self, poses: Iterable[_Tried]) -> PlacementProblem:
         """The grid's problem on some poses, which include the forced ones."""
         poses = list(poses)
+        # A new pose has the limits of the grid's pose that it stands in for.
         limits = self.grid.limits.of_poses(
             np.array([one.origin for one in poses], dtype=np.int64)
         )
@@ -366,6 +374,7 @@ class _Search:
 
         None where nothing could be said in time of how good it is.
         """
+        # Solve the problem on the grid and on all poses tried.
         everyone = [
             *map(self._of_grid, range(self.grid.table.n_poses)),
             *self.new.values(),
@@ -381,6 +390,7 @@ class _Search:
         except InputError:
             # the set at hand meets all wishes, but time was too short to find one
             return None
+        # The optimiser may find a better set than the steps did.
         found = objective_values(problem, solution.pose_index)
         if improves(found, self.values) and is_feasible(problem, solution.pose_index):
             rows = list(solution.pose_index)
@@ -401,6 +411,7 @@ class _Search:
         )
         # As the layout has its units
         pose_index = tuple(rows[new] for new in in_order)
+        # The certificate says on which poses it rests.
         certificate = certify(
             self.values,
             solution.certificate,
@@ -490,6 +501,7 @@ def refine(
         refuse("candidates", "other poses", "the rows of the placement's table")
     if table.axis.run_ids != setting.axis.run_ids:
         refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
+    # Steps first; the proof has the rest of the time.
     search = _Search(
         setting,
         placement,
@@ -605,6 +617,7 @@ def pair_units(
         turn = float(wrap_deg(one.pose.yaw_deg - other.pose.yaw_deg))
         return abs(turn) + abs(one.pose.pitch_deg - other.pose.pitch_deg)
 
+    # The pairs that look most alike are taken first.
     distances = sorted(
         (distance_deg(one, other), old, new)
         for old, one in enumerate(before)
@@ -631,6 +644,7 @@ def rename(
     taken = {unit.id for unit in before.units}
     free = (name for name in map("U{}".format, count(1)) if name not in taken)
     moves = []
+    # A unit that stays in place keeps its name.
     for old, new in pair_units(before.units, poses):
         if old is None:
             unit = None
@@ -648,6 +662,7 @@ def rename(
             unit_id = next(free)
         moves.append(Move(before=unit, after=replace(poses[new], id=unit_id)))
     units = tuple(move.after for move in moves if move.after is not None)
+    # Units that did not move at all are left out of the moves.
     changed = (
         move
         for move in moves

@@ -81,6 +81,7 @@ def build_retrofit_poses(
     """
     aims = []
     numbers = [*range(len(layout.units))]
+    # Every direction of the grid that differs from the unit's own.
     for number, unit in enumerate(layout.units):
         for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor):
             turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
@@ -91,6 +92,7 @@ def build_retrofit_poses(
                 name = f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}"
                 aims.append(replace(unit, id=name, pose=pose))
                 numbers.append(number)
+    # New poses come last.
     taken = {unit.id for unit in layout.units}
     new = [candidate for candidate in additions if candidate.id not in taken]
     candidates = (*layout.units, *aims, *new)
@@ -249,6 +251,7 @@ def find_retrofit(
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
     removals = []
     re_aims = []
+    # Remove each unit in turn, and re-aim it as well as possible.
     for number in standing:
         others = [unit for unit in standing if unit != number]
         price_eur = labour.remove_eur
@@ -264,6 +267,7 @@ def find_retrofit(
                 _change(problem, poses, after, price_eur=price_eur, n_compared=n_aims)
             )
     combination = None
+    # Combine re-aims and additions within the budget.
     if budget_eur is not None:
         prices = {"re_aim_eur": labour.re_aim_eur, "budget_eur": budget_eur}
         within = replace(
@@ -296,15 +300,18 @@ def combined_limits(
     n_units = poses.n_units
     n_sites = limits.n_sites
     is_new = poses.unit_index < 0
+    # Room that is left at the real sites, and sites that are rivals of units.
     at_site = np.bincount(limits.site_index[:n_units], minlength=n_sites)
     one = limits.rivals[:, 0]
     other = limits.rivals[:, 1]
     is_blocked = np.zeros(n_sites, dtype=bool)
     is_blocked[other[at_site[one] > 0]] = True
     is_blocked[one[at_site[other] > 0]] = True
+    # Units that stay cost nothing, re-aims cost labour.
     price = np.where(is_new, limits.unit_cost_eur, re_aim_eur)
     price[:n_units] = 0.0
     is_open = is_new & ~limits.is_forbidden & ~is_blocked[limits.site_index]
+    # No more new units than money can buy.
     cheapest = float(price[is_open].min(initial=np.inf))
     if 0.0 < cheapest < np.inf:
         n_affordable = budget_eur // cheapest
@@ -341,6 +348,7 @@ def find_addition(
     """
     standing = np.arange(poses.n_units)
     new = np.flatnonzero(poses.unit_index < 0)
+    # One set for each new pose: all existing units and that pose.
     sets = np.column_stack([np.tile(standing, (len(new), 1)), new])
     limits = replace(
         problem.limits,
@@ -351,6 +359,7 @@ def find_addition(
     new = new[are_allowed(limits, sets)]
     if not len(new):
         return None
+    # The best of them counts only if it is an improvement.
     after = [*standing.tolist(), best_joining(reduced, standing.tolist(), new)]
     price_eur = cost_eur(limits, after)
     n = len(new)
@@ -372,6 +381,7 @@ def _change(
     """A change to the poses `after`, with its value and its runs."""
     standing = range(poses.n_units)
     run_ids = np.array(problem.table.axis.run_ids)
+    # Runs that are avoided before and afterwards.
     was = run_margins_s(problem, standing) > -np.inf
     now = run_margins_s(problem, after) > -np.inf
     return Change(
@@ -521,6 +531,7 @@ class Adviser:
         if n_units <= len(units):
             expected = f"more than the {len(units)} that are mounted already"
             raise InputError("units in all", n_units, expected)
+        # One more unit is tried directly, unless sites are forced.
         is_forced = self._wishes.forced_sites or any(
             site.use == "forced" for site in self._setting.scene.sites
         )
@@ -543,6 +554,7 @@ class Adviser:
             refuse("re-aim", "no unit", "at least one unit")
         n = len(units)
         may_look = self._assembly.may_look
+        # Directions that respect private ground.
         poses = build_retrofit_poses(
             Layout(name="now", units=tuple(units)), self._grid, ()
         )
@@ -556,6 +568,7 @@ class Adviser:
         if len(poses.candidates) == n:
             refuse("re-aim", "units that see all round", "one that can turn")
         self._compute.progress("look from the units", 0, 0)
+        # Every unit is a site of its own with its directions.
         problem = replace(
             self._assembly,
             candidates=poses.candidates,
@@ -614,6 +627,7 @@ class Adviser:
         where = f"why not {site_id}"
         if not units:
             refuse(where, "no unit", "a layout to compare it with")
+        # The best unit there next to the mounted ones ...
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
         free = fitting(replace(problem.limits, budget_units=None), standing)
@@ -632,6 +646,7 @@ class Adviser:
             after=placement_value(problem, [*range(len(units)), best]),
             n_compared=len(rows),
         )
+        # ... and the best layout of as many units that uses the site.
         wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
         return beside, self._search(units, wishes)
 
@@ -644,6 +659,7 @@ class Adviser:
         problem = self._problem(units, wishes)
         has_start = bool(len(units)) and wishes.budget_units is None
         solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
+        # Rows before the grid's are mounted units.
         stay = [units[row] for row in solution.pose_index if row < len(units)]
         new = [row for row in solution.pose_index if row >= len(units)]
         return Advice(
@@ -694,6 +710,7 @@ class Adviser:
     def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
         """The units, then the grid's poses, under ids that no other row has."""
         taken = {unit.id for unit in units}
+        # A pose of the grid may be called as a unit is.
         grid = (
             replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one
             for one in self._assembly.candidates

@@ -162,6 +162,7 @@ def build_rule(question: Question) -> AebRule:
     Raises InputError if the latency budget is unknown or a latency is given as well, or
     tracks live for less than a frame.
     """
+    # Fields of the rule that the question gives.
     changes = {
         name: getattr(question, name)
         for name in (
@@ -257,6 +258,7 @@ def drive(
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "approaches", known) or known
     weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
+    # Everything that the runs depend on; it is part of the cache's key.
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
         "rule": build_rule(question),
@@ -275,6 +277,7 @@ def drive(
         made_from=(scene, selection.cases, laid),
         packages=("geometry", "scenarios"),
     )
+    # Cases that are left out, with the reason, for every approach.
     no_speed = f"none of the speeds asked for ({question.speeds}) is one of this case"
     protected = "and only vulnerable road users are protected"
     reasons: list[tuple[Case, str, LeftOut]] = [
@@ -299,6 +302,7 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     """
     where = "position"
     place = read_position(position, where)
+    # Cases that are bound to the junction are driven at 0 only.
     for case in select_cases(question.cases, force=True).cases:
         if is_bound(case) and place != AT_ZERO:
             raise InputError(
@@ -344,6 +348,7 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
+    # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}
     if isinstance(detector, NetworkDetector):
         detector.check_classes(sorted(classes))
@@ -361,6 +366,7 @@ def build_setting(
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
+    # With a score, runs count by the speed at contact.
     levels = None
     if question.score != AVOIDED:
         levels = cached_value(
@@ -420,6 +426,7 @@ def _check_every_case(drives: Drives, scene: Scene) -> None:
     """
     driven = {run.case.name for run in drives.runs}
     reasons: dict[str, dict[str, list[str]]] = {}
+    # Approaches by case and reason.
     for refusal in drives.refused:
         if refusal.case.name not in driven:
             by_reason = reasons.setdefault(refusal.case.name, {})

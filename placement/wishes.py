@@ -96,6 +96,7 @@ def load_prices() -> SitePrices:
 
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
     """Assumed prices of sites without one, a sentence for each kind."""
+    # Frequent kinds come first.
     count = Counter(site.kind for site in sites if not site.cost_eur > 0.0)
     sentences = []
     for kind, number in count.most_common():
@@ -210,6 +211,7 @@ def build_limits(
     for a site that does not exist, an existing unit that is no candidate, or more units
     than sites can carry.
     """
+    # Sites and forced units must exist.
     sites = {site.id: site for site in scene.sites}
     for name in (*wishes.forced_sites, *wishes.forbidden_sites):
         if name not in sites:
@@ -218,6 +220,7 @@ def build_limits(
             else:
                 where = "forbid_site"
             raise InputError(where, name, "one of " + ", ".join(sorted(sites)))
+    # Sites in the order of the candidates; a pose of no site is one by itself.
     keys = [c.site_id if c.site_id in sites else ("own", c.id) for c in candidates]
     order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     site_index = np.array([order[key] for key in keys], dtype=np.int64)
@@ -225,6 +228,7 @@ def build_limits(
     cost = np.zeros(len(order))
     is_forced_site = np.zeros(len(order), dtype=bool)
     is_forbidden_site = np.zeros(len(order), dtype=bool)
+    # Room, price and use of each site.
     for key, index in order.items():
         if isinstance(key, str):
             site = sites[key]
@@ -248,6 +252,7 @@ def build_limits(
     lost = set(wishes.existing) - {candidate.id for candidate in candidates}
     if lost:
         raise InputError("keep", sorted(lost)[0], "units that are candidates")
+    # Existing units may be nearer to one another than new ones.
     existing_at = np.bincount(site_index[is_existing], minlength=len(order))
     rivals = np.zeros((0, 2), dtype=np.int64)
     if wishes.separation_m > 0.0:
@@ -263,6 +268,7 @@ def build_limits(
     # Existing units have found room
     capacity = np.maximum(capacity, existing_at)
     cost[existing_at > 0] = 0.0
+    # As many units as sites and candidates allow.
     usable = site_index[~is_forbidden_site[site_index] | is_existing]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
     price = np.array([c.sensor.price_eur for c in candidates])
@@ -293,6 +299,7 @@ def _check_room(wishes: Wishes, scene: Scene, most: int) -> None:
     n_existing = len(wishes.existing)
     asked = wishes.budget_units - n_existing
     n_free = most - n_existing
+    # Say what limits the number: sites, or candidates at them.
     at_sites = sum(
         wishes.capacity_of(site)
         for site in scene.sites
@@ -338,6 +345,7 @@ def build_problem(
         tail=wishes.tail,
         seen_by_vut=seen_by_vut,
     )
+    # Targets and least APRs of cases become floors.
     floors = []
     if wishes.target is not None:
         share = wishes.target
@@ -427,6 +435,7 @@ def _give_up(question: Question, survive: int) -> float:
 
     Nothing where failures count already, or something else is asked for.
     """
+    # Demands that leave nothing to give up.
     others = {
         "target": bool(question.target),
         "min_case_apr": question.min_case_apr > 0.0,

@@ -120,12 +120,14 @@ def solve_knapsack(
     choice : Choice
         Bounds hold for all choices, whatever the core.
     """
+    # A small problem is all core.
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:
         chosen, bound = _solve_core(
             problem, np.ones(len(problem.group), dtype=bool), gap=gap, end_s=end_s
         )
         return _choice(problem, chosen, bound)
+    # Prices give a first bound, and often a first choice.
     prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
     best, relaxed, short = _shortfalls(problem, prices)
     if problem.is_within(best):
@@ -138,6 +140,7 @@ def solve_knapsack(
         objective = float(problem.profit[incumbent].sum())
     bound = relaxed
     size = core_options
+    # Enlarge the core until the gap is closed or the time is up.
     while True:
         is_core, least_outside = _core(short, best, size)
         left_s = end_s - now_s()
@@ -181,6 +184,7 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
 
     Of equal options the first one is taken.
     """
+    # Profit less what an option takes at these prices.
     worth = problem.profit - prices @ problem.rows
     most = np.maximum.reduceat(worth, problem.starts)
     rows = np.flatnonzero(worth == most[problem.group])
@@ -208,6 +212,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
     """
     from scipy.optimize import linprog
 
+    # Prices in units of each limit, so that all are of one size.
     scale = np.abs(problem.profit).sum() / np.maximum(
         np.abs(problem.rows).sum(axis=1), 1.0e-300
     )
@@ -218,6 +223,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
     prices = np.zeros(n_rows)
     lowest = np.inf
     best = np.zeros(n_rows)
+    # Each round cuts off prices that cannot have a lower bound.
     for _ in range(_MAX_CUTS):
         chosen, bound = priced_choice(problem, prices * scale)
         if bound < lowest:
@@ -273,6 +279,7 @@ def _solve_core(
 
     rows = np.flatnonzero(is_core)
     group = problem.group[rows]
+    # Groups with a single option are settled.
     count = np.bincount(group, minlength=int(problem.group[-1]) + 1)
     is_open = count[group] > 1
     settled = rows[~is_open]
@@ -285,17 +292,20 @@ def _solve_core(
             return (settled, fixed)
         return (None, -np.inf)
     groups, position = np.unique(problem.group[free], return_inverse=True)
+    # Rows: groups that are open; columns: their options.
     one_of_each = sp.csr_array(
         (np.ones(len(free)), (position, np.arange(len(free)))),
         shape=(len(groups), len(free)),
     )
     profit = problem.profit[free]
+    # Scale the objective to the solver's tolerance.
     unit = max(float(np.abs(profit).sum()), 1.0e-300) / _UNIT_SUM
     total = max(
         abs(fixed + float(np.maximum.reduceat(profit, _first(position)).sum())),
         1.0e-300,
     )
     room = limits.copy()
+    # Solve again with less room if rounding breaks a limit.
     for _ in range(3):
         x = cp.Variable(len(free), boolean=True)
         constraints = [one_of_each @ x == 1.0]
@@ -444,10 +454,12 @@ def choose(
     began_s = now_s()
     rows = np.flatnonzero(_may_be(options, wishes))
     left = options.taken(rows)
+    # First stage: APR by the weights of the junctions.
     problem = _problem(left, share, wishes, profit=share[left.junction] * left.apr)
     found = solve_knapsack(problem, gap=gap, time_limit_s=_STAGES_SHARE * time_limit_s)
     if found.chosen is None:
         raise _unmet(options, share, wishes)
+    # Bounds of all layouts, not only of the fronts' points.
     highest = found.bound
     if bounds is not None:
         beside = bounds.taken(np.flatnonzero(_may_be(bounds, wishes)))
@@ -462,6 +474,7 @@ def choose(
     _, relaxed, short = _shortfalls(problem, best_prices(problem))
     room = max(relaxed, found.bound) - found.objective + 1.0e-7 * max(1.0, abs(relaxed))
     keep = short <= room
+    # Later stages choose among these and hold the first one.
     later = _Later(
         options=left.taken(np.flatnonzero(keep)),
         rows=rows[keep],
@@ -636,6 +649,7 @@ class _Later:
             return values[Objective.SMALLEST_MARGIN]
 
         value = reached()
+        # Margins that could be reached; bisect for the highest of them.
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low = 0
@@ -665,6 +679,7 @@ class _Later:
                 self.chosen = rows[found]
                 low = middle + 1
         value = reached()
+        # Later stages go on with the options that are left.
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
         # Go on with these alone
         self.chosen = np.searchsorted(keep, self.chosen)
@@ -706,6 +721,7 @@ def _check_reach(
 
 def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
     """The error of wishes that the budgets do not allow: what they take at least."""
+    # The least that the demands take, without budgets.
     in_money = wishes.budget_eur is not None
     free = replace(wishes, budget_eur=None, budget_units=None)
     left = options.taken(np.flatnonzero(_may_be(options, free)))
@@ -790,11 +806,13 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
         taken = options.cost_eur
     else:
         taken = options.units.astype(np.float64)
+    # First row of each junction, and the end.
     starts = [
         *np.flatnonzero(np.diff(options.junction, prepend=-1)).tolist(),
         len(options),
     ]
     rises: list[tuple[float, int, int, int]] = []
+    # Upper hull of each junction: the steepest rise from each point on.
     for junction, (begin, end) in enumerate(pairwise(starts)):
         at = begin
         while True:
@@ -815,6 +833,7 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
     base = starts[:-1]
     spent = float(taken[base].sum())
     apr = float(share @ options.apr[base])
+    # All rises in order of what they gain for what they take.
     for _, junction, before, row in sorted(rises):
         spent += float(taken[row] - taken[before])
         apr += float(share[junction] * (options.apr[row] - options.apr[before]))
@@ -870,6 +889,7 @@ def plan_phases(
         raise InputError("years", years, expected)
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
+    # A good order by rule; a model where it is small enough.
     year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)
     if 0 < len(rows) * n_years <= _MAX_BINARIES and n_years > 1:
         found, proven = _solve(units[rows], gain[rows], units_per_year, n_years)
@@ -901,6 +921,7 @@ def _in_order(
     year = np.empty(len(units), dtype=np.int64)
     year[order] = -(-end // units_per_year)
     worth = 0.0
+    # Parts of a junction gain parts of it, year by year.
     for number in range(1, n_years + 1):
         mounted = (number * units_per_year - (end - units[order])) / units[order]
         worth += float(gain[order] @ np.clip(mounted, 0.0, 1.0))
@@ -916,7 +937,9 @@ def _solve(
     n = len(units)
     # Junction by junction, its year
     x = cp.Variable(n * n_years, boolean=True)
+    # Each junction is ready in one year.
     one_each = sp.kron(sp.eye_array(n), np.ones((1, n_years)), format="csr")
+    # Up to each year, no more units are mounted than there were years for.
     until = np.tril(np.ones((n_years, n_years)))
     ready = sp.csr_array(np.kron(units.astype(np.float64)[None], until))
     most = units_per_year * np.arange(1.0, n_years + 1.0)

@@ -123,6 +123,7 @@ def build_junction_front(
         With steps that rise.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
+    # Of points that beat one another, the first one stays.
     kept = [
         point
         for index, point in enumerate(found)
@@ -156,6 +157,7 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 
     A bound for more holds for less; steps that say the same become one.
     """
+    # From the last step back, each bound is the least of those behind it.
     least = np.minimum.accumulate([bound for _, bound in reversed(steps)])[::-1]
     rising: list[tuple[float, float]] = []
     for (start, _), bound in zip(steps, least.tolist(), strict=True):
@@ -230,9 +232,9 @@ def stack_bounds(
 ) -> Options:
     """Upper bounds as options, for layouts other than the points.
 
-    Their APR with a failure and their margins are 0. Each layout of a junction takes at least as
-    much as one of them and has no higher APR. With units and cost counted, an
-    option stands for a step of both.
+    Their APR with a failure and their margins are 0. Each layout of a junction takes
+    at least as much as one of them and has no higher APR. With units and cost
+    counted, an option stands for a step of both.
     """
     rows = []
     for index, front in enumerate(fronts):
@@ -244,6 +246,7 @@ def stack_bounds(
             by_cost = front.by_cost
         else:
             by_cost = ((0.0, front.by_cost[-1][1]),)
+        # One option for each pair of a step by units and a step by cost.
         for row, (n_units, most) in enumerate(by_units):
             for column, (eur, bound) in enumerate(by_cost):
                 value = min(most, bound)
@@ -300,6 +303,7 @@ def rooms_of(limits: Limits) -> IntArray:
     sites = limits.site_index
     n_existing = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
     is_free = ~limits.is_forced & ~limits.is_forbidden
+    # A site carries no more than its room, nor than its free poses.
     room: IntArray = np.minimum(
         limits.site_capacity - n_existing,
         np.bincount(sites[is_free], minlength=limits.n_sites),
@@ -350,6 +354,7 @@ def front_by_sites(
             site_cost_eur=np.where(has_existing, 0.0, 1.0),
         ),
     )
+    # Poses that can be new units at sites with room.
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
     # What remains is mounted already, or where there is no more room
@@ -362,6 +367,7 @@ def front_by_sites(
     layouts: dict[tuple[int, int], tuple[int, ...]] = {}
     n_existing = int(limits.is_forced.sum())
     widest = np.sort(room)[::-1]
+    # Fewer sites than units: numbers of both, from small to large.
     for n_sites in range(1, min(max_units, int((room > 0).sum()) + 1)):
         for n_units in range(
             n_sites + 1, min(max_units, int(widest[:n_sites].sum())) + 1
@@ -423,12 +429,14 @@ def bounds_by_money(
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
+    # The cheapest units and sites, and the roomiest sites, in sum.
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
     cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
     max_units = limits.budget_new_units
     assert max_units is not None
     least = {0.0: tiers[0][1][0][1]}
+    # Each tier, number of sites and number of units gives a price and a bound.
     for own_eur, by_units, by_sites in tiers:
         for n_sites, most in enumerate(carried, start=1):
             for n_units in range(n_sites, min(max_units, int(most)) + 1):
@@ -458,6 +466,7 @@ def _front_of_full_sites(
     limits = problem.limits
     table = problem.table
     free = reduced.pose_index[~limits.is_forced[reduced.pose_index]]
+    # Free poses of each site.
     at_site = [
         free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)
     ]
@@ -466,6 +475,7 @@ def _front_of_full_sites(
         return [], {}, False
     classes = _classes_of(table, at_site, sizes)
     existing = np.flatnonzero(limits.is_forced).tolist()
+    # All ways to fill a site become the columns of another problem.
     sets = [
         (site, chosen)
         for site, (here, size) in enumerate(zip(classes, sizes, strict=True))
@@ -491,6 +501,7 @@ def _front_of_full_sites(
     max_sites = min(max_sites, len({site for site, _ in sets}))
     bounds = []
     layouts = {}
+    # Its front by units is a front by full sites.
     for point in pareto_front(of_sets, max_units=max_sites, effort=effort()).points:
         bounds.append(point.apr_bound)
         chosen_classes = chain.from_iterable(sets[row][1] for row in point.pose_index)
@@ -527,6 +538,7 @@ def _classes_of(
         return [[(pose,) for pose in here] for here in at_site]
     from scipy.cluster.hierarchy import fcluster, linkage
 
+    # As many classes as keep the number of sets small.
     most = max(sizes)
     n_sites = sum(size > 0 for size in sizes)
     while (
@@ -564,6 +576,7 @@ def _improved(
     reduced: ReducedProblem, starts: list[tuple[int, ...]], effort: Effort
 ) -> tuple[int, ...]:
     """A good layout within the limits, from the best of some smaller ones."""
+    # Extend each start greedily, and improve the best of them.
     begin = [np.searchsorted(reduced.pose_index, layout) for layout in starts]
     best = BestSet()
     for units in begin or [forced_units(reduced)]:

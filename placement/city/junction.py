@@ -127,6 +127,7 @@ def solve_junction(
     TimeUpError
         The time was up before there was a front.
     """
+    # The watch ends the work when the time is up.
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)
     existing = wishes.existing
@@ -156,6 +157,7 @@ def solve_junction(
             workers=compute.workers,
         )
 
+    # No point may be worse than what the coarse grid reaches.
     rule = replace(load_candidate_grid(is_coarse=True), sensors=wishes.grid.sensors)
     extra = () if existing is None else existing.units
     coarse = {candidate.id for candidate in build_candidates(scene, rule, extra=extra)}
@@ -222,6 +224,7 @@ def find_front(
         )
         return by_units, by_sites
 
+    # Layouts of a few poses first, as further points.
     few: list[tuple[int, ...]] = []
     if first is not None and 0 < len(first) < limits.n_poses:
         begin("front of few poses")
@@ -248,6 +251,7 @@ def find_front(
             # Else the poses avoid nothing
             if error.where != "candidates":
                 raise
+    # Tiers from all sites to the cheapest ones.
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(
         problem,
@@ -261,6 +265,7 @@ def find_front(
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
     """As many new units as are asked for, or as the sites have room for."""
+    # Room of the sites that may be used, less the existing units.
     room = {
         site.id: (
             site.capacity_units
@@ -296,6 +301,7 @@ def _merge(
     prices; `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
+    # Points by what they take and are worth; the first layout of each counts.
     poses = {point_of(base, units=0, cost_eur=0.0): forced}
     layouts = [(placement_value(problem, layout), layout) for layout in others]
     if by_cost:
@@ -312,6 +318,7 @@ def _merge(
             poses.setdefault(
                 point_of(value, units=n_new, cost_eur=value.cost_eur), layout
             )
+    # Bounds by units and sites of every tier, and by money.
     bounds = [
         (
             eur,
@@ -351,7 +358,7 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
     steps: list[tuple[float, float]] = [(0.0, base)]
 
     def add(eur: float, bound: float) -> None:
-        """Add a step; it replaces those that cost no less."""
+        """Add a step; it replaces the last one unless it costs more."""
         before_eur, before = steps[-1]
         if eur <= before_eur:
             steps.pop()
@@ -359,6 +366,7 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
         steps.append((eur, max(bound, before)))
 
     points = front.points
+    # Bounds rise from point to point.
     for index, point in enumerate(points):
         if index + 1 == len(points):
             beyond = most

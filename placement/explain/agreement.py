@@ -69,6 +69,7 @@ def find_disagreements(
         folder = None
     else:
         folder = compute.cache_folder
+    # The cache's key covers the table, the detector and the evaluation.
     seen = ""
     if folder is not None:
         runs = setting.runs
@@ -91,6 +92,7 @@ def find_disagreements(
         """Disagreements of a unit, or of all units fused."""
         is_fused = verdict is evaluation.headline
         with_vut = is_fused and evaluation.cars == 1.0
+        # Runs on which both verdicts differ, with the frames that explain it.
         rows = np.array([on_table[unit.id] for unit in parties])
         avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
         for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
@@ -134,6 +136,7 @@ def _cause(
     place = f"{unit.id} at {setting.axis.time_s[frame]:.1f} s: "
     if isinstance(unit.sensor, LidarModel):
         return place + "about as many points as it takes"
+    # Look again at the first frame that differs.
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
     # Loads the compiler
     from ..evaluator import build_surroundings, perceive_frames

@@ -72,9 +72,11 @@ def find_by_runs(
     )
     if not (is_best and is_whole) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
         return None
+    # The same problem, in which every run counts the same.
     alike = replace(axis, weight=np.full(axis.n_runs, 1.0 / axis.n_runs))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
     effort = replace(effort, time_limit_s=min(effort.time_limit_s, TIME_LIMIT_S))
+    # Start from the layout at hand, so that the answer is never worse.
     start = np.array(sorted(pose_index), dtype=np.int64)
     found = cached_value(
         cache_folder,
@@ -135,6 +137,7 @@ def build_front_runner(
             apr=headline_apr(evaluation),
             apr_one_failed=apr_one_failed(evaluation, rule),
         )
+    # Each unit confirms alone: a run is avoided if any of them avoids it.
     alone = np.array([unit.is_avoided for unit in evaluation.units.values()])
     own = evaluation.vut.is_avoided
     cars = evaluation.cars
@@ -171,6 +174,7 @@ def recommend(
         ("mounting", mounted_wrongly),
     )
     deciding: Deciding = "order"
+    # Each key keeps the leaders up to a tolerance.
     for name, key in keys:
         if len(left) == 1:
             break

@@ -112,6 +112,7 @@ class Wish:
         when units fail counts as met where that is so for all floors that are met
         without failures, or where it is asked for: then floors must hold so.
         """
+        # Floors with failures depend on which floors are met at all.
         survive = frozenset(
             n for n in self.everything if self.demands[n].kind == "survive"
         )
@@ -147,6 +148,7 @@ def _list_demands(
     else:
         capacity = separation.site_capacity
     per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
+    # Limits are demands where they bind something.
     is_there: dict[Kind, bool] = {
         "budget_units": limits.budget_units is not None,
         "budget_eur": limits.budget_eur is not None,
@@ -168,6 +170,7 @@ def _list_demands(
 
 def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> Limits:
     """Limits of some kinds only."""
+    # Room at the sites, with and without a least distance.
     capacity = limits.site_capacity
     if separation is not None and "separation" not in kinds:
         capacity = separation.site_capacity
@@ -233,6 +236,7 @@ def relax(
     value = relaxation.value
     limits = problem.limits
     items = list(relaxation.given_up)
+    # Each kind of demand is relaxed in its own way.
     if kind == "survive":
         floors = (
             replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors
@@ -274,6 +278,7 @@ def find_relaxation(
     without = wish.part(others)
     limits = with_it.limits
     kinds = {wish.demands[other].kind for other in others}
+    # Demands with a number are optimised: the least or the most that can be had.
     answer = None
     if demand.kind in ("budget_units", "budget_eur"):
         answer = oracle.least(
@@ -299,6 +304,7 @@ def find_relaxation(
     if separation is not None and "capacity" not in kinds:
         any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
         separation = replace(separation, site_capacity=any_number)
+    # Others are tried, from the tightest to the loosest.
     trial = _Trial(demand, with_it, oracle, separation)
     if demand.kind == "survive":
         most = max(floor.n_failures for floor in with_it.floors)
@@ -343,6 +349,7 @@ class _Trial:
         high = len(values)
         best = None
         is_proven = True
+        # Bisection: what can be met stays possible when it is looser.
         while low < high:
             middle = (low + high) // 2
             tried = self._try(values[middle], ())
@@ -365,6 +372,7 @@ class _Trial:
         """
         if without.pose_index is None:
             return None
+        # All items that the free answer violates are enough; look for fewer.
         enough = [item for item in items if self._is_violated(item, without.pose_index)]
         best = self._relaxation(np.nan, enough, without.pose_index)
         n_trials = 0
@@ -472,6 +480,7 @@ def find_conflicts(
     # Forced and forbidden, say
     if ask(frozenset()).pose_index is None:
         return ()
+    # Take out one smallest conflict after the other.
     left = wish.everything
     found = []
     while left and _is_refused(ask(left)):
@@ -500,6 +509,7 @@ def _smallest_conflict(
     """
     # Demands that some set of poses meets together
     met = list[frozenset[int]]()
+    # Parts in order of size: the first refused one is a smallest conflict.
     for size in range(len(demands) + 1):
         for tried in map(frozenset, combinations(sorted(demands), size)):
             if any(tried <= known for known in met):
@@ -565,6 +575,7 @@ def find_refusal(
     if not conflicts:
         return None
     words = _Words(problem, wishes, candidates)
+    # The first conflict is the error; others follow in its text.
     first, *others = conflicts
     got = "demands that no layout meets together"
     if len(first.demands) == 1:
@@ -591,6 +602,7 @@ def build_separation(
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
+    # Room at the sites if there were no least distance.
     free = build_limits(
         Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
         scene,
@@ -663,6 +675,7 @@ class _Words:
         }
         if kind in items:
             return self._sites(kind, np.flatnonzero(items[kind]).tolist())
+        # Demands that have a number.
         number = {
             "survive": max(
                 (floor.n_failures for floor in self.problem.floors), default=0
@@ -691,6 +704,7 @@ class _Words:
         elif kind == "separation" and not value > 0.0:
             text = "no `separation_m`"
         else:
+            # Numbers are rounded to the side that is sure to be met.
             number = f"{value:g}"
             if kind == "budget_units":
                 number = f"{value - self._n_kept:g}"

@@ -77,6 +77,7 @@ def find_contributions(
     margin_s = run_margins_s(problem, poses)
     weight = problem.table.axis.weight
     found = []
+    # Take out each unit in turn.
     for position, pose in enumerate(poses):
         others = poses[:position] + poses[position + 1 :]
         left_s = run_margins_s(problem, others)
@@ -166,6 +167,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """
     axis = evaluation.axis
     units = evaluation.layout.units
+    # Arrivals of every unit, and of a VUT that sees.
     arrivals_s = unit_arrivals_s(evaluation, rule)
     if evaluation.cars == 1.0:
         own = [(evaluation.vut.detected, rule.latency_s)]
@@ -186,6 +188,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
         """Achievement of the units that are left when some fail."""
         onsets = find_onsets(np.minimum(arrival_s, own_s), axis, rule=rule)
         avoided = onsets.is_in_time
+        # Margins and losses count runs with weight only.
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
         lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
         fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
@@ -263,6 +266,7 @@ def find_next_unit(
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)
+    # Poses that fit next to the layout, whatever they cost.
     free = np.flatnonzero(fitting(limits, units))
     if not len(free):
         return None

@@ -104,6 +104,7 @@ class Oracle:
             return _NONE
         problem = replace(problem, goal="fewest", survive=0)
         shared = self._shared.for_problem(problem)
+        # Greedy choice first; the search only where it fails.
         quick = choose_greedily(shared)
         if meets(shared, quick):
             return Answer(pose_index=to_full(shared, quick), is_proven=True)
@@ -123,6 +124,7 @@ class Oracle:
         if isinstance(found, Answer):
             return found
         (objective, find_bound), *_ = Stages(problem, found, Effort()).plan()
+        # Proven if the bound of the first stage is reached.
         bound = find_bound()
         assert found.units is not None
         is_of_units = objective is Objective.UNITS
@@ -149,6 +151,7 @@ class Oracle:
         # Nothing that counts can be avoided: any set is as good
         if not measure.weight.any():
             return replace(self.find(problem), value=0.0)
+        # Ask for all of the measure; what is reached is the most.
         everything = Requirement(
             measure=measure, least=measure.limit, n_failures=n_failures
         )

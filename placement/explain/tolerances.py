@@ -133,6 +133,7 @@ def find_standing(
     """Cost of the usual errors of mounting, one unit and one error at a time."""
     errors = _find_errors(setting, units, _QUICK_STEPS, fusion=fusion, compute=compute)
     found = errors.tolerances()
+    # Usual errors of all units, in both directions.
     usual = [
         errors.error(number, kind, sign * _USUAL[kind])
         for number in range(len(units))
@@ -221,6 +222,7 @@ def _find_errors(
 ) -> _Errors:
     """Runs that are avoided with each unit off by each of the steps."""
     setting = with_sight(setting, compute=compute)
+    # One pose for every unit, error and step.
     keys = [
         (number, kind, sign * step)
         for number in range(len(units))
@@ -233,6 +235,7 @@ def _find_errors(
         *(_off_by(units[number], kind, step) for number, kind, step in keys),
     ]
     looks = [(unit, setting.table_detector) for unit in everyone]
+    # Detections of all poses at once.
     frames = detected_frames(setting, looks, stage=TOLERANCES, compute=compute)
     axis = setting.axis
     rule = setting.rule

@@ -93,12 +93,14 @@ def find_reasons(
     """Reasons why units do not detect, the most frequent one first."""
     if not looks:
         return []
+    # One world has the runs of all looks.
     run_index = list(dict.fromkeys(look.run_index for look in looks))
     runs = [setting.runs[index] for index in run_index]
     ends = np.cumsum([0, *(len(run.time_s) for run in runs)])
     world = build_world(setting.scene, runs, n_points=N_POINTS, seed=compute.seed)
     names = _names(setting.scene, runs)
     reasons: list[tuple[Reason, ...]] = [()] * len(looks)
+    # Frames of one unit are evaluated together.
     for unit in {id(look.unit): look.unit for look in looks}.values():
         mine = [number for number, look in enumerate(looks) if look.unit is unit]
         frames = [
@@ -119,6 +121,7 @@ def _causes(
     setting: Setting, world: World, names: Names, unit: CandidatePose, frames: IntArray
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
+    # The same world with nothing in the way.
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     no_triangles = world.shared.triangles_m[:0]
     empty = replace(
@@ -140,6 +143,7 @@ def _causes(
     sensing = build_sensing(empty, open_sight, position_m, setting.table_detector)
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
     shown = (0, views.weather_of_frame[frames], open_sight.entry_of_frame[frames])
+    # Detected in the open, and in the open with full contrast.
     in_the_open = sensing.detected([unit])[shown]
     in_full_light = bright.detected([unit])[shown]
     points = (
@@ -149,6 +153,7 @@ def _causes(
         is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
     )
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
+    # The first cause that applies to each frame.
     causes: list[tuple[Cause, str]] = []
     for frame in range(len(frames)):
         if in_the_open[frame]:
@@ -173,6 +178,7 @@ def _things_between(
     eye = unit.pose.position_m - world.origin_m
     of_triangles, of_standing = names
     things = []
+    # Rays to the visible points of the body; the nearest hit blocks each.
     for frame in frames.tolist():
         view = int(views.view_of_frame[frame])
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
@@ -211,6 +217,7 @@ def _rays(
 def _names(scene: Scene, runs: Sequence[Run]) -> Names:
     """Names of things: by triangle of the scene, and by parked body."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
+    # Equal names of one obstruction are numbered.
     of_standing = []
     for parked in find_obstructions(runs)[0]:
         bodies = [body.actor.name for body in parked]
@@ -355,6 +362,7 @@ def _find_miss(
     rule = problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]
+    # Frames from which braking in time could follow.
     counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
     detected = _detected_in(problem.table, run)[chosen]
     parties = np.vstack([detected, *_seen_by_vut(problem, run)])
@@ -363,12 +371,14 @@ def _find_miss(
         together = seen
     else:
         together = parties
+    # The first confirmation after the last moment tells how late it is.
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
     braking_s = (
         np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf)
         + rule.latency_s
     )
     is_hopeless = int(counts.sum()) < rule.n_confirmations
+    # The first outcome that applies.
     outcomes: tuple[tuple[Outcome, bool], ...] = (
         ("hopeless", is_hopeless),
         ("never seen", not seen.any()),
@@ -415,6 +425,7 @@ def _find_joining(
 
     They are (n,); a distance is that to the nearest chosen unit, in metres.
     """
+    # Neither budgets nor forced units and sites matter here.
     limits = replace(
         problem.limits,
         budget_units=None,
@@ -456,6 +467,7 @@ def _nearest_rescue(
             axis=0
         )
     last_brake_s = float(axis.last_brake_time_s[run])
+    # A candidate helps if its track is alive at the last moment.
     confirmed_s = live_confirmation_time_s(
         seen,
         axis.time_s[axis.frames_of(run)],
@@ -465,6 +477,7 @@ def _nearest_rescue(
     saves = np.isfinite(confirmed_s)
     if not saves.any():
         return None
+    # By distance, then by the time of confirmation.
     helping = np.flatnonzero(saves)
     best = helping[np.lexsort((confirmed_s[helping], distance_m[helping]))[0]]
     pose = int(poses[best])
@@ -490,6 +503,7 @@ def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:
     """V[c, f] of the frames of one run, (n_poses, n_frames of the run)."""
     frames = table.axis.frames_of(run)
+    # Unpack only the bytes of this run.
     first_byte = frames.start // 8
     bits = np.unpackbits(
         table.packed[:, first_byte : -(-frames.stop // 8)], axis=1, bitorder="little"

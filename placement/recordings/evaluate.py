@@ -74,6 +74,7 @@ def evaluate_recording(
     if not 0.0 <= min_confidence <= 1.0:
         raise InputError("min_confidence", min_confidence, "a confidence, 0 .. 1")
     form = load_format()
+    # Roadside units first, then the VUT's camera.
     detected = {}
     n_ambiguous = 0
     for unit in recording.units:
@@ -226,6 +227,7 @@ def _detected(
     detected = []
     n_several = 0
     for drive in recording.drives:
+        # Labels of the drive's class in this frame.
         for key, distance_m in zip(
             drive.frames, drive.distance_m.tolist(), strict=True
         ):
@@ -239,6 +241,7 @@ def _detected(
                     min(labels, key=lambda label: abs(label.distance_m - distance_m))
                 ]
             n_several += len(labels) > 1 and not np.isnan(distance_m)
+            # Detections that may match them.
             found = [
                 one
                 for one in (all_found.get(key, ()) if labels else ())

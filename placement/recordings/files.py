@@ -233,6 +233,7 @@ def read_lines(
         fewest = len(names)
     else:
         fewest = least
+    # Lines count from 1.
     for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
         words = [word.strip() for word in text.strip().split(separator)]
         if not any(words):
@@ -318,6 +319,7 @@ def _once(text: str, n_fields: int) -> tuple[str, int]:
     lines = [line.strip() for line in text.splitlines()]
     if len(lines) > 1 and len(set(lines)) == 1:
         return lines[0], len(lines) - 1
+    # The text may be a whole number of repetitions without a break between.
     for n_times in range(2, len(text.split())):
         length, rest = divmod(len(text), n_times)
         part = text[:length]
@@ -459,6 +461,7 @@ def write_folder(
             raise InputError(
                 str(folder), Unquoted("a folder that is not empty"), "a new one"
             )
+        # Write into a temporary folder, and rename it at the end.
         stack.callback(shutil.rmtree, temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         for name in folders:
@@ -479,6 +482,7 @@ def _files(
             actor = _BICYCLE
         else:
             actor = drive.vru_class
+        # After the drive, the frames in which the bodies are back at their starts.
         for frame in [*range(len(drive.distance_m)), *[0] * n_resets]:
             name = FrameKey(drive.scenario, number).file_name
             number += 1

@@ -125,6 +125,7 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
     the same track, where there are tracks), a negative width or height, numbers out of
     range.
     """
+    # Rows are checked in the order of the file.
     kept = list(rows)
     last: dict[int, int] = {}
     for row in kept:
@@ -170,10 +171,12 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
 def _jumping(boxes: RecordedBoxes) -> IntArray:
     """Tracks that move on too far between two of their boxes."""
     left, top, right, bottom = boxes.box_px.T
+    # Boxes of tracks with an area, track by track.
     rows = np.flatnonzero((boxes.track >= 0) & (right > left) & (bottom > top))
     rows = rows[np.argsort(boxes.track[rows], kind="stable")]
     before = rows[:-1]
     after = rows[1:]
+    # How far the middle moved, compared with the height and the frames between.
     moved = 0.5 * np.hypot(np.diff((left + right)[rows]), np.diff((top + bottom)[rows]))
     height = np.maximum((bottom - top)[before], (bottom - top)[after])
     is_same = boxes.track[before] == boxes.track[after]
@@ -309,6 +312,7 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
         raise InputError(str(path), root.tag, "CVML: an element <dataset> with frames")
     step: int | None = None
     last: int | None = None
+    # Frames must be equally far apart.
     for frame in root.iter("frame"):
         place = f"{path}: frame {frame.get('number')}"
         number = Fields(place, frame.attrib).whole("number", least=0)
@@ -367,6 +371,7 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
     far apart (mixed frame rates).
     """
     rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
+    # Each person has one entry in every view.
     for frame, path in enumerate(_files(folder)):
         for person in read_table(json_of(path), tuple[_Person, ...], str(path)):
             if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:
@@ -452,6 +457,7 @@ def find_format(path: Path) -> str:
         raise _unknown(str(path), "a folder without their files")
     if name is not None:
         return name
+    # The first line with words tells the format of a file.
     first = next(
         (one for one in read_text(path, "text").splitlines() if one.strip()), ""
     )

@@ -70,6 +70,7 @@ def pair_boxes(
         got = Unquoted(f"frames up to {found.frame.max()}")
         expected = f"up to {last}, as in {annotated.source}: the same frame rate"
         raise InputError(found.source, got, expected)
+    # Both files must have the same frame rate.
     steps = _step(annotated.frame), _step(found.frame)
     if 0 not in steps and steps[0] != steps[1]:
         got = Unquoted(f"a frame in {steps[1]}")
@@ -83,6 +84,7 @@ def pair_boxes(
     counts = found.is_class(*classes) & (found.score >= min_score)
     pictures = []
     index = []
+    # One picture for each frame, also where nothing is found.
     for frame in range(last + 1 if n_frames is None else n_frames):
         here = np.flatnonzero(annotated.frame == frame)
         labels = here[is_label[here]]
@@ -123,6 +125,7 @@ def seen_shares(annotated: RecordedBoxes) -> FloatArray:
     box whose lower side is further down is nearer.
     """
     shares = np.ones(len(annotated))
+    # Within a frame, nearer people cover those behind them.
     for frame in np.unique(annotated.frame).tolist():
         rows = np.flatnonzero((annotated.frame == frame) & (annotated.track >= 0))
         boxes = annotated.box_px[rows]

@@ -123,6 +123,7 @@ def cut_drives(
     """
     drives: list[Drive] = []
     left_out: Counter[str] = Counter()
+    # Frames of a scenario with the same target speeds.
     for _, group in groupby(
         sorted(world), key=lambda key: (key.scenario, *world[key][1:])
     ):
@@ -155,6 +156,7 @@ def _between_resets(
     """Parts of a sequence of frames, and whether another part comes before."""
     distance, numbers = _laid_out(frames, world)
     _, vut_speed, vru_speed = world[frames[0]]
+    # A cut where the distance rises too much, or many frames are missing.
     fastest_m = (vut_speed + vru_speed) * np.diff(numbers) / form.frame_rate_hz
     is_cut = np.diff(distance) > fastest_m + form.jump_m
     is_cut |= np.diff(numbers) > form.max_gap_s * form.frame_rate_hz
@@ -183,6 +185,7 @@ def _drive(
             first = int(np.argmax(has_moved)) - 1
         else:
             first = len(distance) - 1
+    # Motion is read from the last frames before the impact.
     n_window = round(form.window_s * form.frame_rate_hz)
     is_near = (numbers >= numbers[impact] - n_window) & (numbers < numbers[impact])
     is_near[:first] = False
@@ -201,11 +204,13 @@ def _drive(
         if is_after_reset:
             return RESETS
         return NO_APPROACH
+    # The closing speed must fit the target speeds.
     slowest = abs(vut_speed - vru_speed)
     fastest = vut_speed + vru_speed
     tolerance = form.speed_tolerance
     if not (1.0 - tolerance) * slowest <= closing <= (1.0 + tolerance) * fastest:
         return MISFITS
+    # Missing frames are NaN.
     laid_out = np.full(numbers[impact] - numbers[first] + 1, np.nan)
     laid_out[numbers[first : impact + 1] - numbers[first]] = distance[
         first : impact + 1
@@ -311,6 +316,7 @@ def read_recording(folder: Path) -> Recording:
         names = [*units, form.vut_folder]
     else:
         names = [*units]
+    # WorldData tells the distance in every frame.
     world = {}
     for key, path in _frames(folder / form.world_folder, skipped):
         world[key], n_repeated = read_world(path, form)
@@ -318,6 +324,7 @@ def read_recording(folder: Path) -> Recording:
     labels = {name: _read_all_labels(folder / name, form, skipped) for name in names}
     detections, evaluated = _read_all_detections(folder, names, form, skipped)
     skipped[NO_WORLD] += len(set(evaluated).union(*labels.values()).difference(world))
+    # Drives follow from the distances alone; labels tell their class.
     drives, left_out = cut_drives(world, form)
     skipped += left_out
     if not drives:
@@ -365,6 +372,7 @@ def _find_units(
             Unquoted("no unit"),
             "a folder named 0, 1 .. for each roadside unit",
         )
+    # Anything else in the folder is counted.
     known = {*units, form.vut_folder, form.world_folder, form.eval_folder}
     skipped[OTHER_NAMES] += len({entry.name for entry in entries} - (known & names))
     return units, form.vut_folder in names
@@ -406,6 +414,7 @@ def _read_all_detections(
     if form.vut_folder in names:
         unit_of = dict.fromkeys(form.vut_indices, form.vut_folder) | unit_of
     frames = []
+    # Detections must be of units that have a folder.
     for key, path in _frames(folder / form.eval_folder, skipped):
         frames.append(key)
         detections, n_repeated = read_detections(path, form)

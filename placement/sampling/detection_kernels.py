@@ -32,6 +32,7 @@ def random_bits(key: Any, counter: int) -> Any:
 
     `key` (uint64) is the state that the sequence begins with.
     """
+    # Step the state by the golden ratio, then mix its bits.
     bits = key + np.uint64(counter + 1) * np.uint64(0x9E3779B97F4A7C15)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -50,9 +51,11 @@ def _layers() -> tuple[Array, Array]:
     Both are (n + 1,), from the lowest layer on; the last width is 0.
     """
     density = np.exp(-0.5 * _TAIL**2)
+    # All layers have the area of the lowest one with its tail.
     area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(
         _TAIL / math.sqrt(2.0)
     )
+    # Each further layer is as wide as its area asks for.
     widths = [area / density, _TAIL]
     while len(widths) < _N_LAYERS:
         widths.append(
@@ -80,10 +83,12 @@ def _normal(key: Any, counter: int) -> Any:
     while True:
         # These bits are not in the share
         layer = np.int64(bits & np.uint64(_N_LAYERS - 1))
+        # Most numbers lie within the next narrower layer: done.
         x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]
         if abs(x) < _HALF_WIDTH[layer + 1]:
             return x
         more = random_bits(bits, 0)
+        # The lowest layer goes on in the tail (Marsaglia's method).
         if layer == 0:
             tail = -np.log(_share(more)) / _TAIL
             if -2.0 * np.log(_share(random_bits(bits, 1))) > tail * tail:
@@ -91,6 +96,7 @@ def _normal(key: Any, counter: int) -> Any:
                     return _TAIL + tail
                 return -_TAIL - tail
         else:
+            # At the edge of a layer, the density decides.
             low = _DENSITY[layer]
             high = _DENSITY[layer + 1]
             if low + _share(more) * (high - low) < np.exp(-0.5 * x * x):
@@ -146,11 +152,13 @@ def draw_frames(
     run, and of one that is linked from frame to frame, with this `correlation`;
     `deviations` (2,) are those of the last two.
     """
+    # Innovation of the autoregression, so that its variance stays 1.
     step = np.sqrt(1.0 - correlation**2)
     run = -1
     before = -1
     last = 0.0
     own = 0.0
+    # Frames in the order of the table; those of a run follow one another.
     for frame in range(len(entry_of_frame)):
         entry = entry_of_frame[frame]
         if entry < 0:
@@ -158,6 +166,7 @@ def draw_frames(
         least = limit[weather_of_frame[frame], entry]
         if least == -np.inf:
             continue
+        # Only frames that chance decides need noise.
         if least < np.inf:
             place = place_of_frame[frame]
             if run_of_frame[frame] != run or place < before:
@@ -169,6 +178,7 @@ def draw_frames(
             before = place
             if not deviations[1] * last + own + person[frame] < least:
                 continue
+        # The frame is a detection: set its bit, lowest first.
         packed[frame >> 3] |= np.uint8(1 << (frame & 7))
 
 
@@ -197,12 +207,14 @@ def lose_frames(
     channel", Bell System Technical Journal 39, 1960), with the same share of lost
     frames whatever `again` is.
     """
+    # Only frames that are detections can be lost.
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))
         if not packed[frame >> 3] & bit:
             continue
         run = run_of_frame[frame]
         drawn = place_of_frame[frame]
+        # Go back to the frame in which the present state was drawn.
         while drawn > 0 and not _share(random_bits(again_key, run + drawn)) < again:
             drawn -= 1
         if _share(random_bits(key, run + drawn)) < loss:

@@ -86,11 +86,13 @@ def estimate_mean(
     if samples.min() < lowest - _NO_SPREAD or samples.max() > highest + _NO_SPREAD:
         raise InputError("samples", samples.tolist(), f"{lowest:g} .. {highest:g}")
     n = len(samples)
+    # Rounding must not carry the mean out of its bounds.
     mean = min(max(math.fsum(samples) / n, lowest), highest)
     if n > 1:
         error = float(samples.std(ddof=1)) / math.sqrt(n)
     else:
         error = math.nan
+    # Without spread, the rule of three; else Student's t.
     if np.ptp(samples) <= _NO_SPREAD:
         share = 1.0 - (1.0 - 0.95) ** (1.0 / n)
         low = mean + share * (lowest - mean)
@@ -128,6 +130,7 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     0.6
     """
     samples: FloatArray = np.sort(float_array(apr_by_sample, (-1,), "samples"))
+    # Each world counts fully, in part, or not at all.
     n_counted = max(1.0, tail * len(samples))
     counts = np.clip(n_counted - np.arange(len(samples)), 0.0, 1.0)
     return math.fsum(counts * samples) / n_counted
@@ -156,7 +159,7 @@ def resampled_cvar(
 
 STAGE = "out of sample"
 APART = 100_000
-"""Number of the first world to choose among layouts in; the answer is judged in others."""
+"""First world to choose among layouts in; the answer is judged in others."""
 # Of a world: a draw costs a sixth of a world
 N_DRAWS = 4
 
@@ -284,6 +287,7 @@ def look_at_fresh_worlds(
     In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance
     decides them.
     """
+    # Every unit once, even where several layouts have it.
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
     row = {key: index for index, key in enumerate(units)}
     # Two layouts may call different units the same.
@@ -317,6 +321,7 @@ def look_at_fresh_worlds(
         n_draws=n_draws,
     )
     driving = TrafficCount()
+    # Each world comes once for every draw.
     for draw, (sample, table) in enumerate(worlds):
         index = draw // n_draws
         if draw % n_draws == 0:
@@ -332,6 +337,7 @@ def look_at_fresh_worlds(
                     own, table.axis, setting.rule, fusion
                 )
         detected = table.detected(slice(None))
+        # Layouts are judged for cars that see, and for those that do not.
         for which, layout in enumerate(layouts):
             sent = [
                 (detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units
@@ -364,6 +370,7 @@ def judge_layouts(
     for some in worlds:
         driving += some.driving
     tell_traffic(driving, uncertainty)
+    # APR of each world, and share of the worlds that avoid each run.
     weight = setting.axis.weight
     alone = np.concatenate([some.alone for some in worlds]).mean(axis=0)
     return [

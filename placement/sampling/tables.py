@@ -75,6 +75,7 @@ def build_drawn_tables(
         rays=compute.rays,
         shared=lasting,
     )
+    # Frames that share random numbers, and how noise lasts.
     numbers = draw_index(setting.runs)
     order = link_frames(numbers)
     lasting_noise = detector.lasting
@@ -153,10 +154,12 @@ def _limits(
     )
     sensing = build_sensing(world, sight, position_m, detector)
     limits = np.full((len(candidates), *sensing.contrast.shape), -np.inf)
+    # LiDARs are not drawn: they detect or they do not.
     lidars = [i for i, c in enumerate(candidates) if isinstance(c.sensor, LidarModel)]
     limits[lidars] = np.where(
         sensing.detected([candidates[i] for i in lidars]), np.inf, -np.inf
     )
+    # Probabilities of cameras become limits of a normal number.
     for rows, evidence in sensing.evidence(candidates):
         entries = evidence.draw_index
         for weather, contrast in enumerate(sensing.contrast):
@@ -239,6 +242,7 @@ def sampled_table(
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
     driving = TrafficCount()
     n_as_planned = 0
+    # Worlds are laid end to end along the columns.
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
         n_as_planned += sample.n_as_planned
@@ -323,6 +327,7 @@ def build_sample_tables(
                 )
         return shared[0]
 
+    # Worlds that look as planned wait for one and the same build.
     as_planned: Future[tuple[DetectionTable, ...]] | None = None
     pending: deque[tuple[Sample, Future[tuple[DetectionTable, ...]]]] = deque()
     if at_once == 1:
@@ -408,6 +413,7 @@ def obtain_table(
         drawn = None
     else:
         drawn = sample.drawn_detector
+    # The file's name is the fingerprint of everything that the table depends on.
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
@@ -458,6 +464,7 @@ def _append(
 
     That bit need not begin a byte.
     """
+    # The first bit may lie within a byte: shift the part.
     byte, shift = divmod(first_bit, 8)
     for row in range(0, len(part), _ROWS):
         rows = slice(row, row + _ROWS)
@@ -490,6 +497,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
         return table
     from .detection_kernels import lose_frames
 
+    # Numbers are the same in all weathers.
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
     if drawn.may_fail:
@@ -501,6 +509,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     else:
         mounts = mount_key
     packed = np.array(table.packed)
+    # Only poses that detect anything can lose something.
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         planned = sample.planned[row]
         if is_silent is not None:
@@ -535,6 +544,7 @@ def blinded_frames(sample: Sample) -> BoolArray:
     is_low, sun = _low_sun(sample)
     yaw_rad = np.radians(np.concatenate([run.vut_yaw_deg for run in runs]))
     towards = np.repeat(sun, n_frames, axis=0)
+    # Cosine of the angle between the VUT's heading and the sun.
     cosine = towards[:, 0] * np.cos(yaw_rad) + towards[:, 1] * np.sin(yaw_rad)
     dazzled = np.repeat(is_low, n_frames) & (
         cosine > np.cos(np.radians(blinding.dazzled_within_deg))
@@ -562,6 +572,7 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
         silent |= coins("pole", *pole) < outages.pole_share
         if isinstance(planned.sensor, LidarModel):
             return silent
+        # Optical axis of the unit as it is mounted.
         yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
         axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         is_dazzled: BoolArray = is_low & (sun @ axis > least)
@@ -577,6 +588,7 @@ def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
     coins = _coins(replace(sample, streams=replace(sample.streams, draw=0)))
     is_low = coins("low sun") < blinding.low_sun_share
     is_low &= [pick_weather(run.weather, "runs: weather").sun_lux > 0.0 for run in runs]
+    # Direction of the sun: any yaw, up to a height.
     yaw = 2.0 * np.pi * coins("yaw of the sun")
     height = np.radians(blinding.sun_below_deg) * coins("height of the sun")
     level = np.cos(height)

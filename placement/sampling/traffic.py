@@ -54,6 +54,7 @@ class Footprints:
         normals of two sides is at least the distance of the middles over the root
         of 2, less both radii.
         """
+        # Circles first; rectangles only where these come near.
         east, north = self.middle_m[:, None, :] - others.middle_m[:, :, None]
         reach_m = limit_m + (self.radius_m + others.radius_m[:, None] + _TOGETHER_M)
         other, near = np.nonzero(east**2 + north**2 <= 2.0 * reach_m**2)
@@ -144,6 +145,7 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
     reach = []
     # In all weathers the encounter is one and the same.
     for encounter in {id(run.encounter): run.encounter for run in runs}.values():
+        # The VUT brakes at the impact at the latest.
         speed_mps = encounter.vut_motion.speed_mps
         standstill_s = float(standstill_time_s(speed_mps, rule=rule))
         braking_m = float(
@@ -151,6 +153,7 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
         )
         vut_end_m = float(encounter.vut_motion.distance_m(0.0)) + braking_m
         vru_end_m = float(encounter.vru_motion.distance_m(standstill_s))
+        # Footprints of both along their ways, close to one another.
         for body, motion, end_m, turns in (
             (encounter.vut, encounter.vut_motion, vut_end_m, encounter.vut_reach),
             (encounter.vru, encounter.vru_motion, vru_end_m, encounter.vru_reach),
@@ -209,6 +212,7 @@ class Kerbside:
 
         It faces as the lane is driven.
         """
+        # The end that is farther along the driving direction is the front.
         ends = [self._point(near_m), self._point(near_m + actor.length_m)]
         if self.is_in:
             rear, front = reversed(ends)
@@ -261,6 +265,7 @@ class Street:
         """
         kept: list[PlacedActor] = []
         taken: list[FloatArray] = []
+        # Parked vehicles first, then those that wait.
         drawn = [
             placed
             for name, lanes, fill in (
@@ -270,6 +275,7 @@ class Street:
             for side in lanes
             for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
         ]
+        # Keep each one that touches neither another vehicle nor the scene.
         for placed in drawn:
             corners = placed.footprint_m
             if not touches_any(corners, taken) and self._is_free(
@@ -303,6 +309,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
         end_m = min(traffic.along_arm_m, lane_length_m(lane))
         return Kerbside(lane=lane, is_in=is_in, first_m=first_m, end_m=end_m)
 
+    # Parking lanes of all arms, and entry lanes behind their stop lines.
     for arm in build_junction(scene).arms.values():
         for is_in, lanes in ((True, arm.lanes_in), (False, arm.lanes_out)):
             parking += [
@@ -335,6 +342,7 @@ def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
 
     At the mouth, or `crosswalk_gap_m` before the line on which pedestrians cross.
     """
+    # Parallel lines never cross: then vehicles wait at the mouth.
     line, _ = lane_line(lane, is_in=True, length_m=_MOUTH_M)
     if abs(line.left @ arm.crosswalk.direction) < _PARALLEL:
         return 0.0

@@ -150,6 +150,7 @@ class LatencyJitter:
             n_draws = n_runs
         else:
             n_draws = 1
+        # A budget stands for the whole latency; else the jitter comes on top.
         if self.budget is not None:
             drawn = self.budget.sample_s(rng, n_draws) - rule_latency_s
         elif self.sd_s == 0.0:
@@ -359,6 +360,7 @@ class RoadUsers:
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # Pairs of limits by name; those of ways also by case.
         limits = {name: getattr(self, name) for name in _SPEEDS}
         for way in _WAYS:
             limits |= {
@@ -559,6 +561,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
         vehicles = _read_vehicles(document)
         if vehicles and "traffic" not in document:
             refuse("vehicles", "no section traffic", "where they stand")
+        # A word in place of the section names how units are aimed.
         mounting = document
         # How units are aimed
         if isinstance(aimed := document.get("mounting"), str):
@@ -573,6 +576,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
             "outages": _read_numbers(document, "outages", Outages),
             "blinding": _read_numbers(document, "blinding", Blinding),
         }
+        # Sections whose values are fields of the uncertainty itself.
         for key, keys in _FLAT.items():
             table = _section(document, key, tuple(keys)) or {}
             for number, (word, (field_name, read)) in enumerate(keys.items()):
@@ -589,6 +593,7 @@ def _with_rest(document: Table) -> Table:
     """With the sections of the name that all else is as in."""
     if _AS not in document:
         return document
+    # The named one may itself refer to another.
     named = {name: _shipped()[name] for name in UNCERTAINTY_NAMES}
     given = _with_rest(pick(named, take_text(document, _AS, ""), _AS))
     return {**given, **{key: document[key] for key in document if key != _AS}}
@@ -656,6 +661,7 @@ def _read_road_users(document: Table) -> RoadUsers:
         return RoadUsers(measured=measured)
     limits: dict[str, Any] = {key: _read_list(table, key, where, 2) for key in _SPEEDS}
     nearer = take_number(table, "start_nearer_share", where)
+    # Ways are given by the family of the case.
     known = sorted({case.family for case in load_cases().values()})
     for key in _WAYS:
         by_case = _section(table, key, known, f"{where}.") or {}

@@ -59,6 +59,7 @@ def link_frames(frames: IntArray) -> FrameLinks:
     `frames` are numbers as `draw_index` gives, (n_frames,). Equal ones share their
     random numbers, those that follow one another are linked.
     """
+    # A gap in the numbers begins another run.
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
     run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
@@ -225,6 +226,7 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     in "+1", "+2" and so on.
     """
     axis = setting.axis
+    # How often each run is drawn.
     times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
     if times.max() == 1:
         return setting
@@ -277,6 +279,7 @@ def draw_samples(
     junction; MissingExtraError where SUMO shall drive and is not installed.
     """
     check_whole("samples", n_samples, least=1)
+    # Places for vehicles, and ways to keep clear, are found once.
     traffic = uncertainty.traffic
     if traffic.is_empty:
         street = None
@@ -306,6 +309,7 @@ def draw_samples(
 def _one_ahead(draws: Iterator[Callable[[], Sample]]) -> Iterator[Sample]:
     """The next world is drawn, and SUMO drives in it, while this one is looked at."""
     with ThreadPoolExecutor(1) as pool:
+        # At most one further world is drawn at a time.
         pending = [pool.submit(draw) for draw in islice(draws, 1)]
         while pending:
             sample = pending.pop().result()
@@ -324,6 +328,7 @@ def _draw(
     """Draw one world."""
     axis = setting.axis
     rule = setting.rule
+    # Each kind of uncertainty has random numbers of its own.
     extra_s = uncertainty.latency.draw_s(
         streams.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
@@ -336,6 +341,7 @@ def _draw(
             runs, uncertainty.road_users, rule, streams.rng, setting.scene
         )
         last_s = np.array([run.last_brake_time_s for run in runs])
+    # Parked and waiting vehicles leave the ways of each run free.
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
         standing = clear_of_ways(vehicles, ways, clearance_m=clearance_m)
@@ -355,6 +361,7 @@ def _draw(
             clearance_m=uncertainty.traffic.clearance_m,
             rng=streams.rng("moving traffic"),
         )
+    # Deadlines move by the extra latency; messages are lost as the uncertainty says.
     sample = Sample(
         streams=streams,
         uncertainty=uncertainty,
@@ -389,6 +396,7 @@ def _with_lasting_noise(
     shares = (uncertainty.person_share, uncertainty.unit_person_share)
     if not uncertainty.draws_detections or shares == (0.0, 0.0):
         return setting
+    # One number for each person and run, in all its frames.
     numbers = draw_index(runs)
     drawn = streams.rng("person").standard_normal(len(numbers))
     person = np.zeros(numbers.max() + 1)
@@ -410,6 +418,7 @@ def _as_mounted(
     streams: RandomStreams,
 ) -> tuple[CandidatePose, ...]:
     """Candidates as they are really mounted."""
+    # All poses of one mount share its error.
     spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
     if not spread.any():
         return candidates
@@ -488,6 +497,7 @@ def _draw_one(
     faster_mps = (
         random.uniform(*users.speed_kmh(encounter.vru.class_name)) * MPS_PER_KMH
     )
+    # All numbers are drawn in any case: each is independent of the others.
     nearer_share = random.uniform(0.0, users.start_nearer_share)
     turn_deg = random.uniform(*users.heading_deg.get(run.case.family, (0.0, 0.0)))
     aside_m = random.uniform(*users.path_m.get(run.case.family, (0.0, 0.0)))
@@ -503,6 +513,7 @@ def _draw_one(
         # Who stands or brakes does what the case is about
         speed_mps = planned_mps
         nearer_share = 0.0
+    # Another way is taken if nothing stands in it.
     if turn_deg or aside_m:
         other = change_motion(
             run,
@@ -558,6 +569,7 @@ def change_motion(
     encounter, vru = run.encounter, run.encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
         return None
+    # Another speed, start or acceleration.
     motion = vru
     gains_m = vru.acceleration_distance_m
     if start_mps2 is not None and gains_m > 0.0:
@@ -580,6 +592,7 @@ def change_motion(
             start_time_s=-travel_s,
             acceleration_distance_m=gains_m,
         )
+    # Another way: turned about the impact, then moved aside.
     if turn_deg or aside_m:
         there_m, yaw_deg = vru.path.at(vru.distance_m(0.0))
         shift_m = there_m - rotated(there_m, turn_deg)
@@ -587,6 +600,7 @@ def change_motion(
         east_m, north_m = shift_m.tolist()
         path = MovedPath(path=motion.path, turn_deg=turn_deg, shift_m=(east_m, north_m))
         motion = replace(motion, path=path)
+    # Shift both so that the first contact is at the planned time.
     changed = replace(encounter, vru_motion=motion)
     early_s = first_contact_s(changed)
     if not abs(early_s) <= _MAX_EARLY_S:

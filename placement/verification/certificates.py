@@ -206,6 +206,7 @@ def load_certificate(path: str | Path) -> StoredCertificate:
         kind.
     """
     where = str(path)
+    # Form and version are checked; claims are not.
     document = parse_json(read_text(Path(path), "JSON"), where, "a certificate")
     if isinstance(document, dict):
         schema = document.get("schema")

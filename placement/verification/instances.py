@@ -105,6 +105,7 @@ class Mounts:
             found.append(
                 f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}"
             )
+        # Numbers are compared up to a tolerance, models field by field.
         names = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "latency_s")
         if unit.latency_s is None:
             own_s = math.nan
@@ -140,6 +141,7 @@ class Mounts:
         """
         sites = set(self.sites)
         foot_m = dict(feet_m or {})
+        # Each part of the name must say what the row has.
         for row, name in enumerate(pose_ids):
             parts = _OF_GRID.fullmatch(name)
             if parts is None or parts["site"] not in sites:
@@ -237,6 +239,7 @@ def scene_hash(scene: Scene) -> str:
         add("lane", lane.centreline_m)
     for site in scene.sites:
         add("site", np.concatenate([site.position_m, site.height_range_m]))
+    # Names and words follow as one JSON text.
     words: dict[str, Any] = {
         "name": scene.name,
         "crs": [scene.crs, scene.source_crs],
@@ -414,6 +417,7 @@ def load_stored_problem(path: Path) -> StoredProblem:
             known = _FIELDS
         else:
             known = {**_FIELDS, **_MOUNT_FIELDS}
+        # Nothing but known fields may be there.
         unknown = sorted(set(archive.files) - set(known))
         if unknown:
             refuse(f"{path}: {unknown[0]}", "a field", "none of this name")
@@ -470,6 +474,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
         problem.rule,
     )
     floors = problem.floors
+    # Floors as arrays, one row each.
     counted = [
         (
             np.ones(axis.n_runs, dtype=bool)
@@ -490,6 +495,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
             len(floors), axis.n_runs
         ),
     }
+    # All other fields are attributes of the problem and its parts.
     for owner in (axis, limits, problem, rule):
         values |= {
             name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)
@@ -507,6 +513,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
         for name, value in values.items()
         if value is not None
     }
+    # numpy cuts off null characters at the end of a text.
     for name, array in arrays.items():
         if (
             array.dtype.kind == "U"
@@ -635,6 +642,7 @@ def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> No
     Types must be right, and shapes agree about what their axes count.
     """
     sizes: dict[str, int] = {"2": 2, "3": 3}
+    # Axes with one name must have one length.
     for name, field in known.items():
         if name not in arrays:
             if field.is_optional:

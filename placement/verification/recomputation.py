@@ -93,6 +93,7 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
         poses, where = np.unique(sets, return_inverse=True)
         alone = _margins_of_bits(problem, packed[poses])
         return np.asarray(alone[where.reshape(sets.shape)].max(axis=1))
+    # Any unit may detect: the bits of all units together.
     bits = packed[sets[:, 0]].copy()
     for unit in range(1, n_units):
         bits |= packed[sets[:, unit]]
@@ -119,6 +120,7 @@ def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
     """
     limits = problem.limits
     total = np.zeros(len(sets))
+    # A site is paid with the first of its units.
     for unit in range(sets.shape[1]):
         pose = sets[:, unit]
         total += limits.unit_cost_eur[pose]
@@ -140,6 +142,7 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
         most = np.inf
     else:
         most = limits.budget_units
+    # Each limit by itself, over all sets.
     checks = {"units": everyone & (1 <= n_units <= most)}
     if limits.budget_eur is not None:
         checks["money"] = costs_eur(problem, sets) <= limits.budget_eur + EPSILON_EUR
@@ -195,9 +198,11 @@ def _left(
     else:
         at = sets
     smallest = np.full(len(sets), np.inf)
+    # All ways in which units or sites can fail.
     for chosen in combinations(range(sets.shape[1]), n_failures):
         has_failed = (at[:, :, None] == at[:, None, list(chosen)]).any(axis=2)
         patterns, which = np.unique(has_failed, axis=0, return_inverse=True)
+        # Sets in which the same columns fail are evaluated together.
         for number, pattern in enumerate(patterns):
             rows = which.ravel() == number
             left = _apr(problem, margins_s(problem, sets[rows][:, ~pattern]), floor)
@@ -289,6 +294,7 @@ def _margins_of_bits(
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
     # When last
     seen_s = np.full((len(bits), axis.n_runs), -np.inf)
+    # Frame by frame, all sets and runs at once.
     for position in range(int(length.max())):
         runs = slice(int(np.count_nonzero(length > position)))
         frame = start[runs] + position
@@ -338,6 +344,7 @@ def most_units(problem: "PlacementProblem") -> int:
     """No layout has more units."""
     limits = problem.limits
     usable = usable_poses(problem)
+    # Room at the sites, number of units, and money limit it.
     most = sum(
         min(
             int(limits.site_capacity[site]),
@@ -369,6 +376,7 @@ def simple_limits(
     usable = usable_poses(problem)
     margin_s = margins_of_all_s(problem, usable)
     counts = (margin_s > -np.inf) & (weight > 0.0)
+    # All usable poses together reach the most.
     most_apr = float(_apr(problem, margin_s[None, :])[0])
     smallest_s = mean_s = (
         float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
@@ -381,10 +389,12 @@ def simple_limits(
     ):
         smallest_s = float(margin_s[counts].min())
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
+    # With failures, as much is left as all poses have, if one stays.
     most = most_units(problem)
     nobody = np.empty((1, 0), dtype=np.int64)
     # When all units have failed
     of_vut = float(_apr(problem, margins_s(problem, nobody))[0])
+    # The least cost is that of the forced units, or of the cheapest pose.
     forced = np.flatnonzero(limits.is_forced)
     price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     least_eur = float(price[usable].min(initial=np.inf))
@@ -439,6 +449,7 @@ def neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> Iterator[Int
     """
     layout = np.array(rows, dtype=np.int64)
     others = np.setdiff1d(usable_poses(problem), layout)
+    # One unit less, one exchanged, one more.
     fewer = [np.delete(layout, index) for index in range(len(layout))]
     if len(layout) > 1:
         yield np.array(fewer)
@@ -466,6 +477,7 @@ def best_others(
     are left out; so are, from each stage on, those that are not as good in it as
     what is claimed.
     """
+    # Sets within all limits and floors.
     alive = []
     for sets in families:
         kept = sets[np.logical_and.reduce(list(limit_checks(problem, sets).values()))]
@@ -473,6 +485,7 @@ def best_others(
             kept = kept[floor_values(problem, floor, kept) >= floor.share - EPSILON]
         alive.append(kept)
     best = []
+    # Stage by stage, sets that are worse than claimed drop out.
     for stage in stages:
         objective = Objective(stage.name)
         if objective.is_minimised:

@@ -147,6 +147,7 @@ def verify_certificate(
     """
     report = on_stage or (lambda stage: None)
     report("recompute the layout's values")
+    # Form first: instance, model, poses, layout file, mounts.
     checks = [
         *_instance_checks(problem, stored, mounts),
         *_model_checks(problem, stored),
@@ -176,6 +177,7 @@ def verify_certificate(
         checks.append(
             Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text)
         )
+    # Each stage: its numbers, and whether a simple bound proves it.
     limits = simple_limits(problem, stored.stages)
     proofs = []
     for stage, claim in zip(stored.stages, stored.claims, strict=True):
@@ -235,6 +237,7 @@ def _model_checks(
     expected = [objective.value for objective in stage_names(problem)]
     is_so = names == expected and stored.model.get("stages") == expected
     table, axis = problem.table, problem.table.axis
+    # Sizes before presolve follow from the problem.
     n_windows = np.maximum(
         np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
     ).sum()
@@ -301,6 +304,7 @@ def _layout_check(
     """True if the layout file has the same units, and sites where the problem has."""
     if [dict(unit) for unit in shown] != [dict(unit) for unit in stored.units]:
         return Check("layout file", False, "it does not show the certificate's units")
+    # Units share a site in the file if they share one in the problem.
     sites = [unit.get("site") for unit in shown]
     rows = stored.pose_index
     for (site, row), (other_site, other_row) in combinations(
@@ -332,6 +336,7 @@ def _mount_checks(
     table = problem.table
     limits = problem.limits
     misnamed = mounts.misnamed(table.pose_ids)
+    # Poses of one site of the problem share a site of the scene.
     of_index: dict[int, str] = {}
     torn = [
         f"{table.pose_ids[row]} is elsewhere"
@@ -341,6 +346,7 @@ def _mount_checks(
     prices = np.array([sensor.price_eur for sensor in mounts.sensors])[
         mounts.sensor_index
     ]
+    # Existing units may cost nothing.
     is_paid = (limits.unit_cost_eur == prices) | (
         (limits.unit_cost_eur == 0.0) & limits.is_forced
     )
@@ -429,6 +435,7 @@ def _compare(
     """
     if all(proof.is_proven_again for proof in proofs):
         return checks, proofs
+    # All sets if they are few, else the neighbours of the layout.
     most = min(max_sets, _MAX_LOOKS // problem.table.axis.n_frames)
     n_all = n_sets_of_all(problem)
     n_near = n_neighbours(problem, stored.pose_index)
@@ -446,6 +453,7 @@ def _compare(
     best = best_others(problem, stored.stages, families)
     checks = checks.copy()
     proofs = proofs.copy()
+    # A set beyond a bound disproves it.
     for index, (stage, other) in enumerate(zip(stored.stages, best, strict=True)):
         slack = _SOLVER_TOLERANCE * max(1.0, abs(stage.bound))
         excess = Objective(stage.name).excess(other.value, stage.bound)

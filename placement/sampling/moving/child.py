@@ -47,6 +47,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
             *("--duration-log.disable", "--random-depart-offset", "0"),
         ]
     )
+    # Samples (vehicle, step, east, north, angle), and the type of each vehicle.
     rows: list[tuple[float, ...]] = []
     number: dict[str, int] = {}
     types: list[str] = []
@@ -55,6 +56,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
         libsumo.vehicletype.copy(job["first_type"], VUT)
         for name in ("Length", "Width", "Height"):
             getattr(libsumo.vehicletype, f"set{name}")(VUT, job["vut"][name.lower()])
+    # Between windows traffic only flows; within them it is recorded.
     for index, window in enumerate(job["windows"]):
         while now < window["first_step"]:
             libsumo.simulationStep()
@@ -70,6 +72,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
             libsumo.simulationStep()
             n_departed += _others(libsumo.simulation.getDepartedIDList())
             now += 1
+            # Vehicles within reach, in the order in which they were first seen.
             near = libsumo.junction.getContextSubscriptionResults(job["junction"])
             for vehicle, values in near.items():
                 if vehicle == vut.id:

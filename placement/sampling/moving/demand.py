@@ -156,6 +156,7 @@ def _read(document: Table, where: str, name: str) -> Demand:
     kinds = tuple(
         _read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries)
     )
+    # Shares must sum to 1.
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
     for what, shares in (
         ("vehicles: share", [k.share for k in kinds]),
@@ -243,6 +244,7 @@ def write_routes(
             f' height="{body.height_m}"/>'
         )
     lines.append("</vTypeDistribution>")
+    # One flow for each way; exits of a turn share its vehicles evenly.
     n_flows = 0
     for arm, turns in ways.items():
         total = sum(demand.turns[turn] for turn in turns)

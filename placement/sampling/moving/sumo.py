@@ -122,6 +122,7 @@ def build_network(
     junction = build_junction(scene)
     origin: FloatArray = scene.outline_m.mean(axis=0)
     plain = _Plain(origin_m=origin, speed_mps=speed_limit_mps, approach_m=approach_m)
+    # Edges of each arm, into the junction and out of it.
     entry = {n: plain.add_arm(arm, is_in=True) for n, arm in junction.arms.items()}
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = (
@@ -134,6 +135,7 @@ def build_network(
             got = "no lane out of it"
         refuse(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
+    # Sites and things of the scene tell if there are lights.
     kinds = {site.kind for site in scene.sites} | {
         thing.class_name for thing in scene.instances
     }
@@ -184,6 +186,7 @@ class _Plain:
             lane.centreline_m[::-1] if is_in else lane.centreline_m for lane in lanes
         ]
         length_m = np.array([lane_length_m(lane) for lane in lanes])
+        # Distances at which lanes end, farthest last.
         cuts = [float(length_m.max())]
         for one in sorted(length_m.tolist(), reverse=True):
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
@@ -192,6 +195,7 @@ class _Plain:
         stem = f"{arm.name}-{'in' if is_in else 'out'}"
         inner = JUNCTION
         names = []
+        # One edge for each piece, outwards from the junction.
         for number, (near_m, far_m) in enumerate(pairwise(cuts)):
             is_last = number == len(cuts) - 2
             members = [
@@ -256,6 +260,7 @@ class _Plain:
 
     def connect(self, junction: Junction) -> None:
         """Write the map's own lanes through the junction, where it has some."""
+        # Each pair of an entry lane and an exit lane of another arm.
         for arm in junction.arms.values():
             for entry in arm.entry_lanes:
                 for other in junction.arms.values():
@@ -306,6 +311,7 @@ def _run_netconvert(
         kind = "priority"
     outline = plain.shape(scene.outline_m)
     node = f'<node id="{JUNCTION}" x="0" y="0" type="{kind}" shape="{outline}"/>'
+    # Three plain files go in, one network comes out.
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for ending, root, lines in (
@@ -343,6 +349,7 @@ def _find_ways(
     arm_in = {edges[-1]: arm for arm, edges in entry.items()}
     arm_out = {edges[0]: arm for arm, edges in leaving.items()}
     ways: dict[str, dict[str, dict[str, str]]] = {}
+    # Each connection leads from an entry arm to an exit arm by a turn.
     for connection in re.findall(r"<connection ([^>]*)/>", xml):
         found = dict(re.findall(r'(\w+)="([^"]*)"', connection))
         arm = arm_in.get(found["from"])
@@ -422,11 +429,13 @@ def simulate_windows(
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)
+    # Windows follow one another in random order, with random pauses.
     order = [keys[index] for index in rng.permutation(len(keys)).tolist()]
     pauses_s = rng.uniform(*demand.pause_s, size=len(order))
     now = round(demand.warm_up_s / step_s)
     windows = []
     impact_s = {}
+    # Each window is as long as the longest run of its group.
     for key, pause_s in zip(order, pauses_s.tolist(), strict=True):
         runs = groups[key]
         n_frames = max(len(run.time_s) for run in runs)
@@ -449,6 +458,7 @@ def simulate_windows(
     found = _run(
         job, network, write_routes(demand, network.ways, network.n_entry_lanes)
     )
+    # Samples become trajectories in the world frame.
     samples: FloatArray = found["samples"]
     known = {kind.actor.name: kind.actor for kind in demand.vehicles}
     bodies: tuple[Actor, ...] = tuple(known[name] for name in found["types"].tolist())
@@ -478,6 +488,7 @@ def _vut_drive(
     """
     turns = network.ways.get(run.approach, {})
     first, last = run.vut_yaw_deg[[0, -1]].tolist()
+    # The way is the one that turns as the VUT's path does.
     turned_deg = (last - first + 180.0) % 360.0 - 180.0
     if abs(turned_deg) < 30.0:
         wanted = "straight"
@@ -489,6 +500,7 @@ def _vut_drive(
     leaving = next(iter(exits.values()), "")
     if not leaving:
         return None
+    # SUMO places vehicles by the middle of the front bumper.
     yaw = np.radians(run.vut_yaw_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
     front = (
@@ -506,6 +518,7 @@ def _vut_drive(
 def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
     """Run the child process on a job, and read its arrays."""
     child = Path(__file__).with_name("child.py")
+    # Job and results are files: the process shares nothing else.
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
@@ -600,6 +613,7 @@ class MovingTraffic:
         MissingExtraError
             SUMO is not installed.
         """
+        # All groups drive in one simulation.
         members = {
             key: tuple(runs[index] for index in rows) for key, rows in groups.items()
         }
@@ -616,6 +630,7 @@ class MovingTraffic:
             for key, rows in groups.items()
             for last_s in {float(runs[row].time_s[-1]) for row in rows}
         }
+        # Runs that end at the same moment share a window.
         for (key, _), rows in together.items():
             longest = max((runs[row] for row in rows), key=lambda run: len(run.time_s))
             time_s = longest.time_s + found.impact_s[key]
@@ -654,12 +669,14 @@ def _driving_by(
     The second value says how many are left out.
     """
     n_frames = len(run.time_s)
+    # Vehicles that are in the frames of the run at all.
     near = [
         (body, bool(stands_in[-n_frames:].any()))
         for whole, stands_in in zip(window, in_parked, strict=True)
         if (body := last_frames(whole, n_frames)) is not None
     ]
     meets = meets_road_users(run, [body for body, _ in near], clearance_m=clearance_m)
+    # Who stands in something parked, or is in the way, is left out.
     bodies = tuple(
         body
         for (body, is_in_parked), is_met in zip(near, meets, strict=True)

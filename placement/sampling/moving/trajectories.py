@@ -77,6 +77,7 @@ class Trajectories:
             np.interp(clipped, known_s, column)
             for column in (*self.position_m[rows].T, self.yaw_deg[rows])
         ]
+        # A vehicle is away where its neighbouring samples are far apart.
         after = np.clip(
             np.searchsorted(known_s, time_s - tolerance_s), 0, len(known_s) - 1
         )
@@ -119,6 +120,7 @@ def build_trajectories(
     span_s : (float, float)
         From when to when traffic is known. [s]
     """
+    # Sort by vehicle, then by time.
     order = np.lexsort((time_s, vehicle))
     vehicle = vehicle[order]
     time_s = time_s[order]
@@ -130,7 +132,9 @@ def build_trajectories(
         half_m = 0.5 * np.array([body.length_m for body in bodies])[vehicle]
     else:
         half_m = yaw
+    # From the front bumper back to the middle of the body.
     position = front_m - half_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    # Yaws of a vehicle go on without jumps of a full turn.
     unwrapped = yaw.copy()
     for first, end in pairwise(row_start.tolist()):
         unwrapped[first:end] = np.unwrap(yaw[first:end])
@@ -206,6 +210,7 @@ def cut_window(
         Frames in which a vehicle is farther away are cut; so is who is never near. [m]
     """
     bodies = []
+    # Frames out of reach are NaN; vehicles that are never near are left out.
     for vehicle in trajectories.between(float(time_s[0]), float(time_s[-1])).tolist():
         position, yaw = trajectories.at(vehicle, time_s)
         away = ~(np.hypot(*(position - middle_m).T) <= reach_m)
@@ -243,6 +248,7 @@ def frames_in_parked(
     yaw = np.stack([body.yaw_deg for body in window])
     reach_m = np.array([_reach_m(body.actor) for body in window])
     is_in = np.zeros(yaw.shape, dtype=bool)
+    # Circles around the bodies sort out most frames.
     for placed in parked:
         offset = position - placed.pose.position_m[:2]
         near = np.hypot(*np.moveaxis(offset, -1, 0)) <= reach_m[:, None] + _reach_m(
@@ -276,6 +282,7 @@ def meets_road_users(
     )
     reach_m = np.array([_reach_m(body.actor) for body in traffic])
     meets = np.zeros(len(traffic), dtype=bool)
+    # The VUT, then the VRU.
     for actor, own_m, own_yaw_deg in (
         (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
         (run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
