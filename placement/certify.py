@@ -319,7 +319,10 @@ def grow(
             stopped = "memory"
             break
         # Compare the round's layout with the one before in fresh worlds.
-        judged, this = _round(trial, found, None if best is None else best[2])
+        before = None
+        if best is not None:
+            before = best[2]
+        judged, this = _round(trial, found, before)
         rounds.append(this)
         if best is not None and not (this.low or 0.0) > 0.0:
             if this.low is None:
@@ -347,6 +350,8 @@ def _round(
     """Judge one round's layout in fresh worlds, next to the one before."""
     stage = found.certificate.stages[0]
     gain = None
+    low = None
+    high = None
     mounted = {pose_key(unit) for unit in found.layout.units}
     if before is not None and mounted == {
         pose_key(unit) for unit in before.layout.units
@@ -361,11 +366,13 @@ def _round(
             gain = estimate_mean(
                 judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0)
             )
+            low = gain.low
+            high = gain.high
     return judged, Round(
         worlds=assembly.n_samples,
         in_sample=stage.objective,
         bound=min(1.0, stage.bound),
         mean=judged.estimate.mean,
-        low=None if gain is None else gain.low,
-        high=None if gain is None else gain.high,
+        low=low,
+        high=high,
     )

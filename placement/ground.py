@@ -104,7 +104,8 @@ class GroundSurvey:
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         # Middles of the cells, symmetric about the middle of the junction.
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
-        self.east_m, self.north_m = middle[0] + steps, middle[1] + steps
+        self.east_m = middle[0] + steps
+        self.north_m = middle[1] + steps
         grid = np.stack(np.meshgrid(self.east_m, self.north_m), axis=-1)
         self._points_m = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [
             0.0,

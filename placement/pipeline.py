@@ -465,16 +465,17 @@ class Placement:
     preferred: tuple[SampledApr, SampledApr] | None = None
 
     def __repr__(self) -> str:
-        return (
-            f"Placement({self.layout!r},"
-            f" {'proven' if self.is_proven else 'not proven'})"
-        )
+        proof = "not proven"
+        if self.is_proven:
+            proof = "proven"
+        return f"Placement({self.layout!r}, {proof})"
 
     @property
     def is_proven(self) -> bool:
         """True if every stage is, also those of the highest APR."""
-        others = () if self.highest is None else (self.highest.certificate,)
-        return all(certificate.is_proven for certificate in (self.certificate, *others))
+        if self.highest is not None and not self.highest.certificate.is_proven:
+            return False
+        return self.certificate.is_proven
 
     def __str__(self) -> str:
         return f"{self.layout}\n\n{self.certificate}"
@@ -553,10 +554,9 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     # The answer may be cached, and fresh worlds may prefer the greedy layout.
     compute.progress("optimise", 0, 0)
     found = _cached(assembly, answer)
+    preferred = None
     if asks_worlds:
         found, preferred = _by_worlds(assembly, found)
-    else:
-        found, preferred = (found, None)
     pick = partial(pick_layout, assembly.candidates)
     # Where failures cost less with another layout, that one is the answer.
     solution = found.first

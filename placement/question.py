@@ -201,7 +201,8 @@ def question_fields() -> dict[str, QuestionField]:
     words = load_data(__package__, "question.toml")
     known = {}
     for field in fields(Question):
-        name, kind = field.name, hints[field.name]
+        name = field.name
+        kind = hints[name]
         # Of a value and None
         if get_origin(kind) in (Union, UnionType):
             kind = next(one for one in get_args(kind) if one is not NoneType)

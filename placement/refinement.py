@@ -513,6 +513,7 @@ def refine(
     compute.progress("refine: steps", 0, 0)
     search.turn()
     proven = None
+    after = before
     if improves(search.values, before):
         compute.progress("refine: proof", 0, 0)
         if solver is None:
@@ -520,13 +521,15 @@ def refine(
         else:
             effort = solver
         proven = search.prove(placement, effort, end_s=started_s + time_limit_s)
+    if proven is not None:
+        after = search.values
     refined, all_candidates, moves = proven or (placement, tuple(candidates), ())
     return Refinement(
         unrefined=placement,
         placement=refined,
         candidates=all_candidates,
         before=before,
-        after=before if proven is None else search.values,
+        after=after,
         moves=moves,
         n_tried=len(search.new),
         seconds=now_s() - started_s,

@@ -496,8 +496,11 @@ class Adviser:
     """
 
     def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
-        self._assembly, self._grid, self._compute = assembly, grid, assembly.compute
-        self._wishes, self._setting = assembly.wishes, assembly.setting
+        self._assembly = assembly
+        self._grid = grid
+        self._compute = assembly.compute
+        self._wishes = assembly.wishes
+        self._setting = assembly.setting
         self._live = LiveTable(assembly.setting, compute=assembly.compute)
 
     def best_next(self, units: Sequence[CandidatePose]) -> Advice:
@@ -657,14 +660,19 @@ class Adviser:
         It starts from the mounted units where that is allowed.
         """
         problem = self._problem(units, wishes)
-        has_start = bool(len(units)) and wishes.budget_units is None
-        solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
+        starts = []
+        if len(units) and wishes.budget_units is None:
+            starts.append(np.arange(len(units)))
+        solution = self._solve(problem, starts)
         # Rows before the grid's are mounted units.
         stay = [units[row] for row in solution.pose_index if row < len(units)]
         new = [row for row in solution.pose_index if row >= len(units)]
+        before = None
+        if units:
+            before = placement_value(problem, range(len(units)))
         return Advice(
             units=self._named(stay, self._candidates(units), new, taken=units),
-            before=placement_value(problem, range(len(units))) if units else None,
+            before=before,
             after=placement_value(problem, solution.pose_index),
             certificate=solution.certificate,
         )

@@ -5,7 +5,7 @@ It has scene, runs, braking rule, detectors and radio.
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -171,8 +171,10 @@ def build_rule(question: Question) -> AebRule:
         if getattr(question, name) is not None
     }
     # By default tracks live for ever in the study's cases, as the study reads it.
-    study = is_study_set(question.cases)
-    changes.setdefault("track_memory_s", math.inf if study else load_track_memory_s())
+    memory_s = math.inf
+    if not is_study_set(question.cases):
+        memory_s = load_track_memory_s()
+    changes.setdefault("track_memory_s", memory_s)
     if question.latency_budget:
         if question.latency_s is not None:
             refuse("latency_s", "it beside `latency_budget`", "one of them")
@@ -462,7 +464,10 @@ def _words(
 ) -> tuple[str, ...]:
     """Known words with commas between; none of an empty text."""
     words = split_names(text, where)
-    for word in words if len(words) >= at_least else [text]:
+    checked: Sequence[str] = words
+    if len(words) < at_least:
+        checked = [text]
+    for word in checked:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))
     return words

@@ -104,9 +104,12 @@ def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]
         sum_of = ", ".join(
             f"{name.replace('-', ' ')} {eur:,.0f}" for name, eur in parts.items()
         )
+        sites_of_kind = f"{number} site"
+        if number > 1:
+            sites_of_kind += "s"
         sentences.append(
-            f"No price is known for {number} site{'s' if number > 1 else ''} of the"
-            f" kind {kind}: {sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
+            f"No price is known for {sites_of_kind} of the kind {kind}:"
+            f" {sum(parts.values()):,.0f} EUR each are assumed ({sum_of})."
         )
     if sentences:
         sentences.append(
@@ -332,15 +335,16 @@ def build_problem(
     of the table that a VUT that sees detects in, (n_frames,). Raises InputError as
     :func:`build_limits`, and where a target or floor is no share.
     """
+    survive = wishes.survive
+    if wishes.target is not None or wishes.min_case_apr:
+        survive = 0
     problem = PlacementProblem(
         table=table,
         limits=build_limits(wishes, setting.scene, candidates),
         fusion=fusion,
         rule=setting.rule,
         goal=wishes.goal,
-        survive=(
-            0 if wishes.target is not None or wishes.min_case_apr else wishes.survive
-        ),
+        survive=survive,
         sample_index=sample_index,
         tail=wishes.tail,
         seen_by_vut=seen_by_vut,
@@ -388,10 +392,14 @@ def read_wishes(
     survive, failing = _failures(question.survive)
     counts_money |= question.budget_cost is not None
     counts_money |= bool(question.target) and question.least == "cost"
+    budget_units = None
+    if question.budget is not None:
+        budget_units = question.budget + len(existing)
+    prices = None
+    if counts_money and question.site_cost_eur is None:
+        prices = load_prices()
     return Wishes(
-        budget_units=(
-            None if question.budget is None else question.budget + len(existing)
-        ),
+        budget_units=budget_units,
         budget_eur=question.budget_cost,
         target=_target(question.target),
         saves=question.least,
@@ -404,9 +412,7 @@ def read_wishes(
         forbidden_sites=split_names(question.forbid_site, "forbid_site"),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
-        prices=(
-            load_prices() if counts_money and question.site_cost_eur is None else None
-        ),
+        prices=prices,
         separation_m=question.separation_m,
         tail=_tail(question.risk, question.n_samples),
     )
@@ -461,7 +467,10 @@ def _failures(text: str) -> tuple[int, Failing]:
         )
         raise InputError("survive", text, expected)
     count, what = words.groups()
-    return 1 if count is None else int(count), "site" if what == "site" else "unit"
+    number = int(count or "1")
+    if what == "site":
+        return number, "site"
+    return number, "unit"
 
 
 def _tail(risk: str, n_samples: int) -> float:

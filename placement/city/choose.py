@@ -683,7 +683,8 @@ class _Later:
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
         # Go on with these alone
         self.chosen = np.searchsorted(keep, self.chosen)
-        self.options, self.rows = self.options.taken(keep), self.rows[keep]
+        self.options = self.options.taken(keep)
+        self.rows = self.rows[keep]
         self.held = [(row[keep], least) for row, least in self.held]
         return build_stage(Objective.SMALLEST_MARGIN, value, bound, now_s() - began_s)
 

@@ -387,7 +387,8 @@ class _Watch:
         self._end_s = now_s() + limit_s
         self._limit_s = limit_s
         self._progress = compute.progress
-        self._stage, self._began_s = "begin", time.process_time()
+        self._stage = "begin"
+        self._began_s = time.process_time()
         self._seconds: dict[str, float] = {}
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:

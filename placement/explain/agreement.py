@@ -60,11 +60,9 @@ def find_disagreements(
     Each unit is compared alone, then all fused. `pose_index` are the table's rows
     of the layout's units, in their order.
     """
-    units, axis, detected = (
-        evaluation.layout.units,
-        setting.axis,
-        table.detected(list(pose_index)),
-    )
+    units = evaluation.layout.units
+    axis = setting.axis
+    detected = table.detected(list(pose_index))
     if setting.detector.needs_pictures:
         folder = None
     else:
@@ -97,13 +95,15 @@ def find_disagreements(
         avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
         for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
             differing = [(unit, differing_frames(unit, run)) for unit in parties]
+            frames = np.concatenate([frames for _, frames in differing])
+            party = parties[0].id
+            if is_fused:
+                party = FUSED
             yield Disagreement(
-                party=FUSED if is_fused else parties[0].id,
+                party=party,
                 run_id=axis.run_ids[run],
                 on_table=bool(avoided[run]),
-                n_frames=len(
-                    np.unique(np.concatenate([frames for _, frames in differing]))
-                ),
+                n_frames=len(np.unique(frames)),
                 cause=_cause(setting, differing, on_table),
             )
 

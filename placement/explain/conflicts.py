@@ -19,6 +19,7 @@ from geometry.scene import Scene
 
 from ..candidates import CandidatePose
 from ..optimiser import Limits, PlacementProblem, is_feasible
+from ..optimiser.problem import Goal
 from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 
@@ -281,9 +282,10 @@ def find_relaxation(
     # Demands with a number are optimised: the least or the most that can be had.
     answer = None
     if demand.kind in ("budget_units", "budget_eur"):
-        answer = oracle.least(
-            without, "fewest" if demand.kind == "budget_units" else "cheapest"
-        )
+        goal: Goal = "cheapest"
+        if demand.kind == "budget_units":
+            goal = "fewest"
+        answer = oracle.least(without, goal)
     elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
         if "survive" in kinds:
@@ -666,7 +668,9 @@ class _Words:
         if demand.floor is not None:
             floor = self.problem.floors[demand.floor]
             is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
-            return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
+            if is_max:
+                return _inserted(floor.name, "max")
+            return _inserted(floor.name, f"{floor.share:g}")
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
         items = {
@@ -685,17 +689,16 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return (
-            f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
-        )
+        text = f"`{_FIELDS[kind]}` {number:g}"
+        if kind == "survive":
+            text += self._failing
+        return text
 
     def _way_out(self, relaxation: Relaxation) -> str:
         """A relaxation as a change of the question, in words."""
-        demand, kind, value = (
-            relaxation.demand,
-            relaxation.demand.kind,
-            relaxation.value,
-        )
+        demand = relaxation.demand
+        kind = demand.kind
+        value = relaxation.value
         if demand.floor is not None:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
@@ -714,10 +717,9 @@ class _Words:
                 )
             elif kind == "separation":
                 number = f"{np.floor(value * 100.0) / 100.0:g}"
-            text = (
-                f"`{_FIELDS[kind]}`"
-                f" {number}{self._failing if kind == 'survive' else ''}"
-            )
+            if kind == "survive":
+                number += self._failing
+            text = f"`{_FIELDS[kind]}` {number}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         if relaxation.is_least:

@@ -87,6 +87,9 @@ def find_contributions(
         delay_s = np.where(counts, margin_s, 0.0) - np.where(counts, left_s, 0.0)
         without = placement_value(problem, others)
         share = float(weight[counts].sum())
+        mean_delay_s = 0.0
+        if share:
+            mean_delay_s = float(delay_s @ weight) / share
         found.append(
             Contribution(
                 pose_index=pose,
@@ -95,7 +98,7 @@ def find_contributions(
                 ),
                 marginal_apr=value.apr - without.apr,
                 without=without,
-                mean_delay_s=float(delay_s @ weight) / share if share else 0.0,
+                mean_delay_s=mean_delay_s,
                 max_delay_s=float(delay_s.max(initial=0.0)),
             )
         )
@@ -222,7 +225,9 @@ def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
 
     def key(failure: Failure) -> tuple[float, float]:
         margin_s = failure.smallest_margin_s
-        return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
+        if math.isnan(margin_s):
+            margin_s = -math.inf
+        return failure.apr, margin_s
 
     return tuple(sorted(failures, key=key))
 

@@ -91,7 +91,8 @@ class Oracle:
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float) -> None:
-        self.end_s, self._shared = end_s, presolve_freely(problem)
+        self.end_s = end_s
+        self._shared = presolve_freely(problem)
         self._presolved: dict[int, tuple[Limits, ReducedProblem]] = {}
 
     def left_s(self) -> float:
@@ -161,11 +162,11 @@ class Oracle:
         stages = Stages(problem, found, Effort())
         if n_failures:
             bound = stages.bound_apr_survived()
+            objective = Objective.APR_SURVIVED
         else:
             bound = stages.bound_apr()
-        value = float(
-            found.row.of(Objective.APR_SURVIVED if n_failures else Objective.APR)
-        )
+            objective = Objective.APR
+        value = float(found.row.of(objective))
         return _answer(found, is_proven=bound <= value + SOLVER_TOLERANCE, value=value)
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:

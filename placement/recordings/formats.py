@@ -262,6 +262,9 @@ def kitti_rows(path: Path) -> Iterator[BoxRow]:
         word = fields.words["type"]
         check_one_of(f"{fields.place}: type", word, (*_CLASSES, *_OTHERS))
         level = fields.whole("occluded", most=3)
+        # The level 3 means unknown.
+        if level == 3:
+            level = -1
         name = _CLASSES.get(word, "other")
         yield BoxRow(
             fields.place,
@@ -269,7 +272,7 @@ def kitti_rows(path: Path) -> Iterator[BoxRow]:
             name,
             fields.box(_SIDES),
             track=-1 if name == IGNORE else fields.whole("track"),
-            hidden_level=level if level < 3 else -1,
+            hidden_level=level,
             position_m=_position(fields),
         )
 

@@ -173,16 +173,16 @@ def frames_to_confirm(
             end = 0
             n_row = 0
         is_next = track[row] == last_track and frame[row] + 1 == last_frame
-        if is_found[row]:
-            n_row = (n_row if is_next else 0) + 1
-        else:
+        if not is_found[row]:
             n_row = 0
+        elif is_next:
+            n_row += 1
+        else:
+            n_row = 1
         last_frame = int(frame[row])
         last_track = int(track[row])
         if n_row >= n_confirmations:
             end = last_frame + n_confirmations
         if end:
             waits[row] = end - last_frame
-        else:
-            waits[row] = 0
     return waits

@@ -251,8 +251,11 @@ def out_of_sample_layouts(
     """
     look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
     is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
+    folder = None
+    if is_cached:
+        folder = compute.cache_folder
     worlds = cached_value(
-        compute.cache_folder if is_cached else None,
+        folder,
         "fresh-worlds",
         partial(look, setting, layouts, uncertainty, compute=compute),
         kind=FreshWorlds,
@@ -309,15 +312,14 @@ def look_at_fresh_worlds(
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
     alone = np.zeros(avoided.shape[1:])
     quiet = replace(compute, cache_folder=None, progress=silent)
+    lasting = None
+    if uncertainty.road_users.are_as_planned:
+        lasting = _shared(setting, uncertainty.moving is None, quiet)
     worlds = build_sample_tables(
         samples,
         compute=quiet,
         at_once=compute.workers,
-        lasting=(
-            _shared(setting, uncertainty.moving is None, quiet)
-            if uncertainty.road_users.are_as_planned
-            else None
-        ),
+        lasting=lasting,
         n_draws=n_draws,
     )
     driving = TrafficCount()

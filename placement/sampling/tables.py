@@ -79,7 +79,8 @@ def build_drawn_tables(
     numbers = draw_index(setting.runs)
     order = link_frames(numbers)
     lasting_noise = detector.lasting
-    correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
+    correlation = detector.frame_correlation
+    deviations = np.array([0.0, 1.0])
     person = np.zeros(len(numbers))
     if lasting_noise is not None:
         correlation = lasting_noise.frame_correlation(correlation)
@@ -255,6 +256,9 @@ def sampled_table(
         _log.info(
             "%d of %d drawn runs would have no impact: as planned", n_as_planned, n_all
         )
+    seen_in_all = None
+    if setting.cars:
+        seen_in_all = np.concatenate([each for each in seen if each is not None])
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
@@ -270,11 +274,7 @@ def sampled_table(
         ),
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
         n_samples=n_samples,
-        seen_by_vut=(
-            np.concatenate([each for each in seen if each is not None])
-            if setting.cars
-            else None
-        ),
+        seen_by_vut=seen_in_all,
     )
 
 

@@ -325,7 +325,9 @@ class MeasuredPeople:
             for values in (self.speed_kmh, self.start_mps2)
         )
         is_usual = self.speed_kmh[0] <= planned_kmh <= self.speed_kmh[-1]
-        return (speed if is_usual else planned_kmh), start
+        if not is_usual:
+            speed = planned_kmh
+        return speed, start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -243,15 +243,13 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
             run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
         runs.append(run)
     seen = setting.seen_by_vut
+    if seen is not None:
+        seen = np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()])
     return replace(
         setting,
         runs=tuple(runs),
         axis=build_frame_axis(runs, (axis.weight / times)[rows]),
-        seen_by_vut=(
-            None
-            if seen is None
-            else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()])
-        ),
+        seen_by_vut=seen,
     )
 
 
@@ -566,7 +564,8 @@ def change_motion(
     the last brake time is computed anew. None: the bodies do not touch, or long
     before, somewhere else.
     """
-    encounter, vru = run.encounter, run.encounter.vru_motion
+    encounter = run.encounter
+    vru = encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
         return None
     # Another speed, start or acceleration.
@@ -586,8 +585,11 @@ def change_motion(
             speed_mps=speed_mps,
             acceleration_distance_m=gains_m,
         )
+        path = vru.path
+        if ahead_m:
+            path = MovedPath(path=path, ahead_m=ahead_m)
         motion = Motion(
-            path=MovedPath(path=vru.path, ahead_m=ahead_m) if ahead_m else vru.path,
+            path=path,
             speed_mps=speed_mps,
             start_time_s=-travel_s,
             acceleration_distance_m=gains_m,

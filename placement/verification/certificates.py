@@ -239,18 +239,18 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
     """
     words = load_data("placement", "certificate.toml")
     formulas = words["formulas"]
-    avoided = words["avoided"]
-    parts = words["parts"]
     if problem.limits.failing == "site":
         formulas |= words["site_formulas"]
-    return {
-        "fusion": words["fusion"][problem.fusion],
-        "avoided": avoided["always"]
-        + ("" if is_never_lost(problem.rule) else avoided["and_alive"]),
-        **({"levels": parts["levels"]} if has_levels(problem.table.axis) else {}),
-        **({} if problem.seen_by_vut is None else {"cars": parts["cars"]}),
-        **{name: formulas[name] for name in stages},
-    }
+    avoided = words["avoided"]["always"]
+    if not is_never_lost(problem.rule):
+        avoided += words["avoided"]["and_alive"]
+    told = {"fusion": words["fusion"][problem.fusion], "avoided": avoided}
+    # Parts of the model that not every problem has.
+    if has_levels(problem.table.axis):
+        told["levels"] = words["parts"]["levels"]
+    if problem.seen_by_vut is not None:
+        told["cars"] = words["parts"]["cars"]
+    return told | {name: formulas[name] for name in stages}
 
 
 def cars_of(problem: PlacementProblem) -> float:

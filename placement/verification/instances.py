@@ -467,12 +467,10 @@ def is_never_lost(rule: AebRule) -> bool:
 
 def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     """Arrays of a problem, by the names of the file's fields."""
-    table, axis, limits, rule = (
-        problem.table,
-        problem.table.axis,
-        problem.limits,
-        problem.rule,
-    )
+    table = problem.table
+    axis = table.axis
+    limits = problem.limits
+    rule = problem.rule
     floors = problem.floors
     # Floors as arrays, one row each.
     counted = [

@@ -205,7 +205,9 @@ def verify_certificate(
 
 def _check(name: str, wrong: Sequence[str], right: str) -> Check:
     """A check that fails with the first of what is wrong."""
-    return Check(name, not wrong, wrong[0] if wrong else right)
+    if wrong:
+        return Check(name, False, wrong[0])
+    return Check(name, True, right)
 
 
 def _instance_checks(
@@ -236,7 +238,8 @@ def _model_checks(
     names = [stage.name for stage in stored.stages]
     expected = [objective.value for objective in stage_names(problem)]
     is_so = names == expected and stored.model.get("stages") == expected
-    table, axis = problem.table, problem.table.axis
+    table = problem.table
+    axis = table.axis
     # Sizes before presolve follow from the problem.
     n_windows = np.maximum(
         np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0

@@ -192,7 +192,9 @@ class _Plain:
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
                 cuts.append(one)
         cuts = [0.0, *reversed(cuts)]
-        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        stem = f"{arm.name}-out"
+        if is_in:
+            stem = f"{arm.name}-in"
         inner = JUNCTION
         names = []
         # One edge for each piece, outwards from the junction.
@@ -213,9 +215,10 @@ class _Plain:
                 outer, np.mean([points[-1] for _, points in members], axis=0), is_last
             )
             name = f"{stem}-edge-{number}"
-            self._add_edge(
-                name, members, (outer, inner) if is_in else (inner, outer), is_in
-            )
+            ends = (inner, outer)
+            if is_in:
+                ends = (outer, inner)
+            self._add_edge(name, members, ends, is_in)
             if number == 0:
                 for index, (lane, _) in enumerate(members):
                     self.at_junction[is_in, lane.id] = (name, index)
@@ -264,7 +267,9 @@ class _Plain:
         for arm in junction.arms.values():
             for entry in arm.entry_lanes:
                 for other in junction.arms.values():
-                    for leaving in other.exit_lanes if other is not arm else ():
+                    if other is arm:
+                        continue
+                    for leaving in other.exit_lanes:
                         lane = junction.connection(entry, leaving)
                         begin = self.at_junction.get((True, entry.id))
                         end = self.at_junction.get((False, leaving.id))
@@ -694,7 +699,10 @@ def load_traffic(source: str, scene: Scene) -> MovingTraffic:
     path = Path(source)
     if source != SUMO and path.suffix.lower() != ".toml":
         raise InputError("traffic", source, f"{SUMO}, or a .toml file of demand for it")
-    demand = load_demand(None if source == SUMO else path)
+    if source == SUMO:
+        demand = load_demand()
+    else:
+        demand = load_demand(path)
     if importlib.util.find_spec("libsumo") is None:
         raise missing_sumo()
     network = build_network(

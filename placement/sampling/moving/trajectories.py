@@ -215,7 +215,8 @@ def cut_window(
         position, yaw = trajectories.at(vehicle, time_s)
         away = ~(np.hypot(*(position - middle_m).T) <= reach_m)
         if not away.all():
-            position[away], yaw[away] = np.nan, np.nan
+            position[away] = np.nan
+            yaw[away] = np.nan
             bodies.append(
                 MovingActor(
                     actor=trajectories.bodies[vehicle], position_m=position, yaw_deg=yaw
