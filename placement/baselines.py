@@ -36,7 +36,7 @@ class RandomLayouts:
     Attributes
     ----------
     n_units : int
-        Of each.
+        Units of each layout.
     apr : (n,) float
         Accident prevention ratio of each, 0..1.
     mean_by_world : (n_worlds,) float

@@ -152,7 +152,7 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
     Parameters
     ----------
     verdict : Verdict
-        Whose.
+        Verdict on the party that is judged.
     axis : FrameAxis
         Runs and their weights.
     run_mask : (n_runs,) bool, optional

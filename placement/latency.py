@@ -58,7 +58,7 @@ class LatencyBudget:
     Attributes
     ----------
     name : str
-        Name.
+        Name of the budget.
     parts : tuple of LatencyPart
         In the order in which they happen; names are unique.
     """

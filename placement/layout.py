@@ -66,7 +66,7 @@ class Layout:
     Attributes
     ----------
     name : str
-        Name.
+        Name of the layout.
     units : tuple of CandidatePose
         The units; ids are unique.
     scene_name : str
@@ -455,7 +455,7 @@ def find_layout(
 
     The only name is carlancap-12, the study's layout. Raises InputError for
     anything else. A list of units with places on earth takes the `scene`; `sensors`
-    are models, as a user lists them, beside the catalogue's.
+    are models, as a user lists them, in addition to the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()

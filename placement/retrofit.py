@@ -446,11 +446,11 @@ class Advice:
     Attributes
     ----------
     units : tuple of CandidatePose
-        All that would hang then; those that stay keep their ids.
+        All that would be mounted then; those that stay keep their ids.
     before, after : PlacementValue
-        What hangs, and what would hang, on the detection table; `before` is None where
-        nothing hangs. Costs are of the same kind: of what is new, or of everything, see
-        the question.
+        Worth of the present and of the new layout on the detection table; `before` is
+        None where nothing is mounted. Costs of both are of the same kind: of what is
+        new, or of everything, as the question says.
     certificate : Certificate, optional
         Of a search; None where all alternatives were tried one by one.
     n_compared : int
@@ -621,7 +621,7 @@ class Adviser:
     def why_not(
         self, units: Sequence[CandidatePose], site_id: str
     ) -> tuple[Advice, Advice]:
-        """Worth of a site: beside the mounted units, and in a layout of as many units.
+        """Worth of a site, with the mounted units and in a layout of as many units.
 
         The first has the best unit there next to all others; the second is the best
         layout of as many units that uses the site, costs of everything. Raises

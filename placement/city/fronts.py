@@ -33,12 +33,12 @@ class Point:
     Attributes
     ----------
     units : int
-        New ones: those that hang there already are not counted.
+        New ones: existing units are not counted.
     cost_eur : float
         Of the new units and their sites. [EUR]
     apr, apr_one_failed, smallest_margin_s, mean_margin_s : float
-        As :class:`placement.optimiser.PlacementValue` has them, with what hangs there
-        already.
+        As :class:`placement.optimiser.PlacementValue` has them, with the existing
+        units.
     """
 
     units: int
@@ -66,7 +66,7 @@ NOTHING = Point(units=0, cost_eur=0.0, **dict.fromkeys(_WORTH, 0.0))
 
 
 def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
-    """A point that takes so much, by what its layout is worth."""
+    """A point by what its layout takes and what it is worth."""
     worth = {name: getattr(value, name) for name in _WORTH}
     return Point(units=units, cost_eur=cost_eur, **worth)
 
@@ -113,7 +113,7 @@ def build_junction_front(
     Parameters
     ----------
     points : iterable of Point
-        Any; one without new units is among them.
+        Points in any order; one without new units is among them.
     by_units, by_cost : sequence of (from, APR)
         Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
 
@@ -281,11 +281,11 @@ class SiteFront:
     Attributes
     ----------
     limits : tuple of float
-        APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites
+        APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites
         are not bounded.
     layouts : tuple of tuple of int
         Good ones with fewer sites than new units: rows of the detection table, with
-        those kept.
+        the existing ones.
     """
 
     limits: tuple[float, ...]

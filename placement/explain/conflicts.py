@@ -201,7 +201,7 @@ class Relaxation:
     Attributes
     ----------
     demand : Demand
-        Which.
+        The demand that gives way.
     value : float
         What can be had in place of its number: units, euros, share, failed units, units
         per site, metres. NaN where it has none.

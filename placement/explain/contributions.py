@@ -267,7 +267,7 @@ def find_next_unit(
     Returns
     -------
     next_unit : NextUnit or None
-        None where no pose fits beside the layout.
+        None where no pose fits next to the layout.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)

@@ -155,7 +155,7 @@ _LOWEST_M = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """One world that may turn out to be.
+    """One sampled world: a setting, and the poses as they are mounted in it.
 
     Attributes
     ----------
