@@ -19,12 +19,12 @@ from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
 from .optimiser.allowed_sets import fitting, is_allowed
 
-# Random layouts that are drawn to compare with
+# Random layouts that are drawn to compare with.
 N_RANDOM = 100
 
-# For each random layout: limits may leave some draws no way to be completed
+# For each random layout: limits may leave some draws no way to be completed.
 _MAX_TRIES = 20
-# Of a lane next to the junction that says where the lane leads
+# Of a lane next to the junction that says where the lane leads.
 _MOUTH_M = 10.0
 
 
@@ -97,7 +97,7 @@ def random_sets(
     # Every set begins with the forced poses; the draws below share what is free.
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
-    # Every set begins alike
+    # Every set begins alike.
     @cache
     def free(units: tuple[int, ...]) -> IntArray:
         return np.flatnonzero(fitting(limits, np.array(units, dtype=np.intp)))
@@ -139,7 +139,7 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     }
     middle = np.mean([*corners.values()], axis=0)
 
-    # Clockwise from north
+    # Clockwise from north.
     def bearing_deg(corner: tuple[str, FloatArray]) -> float:
         east, north = corner[1] - middle
         return float(np.degrees(np.arctan2(east, north))) % 360.0
@@ -163,7 +163,7 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
                 line = line.turned(180.0)
             outward = outward or line
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
-    # An arm has lanes: that is how it was found
+    # An arm has lanes: that is how it was found.
     assert outward is not None
     # The outermost edges are the kerbs.
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
@@ -240,7 +240,7 @@ def _most_direct(
     """
     sites = limits.site_index
     off_deg = off_axis_deg(candidates, looked_at_m).round(6)
-    # Stable: of equally direct ones the first comes first
+    # Stable: of equally direct ones the first comes first.
     order = np.lexsort([off_deg, sites])
     # Forbidden poses and sites without room do not count.
     order = order[

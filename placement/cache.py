@@ -24,14 +24,14 @@ _log = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
-# Of a file of arrays, besides these
+# Of a file of arrays, besides these.
 _OWN = ("format", "fingerprint", "content")
 _HASH_SIZE = 32
-# Arrays in a file; a question has some thirty units, each of a few kilobytes
+# Arrays in a file; a question has some thirty units, each of a few kilobytes.
 MAX_ARRAYS = 500
-# Files of a name; the oldest are removed
+# Files of a name; the oldest are removed.
 MAX_FILES = 100
-# Files of a name of values of any kind, which may have some 20 MB each
+# Files of a name of values of any kind, which may have some 20 MB each.
 MAX_VALUES = 20
 
 
@@ -58,7 +58,7 @@ def _read(path: Path, read: Callable[[BinaryIO], _T], *, what: str) -> _T | None
     except FileNotFoundError:
         return None
     except Exception as error:
-        # Damaged archives raise many kinds: zipfile's, zlib's, tokenize's
+        # Damaged archives raise many kinds: zipfile's, zlib's, tokenize's.
         tell_unused(path, error, what=what)
         return None
 
@@ -91,7 +91,7 @@ def _prune(path: Path, *, most: int) -> None:
         for file in files_by_age[:-most]:
             file.unlink(missing_ok=True)
     except OSError as error:
-        # Somebody else tidies up, or nothing may be removed
+        # Somebody else tidies up, or nothing may be removed.
         _log.info("%s: %s", path.parent, error)
 
 
@@ -188,7 +188,7 @@ class CachedArrays:
         self.arrays |= arrays
         if self._path is None:
             return
-        # Another process may have added some
+        # Another process may have added some.
         known = self._load() | self.arrays
         newest = dict([*known.items()][-MAX_ARRAYS:])
         save_arrays(

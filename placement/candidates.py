@@ -22,7 +22,7 @@ from geometry.terrain import ground_height_m
 from .compute import check_distinct
 from .question import Question, read_number, split_names
 
-# Solvers of differential equations come with it
+# Solvers of differential equations come with it.
 if TYPE_CHECKING:
     from scenarios.aeb import AebRule
 

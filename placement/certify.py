@@ -230,7 +230,7 @@ _STOPPED = (
     "Why no more were tried: same layout, none better beyond chance, or what had run"
     " out."
 )
-# Rounds take so many times the time limit of one, before the last one begins
+# Rounds take so many times the time limit of one, before the last one begins.
 _TIMES = 5
 
 
@@ -331,7 +331,7 @@ def grow(
                 stopped = "no better"
             break
         best = trial, found, judged
-    # The first round is taken in any case
+    # The first round is taken in any case.
     assert best is not None
     # The best round is the last one that was ahead.
     assembly, placement, judged = best

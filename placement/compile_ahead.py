@@ -25,7 +25,7 @@ from .wishes import Wishes
 
 _QUESTION = Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", speeds="50")
 _N_POSES = 300
-# Of the runs, by each pose: so little that three of them leave some
+# Of the runs, by each pose: so little that three of them leave some.
 _SEEN_SHARE = 0.15
 _SEED = 1
 _TIME_LIMIT_S = 20.0
@@ -50,7 +50,7 @@ def compile_ahead() -> None:
     candidates = every[:: max(1, len(every) // _N_POSES)]
     if not is_compiled(grow):
         _optimise(setting, candidates)
-    # The first process may have come to it meanwhile
+    # The first process may have come to it meanwhile.
     if not is_compiled(see):
         layout = Layout(name="made up", units=tuple(candidates[:1]))
         evaluate_layouts([layout], setting, compute=compute)

@@ -39,7 +39,7 @@ def one_blas_thread() -> AbstractContextManager[Any]:
 def _blas() -> Any:
     from threadpoolctl import ThreadpoolController
 
-    # Finding the libraries takes 15 ms
+    # Finding the libraries takes 15 ms.
     return ThreadpoolController()
 
 
@@ -57,7 +57,7 @@ def check_distinct(where: str, names: Sequence[str], expected: str) -> None:
             raise InputError(where, name, expected)
 
 
-# As geometry.raycast has them, which loads numpy
+# As geometry.raycast has them, which loads numpy.
 RAYS = ("auto", "embree", "open3d")
 
 

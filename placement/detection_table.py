@@ -77,11 +77,11 @@ def pack_table(
 
 
 # ---------- levels of a score as runs
-# Unpacked at a time
+# Unpacked at a time.
 _ROWS = 256
 _BELOW = "<"
 _BLIND = " (blind)"
-# From one frame after the last moment to the next, in the clock of a level
+# From one frame after the last moment to the next, in the clock of a level.
 _AT_ONCE_S = 1.0e-12
 
 
@@ -161,7 +161,7 @@ def level_axis(
             if n_frames:
                 time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
             else:
-                # Nobody is in time
+                # Nobody is in time.
                 last_s = -np.inf
         ids.append(name)
         frames.append(np.arange(where.start, where.start + len(time_s)))
@@ -286,7 +286,7 @@ def _at_once(
     n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
     # Frames after it follow one another by a picosecond.
     after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
-    # No moment comes before
+    # No moment comes before.
     if last_s == -np.inf:
         last_s = deadline_s
         after -= after[-1]

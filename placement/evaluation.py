@@ -128,7 +128,7 @@ class Evaluation:
         Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each
         unit by its id.
         """
-        # Takes longer to load than all else here
+        # Takes longer to load than all else here.
         import pandas as pd
 
         fused = {

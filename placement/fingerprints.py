@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-# All whose code may decide an answer
+# All whose code may decide an answer.
 ALL_PACKAGES = (
     "geometry",
     "scenarios",

@@ -26,7 +26,7 @@ from geometry.terrain import ground_height_m, on_ground, terrain_of
 
 from .candidates import CandidatePose
 
-# Height above the road: the middle of a road user
+# Height above the road: the middle of a road user.
 LOOK_AT_M = 1.0
 REACH_M = 45.0
 _SPACING_M = 1.0
@@ -36,7 +36,7 @@ BANDS: tuple[tuple[str, float], ...] = tuple(
 )
 """Bands of pixel density by their least, in pixels per metre, the finest first."""
 
-# Rays end a little before the point
+# Rays end a little before the point.
 _SHORT_OF_M = 0.05
 
 
@@ -163,7 +163,7 @@ def find_ground_coverage(
     )
 
 
-# Whose pixels are counted
+# Whose pixels are counted.
 _ACROSS_M = 0.1
 
 
@@ -186,15 +186,15 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 
 # ---------- private ground
-# Of people who are there; the ground itself may be hidden by a hedge
+# Of people who are there; the ground itself may be hidden by a hedge.
 EYE_HEIGHT_M = 1.5
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
-# Beyond the horizon of every pole: the file is of another place
+# Beyond the horizon of every pole: the file is of another place.
 _FARTHEST_M = 20_000.0
-# Of the world frame: more than twice around the earth
+# Of the world frame: more than twice around the earth.
 _MAX_COORDINATE_M = 1.0e8
-# Of sensors, from which is known what lies open
+# Of sensors, from which is known what lies open.
 _MAX_PLACES = 64
 
 

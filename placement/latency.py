@@ -22,7 +22,7 @@ from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
-# Longer than any run: a larger number is probably in milliseconds
+# Longer than any run: a larger number is probably in milliseconds.
 MAX_LATENCY_S = 10.0
 
 _FILE = "latency.toml"

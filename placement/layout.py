@@ -55,7 +55,7 @@ RESULT_SCHEMAS = tuple(
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
-# From a scene's middle; beyond, a unit or a frame has been mixed up
+# From a scene's middle; beyond, a unit or a frame has been mixed up.
 _MAX_DISTANCE_M = 1000.0
 
 
@@ -113,7 +113,7 @@ class Layout:
 
         Columns are those of :func:`layout_records`.
         """
-        # Takes longer to load than all else here
+        # Takes longer to load than all else here.
         import pandas as pd
 
         return pd.DataFrame(layout_records(self)).set_index("id")
@@ -577,7 +577,7 @@ def unit_record(
         height_m += float(ground_height_m(scene, np.asarray(position)))
     yaw_deg = _one_of(row, where, ("yaw", 1.0), ("bearing", -1.0))
     if read_number(row, "yaw", where) is None:
-        # Counter-clockwise from east
+        # Counter-clockwise from east.
         yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0
     model = str(row.get("model") or "").strip()
     if not model:

@@ -26,10 +26,10 @@ from .visibility.build import N_POINTS
 from .visibility.casting import World, build_world, cast_sight
 from .visibility.sensing import Sensing, build_sensing, reach_m
 
-# Mount positions whose rays are cached: some megabytes each
+# Mount positions whose rays are cached: some megabytes each.
 MAX_MOUNTS = 64
 
-# Poses whose frames are cached: some kilobytes each
+# Poses whose frames are cached: some kilobytes each.
 MAX_ROWS = 4096
 
 _Key = tuple[object, ...]
@@ -54,7 +54,7 @@ class LiveTable:
         self._compute = compute
         self._max_mounts = max_mounts
         self._world: World | None = None
-        # And their reach
+        # And their reach.
         self._mounts: OrderedDict[_Key, tuple[Sensing, float]] = OrderedDict()
         self._rows: OrderedDict[_Key, NDArray[np.uint8]] = OrderedDict()
         self.n_casts = 0
@@ -79,7 +79,7 @@ class LiveTable:
             if known is None:
                 sensor = unit.sensor
                 place = unit.pose.position_m.tolist()
-                # Of all rays
+                # Of all rays.
                 key = (
                     *place,
                     sensor.near_m,
@@ -113,7 +113,7 @@ class LiveTable:
         with one_blas_thread(), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
-                # All, before any is given up
+                # All, before any is given up.
                 mounts = list(pool.map(fill, part))
                 for key, mount in zip(part, mounts, strict=True):
                     self.n_casts += self._mounts.get(key) is not mount

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from geometry.errors import refuse
 
-# Of the program itself: libraries, scene, runs, report
+# Of the program itself: libraries, scene, runs, report.
 _PROGRAM_BYTES = 400 * 2**20
 _BYTES_PER_ENTRY = 0.125 + 1.0
 """Memory per entry of the table: a bit in it, and up to seven copies in presolve."""
@@ -90,7 +90,7 @@ def available_bytes() -> int:
             if line.startswith("MemAvailable:")
         ]
     except (OSError, ValueError):
-        # Not this system's way
+        # Not this system's way.
         pass
     return min(sizes)
 

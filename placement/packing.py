@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 _PLACE = 1  # code of the extension type: number of a part in the list, big-endian
-# Stands in place of a class's name
+# Stands in place of a class's name.
 _ARRAY = ""
 _PLAIN = (bool, int, float, str, NoneType)
 
@@ -26,9 +26,9 @@ def to_bytes(value: object) -> bytes:
     Raises TypeError unless it is made of what this module's docstring names.
     Besides those these are tuples, numbers, text and None; arrays are of numbers.
     """
-    # The last one is the value itself
+    # The last one is the value itself.
     parts: list[Any] = []
-    # Holds what it knows by identity
+    # Holds what it knows by identity.
     places: dict[int, tuple[object, msgspec.msgpack.Ext]] = {}
 
     def plain(value: Any) -> Any:

@@ -221,7 +221,7 @@ class Assembly:
 
         `first` is the number of the first world.
         """
-        # `assemble` reads it with every question
+        # `assemble` reads it with every question.
         assert self.uncertainty is not None
         return out_of_sample_layouts(
             self.setting,
@@ -519,7 +519,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         raise InputError(
             "budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`"
         )
-    # What cannot be met is refused before anything is computed
+    # What cannot be met is refused before anything is computed.
     _ = assembly.limits
     # Detections first, then the optimiser.
     started = time.perf_counter()

@@ -190,7 +190,7 @@ _KEYS = {
     "build_up_s": "brake_build_up",
     "case_range": "range",
 }
-# A key has none
+# A key has none.
 _UNIT = re.compile("_(eur|m|deg|s|mps2)$")
 
 
@@ -203,7 +203,7 @@ def question_fields() -> dict[str, QuestionField]:
     for field in fields(Question):
         name = field.name
         kind = hints[name]
-        # Of a value and None
+        # Of a value and None.
         if get_origin(kind) in (Union, UnionType):
             kind = next(one for one in get_args(kind) if one is not NoneType)
         says = words[name]
@@ -287,7 +287,7 @@ def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     return values
 
 
-# JSON has no infinity
+# JSON has no infinity.
 _ENDLESS = "inf"
 
 

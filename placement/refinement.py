@@ -57,7 +57,7 @@ def certify(
 
 
 # ---------- places, and the steps from one pose to its neighbours
-# Of metres and degrees: finer than anyone mounts
+# Of metres and degrees: finer than anyone mounts.
 _DIGITS = 2
 
 
@@ -197,7 +197,7 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     return _others(poses, unit)
 
 
-# Of the height: each costs rays of its own
+# Of the height: each costs rays of its own.
 LIFTS_M = (1.0, 0.5, 0.25, 0.1)
 
 
@@ -235,9 +235,9 @@ def _others(
 
 
 # ---------- the search
-# Whose rays are cached, some ten megabytes each at the study's junction
+# Whose rays are cached, some ten megabytes each at the study's junction.
 _MAX_MOUNTS = 16
-# Of the time: for the whole grid, when the search is over
+# Of the time: for the whole grid, when the search is over.
 _PROOF_SHARE = 0.4
 _LEAST_SOLVER_S = 1.0
 
@@ -276,7 +276,7 @@ class _Search:
         self.places = build_places(setting.scene, candidates, self.grid.limits)
         self.live = LiveTable(setting, compute=compute, max_mounts=_MAX_MOUNTS)
         self.end_s = end_s
-        # Poses that are not of the grid, by id
+        # Poses that are not of the grid, by id.
         self.new: dict[str, _Tried] = {}
         self.units = [self._of_grid(row) for row in placement.pose_index]
         self.values = objective_values(self.grid, placement.pose_index)
@@ -409,7 +409,7 @@ class _Search:
             for _, new in pair_units(placement.layout.units, poses)
             if new is not None
         )
-        # As the layout has its units
+        # As the layout has its units.
         pose_index = tuple(rows[new] for new in in_order)
         # The certificate says on which poses it rests.
         certificate = certify(
@@ -428,7 +428,7 @@ class _Search:
             pose_index=pose_index,
             nominal=problem,
             nominal_index=pose_index,
-            # Between the poses of the grid there are ever more
+            # Between the poses of the grid there are ever more.
             next_unit=None,
         )
         return refined, candidates, moves

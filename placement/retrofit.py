@@ -425,7 +425,7 @@ def best_joining(
     :func:`placement.optimiser.presolve.presolve_freely`.
     """
     poses = units_of(reduced, each)
-    # None detects anything that counts
+    # None detects anything that counts.
     if not len(poses):
         return int(each[0])
     best = best_with_each(
@@ -435,7 +435,7 @@ def best_joining(
 
 
 # ---------- answers to somebody who plans by hand
-# An APR that is higher by less is the same
+# An APR that is higher by less is the same.
 LEAST_GAIN = 1.0e-9
 
 

@@ -266,9 +266,9 @@ def build_limits(
         )
         distance_m = np.linalg.norm(where_m[:, None, :] - where_m[None, :, :], axis=2)
         pairs = np.argwhere(np.triu(distance_m < wishes.separation_m, k=1))
-        # Existing units may stay
+        # Existing units may stay.
         rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]
-    # Existing units have found room
+    # Existing units have found room.
     capacity = np.maximum(capacity, existing_at)
     cost[existing_at > 0] = 0.0
     # As many units as sites and candidates allow.

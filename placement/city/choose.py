@@ -36,10 +36,10 @@ from .fronts import Options
 CORE_OPTIONS = 4_000
 """Options that the solver gets at first; more where they can be in a better choice."""
 _MAX_CORE = 40_000
-# Of sums, relative
+# Of sums, relative.
 _ROUNDING = 1.0e-9
 _MAX_CUTS = 120
-# The solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
+# The solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum.
 _UNIT_SUM = 1.0e5
 
 
@@ -246,7 +246,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
         if lowest - solved.x[-1] <= 1.0e-9 * max(1.0, abs(lowest)):
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
-            # A limit that is hard to keep
+            # A limit that is hard to keep.
             most *= 100.0
     return np.asarray(best * scale)
 
@@ -343,9 +343,9 @@ def _first(position: IntArray) -> IntArray:
 
 
 # ---------- the choice
-# Scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
+# Scale of rows that hold an earlier stage: the solver's tolerance is 1e-6.
 _HELD = 1.0e5
-# Of the time, for the first stage and its bound
+# Of the time, for the first stage and its bound.
 _STAGES_SHARE = 0.5
 
 
@@ -590,7 +590,7 @@ class _Later:
         smallest = self._smallest_margin()
         # At a given APR, the sum of prevented accidents by their time to spare says the
         # same.
-        # Fewer than before
+        # Fewer than before.
         prevented = self.share[self.options.junction] * self.options.apr
         mean = self._most(
             Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr
@@ -628,7 +628,7 @@ class _Later:
         value = float(profit[self.chosen].sum())
         if objective is not Objective.COST:
             self.held.append((profit, value))
-        # Nothing is prevented: there is no time to spare
+        # Nothing is prevented: there is no time to spare.
         if unit == 0.0:
             return build_stage(objective, 0.0, 0.0, now_s() - began_s)
         return build_stage(
@@ -653,7 +653,7 @@ class _Later:
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low = 0
-        # Levels below low can be kept, those from high on cannot
+        # Levels below low can be kept, those from high on cannot.
         high = len(levels)
         if len(levels):
             bound = float(levels[-1])
@@ -667,7 +667,7 @@ class _Later:
                 answer = self._solve(self._knapsack(profit, rows))
                 found = answer.chosen
                 if found is None and answer.bound > -np.inf:
-                    # The time was up
+                    # The time was up.
                     break
             if found is None:
                 high = middle
@@ -681,7 +681,7 @@ class _Later:
         value = reached()
         # Later stages go on with the options that are left.
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
-        # Go on with these alone
+        # Go on with these alone.
         self.chosen = np.searchsorted(keep, self.chosen)
         self.options = self.options.taken(keep)
         self.rows = self.rows[keep]
@@ -936,7 +936,7 @@ def _solve(
     import cvxpy as cp
 
     n = len(units)
-    # Junction by junction, its year
+    # Junction by junction, its year.
     x = cp.Variable(n * n_years, boolean=True)
     # Each junction is ready in one year.
     one_each = sp.kron(sp.eye_array(n), np.ones((1, n_years)), format="csr")

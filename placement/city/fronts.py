@@ -357,7 +357,7 @@ def front_by_sites(
     # Poses that can be new units at sites with room.
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
-    # What remains is mounted already, or where there is no more room
+    # What remains is mounted already, or where there is no more room.
     if not is_free.any():
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
@@ -380,7 +380,7 @@ def front_by_sites(
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
             parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_existing)
             if are_best and n_units == widest[:n_sites].sum() and parts:
-                # The best one there is
+                # The best one there is.
                 layouts[n_sites, n_units] = parts[0]
                 continue
             fewer = ((n_sites, n_units - 1), (n_sites - 1, n_units))

@@ -202,7 +202,7 @@ def find_front(
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_existing = len(forced)
-    # What the VUT avoids by itself, where there are none
+    # What the VUT avoids by itself, where there are none.
     base = placement_value(problem, forced)
 
     def fronts_of(
@@ -248,7 +248,7 @@ def find_front(
         try:
             by_cost = cost_front(problem, effort=effort())
         except InputError as error:
-            # Else the poses avoid nothing
+            # Else the poses avoid nothing.
             if error.where != "candidates":
                 raise
     # Tiers from all sites to the cheapest ones.

@@ -138,7 +138,7 @@ def _cause(
         return place + "about as many points as it takes"
     # Look again at the first frame that differs.
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
-    # Loads the compiler
+    # Loads the compiler.
     from ..evaluator import build_surroundings, perceive_frames
 
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])

@@ -32,7 +32,7 @@ from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
 
 STAGE = "other priorities"
-# Most time for each alternative: it is mentioned in passing
+# Most time for each alternative: it is mentioned in passing.
 TIME_LIMIT_S = 10.0
 
 
@@ -102,7 +102,7 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-# Front-runners no farther apart are equal: results print a tenth of a point
+# Front-runners no farther apart are equal: results print a tenth of a point.
 EQUAL_APR = 0.001
 
 Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]

@@ -302,7 +302,7 @@ def find_relaxation(
             is_least=answer.is_proven,
             pose_index=answer.pose_index,
         )
-    # Sites may carry any number of units
+    # Sites may carry any number of units.
     if separation is not None and "capacity" not in kinds:
         any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
         separation = replace(separation, site_capacity=any_number)
@@ -479,7 +479,7 @@ def find_conflicts(
             asked[active] = oracle.find(wish.part(active))
         return asked[active]
 
-    # Forced and forbidden, say
+    # Forced and forbidden, say.
     if ask(frozenset()).pose_index is None:
         return ()
     # Take out one smallest conflict after the other.
@@ -509,7 +509,7 @@ def _smallest_conflict(
 
     Where time is short, it is any conflict.
     """
-    # Demands that some set of poses meets together
+    # Demands that some set of poses meets together.
     met = list[frozenset[int]]()
     # Parts in order of size: the first refused one is a smallest conflict.
     for size in range(len(demands) + 1):
@@ -519,7 +519,7 @@ def _smallest_conflict(
             answer = ask(tried)
             if _is_refused(answer):
                 return tried
-            # Time is up
+            # Time is up.
             if answer.pose_index is None:
                 return _thinned(demands, ask)
             met.append(wish.met_by(answer.pose_index, tried))

@@ -106,7 +106,7 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-# For layouts with more units, only single failures are evaluated
+# For layouts with more units, only single failures are evaluated.
 MAX_PAIR_UNITS = 12
 
 

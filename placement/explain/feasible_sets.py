@@ -28,7 +28,7 @@ from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits, check_reach
 
 # ---------- greedy choice
-# Values with failed units take too long to compute for more
+# Values with failed units take too long to compute for more.
 _MAX_ADDED = 12
 
 
@@ -58,7 +58,7 @@ def meets(reduced: ReducedProblem, units: IntArray) -> bool:
 
 # ---------- the oracle
 _FEW_UNITS = 6
-# Of the remaining time, that one question may take
+# Of the remaining time, that one question may take.
 _SHARE_OF_TIME = 0.4
 
 
@@ -149,7 +149,7 @@ class Oracle:
             return _NONE
         reduced = self._presolve(problem)
         measure = measure.of_runs(reduced.run_index)
-        # Nothing that counts can be avoided: any set is as good
+        # Nothing that counts can be avoided: any set is as good.
         if not measure.weight.any():
             return replace(self.find(problem), value=0.0)
         # Ask for all of the measure; what is reached is the most.
@@ -211,7 +211,7 @@ class Oracle:
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
-            # Exchanges take long for more
+            # Exchanges take long for more.
             if len(units) <= _FEW_UNITS:
                 search.keep(improve(reduced, units, search.limit, deadline=deadline))
 

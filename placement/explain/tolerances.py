@@ -183,7 +183,7 @@ class _Errors:
         """Runs that are lost with one unit off."""
         is_lost = self.planned & ~self.avoided[number, kind, step]
         cars = self.setting.cars
-        # By cars that do not see, and that do
+        # By cars that do not see, and that do.
         is_driven = np.array([cars < 1.0, cars > 0.0])
         return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 

@@ -45,7 +45,7 @@ Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "othe
 
 THE_VUT = "the VUT"
 Names = tuple[NDArray[np.object_], list[list[str]]]
-# Rays end this much before the point they are cast to
+# Rays end this much before the point they are cast to.
 _OFF_SURFACE_M = 1.0e-3
 
 

@@ -27,7 +27,7 @@ from geometry.files import (
     write_new,
 )
 
-# That are read; other road users are only written
+# That are read; other road users are only written.
 VRU_CLASSES = (
     "pedestrian",
     "bicycle",
@@ -353,7 +353,7 @@ def _box(row: Fields) -> Box:
 
 
 # ---------- writing
-# As the study's paper spells it
+# As the study's paper spells it.
 _BICYCLE = "bycicle"
 CONFIDENCE = 1.0
 """Of every detection that is written."""
@@ -468,7 +468,7 @@ def write_folder(
             (temporary / name).mkdir(parents=True)
         for file_name, text in texts:
             write_new(temporary / file_name, text)
-        # Onto an empty folder, too
+        # Onto an empty folder, too.
         temporary.rename(folder)
 
 

@@ -197,9 +197,9 @@ _MOT = (
     "visibility",
     "z",
 )
-# The rest is -1, or missing
+# The rest is -1, or missing.
 _MOT_LEAST = 7
-# Fields from 2016 on; in 2015 there were x, y, z in their place
+# Fields from 2016 on; in 2015 there were x, y, z in their place.
 _WITH_CLASSES = 9
 _PEDESTRIAN = 1
 # Ignored: riders, statues, reflections.
@@ -469,7 +469,7 @@ def find_format(path: Path) -> str:
     if first.lstrip().startswith(("{", "[")):
         return COCO
     if not first:
-        # A detector that found nothing
+        # A detector that found nothing.
         return "MOT challenge"
     n_fields = len(first.split(","))
     words = first.split()

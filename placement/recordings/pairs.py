@@ -19,11 +19,11 @@ An assumption: partly hidden stands for up to half, largely hidden for half or m
 """
 
 _FROM_THE_SIDE_DEG = 90.0
-# A box of which more lies in a region to ignore does not count
+# A box of which more lies in a region to ignore does not count.
 _MOSTLY = 0.5
-# With boxes, to tell a frame rate
+# With boxes, to tell a frame rate.
 _LEAST_FRAMES = 10
-# Detections may go on for so long where nobody is annotated any more
+# Detections may go on for so long where nobody is annotated any more.
 _OUTSIDE_FRAMES = 10
 
 

@@ -49,7 +49,7 @@ UNSEEN = "unseen"
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
-# Images and points of the frames
+# Images and points of the frames.
 _OF_FRAMES = (".png", ".bin")
 
 
@@ -178,7 +178,7 @@ def _drive(
     _, vut_speed, vru_speed = world[frames[0]]
     impact = int(np.argmin(distance))
     first = 0
-    # Without the frames in which the bodies stand at their starts, but the last
+    # Without the frames in which the bodies stand at their starts, but the last.
     if is_after_reset:
         has_moved = np.abs(distance - distance[0]) > form.standing_m
         if has_moved.any():

@@ -39,7 +39,7 @@ def random_bits(key: Any, counter: int) -> Any:
     return bits ^ (bits >> np.uint64(31))
 
 
-# Of the ziggurat
+# Of the ziggurat.
 _N_LAYERS = 128
 # where its lowest layer ends, and the tail begins: of 128 layers [2]
 _TAIL = 3.442619855899
@@ -81,7 +81,7 @@ def _normal(key: Any, counter: int) -> Any:
     """A standard normal number."""
     bits = random_bits(key, counter)
     while True:
-        # These bits are not in the share
+        # These bits are not in the share.
         layer = np.int64(bits & np.uint64(_N_LAYERS - 1))
         # Most numbers lie within the next narrower layer: done.
         x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]

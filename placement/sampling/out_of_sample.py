@@ -160,7 +160,7 @@ def resampled_cvar(
 STAGE = "out of sample"
 APART = 100_000
 """First world to choose among layouts in; the answer is judged in others."""
-# Of a world: a draw costs a sixth of a world
+# Of a world: a draw costs a sixth of a world.
 N_DRAWS = 4
 
 
@@ -328,7 +328,7 @@ def look_at_fresh_worlds(
         index = draw // n_draws
         if draw % n_draws == 0:
             driving += sample.driving
-            # Once in each world: nothing repeats in its images
+            # Once in each world: nothing repeats in its images.
             seen = seen_by_vut(sample, quiet)
             if seen is None:
                 own = []
@@ -355,7 +355,7 @@ def look_at_fresh_worlds(
     return FreshWorlds(avoided=avoided / n_draws, driving=driving, alone=alone)
 
 
-# Worlds of one question may be looked at in parts
+# Worlds of one question may be looked at in parts.
 @lru_cache(maxsize=1)
 def _shared(setting: Setting, is_still: bool, compute: Compute) -> SharedScene:
     return share_scene(setting, is_still=is_still, compute=compute)

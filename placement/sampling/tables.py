@@ -185,7 +185,7 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 # ---------- detection tables of sampled worlds
 STAGE = "sampled detection tables"
 _log = logging.getLogger(__name__)
-# Unpacked at a time
+# Unpacked at a time.
 _ROWS = 256
 
 
@@ -316,9 +316,9 @@ def build_sample_tables(
     def share(sample: Sample) -> SharedScene | None:
         """Shared scene of still worlds, built when first asked for."""
         if not sample.uncertainty.road_users.are_as_planned:
-            # They are looked at in other places, world by world
+            # They are looked at in other places, world by world.
             return None
-        # Where all tables are in the cache, nobody asks
+        # Where all tables are in the cache, nobody asks.
         with lock:
             if not shared:
                 is_still = sample.uncertainty.moving is None
@@ -347,7 +347,7 @@ def build_sample_tables(
                 tables = as_planned
                 progress(STAGE, 1, 1)
             pending.append((sample, tables))
-            # One more waits
+            # One more waits.
             if len(pending) > at_once:
                 yield from _received(*pending.popleft())
         while pending:
@@ -608,7 +608,7 @@ def _coins(sample: Sample) -> Callable[..., FloatArray]:
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
 
-    # Poses that may be the same unit share them
+    # Poses that may be the same unit share them.
     @cache
     def draw(*thing: object) -> FloatArray:
         coins = np.empty(len(runs))

@@ -21,9 +21,9 @@ from scenarios.runs import Run
 from .uncertainty import StandingTraffic, VehicleKind
 
 # ---------- ways of VUT and VRU
-# Along a way, from one footprint to the next
+# Along a way, from one footprint to the next.
 _STEP_M = 0.25
-# Bodies nearer than this stand in one another
+# Bodies nearer than this stand in one another.
 _TOGETHER_M = 1.0e-3
 
 GroupKey = tuple[str, str, str]
@@ -173,13 +173,13 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
-# Above kerbs, below bonnets and walls; and just below each roof
+# Above kerbs, below bonnets and walls; and just below each roof.
 _HEIGHTS_M = (
     0.35,
     1.0,
 )
 _BELOW_ROOF_M = 0.1
-# So much of a lane says where it points at its mouth
+# So much of a lane says where it points at its mouth.
 _MOUTH_M = 10.0
 _PARALLEL = 1.0e-3
 

@@ -45,7 +45,7 @@ _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
 }
 _WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
-# Standard deviations from a uniform distribution's mean to its end
+# Standard deviations from a uniform distribution's mean to its end.
 _UNIFORM_REACH = np.sqrt(3.0)
 
 
@@ -87,7 +87,7 @@ class MountingErrors:
     Attributes
     ----------
     height_sd_m : float
-        The same poles, the same view.
+        Standard deviation of the height; poses at one mount share its error. [m]
     """
 
     yaw_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
@@ -482,7 +482,7 @@ _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
     *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
-# What else is as in one of the names
+# What else is as in one of the names.
 _AS = "as"
 # Sections whose values are fields of :class:`Uncertainty` itself: field and reader of
 # each key; but for the first of a section they may be left out.
@@ -565,7 +565,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
             refuse("vehicles", "no section traffic", "where they stand")
         # A word in place of the section names how units are aimed.
         mounting = document
-        # How units are aimed
+        # How units are aimed.
         if isinstance(aimed := document.get("mounting"), str):
             mounting = {"mounting": pick(_shipped()["aimed"], aimed, "mounting")}
         parts: dict[str, Any] = {

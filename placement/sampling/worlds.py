@@ -139,17 +139,17 @@ def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
     return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
 
 
-# Standard deviations: who is off by more, notices
+# Standard deviations: who is off by more, notices.
 _CUT_OFF = 3.0
 # Two thirds of all heights are as planned, a sixth is this much lower, and a sixth
 # higher: in mean, variance and the moments up to the fifth as if they were normal
 # (Gauss and Hermite's rule of three points). Few heights come up again: what hides what
 # from there need not be found out anew.
-# Standard deviations
+# Standard deviations.
 _HEIGHT_STEP = np.sqrt(3.0)
-# Two thirds of all normal numbers are nearer to 0
+# Two thirds of all normal numbers are nearer to 0.
 _LEVEL = 0.9674215661017014
-# Above the road
+# Above the road.
 _LOWEST_M = 0.1
 
 
@@ -237,7 +237,7 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     for row, copy in zip(rows.tolist(), copies.tolist(), strict=True):
         run = setting.runs[row]
         if copy:
-            # One and the same in all weathers
+            # One and the same in all weathers.
             key = (id(run.encounter), copy)
             encounter = encounters.setdefault(key, replace(run.encounter))
             run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
@@ -445,7 +445,7 @@ def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
 # ---------- road users who move otherwise than a case says
 
 
-# Of a contact before the impact: more is another impact, somewhere else
+# Of a contact before the impact: more is another impact, somewhere else.
 _MAX_EARLY_S = 0.3
 
 
@@ -469,7 +469,7 @@ def draw_road_users(
     drawn = []
     n_kept = 0
     for run in runs:
-        # One and the same in all weathers
+        # One and the same in all weathers.
         key = id(run.encounter)
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
@@ -479,7 +479,7 @@ def draw_road_users(
             )
         other = changed[key]
         n_kept += other is None
-        # Its bodies move so in every weather
+        # Its bodies move so in every weather.
         if other is not None:
             run = replace(run, **{name: getattr(other, name) for name in _MOVED})
         drawn.append(run)
@@ -508,7 +508,7 @@ def _draw_one(
             speed_kmh, start_mps2 = measured.draw(random, planned_mps / MPS_PER_KMH)
             speed_mps = speed_kmh * MPS_PER_KMH + faster_mps
     else:
-        # Who stands or brakes does what the case is about
+        # Who stands or brakes does what the case is about.
         speed_mps = planned_mps
         nearer_share = 0.0
     # Another way is taken if nothing stands in it.

@@ -52,11 +52,11 @@ CERTIFICATE_FILE = "certificate.json"
 class StoredUnit(Struct, frozen=True, kw_only=True):
     """A unit of the layout."""
 
-    # Of the detection table
+    # Of the detection table.
     row: _Count
-    # Its name there
+    # Its name there.
     pose: Text
-    # As ``layout.json`` has it
+    # As ``layout.json`` has it.
     unit: dict[str, Any]
 
 
@@ -79,18 +79,18 @@ class StoredCertificate(Struct, frozen=True, kw_only=True):
     As :func:`build_certificate` makes them.
     """
 
-    # What :func:`instance_of` says
+    # What :func:`instance_of` says.
     instance: dict[str, Any]
-    # What :func:`model_of` says, and the names of the "stages" in order
+    # What :func:`model_of` says, and the names of the "stages" in order.
     model: dict[str, Any]
     layout: Annotated[list[StoredUnit], _SOME]
-    # Objectives in order
+    # Objectives in order.
     claims: Annotated[list[Claim], _SOME] = field(name="stages")
     # Is the layout claimed to be the best in all?
     is_proven: bool
-    # Name and version of what the proof rests on
+    # Name and version of what the proof rests on.
     solver: Text
-    # Of the programs that the numbers depend on
+    # Of the programs that the numbers depend on.
     versions: dict[str, Any]
     presolve: _Sizes  # type: ignore[valid-type]  # sizes before and after
 

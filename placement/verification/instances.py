@@ -40,7 +40,7 @@ from ..optimiser import Floor, Limits, PlacementProblem
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
-# Metres and degrees that differ by no more are equal
+# Metres and degrees that differ by no more are equal.
 TOLERANCE = 1.0e-9
 
 _OF_GRID = re.compile(
@@ -145,7 +145,7 @@ class Mounts:
         for row, name in enumerate(pose_ids):
             parts = _OF_GRID.fullmatch(name)
             if parts is None or parts["site"] not in sites:
-                # A unit with a name of its own
+                # A unit with a name of its own.
                 continue
             sensor = self.sensors[int(self.sensor_index[row])]
             for key, value in (
@@ -257,7 +257,7 @@ def scene_hash(scene: Scene) -> str:
     }
     if limits:
         words["speed_limits"] = limits
-    # Else as before scenes had it
+    # Else as before scenes had it.
     if scene.zero_height_m is not None:
         words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())
@@ -312,7 +312,7 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNDAMAGED = "an undamaged instance file (.npz)"
-# Of memory for each byte of a file, unpacked, while it is read and checked
+# Of memory for each byte of a file, unpacked, while it is read and checked.
 _UNPACKED_BYTES = 4
 
 
@@ -354,7 +354,7 @@ def save_problem(
     """
     arrays = _to_arrays(problem, mounts)
 
-    # As numpy's savez_compressed: 6 % larger, a third of its time
+    # As numpy's savez_compressed: 6 % larger, a third of its time.
     def write(
         file: BinaryIO,
     ) -> None:
@@ -501,10 +501,10 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     if is_never_lost(rule):
         del values["track_memory_s"]
     if limits.failing == "unit":
-        # The same file, and hash, as before sites could fail
+        # The same file, and hash, as before sites could fail.
         del values["failing"]
     if set(axis.positions) == {AT_ZERO.name}:
-        # The same file, and hash, as before there were others
+        # The same file, and hash, as before there were others.
         del values["positions"]
     arrays = {
         name: np.asarray(value, dtype=_FIELDS[name].dtype)
@@ -609,7 +609,7 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     ):
         if "kind" not in archive.files:
             refuse(f"{path}: kind", "nothing", f"a text such as {KIND}")
-        # It is open
+        # It is open.
         assert archive.zip is not None
         names = archive.zip.namelist()
         if len(set(names)) < len(names):
@@ -626,7 +626,7 @@ def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     """An array of an archive; InputError if it is none, or damaged."""
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
-    # What does not begin as an array comes as bytes
+    # What does not begin as an array comes as bytes.
     if not isinstance(array, np.ndarray):
         refuse(f"{where}: {name}", "no array", "an array")
     if array.dtype.kind == "U" and not is_text(array):

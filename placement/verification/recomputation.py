@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # ---------- values
 # shares and times that differ by no more are equal: they carry rounding noise
 EPSILON = 1.0e-9
-# So are sums of prices
+# So are sums of prices.
 EPSILON_EUR = 1.0e-6
 
 _BLOCK_BYTES = 1 << 22
@@ -88,7 +88,7 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
         sets = np.column_stack([sets, np.full(len(sets), len(packed) - 1)])
     if n_units == 0:
         return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
-    # Each for itself: the first to confirm counts
+    # Each for itself: the first to confirm counts.
     if problem.fusion == "single":
         poses, where = np.unique(sets, return_inverse=True)
         alone = _margins_of_bits(problem, packed[poses])
@@ -282,10 +282,10 @@ def _margins_of_bits(
     rule = problem.rule
     moment_s = axis.last_brake_time_s - rule.latency_s
     run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    # Times of a run ascend
+    # Times of a run ascend.
     is_in_time = axis.time_s <= moment_s[run_of_frame] + EPSILON
     length = np.bincount(run_of_frame[is_in_time], minlength=axis.n_runs)
-    # Runs that have a frame come before all others
+    # Runs that have a frame come before all others.
     order = np.argsort(-length, kind="stable")
     start = axis.run_start[order]
     last_s = axis.last_brake_time_s[order]
@@ -392,7 +392,7 @@ def simple_limits(
     # With failures, as much is left as all poses have, if one stays.
     most = most_units(problem)
     nobody = np.empty((1, 0), dtype=np.int64)
-    # When all units have failed
+    # When all units have failed.
     of_vut = float(_apr(problem, margins_s(problem, nobody))[0])
     # The least cost is that of the forced units, or of the cheapest pose.
     forced = np.flatnonzero(limits.is_forced)

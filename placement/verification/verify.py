@@ -40,14 +40,14 @@ from .recomputation import (
 if TYPE_CHECKING:
     from ..optimiser import PlacementProblem
 
-# So many sets of poses are compared at most
+# So many sets of poses are compared at most.
 MAX_SETS = 50_000
-# Sets times frames; half a minute
+# Sets times frames; half a minute.
 _MAX_LOOKS = 2_000_000_000
-# Certificates round gaps
+# Certificates round gaps.
 _ROUNDED_GAP = 1.0e-9
 _SIZES = ("poses", "frames", "windows", "runs")
-# Relative; solvers meet their rows and whole numbers up to this
+# Relative; solvers meet their rows and whole numbers up to this.
 _SOLVER_TOLERANCE = 1.0e-6
 
 
@@ -155,7 +155,7 @@ def verify_certificate(
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
     checks += _mount_checks(problem, stored, mounts, units)
     if not all(check.passed for check in checks if check.name in ("poses", "stages")):
-        # There is nothing to recompute
+        # There is nothing to recompute.
         return Verification(checks=tuple(checks), proofs=())
     chosen = np.array([stored.pose_index], dtype=np.int64)
     checks += [

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-# Whoever else imports this file may lack SUMO
+# Whoever else imports this file may lack SUMO.
 if __name__ == "__main__":
     import libsumo
     from libsumo import constants
@@ -138,7 +138,7 @@ class _Vut:
                 _EXACT_MAPPING,
             )
         except libsumo.TraCIException:
-            # No lane within 100 m, or it has driven off the network
+            # No lane within 100 m, or it has driven off the network.
             self.remove()
 
     def remove(self) -> None:

@@ -47,9 +47,9 @@ from .trajectories import (
 )
 
 JUNCTION = "junction"
-# Lanes of an arm whose lengths differ by less go as far as one another
+# Lanes of an arm whose lengths differ by less go as far as one another.
 _SAME_LENGTH_M = 5.0
-# Pieces of an arm shorter than this are no edges of their own
+# Pieces of an arm shorter than this are no edges of their own.
 _SHORTEST_M = 8.0
 _TURN_OF_DIRECTION = {
     "s": "straight",

@@ -13,7 +13,7 @@ from geometry.files import says
 from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
-# A vehicle that is away for longer than so many steps has left and come back
+# A vehicle that is away for longer than so many steps has left and come back.
 _GAP_STEPS = 1.5
 
 
@@ -151,9 +151,9 @@ def build_trajectories(
 
 
 # ---------- windows
-# Vehicles farther than this from the middle of the junction are cut
+# Vehicles farther than this from the middle of the junction are cut.
 REACH_M = 100.0
-# Bodies nearer than this stand in one another
+# Bodies nearer than this stand in one another.
 _TOGETHER_M = 1.0e-3
 
 
@@ -185,7 +185,7 @@ class TrafficCount:
         return text
 
 
-# Nobody drives by
+# Nobody drives by.
 NO_TRAFFIC = TrafficCount()
 
 
