@@ -37,6 +37,8 @@ class Block:
         Mean APR of the layout found in its worlds.
     found : tuple of int
         Rows of the candidates.
+    greedy : tuple of int
+        Rows of the layout that greedy choice finds in its worlds.
     """
 
     first: int

@@ -35,6 +35,8 @@ class LatencyPart:
 
     Attributes
     ----------
+    name : str
+        Name of the step.
     low_s, high_s : float
         Anything between is equally likely; a fixed value where they are equal.
         [s]

@@ -396,6 +396,14 @@ class Highest:
 
     Attributes
     ----------
+    layout : Layout
+        The layout.
+    pose_index : tuple of int
+        Rows of the table that make it.
+    certificate : Certificate
+        Proof that its APR is the highest.
+    problem : PlacementProblem
+        The problem that it solves.
     given_up : float
         APR that might be given up.
     """

@@ -248,6 +248,8 @@ class _Tried:
 
     Attributes
     ----------
+    candidate : CandidatePose
+        The pose.
     origin : int
         Row of the grid's pose that it is, or stands in for: same place, same
         sensor.

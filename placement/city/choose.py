@@ -355,6 +355,10 @@ class District:
 
     Attributes
     ----------
+    name : str
+        Name of the district.
+    junctions : (n,) int
+        Its junctions, by number.
     least_apr : float
         Of their accidents together, by weight.
     """
@@ -565,10 +569,22 @@ class _Later:
 
     Attributes
     ----------
+    options : Options
+        Options that can still be chosen.
     rows : int
         Of all options, those of these.
+    share : (n_junctions,) float
+        Share of each junction in all accidents.
+    wishes : CityWishes
+        Budgets, and what has to be reached.
+    gap : float
+        Relative gap at which a stage counts as settled.
+    end_s : float
+        When the time is up, on the clock of `now_s`. [s]
     held : list of (float, float)
         Rows of at least so much, in shares.
+    chosen : (n_junctions,) int
+        Option chosen so far, for each junction.
     """
 
     options: Options
@@ -768,6 +784,8 @@ class Step:
 
     Attributes
     ----------
+    junction : int
+        Number of the junction.
     row : int
         Of the options: what it has from here on.
     taken : float

@@ -83,8 +83,16 @@ class SolvedJunction:
         Points and bounds.
     layouts : tuple of Layout, optional
         Of each point, existing units too; None: nothing mounted.
+    sites : int
+        Number of sites.
+    poses : int
+        Number of candidate poses.
+    runs : int
+        Number of runs that are driven.
     possible_runs : int
         These, and those for which the junction has no room.
+    frames : int
+        Number of frames of all runs.
     seconds : dict of str to float
         Processor time of the thread that solved it, by stage. [s]
     """

@@ -155,8 +155,16 @@ class _Errors:
 
     Attributes
     ----------
+    setting : Setting
+        Runs, and the share of cars that see.
+    units : sequence of CandidatePose
+        Units as planned.
+    steps : mapping of str to tuple of float
+        Sizes of the errors that were tried, by kind.
     planned : (2, n_runs) bool
         By VUTs that do not see, and that do.
+    avoided : mapping of (int, str, float) to (2, n_runs) bool
+        As `planned`, by number of the unit, kind and step of the error.
     """
 
     setting: Setting

@@ -55,6 +55,8 @@ class Look:
 
     Attributes
     ----------
+    unit : CandidatePose
+        The unit.
     run_index : int
         Of the setting's runs.
     frame_index : (n,) int

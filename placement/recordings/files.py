@@ -43,6 +43,8 @@ class FrameKey(NamedTuple):
 
     Attributes
     ----------
+    scenario : int
+        Index of the scenario in the recording.
     number : int
         Runs on over all drives of the scenario.
     """
@@ -64,16 +66,49 @@ class RecordingFormat:
 
     Attributes
     ----------
+    width_px : int
+        Width of the images. [px]
+    height_px : int
+        Height of the images. [px]
+    frame_rate_hz : float
+        Frames per second. [Hz]
     n_reset_frames : int
         Between two drives.
     vut_folder : str
         All other folders are units and have a number for a name.
+    world_folder : str
+        Folder of the distances and speeds.
+    eval_folder : str
+        Folder of the detections.
     vut_indices : tuple of str
         What stands for the VUT in Eval.
+    label_fields : tuple of str
+        Fields of a line with a label.
+    world_fields : tuple of str
+        Fields of a line in the world folder.
+    eval_fields : tuple of str
+        Fields of a line with a detection.
     actor_types : mapping of str to str
         Spelling to "pedestrian", "bicycle" or "other".
     window_s : float
-        This and the following are those of the section `motion`. [s]
+        Time before the impact in which motion is read. This and the following
+        are those of the section `motion`. [s]
+    min_frames : int
+        Least frames in that window, the impact included.
+    min_closing_speed_mps : float
+        Least speed at which the distance falls; else nothing approaches. [m/s]
+    max_same_direction_deg : float
+        Largest angle between the paths of a VRU that goes the VUT's way. [deg]
+    speed_tolerance : float
+        Deviation of the closing speed from the target speeds, relative.
+    jump_m : float
+        The bodies were put back if the distance rises by this more than the
+        speeds allow. [m]
+    max_gap_s : float
+        Longest gap of missing frames within a drive. [s]
+    standing_m : float
+        The bodies stand while the distance has changed by less since the reset.
+        [m]
     """
 
     width_px: int
@@ -133,8 +168,12 @@ class Detection(NamedTuple):
         As in the file.
     class_name : str
         "pedestrian", "bicycle" or "other".
+    box_px : Box
+        Box around what was found. [px]
     confidence : float
         0 .. 1.
+    line_number : int
+        Line of the file, from 1.
     """
 
     unit: str
@@ -152,7 +191,9 @@ class World(NamedTuple):
     distance_m : float
         Between the origins of VUT and VRU.
     vut_speed_mps : float
-        Target speeds of the drive: the bodies may still stand.
+        Target speed of the VUT in the drive: the bodies may still stand. [m/s]
+    vru_speed_mps : float
+        Target speed of the VRU. [m/s]
     """
 
     distance_m: float
@@ -186,6 +227,8 @@ class Fields:
     ----------
     place : str
         File and line, or file and words.
+    words : mapping of str to str
+        Text of each field, by its name.
     line : int
         Of a file that has lines.
     """

@@ -45,8 +45,24 @@ class BoxRow(NamedTuple):
 
     Attributes
     ----------
+    place : str
+        File, and line or words.
+    frame : int
+        Number of the frame, from 0.
     class_name : str
         "pedestrian", "cyclist", "car", "other" or "ignore".
+    box_px : Box
+        Left, upper, right, lower side. [px]
+    track : int
+        Number of the track; -1: not said.
+    score : float
+        Score of a detector; NaN where the box is annotated.
+    seen_share : float
+        Share that nothing hides, 0 .. 1; NaN: not said.
+    hidden_level : int
+        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
+    position_m : (float, float, float)
+        Middle of the body's foot in the recording's frame; NaN: not said. [m]
     """
 
     place: str
@@ -70,6 +86,8 @@ class RecordedBoxes:
         File that they come from.
     frame : (n,) int
         From 0; consecutive numbers are consecutive frames.
+    class_name : tuple of str
+        Class of each box, as of :class:`BoxRow`.
     box_px : (n, 4) float
         Left, upper, right, lower side; without area: not in view. [px]
     track : (n,) int

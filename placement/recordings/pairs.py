@@ -33,6 +33,8 @@ class PairedBoxes:
 
     Attributes
     ----------
+    pictures : tuple of LabelledPicture
+        One for each frame.
     label_index : (n,) int
         Into the annotated boxes, in the order of the pictures' labels.
     """

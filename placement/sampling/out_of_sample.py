@@ -170,6 +170,8 @@ class SampledApr:
 
     Attributes
     ----------
+    layout : Layout
+        The layout that is judged.
     axis : FrameAxis
         Runs as planned.
     apr_by_sample : (n_samples,) float

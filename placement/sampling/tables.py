@@ -201,6 +201,8 @@ class SampledTable:
         rule says.
     sample_index : (n_runs,) int
         World of each run of `table`, from 0.
+    n_samples : int
+        Number of worlds.
     seen_by_vut : (n_frames,) bool, optional
         Of `table`, where cars see.
     """

@@ -248,6 +248,8 @@ class Street:
         Everything but the ground, relative to `origin_m`.
     origin_m : (3,) float
         Near the junction: rays are cast in single precision. [m]
+    scene : Scene
+        The scene, for the height of its ground.
     """
 
     traffic: StandingTraffic

@@ -374,6 +374,8 @@ class StoredProblem(NamedTuple):
 
     Attributes
     ----------
+    problem : PlacementProblem
+        The problem.
     mounts : Mounts, optional
         None: the file does not say what the poses are.
     """
