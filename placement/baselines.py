@@ -1,4 +1,7 @@
-"""Layouts to compare with: random ones within the same limits, and an expert's rule of thumb."""
+"""Layouts to compare with: random ones, and an expert's rule of thumb.
+
+All of them are within the same limits as the layout itself.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,12 +19,13 @@ from .candidates import CandidatePose
 from .optimiser import Limits, PlacementProblem, apr, run_margins_s
 from .optimiser.allowed_sets import fitting, is_allowed
 
-N_RANDOM = 100  # random layouts that are drawn to compare with
+# Random layouts that are drawn to compare with.
+N_RANDOM = 100
 
-_MAX_TRIES = (
-    20  # for each random layout: limits may leave some draws no way to be completed
-)
-_MOUTH_M = 10.0  # of a lane next to the junction that says where the lane leads
+# For each random layout: limits may leave some draws no way to be completed.
+_MAX_TRIES = 20
+# Of a lane next to the junction that says where the lane leads.
+_MOUTH_M = 10.0
 
 
 # ---------- random layouts
@@ -32,17 +36,15 @@ class RandomLayouts:
     Attributes
     ----------
     n_units : int
-        Of each.
+        Units of each layout.
     apr : (n,) float
         Accident prevention ratio of each, 0..1.
     mean_by_world : (n_worlds,) float
         Mean of all in each sampled world; one number where nothing was sampled.
     """
 
-    n_units: int  # of each
-    apr: FloatArray  # (n,): accident prevention ratio of each, 0..1
-    # (n_worlds,): mean of all in each sampled world; one number where nothing was
-    # sampled
+    n_units: int
+    apr: FloatArray
     mean_by_world: FloatArray
 
     @property
@@ -92,9 +94,11 @@ def random_sets(
     InputError
         A number is below 1.
     """
+    # Every set begins with the forced poses; the draws below share what is free.
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
 
-    @cache  # every set begins alike
+    # Every set begins alike.
+    @cache
     def free(units: tuple[int, ...]) -> IntArray:
         return np.flatnonzero(fitting(limits, np.array(units, dtype=np.intp)))
 
@@ -102,9 +106,11 @@ def random_sets(
     def allowed(units: tuple[int, ...]) -> bool:
         return is_allowed(limits, units)
 
+    # Draw sets until there are enough, or the tries are used up.
     sets: list[tuple[int, ...]] = []
     for _ in range(n * _MAX_TRIES):
         units = forced
+        # Add poses at random until the set is full or nothing fits any more.
         while len(units) < n_units and len(free(units)):
             units = (*units, int(rng.choice(free(units))))
         units = tuple(sorted(units))
@@ -117,7 +123,7 @@ def random_sets(
 
 # ---------- an expert's rule of thumb
 def find_corners(junction: Junction) -> dict[str, FloatArray]:
-    """Corners between neighbouring arms, clockwise from the first one behind north.
+    """Corners between neighbouring arms, clockwise from north.
 
     Named by the two arms, "north/west": midway between where their kerbs reach the
     junction, (2,), world frame, in metres. An arm that is alone has none.
@@ -125,6 +131,7 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     arms = [*junction.arms.values()]
     if len(arms) < 2:
         return {}
+    # A corner is midway between the right kerb of one arm and the left of the next.
     corners = {
         f"{arm.name}/{following.name}": 0.5
         * (_kerbs_m(arm)[0] + _kerbs_m(following)[1])
@@ -132,7 +139,8 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
     }
     middle = np.mean([*corners.values()], axis=0)
 
-    def bearing_deg(corner: tuple[str, FloatArray]) -> float:  # clockwise from north
+    # Clockwise from north.
+    def bearing_deg(corner: tuple[str, FloatArray]) -> float:
         east, north = corner[1] - middle
         return float(np.degrees(np.arctan2(east, north))) % 360.0
 
@@ -140,9 +148,13 @@ def find_corners(junction: Junction) -> dict[str, FloatArray]:
 
 
 def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
-    """Where an arm's kerbs reach the junction: seen from its middle the left and the right one."""
+    """Left and right end of an arm's kerbs at the junction, (2,) each.
+
+    Left and right are as seen from the junction's middle.
+    """
     edges: list[FloatArray] = []
     outward: Line | None = None
+    # Collect both edges of every lane at its mouth.
     for lanes, is_in in ((arm.lanes_in, True), (arm.lanes_out, False)):
         for lane in lanes:
             line, _ = lane_line(lane, is_in=is_in, length_m=_MOUTH_M)
@@ -151,7 +163,9 @@ def _kerbs_m(arm: Arm) -> tuple[FloatArray, FloatArray]:
                 line = line.turned(180.0)
             outward = outward or line
             edges += [line.at(0.0, side * 0.5 * lane.width_m) for side in (1.0, -1.0)]
-    assert outward is not None  # an arm has lanes: that is how it was found
+    # An arm has lanes: that is how it was found.
+    assert outward is not None
+    # The outermost edges are the kerbs.
     to_the_left = outward.coordinates(np.array(edges))[:, 1]
     return edges[int(to_the_left.argmax())], edges[int(to_the_left.argmin())]
 
@@ -163,14 +177,19 @@ def middle_m(scene: Scene) -> FloatArray:
 
 
 def off_axis_deg(poses: Sequence[CandidatePose], point_m: FloatArray) -> FloatArray:
-    """Angles between where poses look and the direction to a point (3,), (n_poses,) in degrees."""
+    """Angles between where poses look and the direction to a point.
+
+    `point_m` is (3,); angles are (n_poses,), in degrees.
+    """
     position = np.array([unit.pose.position_m for unit in poses]).reshape(-1, 3)
     yaw = np.radians([unit.pose.yaw_deg for unit in poses])
     pitch = np.radians([unit.pose.pitch_deg for unit in poses])
+    # Unit vectors along the optical axes, (n_poses, 3).
     ahead = np.stack(
         [np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)], 1
     )
     to_point = point_m - position
+    # The angle by its tangent is exact for small angles, too.
     beside = np.linalg.norm(np.cross(ahead, to_point), axis=1)
     return np.asarray(np.degrees(np.arctan2(beside, (ahead * to_point).sum(axis=1))))
 
@@ -181,12 +200,13 @@ def corner_poses(
     junction: Junction,
     looked_at_m: FloatArray,
 ) -> dict[str, int]:
-    """The pose at each corner of a junction that looks at a point (3,) the most directly.
+    """At each corner, the pose that looks at a point most directly.
 
-    Each corner has a site of its own: the nearest one, and where two corners want the
-    same, those that are the nearest in sum. Corners for which there is no site are left
-    out. Poses and sites that are forbidden do not count; of poses that look equally
-    directly the first one does.
+    `looked_at_m` is the point, (3,), in the world frame. Each corner has a site of
+    its own: the nearest one, and where two corners want the same, those that are
+    the nearest in sum. Corners for which there is no site are left out. Poses and
+    sites that are forbidden do not count; of poses that look equally directly the
+    first one does.
 
     Returns
     -------
@@ -201,9 +221,11 @@ def corner_poses(
     if not corners or not sites:
         return {}
     on_ground = np.array([candidates[row].pose.position_m[:2] for row in best.values()])
+    # Distance of every site (columns) from every corner (rows).
     distance_m = np.array(
         [np.hypot(*(on_ground - corner).T) for corner in corners.values()]
     )
+    # Assign sites to corners so that the sum of distances is smallest.
     pairs = zip(*linear_sum_assignment(distance_m), strict=True)
     names = [*corners]
     return {names[corner]: best[sites[site]] for corner, site in pairs}
@@ -212,15 +234,19 @@ def corner_poses(
 def _most_direct(
     limits: Limits, candidates: Sequence[CandidatePose], looked_at_m: FloatArray
 ) -> dict[int, int]:
-    """At each site that may carry something, the row of the pose that looks there most directly."""
+    """By site, the row of the pose that looks at a point most directly.
+
+    Sites that may carry nothing are left out.
+    """
     sites = limits.site_index
     off_deg = off_axis_deg(candidates, looked_at_m).round(6)
-    order = np.lexsort(
-        [off_deg, sites]
-    )  # stable: of equally direct ones the first comes first
+    # Stable: of equally direct ones the first comes first.
+    order = np.lexsort([off_deg, sites])
+    # Forbidden poses and sites without room do not count.
     order = order[
         ~limits.is_forbidden[order] & (limits.site_capacity[sites[order]] > 0)
     ]
+    # The first row of each site is its most direct pose.
     used, first = np.unique(sites[order], return_index=True)
     return dict(zip(used.tolist(), order[first].tolist(), strict=True))
 
@@ -228,7 +254,9 @@ def _most_direct(
 # ---------- both
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """What to compare with, before anything is known of what it detects: rows of candidates.
+    """Rows of candidates to compare a layout with.
+
+    They are chosen before anything is known of what they detect.
 
     Attributes
     ----------
@@ -243,12 +271,10 @@ class Proposals:
         See :func:`corner_poses`.
     """
 
-    n_units: int  # of each random layout; the expert's has at most as many
-    random: tuple[tuple[int, ...], ...]  # see :func:`random_sets`
-    # for each site that must carry a unit, the one there that looks at the junction's
-    # middle the most directly
+    n_units: int
+    random: tuple[tuple[int, ...], ...]
     forced: tuple[int, ...]
-    corners: dict[str, int]  # see :func:`corner_poses`
+    corners: dict[str, int]
 
     @property
     def rows(self) -> tuple[int, ...]:
@@ -276,7 +302,7 @@ def propose(
     n_units: int,
     rng: np.random.Generator,
 ) -> Proposals:
-    """Random layouts of so many units, and the poses that an expert's rule of thumb knows.
+    """Propose random layouts, and the poses of an expert's rule of thumb.
 
     Raises InputError where the scene has no junction.
     """
@@ -306,13 +332,9 @@ class Baselines:
         Corners whose camera is among them, in the order of choice.
     """
 
-    random: RandomLayouts | None  # None where no random layout is within the limits
-    # rows of the detection table, ascending; empty where the rule is not within the
-    # limits
+    random: RandomLayouts | None
     expert: tuple[int, ...]
-    corners: tuple[
-        str, ...
-    ]  # corners whose camera is among them, in the order of choice
+    corners: tuple[str, ...]
 
 
 def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baselines:
@@ -327,16 +349,19 @@ def judge_proposals(problem: PlacementProblem, proposals: Proposals) -> Baseline
     limits = problem.limits
     corners = proposals.corners
     units = np.flatnonzero(limits.is_forced)
+    # Corners by what their camera prevents alone, the best first.
     first = sorted(corners, key=lambda name: -apr(problem, [corners[name]]))
     for row in (*proposals.forced, *(corners[name] for name in first)):
         if len(units) < proposals.n_units and fitting(limits, units)[row]:
             units = np.append(units, row)
+    # The expert's layout counts only if it is within the limits.
     is_complete = len(units) > 0 and is_allowed(limits, units)
     if is_complete:
         expert = tuple(sorted(units.tolist()))
     else:
         expert = ()
     random = None
+    # Random layouts are judged by their margins in every run.
     if proposals.random:
         measure = problem.measure()
         margins_s = np.array(

@@ -1,4 +1,4 @@
-"""Results cached on disk for the next call, under a hash of all that they were made from.
+"""Results cached on disk, under a hash of everything they depend on.
 
 What is read is data, never a pickle, and only from a folder into which nobody else may
 write. A file is written whole or not at all; one that is damaged, or of other inputs,
@@ -24,13 +24,15 @@ _log = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
-_OWN = ("format", "fingerprint", "content")  # of a file of arrays, besides these
+# Of a file of arrays, besides these.
+_OWN = ("format", "fingerprint", "content")
 _HASH_SIZE = 32
-MAX_ARRAYS = (
-    500  # arrays in a file; a question has some thirty units, each of a few kilobytes
-)
-MAX_FILES = 100  # files of a name; the oldest are removed
-MAX_VALUES = 20  # files of a name of values of any kind, which may have some 20 MB each
+# Arrays in a file; a question has some thirty units, each of a few kilobytes.
+MAX_ARRAYS = 500
+# Files of a name; the oldest are removed.
+MAX_FILES = 100
+# Files of a name of values of any kind, which may have some 20 MB each.
+MAX_VALUES = 20
 
 
 # ---------- files
@@ -55,9 +57,8 @@ def _read(path: Path, read: Callable[[BinaryIO], _T], *, what: str) -> _T | None
             return read(file)
     except FileNotFoundError:
         return None
-    except (
-        Exception
-    ) as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
+    except Exception as error:
+        # Damaged archives raise many kinds: zipfile's, zlib's, tokenize's.
         tell_unused(path, error, what=what)
         return None
 
@@ -69,7 +70,10 @@ def tell_unused(path: Path, error: Exception, *, what: str) -> None:
 
 @cache
 def _is_usable(folder: Path) -> bool:
-    """True if a folder can hold a cache, made if it is missing; says once if it cannot."""
+    """True if a folder can hold a cache; it is made if it is missing.
+
+    A folder that cannot is logged once.
+    """
     trouble = trouble_with(folder)
     if trouble:
         _log.warning("nothing is cached: %s %s", folder, trouble)
@@ -80,12 +84,14 @@ def _prune(path: Path, *, most: int) -> None:
     """Remove the oldest files of the same name and kind as a path."""
     pattern = f"{path.name.split('-')[0]}-*{path.suffix}"
     try:
+        # Files are sorted by the time of their last change, the oldest first.
         files_by_age = sorted(
             path.parent.glob(pattern), key=lambda file: file.stat().st_mtime
         )
         for file in files_by_age[:-most]:
             file.unlink(missing_ok=True)
-    except OSError as error:  # somebody else tidies up, or nothing may be removed
+    except OSError as error:
+        # Somebody else tidies up, or nothing may be removed.
         _log.info("%s: %s", path.parent, error)
 
 
@@ -99,14 +105,16 @@ def save_arrays(
     fingerprint: str,
     is_compressed: bool = False,
 ) -> None:
-    """Write arrays, whole or not at all; a folder that cannot be written to is only logged.
+    """Write arrays, whole or not at all.
 
-    `what` is their name in messages, `kind` that of the format.
+    A folder that cannot be written to is only logged. `what` is their name in
+    messages, `kind` that of the format.
     """
     if is_compressed:
         save = np.savez_compressed
     else:
         save = np.savez
+    # The file says of what kind and of which inputs it is.
     content: dict[str, Any] = {
         "format": kind,
         "fingerprint": fingerprint,
@@ -117,9 +125,13 @@ def save_arrays(
 
 
 def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays | None:
-    """Read arrays of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    """Read arrays of a fingerprint; None if the file does not fit.
+
+    That the file is damaged or was made from other inputs is logged.
+    """
 
     def read(file: BinaryIO) -> Arrays:
+        """Arrays of an open file; ValueError if it is of other inputs."""
         # Opened before: numpy does not close a file that turns out to be no archive.
         with np.load(file, allow_pickle=False) as stored:
             if (
@@ -136,8 +148,12 @@ def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays
 
 
 def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
-    """Hash of what arrays hold, which fits one fingerprint only: 64 hexadecimal digits."""
+    """Hash of what arrays hold, 64 hexadecimal digits.
+
+    It is keyed with the fingerprint, so that it fits no other one.
+    """
     digest = hashlib.blake2b(key=fingerprint.encode(), digest_size=32)
+    # Name, type and shape belong to the content.
     for name, array in arrays.items():
         digest.update(f"{name} {array.dtype} {array.shape}\0".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -146,10 +162,11 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 
 # ---------- many small results of one question
 class CachedArrays:
-    """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
+    """Small cached arrays by key, all of one fingerprint.
 
-    They are in `arrays`; without a folder nothing is cached. Where two processes write
-    at once, what one of them found may be lost.
+    An example are the frames that each unit detects. They are in `arrays`; without
+    a folder nothing is cached. Where two processes write at once, what one of them
+    found may be lost.
     """
 
     def __init__(
@@ -171,7 +188,8 @@ class CachedArrays:
         self.arrays |= arrays
         if self._path is None:
             return
-        known = self._load() | self.arrays  # another process may have added some
+        # Another process may have added some.
+        known = self._load() | self.arrays
         newest = dict([*known.items()][-MAX_ARRAYS:])
         save_arrays(
             self._path,
@@ -184,6 +202,7 @@ class CachedArrays:
         _prune(self._path, most=MAX_FILES)
 
     def _load(self) -> Arrays:
+        """Arrays in the file; none where there is no usable file."""
         if self._path is None:
             return {}
         found = load_arrays(
@@ -204,15 +223,17 @@ def cached_value(
     classes: Sequence[type] = (),
     is_worth_it: Callable[[_T], bool] = lambda value: True,
 ) -> _T:
-    """Value of `make`, from the last call that asked for the same; without a folder always made.
+    """Value of `make`, or the cached one of an earlier call.
 
-    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of
-    `packages`. `kind` is the value's type hint; `classes` are dataclasses that stand
-    where it names a protocol. Only a value that `is_worth_it` is cached. Arrays that
-    are read-only stay so.
+    Without a folder, and for other inputs than before, it is made. `make` uses
+    nothing but `made_from` (see :class:`Fingerprints`) and the files of `packages`.
+    `kind` is the value's type hint; `classes` are dataclasses that stand where it
+    names a protocol. Only a value that `is_worth_it` is cached. Arrays that are
+    read-only stay so.
     """
     if folder is None:
         return make()
+    # The fingerprint covers the code and everything that the value is made from.
     fingerprint = Fingerprints().of(hash_of_code(packages), *made_from)
     path = folder / f"{name}-{fingerprint}.msgpack"
 
@@ -226,6 +247,7 @@ def cached_value(
     if found is not None:
         _log.info("%s (cached): read from %s", name, path)
         return found
+    # Nothing was cached: compute the value, and cache it if that is worth it.
     value = make()
     if is_worth_it(value):
         content = to_bytes(value)

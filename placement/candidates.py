@@ -22,7 +22,8 @@ from geometry.terrain import ground_height_m
 from .compute import check_distinct
 from .question import Question, read_number, split_names
 
-if TYPE_CHECKING:  # solvers of differential equations come with it
+# Solvers of differential equations come with it.
+if TYPE_CHECKING:
     from scenarios.aeb import AebRule
 
 
@@ -45,15 +46,11 @@ class CandidatePose:
         From its frame to the onset of braking; by default that of the braking rule. [s]
     """
 
-    id: str  #: unique name
-    site_id: (
-        str  #: site of the scene that carries it; empty for a pose at no known site
-    )
-    pose: Pose  #: where it is and looks, in the world frame
-    sensor: Sensor  #: what is mounted
-    latency_s: float | None = (
-        None  #: from its frame to braking; by default that of the rule. [s]
-    )
+    id: str
+    site_id: str
+    pose: Pose
+    sensor: Sensor
+    latency_s: float | None = None
 
     def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
@@ -66,7 +63,10 @@ class CandidatePose:
 
 
 def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
-    """A unit as if the ground below it was the plane z = 0; the same one where it is."""
+    """A unit as if the ground below it were the plane z = 0.
+
+    Where it is that plane, the same unit is returned.
+    """
     ground_m = float(ground_height_m(scene, unit.pose.position_m[:2]))
     if ground_m == 0.0:
         return unit
@@ -96,16 +96,10 @@ class CandidateGrid:
         [deg]
     """
 
-    # : (n,): above the road; at a site the nearest height in its range. [m]
     heights_m: FloatArray
-    yaw_step_deg: (
-        float  #: yaws are the multiples of this all around; it divides 360. [deg]
-    )
-    pitches_deg: FloatArray  #: (n,): positive up. [deg]
-    sensors: tuple[Sensor, ...]  #: models to choose from
-    # : (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by
-    # default: a ring that : is tilted down on one side looks into the sky on the other,
-    # which suits none but a mount at : the edge of everything that matters. [deg]
+    yaw_step_deg: float
+    pitches_deg: FloatArray
+    sensors: tuple[Sensor, ...]
     ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
@@ -132,7 +126,7 @@ class CandidateGrid:
         return round(360.0 / self.yaw_step_deg)
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
-        """Where a sensor is tried to look: yaw and pitch, each direction that differs once.
+        """Yaw and pitch of each direction that is tried for a sensor.
 
         A LiDAR that scans all round sees the same however it is turned, as long as it
         is level: then only yaw 0 is tried.
@@ -150,6 +144,7 @@ class CandidateGrid:
             level = [(0.0, 0.0)]
         else:
             level = []
+        # A ring that is tilted sees something else at each yaw.
         tilts_deg = self.ring_pitches_deg[self.ring_pitches_deg != 0.0].tolist()
         return level + list(product(yaws_deg, tilts_deg))
 
@@ -160,16 +155,23 @@ def is_ring(sensor: Sensor) -> bool:
 
 
 def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
-    """True if a sensor sees the same at every yaw: a level LiDAR that scans all round."""
+    """True if a sensor sees the same at every yaw.
+
+    That is so for a level LiDAR that scans all round.
+    """
     return is_ring(sensor) and pitch_deg == 0.0
 
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
-    """True if points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
+    """True for points (n, 3) in a unit's field of view, (n,) bool.
+
+    Neither distance nor occlusion matters.
+    """
     sensor = unit.sensor
     pose = unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):
+        # A LiDAR sees by angles around its own axes.
         offsets = points_m - pose.position_m
         ahead, left, up = np.moveaxis(
             offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0
@@ -179,6 +181,7 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
         is_inside = np.abs(azimuth_deg) <= 0.5 * sensor.horizontal_fov_deg
         is_inside &= np.abs(elevation_deg) <= 0.5 * sensor.vertical_fov_deg
     else:
+        # A camera sees what is projected into its image.
         column, row, _ = project_points(points_m, pose, sensor).T
         # NaN, behind the lens, is inside nothing.
         is_inside = (column >= 0.0) & (column <= sensor.width_px)
@@ -216,6 +219,7 @@ def build_candidates(
     if not scene.sites:
         refuse(f"{scene.name}: sites", "none", "at least one mount site")
     grid = grid or load_candidate_grid()
+    # The grid is the product of sites, heights, sensors and directions.
     candidates = [
         CandidatePose(
             id=f"{site.id}/{height_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}",
@@ -241,7 +245,10 @@ def build_candidates(
 
 @cache
 def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
-    """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
+    """The default grid, or a coarse one with a ninth of its poses.
+
+    They are read from ``data/candidates.toml`` and ``coarse_candidates.toml``.
+    """
     if is_coarse:
         where = "coarse_candidates.toml"
     else:
@@ -258,6 +265,7 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
 
     Raises InputError if a sensor is unknown, or a number cannot be.
     """
+    # Only what the question gives replaces the default.
     changes: dict[str, Any] = {}
     if question.sensors:
         changes["sensors"] = tuple(own_models(question.sensors).values())
@@ -292,6 +300,7 @@ def own_models(sensors: str) -> dict[str, Sensor]:
 
 def _sensors(word: str) -> Sequence[Sensor]:
     """The model of a name; all of a catalogue FILE.toml, or FILE.toml:NAME."""
+    # A word is a file, a file with a name, or a name of the catalogue.
     path, _, name = word.rpartition(":")
     if word.endswith(".toml"):
         return list(load_catalogue(Path(word)).values())

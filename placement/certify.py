@@ -1,4 +1,7 @@
-"""How many worlds to choose in, and how much a layout may lack of the best over all of them."""
+"""Number of sampled worlds to choose in, and the gap that remains.
+
+The gap is what a layout may lack of the best one over all worlds.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,22 +26,46 @@ from .wishes import Wishes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Some sampled worlds, and what can be reached in them."""
+    """Some sampled worlds, and what can be reached in them.
 
-    first: int  # Number of its first world
-    bound: float  # Mean APR that no layout exceeds in its worlds, proven. 0 .. 1
-    apr: float  # Mean APR of the layout found in its worlds
-    found: tuple[int, ...]  # Rows of the candidates
+    Attributes
+    ----------
+    first : int
+        Number of its first world.
+    bound : float
+        Mean APR that no layout exceeds in its worlds, proven. 0 .. 1.
+    apr : float
+        Mean APR of the layout found in its worlds.
+    found : tuple of int
+        Rows of the candidates.
+    greedy : tuple of int
+        Rows of the layout that greedy choice finds in its worlds.
+    """
+
+    first: int
+    bound: float
+    apr: float
+    found: tuple[int, ...]
     greedy: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapEstimate:
-    """Limits of the best mean APR and of a layout's own, both at once with a confidence."""
+    """Limits of the best mean APR and of a layout's own mean APR.
 
-    # Of the blocks' bounds: no layout's APR over all worlds is above its `high`
+    Both hold at once with 95 % confidence.
+
+    Attributes
+    ----------
+    most : MeanEstimate
+        Of the blocks' bounds: no layout's APR over all worlds is above its
+        `high`.
+    least : MeanEstimate
+        Of the layout in worlds that nothing was chosen in: its APR is not below
+        its `low`.
+    """
+
     most: MeanEstimate
-    # Of the layout in worlds that nothing was chosen in: its APR is not below its `low`
     least: MeanEstimate
 
     @property
@@ -48,22 +75,29 @@ class GapEstimate:
 
     @property
     def bias(self) -> float:
-        """Part of the gap that more worlds in a block, or a better layout, would make smaller."""
+        """Part of the gap that more worlds in a block would reduce.
+
+        A better layout would reduce it, too.
+        """
         return max(0.0, self.most.mean - self.least.mean)
 
     @property
     def chance(self) -> float:
-        """Part of the gap that more blocks, or more worlds to judge in, would make smaller."""
+        """Part of the gap that more blocks would reduce.
+
+        More worlds to judge in would reduce it, too.
+        """
         return self.gap - min(self.bias, self.gap)
 
 
 def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
-    """The gap from bounds of blocks (n_blocks,) and APRs of a layout in other worlds (n_worlds,).
+    """Estimate the gap from blocks' bounds and a layout's APRs.
 
-    The expected bound of a block is not below the best expected APR: in each block the
-    best layout is at least as good as the one that is best over all. Both means have an
-    interval of Student's t with 95 %, of which one end each counts: 2.5 % on either
-    side, 5 % together.
+    `bounds` (n_blocks,) are those of the blocks, `aprs` (n_worlds,) those of the
+    layout in other worlds. The expected bound of a block is not below the best
+    expected APR: in each block the best layout is at least as good as the one that
+    is best over all. Both means have an interval of Student's t with 95 %, of which
+    one end each counts: 2.5 % on either side, 5 % together.
 
     References
     ----------
@@ -82,14 +116,25 @@ def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certified:
-    """The best of the layouts that were found in blocks of worlds, and what it may lack."""
+    """Best layout found in blocks of worlds, and what it may lack.
 
-    blocks: tuple[Block, ...]  # Each with worlds of its own
-    # Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the
-    # best first
+    Attributes
+    ----------
+    blocks : tuple of Block
+        Each with worlds of its own.
+    pool : tuple of SampledApr
+        Layouts found in the blocks, and the greedy ones, in the same fresh
+        worlds; the best first.
+    judged : SampledApr
+        The best one in other fresh worlds.
+    gap : GapEstimate
+        From the bounds and these.
+    """
+
+    blocks: tuple[Block, ...]
     pool: tuple[SampledApr, ...]
-    judged: SampledApr  # The best one in other fresh worlds
-    gap: GapEstimate  # From the bounds and these
+    judged: SampledApr
+    gap: GapEstimate
 
 
 def certify(
@@ -110,8 +155,10 @@ def certify(
         "question",
         "a budget and the mean APR: only they are certified",
     )
+    # Each block is solved by itself: its bound and its layouts are independent.
     compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
+    # Equal layouts of several blocks are judged once.
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
         **{one.found: f"best of block {n}" for n, one in enumerate(blocks, start=1)},
@@ -151,6 +198,7 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
         solution = solve_placement(problem, reduced, effort=part.effort, n_stages=1)
         return solution, solve_greedy(problem, reduced)
 
+    # Only a solution that is proven in its block is worth caching.
     solution, greedy = cached_value(
         compute.cache_folder,
         "block",
@@ -183,9 +231,8 @@ _STOPPED = (
     "Why no more were tried: same layout, none better beyond chance, or what had run"
     " out."
 )
-_TIMES = (
-    5  # Rounds take so many times the time limit of one, before the last one begins
-)
+# Rounds take so many times the time limit of one, before the last one begins.
+_TIMES = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,7 +274,7 @@ def grow(
     first: int = 0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Grown:
-    """Choose in twice as many worlds, again and again, until the layout gets no better.
+    """Choose in twice as many worlds until the layout gets no better.
 
     A round's layout is chosen in the worlds from `first` on, as if so many had been
     asked for. It is compared with that of the round before in 60 fresh worlds, the same
@@ -250,6 +297,7 @@ def grow(
     rounds = list[Round]()
     best: tuple[Assembly, Placement, SampledApr] | None = None
     stopped: Stopped = "most"
+    # Each round has twice as many worlds as the one before.
     for n_worlds in SIZES:
         if best is not None and now_s() - began_s > _TIMES * question.time_limit_s:
             stopped = "time"
@@ -271,7 +319,11 @@ def grow(
                 raise
             stopped = "memory"
             break
-        judged, this = _round(trial, found, None if best is None else best[2])
+        # Compare the round's layout with the one before in fresh worlds.
+        before = None
+        if best is not None:
+            before = best[2]
+        judged, this = _round(trial, found, before)
         rounds.append(this)
         if best is not None and not (this.low or 0.0) > 0.0:
             if this.low is None:
@@ -280,7 +332,9 @@ def grow(
                 stopped = "no better"
             break
         best = trial, found, judged
-    assert best is not None  # the first round is taken in any case
+    # The first round is taken in any case.
+    assert best is not None
+    # The best round is the last one that was ahead.
     assembly, placement, judged = best
     growth = Growth(
         taken=assembly.n_samples,
@@ -294,9 +348,11 @@ def grow(
 def _round(
     assembly: Assembly, found: Placement, before: SampledApr | None
 ) -> tuple[SampledApr, Round]:
-    """What was chosen in some worlds, in fresh ones next to what the round before had."""
+    """Judge one round's layout in fresh worlds, next to the one before."""
     stage = found.certificate.stages[0]
     gain = None
+    low = None
+    high = None
     mounted = {pose_key(unit) for unit in found.layout.units}
     if before is not None and mounted == {
         pose_key(unit) for unit in before.layout.units
@@ -311,11 +367,13 @@ def _round(
             gain = estimate_mean(
                 judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0)
             )
+            low = gain.low
+            high = gain.high
     return judged, Round(
         worlds=assembly.n_samples,
         in_sample=stage.objective,
         bound=min(1.0, stage.bound),
         mean=judged.estimate.mean,
-        low=None if gain is None else gain.low,
-        high=None if gain is None else gain.high,
+        low=low,
+        high=high,
     )

@@ -1,4 +1,4 @@
-"""Machine code for the steps to come, made in a second process while the first ones are done.
+"""Compile kernels in a second process while the first steps run.
 
 A small made-up question is answered while runs are laid and the detection table is
 built.
@@ -25,13 +25,17 @@ from .wishes import Wishes
 
 _QUESTION = Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", speeds="50")
 _N_POSES = 300
-_SEEN_SHARE = 0.15  # of the runs, by each pose: so little that three of them leave some
+# Of the runs, by each pose: so little that three of them leave some.
+_SEEN_SHARE = 0.15
 _SEED = 1
 _TIME_LIMIT_S = 20.0
 
 
 def compile_ahead() -> None:
-    """Compile what optimiser and evaluator need, unless that was done before on this machine."""
+    """Compile the kernels of optimiser and evaluator ahead of their use.
+
+    Nothing is done if they were compiled before on this machine.
+    """
     from .evaluator.pixels import see
     from .optimiser.walk_kernels import grow
 
@@ -41,11 +45,13 @@ def compile_ahead() -> None:
     logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
     compute = Compute(workers=1)
     setting = build_setting(_QUESTION, compute=compute)
+    # A few hundred poses suffice to reach every kernel.
     every = build_candidates(setting.scene, load_candidate_grid())
     candidates = every[:: max(1, len(every) // _N_POSES)]
     if not is_compiled(grow):
         _optimise(setting, candidates)
-    if not is_compiled(see):  # the first process may have come to it meanwhile
+    # The first process may have come to it meanwhile.
+    if not is_compiled(see):
         layout = Layout(name="made up", units=tuple(candidates[:1]))
         evaluate_layouts([layout], setting, compute=compute)
 
@@ -77,6 +83,7 @@ def _table_of_chance(pose_ids: tuple[str, ...], setting: Setting) -> DetectionTa
     rng = np.random.default_rng(_SEED)
     axis = setting.axis
     detected = np.zeros((len(pose_ids), axis.n_frames), dtype=bool)
+    # Each pose sees some runs, from a random frame to the end.
     for row in detected:
         for run in np.flatnonzero(rng.random(axis.n_runs) < _SEEN_SHARE):
             begin, end = axis.run_start[run : run + 2]

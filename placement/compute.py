@@ -1,4 +1,4 @@
-"""The options of a computation in one value: seed, threads, cache and progress."""
+"""Options of a computation: seed, threads, cache and progress."""
 
 import os
 from collections import Counter
@@ -26,7 +26,11 @@ def threads(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
-    """Small matrices are multiplied by the thread that asks: idle threads of BLAS only spin."""
+    """Context in which BLAS uses one thread.
+
+    Small matrices are multiplied by the calling thread: further threads of BLAS
+    would only spin.
+    """
     limited: AbstractContextManager[Any] = _blas().limit(limits=1)
     return limited
 
@@ -35,7 +39,8 @@ def one_blas_thread() -> AbstractContextManager[Any]:
 def _blas() -> Any:
     from threadpoolctl import ThreadpoolController
 
-    return ThreadpoolController()  # finding the libraries takes 15 ms
+    # Finding the libraries takes 15 ms.
+    return ThreadpoolController()
 
 
 def check_whole(where: str, value: Any, *, least: int) -> None:
@@ -52,7 +57,8 @@ def check_distinct(where: str, names: Sequence[str], expected: str) -> None:
             raise InputError(where, name, expected)
 
 
-RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads numpy
+# As geometry.raycast has them, which loads numpy.
+RAYS = ("auto", "embree", "open3d")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,14 +91,10 @@ class Compute:
         names no library.
     """
 
-    # : of all that is left to chance: points on the road users, misses, lost messages
     seed: int = 0
-    workers: int = os.cpu_count() or 1  #: threads; by default one per processor
-    cache_folder: Path | None = (
-        None  #: of detection tables and more; by default nowhere
-    )
-    progress: Progress = silent  #: called with the stages
-    # : library that casts rays: "embree", "open3d", or the fastest that loads
+    workers: int = os.cpu_count() or 1
+    cache_folder: Path | None = None
+    progress: Progress = silent
     rays: str = "auto"
 
     def __post_init__(self) -> None:
@@ -108,7 +110,10 @@ class Compute:
         return partial(Compute, **known), ()
 
     def within(self, stage: str) -> "Compute":
-        """These options for a part of a larger stage, under whose name progress is reported."""
+        """These options for a part of a larger stage.
+
+        Progress is reported under the name of that stage.
+        """
 
         def report(part: str, done: int, total: int, /) -> None:
             self.progress(stage, done, total)

@@ -1,8 +1,9 @@
-"""Which candidate pose detects the VRU in which frame: V[c, f], as bits; and by levels of a score.
+"""Detection table: which candidate pose detects the VRU in which frame.
 
-With a score, every level of a run is a run of its own with a later deadline and a part
-of the weight, so that to the optimiser, its proofs and their checker it is one run
-more.
+V[c, f] is stored as bits. With a score, the table has levels of it. With a
+score, every level of a run is a run of its own with a later deadline and a part
+of the weight, so that to the optimiser, its proofs and their checker it is one
+run more.
 """
 
 from collections.abc import Sequence
@@ -35,11 +36,9 @@ class DetectionTable:
         bitorder="little")``).
     """
 
-    pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
-    axis: FrameAxis  #: runs and frames: the columns
-    packed: NDArray[
-        np.uint8
-    ]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
+    pose_ids: tuple[str, ...]
+    axis: FrameAxis
+    packed: NDArray[np.uint8]
 
     def __post_init__(self) -> None:
         packed = np.array(self.packed, dtype=np.uint8)
@@ -78,16 +77,19 @@ def pack_table(
 
 
 # ---------- levels of a score as runs
-_ROWS = 256  # unpacked at a time
+# Unpacked at a time.
+_ROWS = 256
 _BELOW = "<"
 _BLIND = " (blind)"
-_AT_ONCE_S = (
-    1.0e-12  # from one frame after the last moment to the next, in the clock of a level
-)
+# From one frame after the last moment to the next, in the clock of a level.
+_AT_ONCE_S = 1.0e-12
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
-    """Table with a run for every level, see :func:`level_axis`, from that of the runs."""
+    """Table with a run for every level of a score.
+
+    See :func:`level_axis`; `table` has the plain runs.
+    """
     axis, frames = level_axis(table.axis, levels, rule)
     return _of_frames(table, axis, frames)
 
@@ -97,6 +99,7 @@ def _of_frames(
 ) -> DetectionTable:
     """Table whose columns are some frames of another one."""
     packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
+    # Blocks of rows are unpacked at a time, to bound the memory.
     for row in range(0, table.n_poses, _ROWS):
         bits = table.detected(slice(row, row + _ROWS))[:, frames]
         packed[row : row + _ROWS] = np.packbits(bits, axis=1, bitorder="little")
@@ -104,7 +107,10 @@ def _of_frames(
 
 
 def _of_runs(axis: FrameAxis, rows: Sequence[int], **changes: Any) -> FrameAxis:
-    """Axis whose runs are called, driven and seen as those of some rows of another one."""
+    """Axis whose runs are some rows of another one, with changes.
+
+    Case, approach, position, weather and speed are those of the rows.
+    """
     words = {
         name: tuple(getattr(axis, name)[row] for row in rows)
         for name in ("cases", "approaches", "positions", "weathers")
@@ -117,23 +123,26 @@ def _of_runs(axis: FrameAxis, rows: Sequence[int], **changes: Any) -> FrameAxis:
 def level_axis(
     axis: FrameAxis, levels: Levels, rule: AebRule
 ) -> tuple[FrameAxis, IntArray]:
-    """Axis with a run for every level of a score, and which frames of `axis` are its frames.
+    """Axis with a run for every level of a score, and its frames.
 
-    A level is reached if the run is avoided, or if the VUT brakes for a track confirmed
-    after the last moment, but before the level's deadline; such a track is not lost any
-    more. So a level's clock stands still from the last moment on, all but for a
-    picosecond a frame, and ends at its deadline: what is in time or alive there is so
-    by the deadline. Margins are those to the last moment, 0 for what is confirmed after
+    The second value says which frames of `axis` these are. A level is reached if
+    the run is avoided, or if the VUT brakes for a track confirmed after the last
+    moment, but before the level's deadline; such a track is not lost any more. So a
+    level's clock stands still from the last moment on, all but for a picosecond a
+    frame, and ends at its deadline: what is in time or alive there is so by the
+    deadline. Margins are those to the last moment, 0 for what is confirmed after
     it.
 
     Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact
     that they stay below, in km/h. Weights are those of the runs times the gain.
     """
+    # Columns of the new axis, level by level.
     ids = []
     starts = [0]
     frames = []
     times = []
     deadlines = []
+    # Each level takes the frames of its run that are in time for it.
     for run, below_kmh, deadline_s in zip(
         levels.run_index.tolist(),
         levels.below_kmh.tolist(),
@@ -151,7 +160,8 @@ def level_axis(
             )
             if n_frames:
                 time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
-            else:  # nobody is in time
+            else:
+                # Nobody is in time.
                 last_s = -np.inf
         ids.append(name)
         frames.append(np.arange(where.start, where.start + len(time_s)))
@@ -172,7 +182,7 @@ def level_axis(
 
 
 def run_of_level(level_id: str) -> str:
-    """Id of the run that a level belongs to, by that of the level; of a run its own.
+    """Id of the run that a level belongs to; a run's own id.
 
     The same for a run that is driven by a VUT that does not see, see
     :func:`mixed_table`.
@@ -197,6 +207,7 @@ def repeated_axis(
     Weights and last brake times are of all repeated runs, (n_endings * n_runs,).
     """
     n = len(endings)
+    # Starts of the runs of each repetition, shifted by the frames before it.
     starts = [axis.run_start[:-1] + index * axis.n_frames for index in range(n)]
     return _of_runs(
         axis,
@@ -211,9 +222,10 @@ def repeated_axis(
 
 # ---------- cars that see, and cars that do not
 def mixed_table(table: DetectionTable, share: float) -> DetectionTable:
-    """Table with every run twice: by a VUT that sees, of so much of its weight, then by another.
+    """Table with every run twice: by a VUT that sees, and by a blind one.
 
-    Ids of runs that are driven by a VUT that does not see end in " (blind)".
+    `share` of the weight is the first one's. Ids of runs that are driven by a VUT
+    that does not see end in " (blind)".
     """
     axis = table.axis
     twice = repeated_axis(
@@ -231,17 +243,24 @@ def is_mixed(axis: FrameAxis) -> bool:
 
 
 def seeing_share(axis: FrameAxis) -> float:
-    """Share of the weight of the runs in which the VUT may see, see :func:`mixed_table`."""
+    """Share of the weight of runs whose VUT may see.
+
+    See :func:`mixed_table`.
+    """
     is_blind = np.array([name.endswith(_BLIND) for name in axis.run_ids])
     return round(1.0 - float(axis.weight[is_blind].sum() / axis.weight.sum()), 9)
 
 
 def plain_axis(axis: FrameAxis) -> FrameAxis:
-    """Axis with the first level of each run, and the weight of all of them; of runs the same."""
+    """Axis with the first level of each run, and the weight of them all.
+
+    An axis without levels is returned as it is.
+    """
     names = [run_of_level(name) for name in axis.run_ids]
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     if len(first) == axis.n_runs:
         return axis
+    # Rows of the first level of each run, in the order of the axis.
     rows = np.sort(first)
     frames = [axis.frames_of(row) for row in rows.tolist()]
 
@@ -259,10 +278,16 @@ def plain_axis(axis: FrameAxis) -> FrameAxis:
 def _at_once(
     time_s: FloatArray, last_s: float, deadline_s: float, rule: AebRule
 ) -> tuple[FloatArray, float]:
-    """Times of frames that are in time for a level, in its clock, and its last brake time there."""
+    """Frame times in a level's clock, and its last brake time there.
+
+    Only frames that are in time for the level are left.
+    """
+    # Frames before the last moment keep their times.
     n_before = int(is_in_time(time_s, last_s, latency_s=rule.latency_s).sum())
+    # Frames after it follow one another by a picosecond.
     after = _AT_ONCE_S * np.arange(1, len(time_s) - n_before + 1)
-    if last_s == -np.inf:  # no moment comes before
+    # No moment comes before.
+    if last_s == -np.inf:
         last_s = deadline_s
         after -= after[-1]
     moment_s = last_s - rule.latency_s

@@ -22,24 +22,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
-    """Verdict on one sensing party: a unit, the VUT, or several fused."""
+    """Verdict on one sensing party: a unit, the VUT, or several fused.
 
-    detected: (
-        BoolArray  #: (n_frames,): the VRU is detected, and the VUT gets to know it
-    )
-    # : (n_runs,): when the track was confirmed for which the VUT brakes, or would have
-    # to, relative : to the impact; infinite if none is. See
-    # :class:`scenarios.runs.Onsets`. [s]
+    Attributes
+    ----------
+    detected : (n_frames,) bool
+        The VRU is detected, and the VUT gets to know it.
+    confirmation_time_s : (n_runs,) float
+        When the track was confirmed for which the VUT brakes, or would have to,
+        relative to the impact; infinite if none is. See
+        :class:`scenarios.runs.Onsets`. [s]
+    onset_time_s : (n_runs,) float
+        When braking sets in after it; infinite if it never does: also where
+        every track was lost again before the last moment. [s]
+    is_avoided : (n_runs,) bool
+        Whether braking after it avoids the impact.
+    impact_speed_kmh : (n_runs,) float, optional
+        The VUT's speed when the bodies touch although it brakes then; 0 where
+        they do not, its full speed where it never brakes. None: by the table or
+        a recording alone. [km/h]
+    closing_speed_kmh : (n_runs,) float, optional
+        The same less what the road user does along the VUT's heading. [km/h]
+    """
+
+    detected: BoolArray
     confirmation_time_s: FloatArray
-    # : (n_runs,): when braking sets in after it; infinite if it never does: also where
-    # every track : was lost again before the last moment. [s]
     onset_time_s: FloatArray
-    is_avoided: BoolArray  #: (n_runs,): whether braking after it avoids the impact
-    # : (n_runs,): the VUT's speed when the bodies touch although it brakes then; 0
-    # where they do : not, its full speed where it never brakes. None: by the table or a
-    # recording alone. [km/h]
+    is_avoided: BoolArray
     impact_speed_kmh: FloatArray | None = None
-    #: (n_runs,): the same less what the road user does along the VUT's heading. [km/h]
     closing_speed_kmh: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -50,30 +60,47 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """A layout's verdicts."""
+    """A layout's verdicts.
 
-    layout: Layout  #: what was evaluated
-    axis: FrameAxis  #: runs and frames
-    vut: Verdict  #: the VUT's own sensors alone
-    units: Mapping[
-        str, Verdict
-    ]  #: each unit of the layout alone, by id, in the layout's order
-    rsu_all: Verdict  #: all units fused: in each frame any of them may be the detector
-    vut_and_rsus: Verdict  #: the same with the VUT's own sensors
-    # : Further parties, where asked for: "vam", VRUs that announce themselves;
-    # "all_sources", they : with the VUT and all units.
+    Attributes
+    ----------
+    layout : Layout
+        What was evaluated.
+    axis : FrameAxis
+        Runs and frames.
+    vut : Verdict
+        The VUT's own sensors alone.
+    units : mapping of str to Verdict
+        Each unit of the layout alone, by id, in the layout's order.
+    rsu_all : Verdict
+        All units fused: in each frame any of them may be the detector.
+    vut_and_rsus : Verdict
+        The same with the VUT's own sensors.
+    others : mapping of str to Verdict
+        Further parties, where asked for: "vam", VRUs that announce themselves;
+        "all_sources", they with the VUT and all units.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: if avoided.
+    cars : float
+        Share of the VUTs that see, see :attr:`headline`. 0 .. 1.
+    """
+
+    layout: Layout
+    axis: FrameAxis
+    vut: Verdict
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict
     others: Mapping[str, Verdict] = field(default_factory=dict)
-    levels: Levels | None = (
-        None  #: what runs count by the speed at contact; None: if avoided
-    )
-    cars: float = 0.0  #: share of the VUTs that see, see :attr:`headline`. 0 .. 1
+    levels: Levels | None = None
+    cars: float = 0.0
 
     @property
     def headline(self) -> Verdict:
-        """Verdict that the layout is judged by: of all units, with the VUT where every VUT sees.
+        """Verdict that the layout is judged by.
 
-        Where only a share of them sees, this is that of the others; see
-        ``headline_apr``.
+        It is that of all units, with the VUT where every VUT sees. Where only a
+        share of them sees, this is that of the others; see ``headline_apr``.
         """
         if self.cars == 1.0:
             return self.vut_and_rsus
@@ -95,12 +122,14 @@ class Evaluation:
         return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
-        """Accident prevention ratios, 0 .. 1: a row for all runs and each case, a column a party.
+        """Accident prevention ratios as a table, 0 .. 1.
 
-        Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit
-        by its id.
+        There is a row for all runs and for each case, and a column for each party.
+        Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each
+        unit by its id.
         """
-        import pandas as pd  # takes longer to load than all else here
+        # Takes longer to load than all else here.
+        import pandas as pd
 
         fused = {
             name: getattr(self, name) for name in ("rsu_all", "vut", "vut_and_rsus")
@@ -123,7 +152,7 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
     Parameters
     ----------
     verdict : Verdict
-        Whose.
+        Verdict on the party that is judged.
     axis : FrameAxis
         Runs and their weights.
     run_mask : (n_runs,) bool, optional
@@ -142,13 +171,19 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
 
 
 def headline_apr(evaluation: Evaluation) -> float:
-    """APR that a layout is judged by: weighted by the share of the VUTs that see, 0 .. 1."""
+    """APR that a layout is judged by, 0 .. 1.
+
+    It is weighted by the share of the VUTs that see.
+    """
     blind = apr(evaluation.rsu_all, evaluation.axis)
     return mix(blind, apr(evaluation.vut_and_rsus, evaluation.axis), evaluation.cars)
 
 
 def mix(blind: float, seeing: float, cars: float) -> float:
-    """A share of runs, from those of VUTs that do not see and that do, by the share that sees."""
+    """Mean of the shares for VUTs that do not see and that do.
+
+    `cars` is the share of the VUTs that see, 0 .. 1.
+    """
     if cars == 0.0:
         return blind
     return cars * seeing + (1.0 - cars) * blind
@@ -185,7 +220,10 @@ def score(verdict: Verdict, axis: FrameAxis, levels: Levels | None) -> float:
 
 
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
-    """Accident prevention ratio per case, in the order in which the cases first appear."""
+    """Accident prevention ratio of each case.
+
+    Cases are in the order in which they first appear.
+    """
     cases = np.array(axis.cases)
     return {
         case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)
@@ -193,7 +231,10 @@ def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
 
 
 def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
-    """Accident prevention ratio per position along the arms, as the VUT passes them."""
+    """Accident prevention ratio of each position along the arms.
+
+    Positions are in the order in which the VUT passes them.
+    """
     positions = np.array(axis.positions)
     return {
         position: apr(verdict, axis, positions == position)
@@ -204,11 +245,13 @@ def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
 def earliest_arrival_s(
     parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis
 ) -> FloatArray:
-    """When the VUT first knows of a detection made in each frame, (n_frames,) in s; else infinite.
+    """Time at which the VUT first knows of each frame's detection.
 
-    Each party has the (n_frames,) frames that it detects in, and its latency [s].
+    Times are (n_frames,), in s; infinite where no party detects. Each party has the
+    (n_frames,) frames that it detects in, and its latency [s].
     """
     arrival = np.full(axis.n_frames, np.inf)
+    # The earliest message of any party counts.
     for detected, latency_s in parties:
         arrival = np.minimum(
             arrival, np.where(detected, axis.time_s + latency_s, np.inf)
@@ -217,7 +260,7 @@ def earliest_arrival_s(
 
 
 def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray]]:
-    """Smallest along the first axis, and the same without each of the rows in turn.
+    """Column minima of an array, and those without each row in turn.
 
     `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row
     all is infinite; without one that is nowhere alone the smallest, `earliest_s` itself
@@ -226,6 +269,7 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
         return earliest, iter([np.full_like(earliest, np.inf)])
+    # Without a row that alone has the minimum, the second smallest counts.
     second = np.partition(times_s, 1, axis=0)[1]
     alone = np.where(second > earliest, times_s.argmin(axis=0), -1)
     return earliest, (
@@ -235,7 +279,10 @@ def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray
 
 
 def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
-    """When the VUT knows of what each unit detects in each frame, (n_units, n_frames) in s."""
+    """Times at which the VUT knows of each unit's detections.
+
+    They are (n_units, n_frames), in s.
+    """
     return np.stack(
         [
             earliest_arrival_s(
@@ -250,9 +297,10 @@ def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
 def apr_of_arrivals(
     evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray
 ) -> float:
-    """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
+    """APR by what arrives from units, and from a VUT that sees.
 
-    A run counts as avoided where braking sets in before the last moment.
+    `arrival_s` has what arrives from units, (n_frames,), in s. A run counts as
+    avoided where braking sets in before the last moment.
     """
     axis = evaluation.axis
     cars = evaluation.cars
@@ -264,6 +312,7 @@ def apr_of_arrivals(
 
     if cars == 0.0:
         return share(arrival_s)
+    # A VUT that sees is one more party.
     own_s = earliest_arrival_s([(evaluation.vut.detected, rule.latency_s)], axis)
     seeing = share(np.minimum(arrival_s, own_s))
     if cars == 1.0:
@@ -272,7 +321,10 @@ def apr_of_arrivals(
 
 
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
-    """APR when the worst of all units fails; for a layout of one unit what VUTs that see avoid."""
+    """APR when the unit whose loss costs most fails.
+
+    For a layout of one unit it is what VUTs that see avoid by themselves.
+    """
     left = leave_each_out(unit_arrivals_s(evaluation, rule))[1]
     return min(
         1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left)
@@ -280,7 +332,10 @@ def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
 
 
 def units_by_site(layout: Layout) -> dict[str, list[int]]:
-    """Indices of the units at each site; a unit without one is a site of its own, by its id."""
+    """Indices of the units at each site.
+
+    A unit without a site is a site of its own, under its id.
+    """
     sites: dict[str, list[int]] = {}
     for index, unit in enumerate(layout.units):
         sites.setdefault(unit.site_id or f"unit {unit.id}", []).append(index)
@@ -288,7 +343,7 @@ def units_by_site(layout: Layout) -> dict[str, list[int]]:
 
 
 def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
-    """APR of all units together when the worst pole fails, with all that it carries."""
+    """APR when the site whose loss costs most fails with all its units."""
     arrivals_s = unit_arrivals_s(evaluation, rule)
     left = (
         np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
@@ -300,8 +355,11 @@ def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
 
 
 Outcome = Literal["avoided", "never seen", "never confirmed", "lost again", "too late"]
-"""How a run ends. "lost again": a track was confirmed, but not alive at the last moment, and none
-was confirmed after it; "too late": braking set in, but the bodies touch all the same."""
+"""How a run ends.
+
+"lost again": a track was confirmed, but not alive at the last moment, and none was
+confirmed after it; "too late": braking set in, but the bodies touch all the same.
+"""
 
 
 def run_outcomes(verdict: Verdict, axis: FrameAxis) -> list[Outcome]:

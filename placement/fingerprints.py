@@ -12,16 +12,20 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+# All whose code may decide an answer.
 ALL_PACKAGES = (
     "geometry",
     "scenarios",
     "placement",
-)  # all whose code may decide an answer
+)
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
 class Fingerprints:
-    """Hashes of values by what they hold; what occurs in several of them is read once."""
+    """Hashes of values by their content.
+
+    A value that is part of several others is read once.
+    """
 
     def __init__(self) -> None:
         # By identity; the object is held, so that no other one gets the same.
@@ -37,9 +41,11 @@ class Fingerprints:
         return self._digest(values).hex()
 
     def _digest(self, value: object) -> bytes:
+        """Digest of one value and of everything inside it, 16 bytes."""
         is_data = is_dataclass(value) and not isinstance(value, type)
         if is_data and id(value) in self._known:
             return self._known[id(value)][1]
+        # The type is part of the hash: 1 and True differ.
         digest = hashlib.blake2b(type(value).__name__.encode() + b"\0", digest_size=16)
         if isinstance(value, np.ndarray):
             digest.update(f"{value.dtype}{value.shape}".encode())
@@ -66,7 +72,10 @@ class Fingerprints:
 
 
 def hash_of_code(packages: Sequence[str] = ALL_PACKAGES) -> str:
-    """Hash of packages and of the libraries that decide their results, 32 hexadecimal digits."""
+    """Hash of packages and of the libraries that decide their results.
+
+    It has 32 hexadecimal digits.
+    """
     code = (sys.version, *map(version, _LIBRARIES), *map(hash_of_files, packages))
     return Fingerprints().of(code)
 
@@ -76,6 +85,7 @@ def hash_of_files(package: str) -> bytes:
     """Hash of a package's code and data, 16 bytes."""
     digest = hashlib.blake2b(digest_size=16)
     folder = Path(str(files(package)))
+    # Names and sizes are hashed as well as contents.
     for path in sorted(folder.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             digest.update(

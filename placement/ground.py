@@ -1,4 +1,7 @@
-"""Private ground - gardens, terraces, window fronts - and how much of it cameras have in view."""
+"""Private ground, and how much of it cameras have in view.
+
+Private ground are gardens, terraces and window fronts.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +27,8 @@ from geometry.terrain import ground_height_m, on_ground, terrain_of
 
 from .candidates import CandidatePose
 
-LOOK_AT_M = 1.0  # height above the road: the middle of a road user
+# Height above the road: the middle of a road user.
+LOOK_AT_M = 1.0
 REACH_M = 45.0
 _SPACING_M = 1.0
 
@@ -33,18 +37,21 @@ BANDS: tuple[tuple[str, float], ...] = tuple(
 )
 """Bands of pixel density by their least, in pixels per metre, the finest first."""
 
-_SHORT_OF_M = 0.05  # rays end a little before the point
+# Rays end a little before the point.
+_SHORT_OF_M = 0.05
 
 
 def is_in_sight(
     caster: RayCaster, mount_m: ArrayLike, points_m: FloatArray, *, near_m: float
 ) -> BoolArray:
-    """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
+    """True for points (n, 3) that nothing hides from a mount.
 
-    The caster has the frame of the points. Things nearer than `near_m`, such as the
-    sensor's pole, hide nothing.
+    It is False for points that are nearer than `near_m`. The caster has the frame
+    of the points. Things nearer than `near_m`, such as the sensor's pole, hide
+    nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
+    # Rays begin beyond `near_m` and end a little before the points.
     ways = points_m - mount
     lengths = np.linalg.norm(ways, axis=1)
     is_far = lengths > near_m + _SHORT_OF_M
@@ -57,14 +64,22 @@ def is_in_sight(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCoverage:
-    """Pixel density over the roads around a junction."""
+    """Pixel density over the roads around a junction.
 
-    # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
+    Attributes
+    ----------
+    east_m, north_m : (n_east,) float
+        (n_north,): middles of the cells. World frame. [m]
+    density : (n_north, n_east) float
+        Highest of all cameras; 0: none sees the cell. [px/m]
+    is_road : (n_north, n_east) bool
+        Cells on a lane or in the junction.
+    """
+
     east_m: FloatArray
     north_m: FloatArray
-    # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
     density: FloatArray
-    is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
+    is_road: BoolArray
 
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
@@ -82,29 +97,37 @@ class GroundCoverage:
 
 
 class GroundSurvey:
-    """The ground around a junction, for several cameras: what does not depend on them."""
+    """Ground around a junction, prepared for several cameras."""
 
     def __init__(self, scene: Scene) -> None:
         outline = scene.outline_m
         middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+        # Middles of the cells, symmetric about the middle of the junction.
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
-        self.east_m, self.north_m = middle[0] + steps, middle[1] + steps
+        self.east_m = middle[0] + steps
+        self.north_m = middle[1] + steps
         grid = np.stack(np.meshgrid(self.east_m, self.north_m), axis=-1)
         self._points_m = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [
             0.0,
             0.0,
             LOOK_AT_M,
         ]
+        # Rays are cast relative to the junction: they have single precision.
         self._origin_m = np.append(middle, 0.0)
         self._caster = build_caster(scene.vertices_m - self._origin_m, scene.triangles)
         on_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
-        self.is_road: BoolArray = np.asarray(on_road, dtype=bool)  # (n_north, n_east)
+        # (n_north, n_east)
+        self.is_road: BoolArray = np.asarray(on_road, dtype=bool)
 
     def density(self, unit: CandidatePose) -> FloatArray:
-        """Pixels per metre that a camera has of each cell, (n_north, n_east); 0: unseen."""
+        """Pixels per metre of a camera on each cell, (n_north, n_east).
+
+        A cell that it does not see has 0.
+        """
         found = np.zeros(len(self._points_m))
         camera = unit.sensor
         if isinstance(camera, CameraModel):
+            # Only cells in the picture need rays.
             depth_m = _depth_in_picture(self._points_m, unit)
             shown = np.flatnonzero(np.isfinite(depth_m))
             mount_m = unit.pose.position_m - self._origin_m
@@ -121,11 +144,12 @@ class GroundSurvey:
 def find_ground_coverage(
     scene: Scene, units: Sequence[CandidatePose]
 ) -> GroundCoverage:
-    """How finely cameras see the ground around a junction, where nothing drives or parks.
+    """Pixel density of cameras on the ground around a junction.
 
-    Cells of a square metre, up to 45 m around the middle, one metre above the road.
-    Pixels per metre across the line of sight are focal length over depth; through a
-    lens they are what it shows of ten centimetres. LiDARs take no pictures.
+    Nothing drives or parks there. Cells of a square metre, up to 45 m around the
+    middle, one metre above the road. Pixels per metre across the line of sight are
+    focal length over depth; through a lens they are what it shows of ten
+    centimetres. LiDARs take no pictures.
     """
     survey = GroundSurvey(scene)
     density = np.zeros(survey.is_road.shape)
@@ -139,13 +163,18 @@ def find_ground_coverage(
     )
 
 
-_ACROSS_M = 0.1  # whose pixels are counted
+# Whose pixels are counted.
+_ACROSS_M = 0.1
 
 
 def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
-    """Pixels per metre across the line of sight at points (n, 3) of the picture; 0 at its edge."""
+    """Pixels per metre across the line of sight at points (n, 3).
+
+    Points are in the picture; at its edge the density is 0.
+    """
     assert isinstance(unit.sensor, CameraModel)
     east, north = (points_m - unit.pose.position_m)[:, :2].T
+    # A short line across the line of sight, projected at both ends.
     across = np.stack([-north, east, np.zeros_like(east)], axis=1)
     across *= 0.5 * _ACROSS_M / np.maximum(np.hypot(east, north), 1.0e-6)[:, None]
     ends = [
@@ -157,33 +186,49 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
 
 
 # ---------- private ground
-EYE_HEIGHT_M = (
-    1.5  # of people who are there; the ground itself may be hidden by a hedge
-)
+# Of people who are there; the ground itself may be hidden by a hedge.
+EYE_HEIGHT_M = 1.5
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
-_FARTHEST_M = 20_000.0  # beyond the horizon of every pole: the file is of another place
-_MAX_COORDINATE_M = 1.0e8  # of the world frame: more than twice around the earth
-_MAX_PLACES = 64  # of sensors, from which is known what lies open
+# Beyond the horizon of every pole: the file is of another place.
+_FARTHEST_M = 20_000.0
+# Of the world frame: more than twice around the earth.
+_MAX_COORDINATE_M = 1.0e8
+# Of sensors, from which is known what lies open.
+_MAX_PLACES = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PrivateGround:
-    """Areas that cameras must not look into."""
+    """Areas that cameras must not look into.
 
-    names: tuple[str, ...]  # of the areas
-    # (n, 3): points all over them, at people's eye height. World frame. [m]
+    Attributes
+    ----------
+    names : tuple of str
+        Of the areas.
+    points_m : (n, 3) float
+        Points all over them, at people's eye height. World frame. [m]
+    area_index : (n,) int
+        Area of each point.
+    area_m2 : (n_areas,) float
+        How large they are. [m^2]
+    shapes : tuple of Any
+        The areas: shapely polygons, world frame, metres.
+    """
+
+    names: tuple[str, ...]
     points_m: FloatArray
-    area_index: IntArray  # (n,): area of each point
-    area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
-    shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres
+    area_index: IntArray
+    area_m2: FloatArray
+    shapes: tuple[Any, ...]
 
 
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
-    """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
+    """Private ground in a scene's world frame, read from a GIS file.
 
-    A column "name" or "id" names an area. Raises InputError if the file cannot be read,
-    has no polygon, is of another place, or lies on earth while the scene does not.
+    GeoJSON, GeoPackage and Shapefile are read. A column "name" or "id" names an
+    area. Raises InputError if the file cannot be read, has no polygon, is of
+    another place, or lies on earth while the scene does not.
     """
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
@@ -196,12 +241,14 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         )
 
     def to_world(points: Any) -> Any:
+        """Points of the file in the world frame of the scene."""
         if not found.crs:
             if not scene.crs:
                 return points - scene.source_origin_m
             return points
         return transform(points, found.crs, scene.crs)
 
+    # Take the polygons; other shapes are left out.
     areas = []
     for number, feature in enumerate(found.features, start=1):
         shape = feature.geometry
@@ -228,13 +275,15 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
 
 
 def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
-    """Points all over areas, shapely polygons by name: one each square metre, at least one each.
+    """Points all over areas, one each square metre.
 
-    Raises InputError where one is empty, or all together are too large.
+    `areas` are shapely polygons by name; each has one point at least. Raises
+    InputError where one is empty, or all together are too large.
     """
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         refuse("no_look", f"{total_m2:,.0f} square metres", f"at most {_MAX_POINTS:,}")
+    # Points on a square grid inside each area.
     points = []
     index = []
     for number, (name, shape) in enumerate(areas):
@@ -280,6 +329,7 @@ class PrivateSight:
         self._lie_open = lru_cache(_MAX_PLACES)(self._look_from)
 
     def _look_from(self, *place: float) -> BoolArray:
+        """Points that lie open to a place: x, y, z and the near distance."""
         mount_m = np.array(place[:3]) - self._origin
         near_m = place[3]
         return is_in_sight(
@@ -287,7 +337,10 @@ class PrivateSight:
         )
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
-        """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
+        """True for points of the ground that a pose sees, (n_points,) bool.
+
+        It has them in its picture, and nothing hides them.
+        """
         in_picture = np.isfinite(_depth_in_picture(self._points_m, candidate))
         return self._lie_open(*_place(candidate)) & in_picture
 
@@ -296,6 +349,7 @@ class PrivateSight:
         n_areas = len(self._ground.names)
         counts = np.bincount(self._ground.area_index, minlength=n_areas)
         share = np.zeros((len(candidates), n_areas))
+        # Poses at the same place follow one another, so that rays are cast once.
         for row in sorted(
             range(len(candidates)), key=lambda row: _place(candidates[row])
         ):
@@ -307,14 +361,18 @@ class PrivateSight:
 def private_shares(
     scene: Scene, candidates: Sequence[CandidatePose], ground: PrivateGround
 ) -> FloatArray:
-    """How much of each private area each pose has in its picture, (n_candidates, n_areas)."""
+    """Share of each private area that each pose sees.
+
+    It is (n_candidates, n_areas), 0 .. 1.
+    """
     return PrivateSight(scene, ground).shares(candidates)
 
 
 def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArray:
-    """Which candidates see at most `max_share` of each private area, (n_candidates,) bool.
+    """True for candidates that respect every private area.
 
-    Raises InputError where no candidate is left.
+    They see at most `max_share` of it; (n_candidates,) bool. Raises InputError
+    where no candidate is left.
     """
     share = shares.max(axis=1)
     kept = np.asarray(share <= max_share)
@@ -333,7 +391,10 @@ def _place(candidate: CandidatePose) -> tuple[float, ...]:
 
 
 def _depth_in_picture(points_m: FloatArray, candidate: CandidatePose) -> FloatArray:
-    """Depth of points (n, 3) in a camera's picture, hidden or not; infinite outside of it."""
+    """Depth of points (n, 3) in a camera's picture, hidden or not.
+
+    It is infinite for points outside of the picture.
+    """
     camera = candidate.sensor
     if not isinstance(camera, CameraModel):
         return np.full(len(points_m), np.inf)

@@ -1,4 +1,4 @@
-"""Latency from a frame to the onset of braking: budgets, and APR by the total latency."""
+"""Latency budgets, and APR by the latency from frame to braking."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,8 @@ from .evaluation import Evaluation, earliest_arrival_s
 
 # ---------- budgets: what passes between a frame and the onset of braking, part by part
 DEFAULT_LATENCY_BUDGET = "study"
-MAX_LATENCY_S = 10.0  # longer than any run: a larger number is probably in milliseconds
+# Longer than any run: a larger number is probably in milliseconds.
+MAX_LATENCY_S = 10.0
 
 _FILE = "latency.toml"
 _RANGE = ("low_s", "high_s")
@@ -30,15 +31,26 @@ _RANGE = ("low_s", "high_s")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyPart:
-    """One of the steps that take time."""
+    """One of the steps that take time.
+
+    Attributes
+    ----------
+    name : str
+        Name of the step.
+    low_s, high_s : float
+        Anything between is equally likely; a fixed value where they are equal.
+        [s]
+    source : str
+        Where the numbers come from, or why they are likely.
+    is_assumption : bool
+        Whether they are an assumption of this project.
+    """
 
     name: str
-    # low_s, high_s: anything between is equally likely; a fixed value where they are
-    # equal. [s]
     low_s: float
     high_s: float
-    source: str  # where the numbers come from, or why they are likely
-    is_assumption: bool = False  # whether they are an assumption of this project
+    source: str
+    is_assumption: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,15 +60,13 @@ class LatencyBudget:
     Attributes
     ----------
     name : str
-        Name.
+        Name of the budget.
     parts : tuple of LatencyPart
         In the order in which they happen; names are unique.
     """
 
     name: str
-    parts: tuple[
-        LatencyPart, ...
-    ]  # in the order in which they happen; names are unique
+    parts: tuple[LatencyPart, ...]
 
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"
@@ -84,7 +94,10 @@ class LatencyBudget:
     def sample_s(
         self, rng: np.random.Generator, size: int | tuple[int, ...]
     ) -> FloatArray:
-        """Draw totals, (*size), between :attr:`best_s` and :attr:`worst_s`, in seconds."""
+        """Draw totals, (*size), in seconds.
+
+        They lie between :attr:`best_s` and :attr:`worst_s`.
+        """
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
         total = rng.uniform(low, high, size=(*shape, len(self.parts))).sum(axis=-1)
@@ -102,10 +115,11 @@ def fixed_latency(latency_s: float) -> LatencyBudget:
 def load_latency_budget(
     name_or_path: str = DEFAULT_LATENCY_BUDGET, *, where: str = "latency budget"
 ) -> LatencyBudget:
-    """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
+    """Latency budget by its name, or from a TOML file.
 
-    `where` says what named it. Raises InputError if it is unknown, or a field is not
-    what it should be.
+    Names, and the layout of such a file, are those of ``data/latency.toml``.
+    `where` says what named it. Raises InputError if it is unknown, or a field is
+    not what it should be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -130,6 +144,7 @@ def load_latency_budgets() -> Mapping[str, LatencyBudget]:
 
 
 def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
+    """Budgets of a TOML document by their names."""
     budgets = {}
     for name, table in document.items():
         where = f"{file}: {name}"
@@ -153,6 +168,8 @@ class _BudgetTable(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class _PartTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A part of a latency budget in TOML."""
+
     name: str
     fixed_s: _Seconds | None = None
     low_s: _Seconds | None = None
@@ -162,12 +179,16 @@ class _PartTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
-    """A part of the budget `where`; errors name it by its name, or by its place `here`."""
+    """Read a part of the budget `where`.
+
+    Errors name it by its name, or by its place `here` if it has none.
+    """
     name = take_text(entry, "name", here)
     if not (name.strip() and name.isprintable()):
         raise InputError(f"{where}.name", name, "printable text")
     where = f"{where}.{name}"
     part = read_table(entry, _PartTable, where)
+    # A part has a fixed time, or a range.
     given = [key for key in _RANGE if key in entry]
     if part.fixed_s is not None and given:
         refuse(f"{where}.{given[0]}", "it beside fixed_s", "one of them")
@@ -185,6 +206,7 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         refuse(f"{where}.{missing}", "nothing", "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
+    # Each part says where its numbers come from.
     reasons = [key for key in ("source", "assumption") if key in entry]
     if len(reasons) != 1:
         refuse(where, " and ".join(reasons) or "neither", "either source or assumption")
@@ -205,7 +227,7 @@ def apr_by_latency(
     *,
     vut_latency_s: float | None = None,
 ) -> dict[str, FloatArray]:
-    """APR of every sensing party by the latency from a frame to braking, each (n_latencies,).
+    """APR of every sensing party by latency, each (n_latencies,).
 
     Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames
     do not depend on the latency [s]: one evaluation is enough. A unit with a latency of
@@ -215,6 +237,7 @@ def apr_by_latency(
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
+    # Parties by name: what each member detects, and its own latency if it has one.
     units = {
         unit.id: (evaluation.units[unit.id].detected, unit.latency_s)
         for unit in evaluation.layout.units
@@ -230,6 +253,7 @@ def apr_by_latency(
     levels = evaluation.levels
 
     def share(party: list[tuple[BoolArray, float | None]], latency_s: float) -> float:
+        """Share of the weight that a party avoids at one latency."""
         arrival_s = earliest_arrival_s(
             [(seen, latency_s if own_s is None else own_s) for seen, own_s in party],
             axis,
@@ -240,6 +264,7 @@ def apr_by_latency(
         counts = levels.of_onsets(onsets.onset_s, TIME_TOLERANCE_S)
         return float(counts @ axis.weight / axis.weight.sum())
 
+    # One curve for each party.
     return {
         name: np.array([share(party, latency_s) for latency_s in latencies_s])
         for name, party in parties.items()

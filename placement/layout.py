@@ -56,9 +56,8 @@ RESULT_SCHEMAS = tuple(
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
-_MAX_DISTANCE_M = (
-    1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
-)
+# From a scene's middle; beyond, a unit or a frame has been mixed up.
+_MAX_DISTANCE_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +67,7 @@ class Layout:
     Attributes
     ----------
     name : str
-        Name.
+        Name of the layout.
     units : tuple of CandidatePose
         The units; ids are unique.
     scene_name : str
@@ -76,8 +75,8 @@ class Layout:
     """
 
     name: str
-    units: tuple[CandidatePose, ...]  #: ids are unique
-    scene_name: str = ""  #: where it was made for; empty: unknown
+    units: tuple[CandidatePose, ...]
+    scene_name: str = ""
 
     def __post_init__(self) -> None:
         if not self.units:
@@ -111,15 +110,21 @@ class Layout:
         return str(self.to_frame().round(2).to_html())
 
     def to_frame(self) -> "pd.DataFrame":
-        """The units as a table: a row each, under its id; columns as :func:`layout_records`."""
-        import pandas as pd  # takes longer to load than all else here
+        """The units as a table with a row for each, under its id.
+
+        Columns are those of :func:`layout_records`.
+        """
+        # Takes longer to load than all else here.
+        import pandas as pd
 
         return pd.DataFrame(layout_records(self)).set_index("id")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stage:
-    """One of the objectives that are optimised in order, each holding those before it.
+    """One of the objectives, which are optimised in order.
+
+    Each stage holds the values of those before it.
 
     Attributes
     ----------
@@ -133,14 +138,11 @@ class Stage:
         Time spent. [s]
     """
 
-    name: (
-        str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
-    )
-    objective: float  #: value of the layout
-    bound: float  #: what no layout can exceed
-    # : (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal
+    name: str
+    objective: float
+    bound: float
     gap: float
-    seconds: float  #: time spent. [s]
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,14 +172,19 @@ class Certificate:
         return str(self.to_frame().to_html())
 
     def to_frame(self) -> "pd.DataFrame":
-        """The stages as a table: objective, bound, gap and seconds, a row each under its name."""
+        """The stages as a table with a row for each, under its name.
+
+        Columns are objective, bound, gap and seconds.
+        """
         import pandas as pd
 
         return pd.DataFrame([asdict(stage) for stage in self.stages]).set_index("name")
 
 
 def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -> float:
-    """Relative distance of objective and bound as HiGHS defines it; 0 up to a `tolerance`.
+    """Relative distance of objective and bound, as HiGHS defines it.
+
+    It is 0 up to a `tolerance` of the absolute distance.
 
     >>> relative_gap(0.5, 0.6)
     0.2
@@ -191,9 +198,10 @@ def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -
 
 
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
-    """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
+    """Units as plain records.
 
-    And latency_s of their own, and fov_deg of a lens that is not set as in the
+    Fields are id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar. And
+    latency_s of their own, and fov_deg of a lens that is not set as in the
     catalogue.
     """
     return [
@@ -250,20 +258,23 @@ def layout_from_records(
     *,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
+    """Layout from plain records as :func:`layout_records` writes them.
 
-    `sensors` are models in addition to the catalogue's. Raises InputError where a field
-    is missing or not of its kind, an id is repeated, or a sensor is unknown.
+    The field "site" may be missing. `sensors` are models in addition to the
+    catalogue's. Raises InputError where a field is missing or not of its kind, an
+    id is repeated, or a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
+        # Fields that the toolkit does not know are ignored.
         known = {
             key: record[key] for key in _UnitRecord.__struct_fields__ if key in record
         }
         unit = read_table(known, _UnitRecord, here)
+        # A unit has one sensor: a camera or a LiDAR.
         kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
             refuse(here, " and ".join(kinds), "one of them")
@@ -271,6 +282,7 @@ def layout_from_records(
             refuse(f"{here}.{SENSOR_KINDS[0]}", "nothing", "a value")
         kind = kinds[0]
         model = getattr(unit, kinds[0])
+        # Models that the layout brings along go before the catalogue's.
         own = (sensors or {}).get(model)
         sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
         if sensor_kind(sensor) != kind:
@@ -303,12 +315,13 @@ def load_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
+    """Load a layout from JSON or CSV.
 
-    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`.
-    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and
-    look along compass bearings, see :func:`placement.layout.unit_record`: that takes
-    the `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
+    JSON is an object with the key "layout", a list of units. Or from calibrations
+    of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV, and in
+    JSON written by hand, units may lie at latitudes and longitudes and look along
+    compass bearings, see :func:`placement.layout.unit_record`: that takes the
+    `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
     if the file cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
@@ -352,7 +365,10 @@ def read_layout(
     scene: Scene | None = None,
     sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
-    """Layout from the text of a layout file, see :func:`load_layout`; `name` if it has none."""
+    """Layout from the text of a layout file, see :func:`load_layout`.
+
+    It is called `name` if the text gives it no name.
+    """
     document = parse_json(text, where, "a layout")
     known = (SCHEMA, *RESULT_SCHEMAS)
     if isinstance(document, dict) and document.get("schema", SCHEMA) not in known:
@@ -360,6 +376,7 @@ def read_layout(
         raise InputError(f"{where}: schema", document["schema"], expected)
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
+    # Models in the file come with their own fields.
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
     models = {**(sensors or {}), **own}
     called = str(document.get("name", name))
@@ -399,6 +416,7 @@ def check_layout(layout: Layout, scene: Scene) -> None:
             got,
             Phrase("one of {scene}, the scene that is looked at", scene=scene.name),
         )
+    # Each unit is above the ground, near the scene, in the open, at a known site.
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -434,10 +452,11 @@ def find_layout(
     scene: Scene | None = None,
     sensors: str = "",
 ) -> Layout:
-    """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
+    """A layout by its name, or from a file.
 
-    A list of units with places on earth takes the `scene`; `sensors` are models, as a
-    user lists them, beside the catalogue's.
+    The only name is carlancap-12, the study's layout. Raises InputError for
+    anything else. A list of units with places on earth takes the `scene`; `sensors`
+    are models, as a user lists them, in addition to the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
@@ -449,6 +468,8 @@ def find_layout(
 
 
 class _StudyUnit(Struct, frozen=True, kw_only=True):
+    """A unit of ``data/carla_ncap_layout.toml``."""
+
     id: str
     site: str
     position_m: Point3
@@ -479,7 +500,7 @@ def load_carlancap_layout() -> Layout:
 
 
 def find_baseline(scene: Scene) -> Layout | None:
-    """The study's layout, to compare others with at its junction; None at another one."""
+    """The study's layout to compare with, at its junction; else None."""
     study = load_carlancap_layout()
     if scene.name == study.scene_name:
         return study
@@ -511,9 +532,10 @@ def is_list(records: Sequence[Any]) -> bool:
 
 
 def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Rows of a CSV file with a header, each with where it stands; a warning names other columns.
+    """Rows of a CSV file with a header, each with where it stands.
 
-    Raises InputError for what is no CSV, or has no row.
+    A warning names columns that are not known. Raises InputError for what is no
+    CSV, or has no row.
     """
     rows = list(read_csv_rows(path))
     if not rows:
@@ -534,6 +556,7 @@ def unit_record(
     name do not matter. Raises InputError where a field is missing or not of its kind, a
     site or a model is unknown.
     """
+    # Columns by what they mean, whatever they are called.
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}
     unit_id, site_id = (str(row.get(name) or "").strip() for name in ("id", "site"))
@@ -549,18 +572,19 @@ def unit_record(
         position = sites[site_id].position_m[:2]
     else:
         position = read_position(row, where, scene.crs)
+    # Heights above the ground become heights in the world frame.
     height_m = _one_of(row, where, ("height", 1.0), ("z", 1.0))
     if read_number(row, "height", where) is not None:
         height_m += float(ground_height_m(scene, np.asarray(position)))
     yaw_deg = _one_of(row, where, ("yaw", 1.0), ("bearing", -1.0))
     if read_number(row, "yaw", where) is None:
-        yaw_deg = (
-            yaw_deg + 90.0 + 180.0
-        ) % 360.0 - 180.0  # counter-clockwise from east
+        # Counter-clockwise from east.
+        yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0
     model = str(row.get("model") or "").strip()
     if not model:
         refuse(f"{where}: model", "nothing", "a model of the catalogue")
     sensor = sensors.get(model) or pick_sensor(model, f"{where}: model")
+    # The record has the fields of a layout file.
     record = {
         "id": unit_id,
         "site": site_id,
@@ -584,7 +608,10 @@ def _one_of(
     first: tuple[str, float],
     other: tuple[str, float],
 ) -> float:
-    """The number in one of two fields, times the field's factor; exactly one must be given."""
+    """Number in one of two fields, times the field's factor.
+
+    Raises InputError unless exactly one of them is given.
+    """
     found = [
         (name, factor * value)
         for name, factor in (first, other)

@@ -1,7 +1,8 @@
-"""Detections of units while somebody moves them: rays are cached, points projected again.
+"""Detections of units while somebody moves them.
 
-Rays depend on a sensor's place, not on where it looks: they are cast once per mount
-position. Rows are those of :func:`placement.visibility.build_detection_table`.
+Rays are cached; points are projected again. Rays depend on a sensor's place,
+not on where it looks: they are cast once per mount position. Rows are those of
+:func:`placement.visibility.build_detection_table`.
 """
 
 from collections import OrderedDict
@@ -25,19 +26,21 @@ from .visibility.build import N_POINTS
 from .visibility.casting import World, build_world, cast_sight
 from .visibility.sensing import Sensing, build_sensing, reach_m
 
-MAX_MOUNTS = 64  # mount positions whose rays are cached: some megabytes each
+# Mount positions whose rays are cached: some megabytes each.
+MAX_MOUNTS = 64
 
-MAX_ROWS = 4096  # poses whose frames are cached: some kilobytes each
+# Poses whose frames are cached: some kilobytes each.
+MAX_ROWS = 4096
 
 _Key = tuple[object, ...]
 _T = TypeVar("_T")
 
 
 class LiveTable:
-    """Rows of a detection table, made when they are asked for; not for several threads at once.
+    """Rows of a detection table that are computed on demand.
 
-    `compute` has the seed of a table with the same rows; up to `max_mounts` positions
-    are cached.
+    An object is not for several threads at once. `compute` has the seed of a table
+    with the same rows; up to `max_mounts` positions are cached.
     """
 
     def __init__(
@@ -51,9 +54,8 @@ class LiveTable:
         self._compute = compute
         self._max_mounts = max_mounts
         self._world: World | None = None
-        self._mounts: OrderedDict[_Key, tuple[Sensing, float]] = (
-            OrderedDict()
-        )  # and their reach
+        # And their reach.
+        self._mounts: OrderedDict[_Key, tuple[Sensing, float]] = OrderedDict()
         self._rows: OrderedDict[_Key, NDArray[np.uint8]] = OrderedDict()
         self.n_casts = 0
 
@@ -70,17 +72,19 @@ class LiveTable:
         packed = np.zeros(
             (len(units), -(-self._setting.axis.n_frames // 8)), dtype=np.uint8
         )
+        # Rows that are not cached, by the mount position whose rays they need.
         missing: dict[_Key, list[int]] = {}
         for row, unit in enumerate(units):
             known = self._rows.get(unit_key(unit))
             if known is None:
                 sensor = unit.sensor
                 place = unit.pose.position_m.tolist()
+                # Of all rays.
                 key = (
                     *place,
                     sensor.near_m,
                     isinstance(sensor, LidarModel),
-                )  # of all rays
+                )
                 missing.setdefault(key, []).append(row)
             else:
                 self._rows.move_to_end(unit_key(unit))
@@ -105,10 +109,12 @@ class LiveTable:
             packed[missing[key]] = known[0].packed(alike)
             return known
 
+        # Positions are cast in parts, as many at a time as may be cached.
         with one_blas_thread(), ThreadPoolExecutor(self._compute.workers) as pool:
             for start in range(0, len(keys), self._max_mounts):
                 part = keys[start : start + self._max_mounts]
-                mounts = list(pool.map(fill, part))  # all, before any is given up
+                # All, before any is given up.
+                mounts = list(pool.map(fill, part))
                 for key, mount in zip(part, mounts, strict=True):
                     self.n_casts += self._mounts.get(key) is not mount
                     _put(self._mounts, key, mount, most=self._max_mounts)
@@ -122,9 +128,13 @@ class LiveTable:
     def _sensing(
         self, key: _Key, units: Sequence[CandidatePose]
     ) -> tuple[Sensing, float]:
-        """View from the mount of units in every direction, as far as they reach, and how far."""
+        """View from the mount of units, and how far it reaches.
+
+        It is cast in every direction, as far as any of the units needs.
+        """
         assert self._world is not None
         detector = self._setting.table_detector
+        # A cached view serves if it reaches as far as the units need.
         needed_m = max(reach_m(unit.sensor, detector, self._world) for unit in units)
         if key in self._mounts and self._mounts[key][1] >= needed_m:
             return self._mounts[key]
@@ -141,7 +151,10 @@ class LiveTable:
 
 
 def _put(cached: OrderedDict[_Key, _T], key: _Key, value: _T, *, most: int) -> None:
-    """Cache a value as the newest one; the oldest is given up where there are too many."""
+    """Cache a value as the newest one.
+
+    The oldest is dropped where there are more than `most`.
+    """
     cached[key] = value
     cached.move_to_end(key)
     if len(cached) > most:
@@ -155,11 +168,12 @@ def table_verdict(
     *,
     with_vut: bool = False,
 ) -> Verdict:
-    """Verdict on all units together by the detection table, and on the VUT if asked for.
+    """Verdict on all units together by the detection table.
 
-    `detected`, (n_units, n_frames) bool, is that of :meth:`LiveTable.detected`; the
-    VUT's is the setting's. As for the optimiser, a run is avoided if a confirmed track
-    is alive at the last moment.
+    With `with_vut`, the VUT's own sensors are one more unit. `detected`, (n_units,
+    n_frames) bool, is that of :meth:`LiveTable.detected`; the VUT's is the
+    setting's. As for the optimiser, a run is avoided if a confirmed track is alive
+    at the last moment.
     """
     axis = setting.axis
     rule = setting.rule

@@ -1,4 +1,7 @@
-"""Memory that something needs and that this machine has, checked before anything long starts."""
+"""Memory that a task needs and that the machine has.
+
+It is checked before anything long starts.
+"""
 
 import os
 import sys
@@ -6,9 +9,10 @@ from pathlib import Path
 
 from geometry.errors import refuse
 
-_PROGRAM_BYTES = 400 * 2**20  # of the program itself: libraries, scene, runs, report
+# Of the program itself: libraries, scene, runs, report.
+_PROGRAM_BYTES = 400 * 2**20
 _BYTES_PER_ENTRY = 0.125 + 1.0
-"""Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
+"""Memory per entry of the table: a bit in it, and up to seven copies in presolve."""
 _LIMIT_FILES = (
     "/sys/fs/cgroup/memory.max",
     "/sys/fs/cgroup/memory/memory.limit_in_bytes",
@@ -16,7 +20,9 @@ _LIMIT_FILES = (
 
 
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
-    """Memory of a placement at its peak, when presolve has the whole detection table.
+    """Peak memory of a placement, in bytes.
+
+    The peak is in presolve, which holds the whole detection table.
 
     Parameters
     ----------
@@ -43,10 +49,12 @@ def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
 
 
 def machine_bytes() -> int | None:
-    """Memory that this process may use: the machine's, or less by a container's or a shell's limit.
+    """Memory that this process may use, in bytes.
 
-    None where the system does not say.
+    It is the machine's, or less where a container or a shell sets a limit. None
+    where the system does not say.
     """
+    # The smallest of the limits that are known counts.
     sizes = []
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         sizes.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -55,7 +63,8 @@ def machine_bytes() -> int | None:
             text = Path(file).read_text(encoding="ascii").strip()
         except (OSError, UnicodeDecodeError):
             continue
-        if text.isdecimal():  # else "max"
+        # Else "max"
+        if text.isdecimal():
             sizes.append(int(text))
     if sys.platform != "win32":
         import resource
@@ -67,7 +76,11 @@ def machine_bytes() -> int | None:
 
 
 def available_bytes() -> int:
-    """Memory that can still be had: what is free, within :func:`machine_bytes`; else huge."""
+    """Memory that is still free within :func:`machine_bytes`.
+
+    Where the system does not say, a huge number is returned.
+    """
+    # Linux says what is available without swapping.
     sizes = [machine_bytes() or sys.maxsize]
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
@@ -76,7 +89,8 @@ def available_bytes() -> int:
             for line in lines
             if line.startswith("MemAvailable:")
         ]
-    except (OSError, ValueError):  # not this system's way
+    except (OSError, ValueError):
+        # Not this system's way.
         pass
     return min(sizes)
 

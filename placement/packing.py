@@ -1,8 +1,8 @@
-"""Frozen values as MessagePack and back, with arrays and shared parts kept as they were.
+"""Frozen values to and from MessagePack.
 
-An array, dataclass, Struct or named tuple is written once, wherever it occurs: after
-its parts, in a list. In its place stands its number in that list, as an extension type
-of MessagePack.
+Arrays and shared parts are kept as they were. An array, dataclass, Struct or
+named tuple is written once, wherever it occurs: after its parts, in a list. In
+its place stands its number in that list, as an extension type of MessagePack.
 """
 
 from collections.abc import Sequence
@@ -23,16 +23,18 @@ _PLAIN = (bool, int, float, str, NoneType)
 
 
 def to_bytes(value: object) -> bytes:
-    """Bytes of a value; TypeError unless it is made of what this module's docstring names.
+    """Bytes of a value.
 
+    Raises TypeError unless it is made of what this module's docstring names.
     Besides those these are tuples, numbers, text and None; arrays are of numbers.
     """
-    parts: list[Any] = []  # the last one is the value itself
-    places: dict[
-        int, tuple[object, msgspec.msgpack.Ext]
-    ] = {}  # holds what it knows by identity
+    # The last one is the value itself.
+    parts: list[Any] = []
+    # Holds what it knows by identity.
+    places: dict[int, tuple[object, msgspec.msgpack.Ext]] = {}
 
     def plain(value: Any) -> Any:
+        """A value as MessagePack has it; parts are replaced by their place."""
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, Phrase):
@@ -53,6 +55,7 @@ def to_bytes(value: object) -> bytes:
 
 
 def _take_apart(value: Any, plain: Any) -> list[Any]:
+    """An array, or a class and its fields, as a list of plain values."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biuf":
             raise TypeError(f"an array that is not of numbers: {value.dtype}")
@@ -80,6 +83,7 @@ def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> An
     known = {
         _name_of(one): one for kind in (hint, *classes) for one in _classes_in(kind)
     }
+    # Parts are made in order: each refers only to those before it.
     made: list[Any] = []
 
     def find(code: int, data: memoryview) -> Any:
@@ -107,6 +111,7 @@ def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> An
 
 
 def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> Any:
+    """Array from its bytes; ValueError unless it is of numbers."""
     if np.dtype(dtype).kind not in "biuf":
         raise ValueError(f"an array that is not of numbers: {dtype}")
     array = np.frombuffer(content, dtype).reshape(shape)
@@ -123,7 +128,11 @@ def _tuples(value: Any) -> Any:
 
 
 def _is_of(value: Any, hint: Any) -> bool:
-    """True if a value, and the items of a tuple, are of the classes that a hint names."""
+    """True if a value is of the classes that a hint names.
+
+    Of a tuple, every item is checked.
+    """
+    # Items of a tuple are checked one by one.
     named = get_args(hint)
     if get_origin(hint) is tuple:
         if type(value) is not tuple:
@@ -160,6 +169,7 @@ def _field_names(kind: Any) -> tuple[str, ...]:
 @cache
 def _classes_in(hint: Any) -> frozenset[type]:
     """Classes with fields that a type hint names, directly or within others."""
+    # Walk through the hint and the hints of the fields that it names.
     found: set[type] = set()
     pending = [hint]
     while pending:

@@ -1,4 +1,7 @@
-"""From a question to a layout: the one assembly of what every answer needs, and the search."""
+"""From a question to a layout: the assembly, and the search.
+
+Everything that an answer needs is assembled here and nowhere else.
+"""
 
 import logging
 import time
@@ -62,28 +65,54 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Assembly:
-    """A question made ready for every answer; table and problem are made once, when asked for.
+    """A question made ready for every answer.
 
-    Another assembly with other candidates or wishes is made by ``dataclasses.replace``.
+    Table and problem are built once, when they are first asked for. Another
+    assembly with other candidates or wishes is made by ``dataclasses.replace``.
+
+    Attributes
+    ----------
+    setting : Setting
+        Scene, runs, braking rule, detectors.
+    candidates : sequence of CandidatePose
+        Poses to choose from: rows of the table. Ids are unique.
+    wishes : Wishes
+        Demands on a layout.
+    fusion : Fusion
+        "any": a frame counts if any unit detects; "single": one unit must
+        confirm alone.
+    effort : Effort
+        How hard the optimiser tries.
+    existing : Layout, optional
+        What is mounted already.
+    private_ground : PrivateGround, optional
+        What cameras must not look into.
+    may_look : callable, optional
+        Which poses respect private ground, (n,) bool; None: all.
+    uncertainty : Uncertainty, optional
+        What is drawn in sampled worlds.
+    n_samples : int
+        Worlds to choose in; 0: the one as planned.
+    first_sample : int
+        Number of the first of them.
+    compute : Compute
+        Seed, threads, cache of tables, progress.
+    known_table : DetectionTable, optional
+        Table of the candidates where there is one already.
     """
 
-    setting: Setting  #: Scene, runs, braking rule, detectors.
-    candidates: Sequence[
-        CandidatePose
-    ]  #: Poses to choose from: rows of the table. Ids are unique.
-    wishes: Wishes = field(default_factory=Wishes)  #: Demands on a layout.
-    #: "any": a frame counts if any unit detects; "single": one unit must confirm alone.
+    setting: Setting
+    candidates: Sequence[CandidatePose]
+    wishes: Wishes = field(default_factory=Wishes)
     fusion: Fusion = "any"
-    effort: Effort = field(default_factory=Effort)  #: How hard the optimiser tries.
-    existing: Layout | None = None  #: What is mounted already.
-    private_ground: PrivateGround | None = None  #: What cameras must not look into.
-    #: Which poses respect private ground, (n,) bool; None: all.
+    effort: Effort = field(default_factory=Effort)
+    existing: Layout | None = None
+    private_ground: PrivateGround | None = None
     may_look: Callable[[Sequence[CandidatePose]], BoolArray] | None = None
-    uncertainty: Uncertainty | None = None  #: What is drawn in sampled worlds.
-    n_samples: int = 0  #: Worlds to choose in; 0: the one as planned.
-    first_sample: int = 0  #: Number of the first of them.
-    compute: Compute = DEFAULT_COMPUTE  #: Seed, threads, cache of tables, progress.
-    #: Table of the candidates where there is one already.
+    uncertainty: Uncertainty | None = None
+    n_samples: int = 0
+    first_sample: int = 0
+    compute: Compute = DEFAULT_COMPUTE
     known_table: DetectionTable | None = None
 
     def __post_init__(self) -> None:
@@ -105,9 +134,10 @@ class Assembly:
 
     @cached_property
     def table(self) -> DetectionTable:
-        """Detections of all candidates, from the cache or built: in the sampled worlds, if any.
+        """Detections of all candidates, from the cache or built.
 
-        Raises InputError if it does not fit into the memory of this machine.
+        With sampled worlds they are the detections in these. Raises InputError if
+        it does not fit into the memory of this machine.
         """
         if self.known_table is not None:
             return self.known_table
@@ -118,6 +148,7 @@ class Assembly:
 
     @cached_property
     def _sampled(self) -> SampledTable | None:
+        """Table of the sampled worlds; None in the world as planned."""
         if self.uncertainty is None or self.n_samples == 0:
             return None
         setting = self.setting
@@ -143,6 +174,7 @@ class Assembly:
         that see, each is there twice, see
         :func:`placement.detection_table.mixed_table`.
         """
+        # Start from the table of the plain runs, in one world or in many.
         setting = with_sight(self.setting, compute=self.compute)
         table = self.table
         if setting.cars:
@@ -153,10 +185,12 @@ class Assembly:
         if self._sampled is not None:
             seen = self._sampled.seen_by_vut
             sample_index = self._sampled.sample_index
+        # With a score, each run becomes its levels.
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
                 seen = seen[level_axis(setting.axis, setting.levels, setting.rule)[1]]
+        # With a share of cars that see, each run is there twice.
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
             seen = np.concatenate([seen, np.zeros_like(seen)])
@@ -184,8 +218,12 @@ class Assembly:
     def in_fresh_worlds(
         self, layouts: Sequence[Layout], *, n_worlds: int, first: int = APART
     ) -> list[SampledApr]:
-        """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
-        assert self.uncertainty is not None  # assemble reads it with every question
+        """Judge layouts in the same fresh worlds, in which none was chosen.
+
+        `first` is the number of the first world.
+        """
+        # `assemble` reads it with every question.
+        assert self.uncertainty is not None
         return out_of_sample_layouts(
             self.setting,
             layouts,
@@ -207,19 +245,21 @@ def assemble(
     counts_money: bool = False,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Assembly:
-    """Make of a question what every answer needs; all is checked before any ray is cast.
+    """Make a question ready for every answer.
 
-    `scene` is in place of the one that the question names; `setting` has scene and runs
-    where they have been laid already. `grid` has the poses to try at each site, in
-    place of the question's grid and the study's poses; `existing` is in place of the
-    mounted units that the question names. With `counts_money`, sites without a price
-    cost what is assumed, also where no money is asked for.
+    All of it is checked before any ray is cast. `scene` is in place of the one that
+    the question names; `setting` has scene and runs where they have been laid
+    already. `grid` has the poses to try at each site, in place of the question's
+    grid and the study's poses; `existing` is in place of the mounted units that the
+    question names. With `counts_money`, sites without a price cost what is assumed,
+    also where no money is asked for.
 
     Candidates are the grid's, at the study's junction its 12 poses, and the existing
     units; or those of `within` and the existing ones. Raises InputError: a word is
     unknown, a layout does not fit the scene, a wish cannot be met at its sites, or no
     run can be laid.
     """
+    # Words first: a misspelt question is refused before anything is loaded.
     _check_together(question)
     if scene is None:
         if setting is None:
@@ -228,6 +268,7 @@ def assemble(
             scene = setting.scene
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
+    # Poses to choose from, less those that look into private ground.
     units = () if existing is None else existing.units
     candidates = _candidates(question, scene, grid, units)
     private_ground = None
@@ -242,8 +283,10 @@ def assemble(
         )
         # Existing units stay, wherever they look.
         candidates = _distinct([*compress(candidates, may_look(candidates))], units)
+    # Demands are checked against the sites before any run is laid.
     wishes = read_wishes(question, existing=units, counts_money=counts_money)
     build_limits(wishes, scene, candidates)
+    # What is drawn in sampled worlds, and how hard the optimiser tries.
     uncertainty = load_drawn(question, scene, n_samples=question.n_samples)
     if question.packet_loss:
         uncertainty = replace(uncertainty, packet_loss=question.packet_loss)
@@ -290,17 +333,21 @@ def _candidates(
     grid: CandidateGrid | None,
     existing: Sequence[CandidatePose],
 ) -> tuple[CandidatePose, ...]:
+    """Candidate poses of a question: the grid's, or those of `within`."""
+    # A question may name its poses itself.
     within = _named_layout(question.within, "within", scene, question.sensors)
     if within is not None:
         return _distinct(within.units, existing)
     if grid is not None:
         return build_candidates(scene, grid, extra=existing)
+    # At the study's junction, its poses are among the candidates.
     study = find_baseline(scene)
     extra = _distinct(() if study is None else study.units, existing)
     return build_candidates(scene, build_grid(question), extra=extra)
 
 
 def _named_layout(name: str, where: str, scene: Scene, sensors: str) -> Layout | None:
+    """Layout that a question names, checked; None for an empty name."""
     if not name:
         return None
     layout = find_layout(name, where, scene=scene, sensors=sensors)
@@ -320,6 +367,7 @@ def _respects(
     ground: PrivateGround,
     max_share: float,
 ) -> BoolArray:
+    """True for candidates that respect private ground, (n,) bool."""
     return respects_private_ground(
         private_shares(scene, candidates, ground), max_share=max_share
     )
@@ -338,63 +386,105 @@ def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effo
 # ---------- the best layout
 
 FOUND = "found"
-"""Name of the layout that was found, where fresh worlds compare it with greedy choice's."""
+"""Name of the layout found, where fresh worlds compare it with the greedy one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Highest:
-    """The layout of the highest APR, where another one is chosen that bears failures better."""
+    """Layout of the highest APR, where another one is chosen.
+
+    The chosen one loses less when a unit fails.
+
+    Attributes
+    ----------
+    layout : Layout
+        The layout.
+    pose_index : tuple of int
+        Rows of the table that make it.
+    certificate : Certificate
+        Proof that its APR is the highest.
+    problem : PlacementProblem
+        The problem that it solves.
+    given_up : float
+        APR that might be given up.
+    """
 
     layout: Layout
     pose_index: tuple[int, ...]
     certificate: Certificate
     problem: PlacementProblem
-    given_up: float  # APR that might be given up
+    given_up: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Placement:
-    """Result of the optimiser, and the problem that it solved."""
+    """Result of the optimiser, and the problem that it solved.
 
-    layout: Layout  #: The best layout.
-    greedy: Layout  #: The layout that plain greedy search finds within the same limits.
-    # : Rows of the table that make `greedy`, where it was found; a refinement has its
-    # own table.
+    Attributes
+    ----------
+    layout : Layout
+        The best layout.
+    greedy : Layout
+        The layout that plain greedy search finds within the same limits.
+    greedy_index : tuple of int
+        Rows of the table that make `greedy`, where it was found; a refinement
+        has its own table.
+    certificate : Certificate
+        Proof of `layout`.
+    presolve : PresolveStatistics
+        What was left of the problem before any solver started.
+    problem : PlacementProblem
+        The problem, with the detection table.
+    pose_index : tuple of int
+        Rows of the table that make `layout`.
+    nominal : PlacementProblem
+        The layout alone in the world as planned, its runs as they are:
+        `problem` itself unless worlds were sampled, runs have levels of a
+        score, or a share of the cars sees: then with cars that do not.
+    nominal_index : tuple of int
+        Rows of its table that make `layout`.
+    seconds : mapping of str to float
+        Time per stage. [s]
+    presolved : callable, optional
+        What presolve left of it, found when first asked for; None: layouts were
+        moved since.
+    next_unit : NextUnit, optional
+        What greedy choice would add to `layout`, budgets aside; None: nothing
+        fits, or not known.
+    highest : Highest, optional
+        None where nothing of the APR might be given up.
+    preferred : (SampledApr, SampledApr), optional
+        `layout` and the one of the layout found and the greedy one that was not
+        taken, in fresh worlds that decided it; None: they were not asked.
+    """
+
+    layout: Layout
+    greedy: Layout
     greedy_index: tuple[int, ...]
-    certificate: Certificate  #: Proof of `layout`.
-    presolve: (
-        PresolveStatistics  #: What was left of the problem before any solver started.
-    )
-    problem: PlacementProblem  #: The problem, with the detection table.
-    pose_index: tuple[int, ...]  #: Rows of the table that make `layout`.
-    # : The layout alone in the world as planned, its runs as they are: `problem` itself
-    # unless : worlds were sampled, runs have levels of a score, or a share of the cars
-    # sees: then with : cars that do not.
+    certificate: Certificate
+    presolve: PresolveStatistics
+    problem: PlacementProblem
+    pose_index: tuple[int, ...]
     nominal: PlacementProblem
-    nominal_index: tuple[int, ...]  #: Rows of its table that make `layout`.
-    seconds: Mapping[str, float]  #: Time per stage. [s]
-    # : What presolve left of it, found when first asked for; None: layouts were moved
-    # since.
+    nominal_index: tuple[int, ...]
+    seconds: Mapping[str, float]
     presolved: Callable[[], ReducedProblem] | None = None
-    # : What greedy choice would add to `layout`, budgets aside; None: nothing fits, or
-    # not known.
     next_unit: NextUnit | None = None
-    highest: Highest | None = None  #: None where nothing of the APR might be given up.
-    # : `layout` and the one of the layout found and the greedy one that was not taken,
-    # in fresh : worlds that decided it; None: they were not asked.
+    highest: Highest | None = None
     preferred: tuple[SampledApr, SampledApr] | None = None
 
     def __repr__(self) -> str:
-        return (
-            f"Placement({self.layout!r},"
-            f" {'proven' if self.is_proven else 'not proven'})"
-        )
+        proof = "not proven"
+        if self.is_proven:
+            proof = "proven"
+        return f"Placement({self.layout!r}, {proof})"
 
     @property
     def is_proven(self) -> bool:
         """True if every stage is, also those of the highest APR."""
-        others = () if self.highest is None else (self.highest.certificate,)
-        return all(certificate.is_proven for certificate in (self.certificate, *others))
+        if self.highest is not None and not self.highest.certificate.is_proven:
+            return False
+        return self.certificate.is_proven
 
     def __str__(self) -> str:
         return f"{self.layout}\n\n{self.certificate}"
@@ -438,7 +528,9 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         raise InputError(
             "budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`"
         )
-    _ = assembly.limits  # what cannot be met is refused before anything is computed
+    # What cannot be met is refused before anything is computed.
+    _ = assembly.limits
+    # Detections first, then the optimiser.
     started = time.perf_counter()
     table = assembly.table
     table_done = optimised = time.perf_counter()
@@ -448,6 +540,7 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     problem = assembly.problem
 
     def answer() -> _Answer:
+        """Solve the problem, and look for the greedy layout next to it."""
         nonlocal optimised
         reduced = assembly.presolved
         first, sturdy = solve_sturdily(
@@ -471,11 +564,11 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
 
     compute.progress(Phrase("optimise"), 0, 0)
     found = _cached(assembly, answer)
+    preferred = None
     if asks_worlds:
         found, preferred = _by_worlds(assembly, found)
-    else:
-        found, preferred = (found, None)
     pick = partial(pick_layout, assembly.candidates)
+    # Where failures cost less with another layout, that one is the answer.
     solution = found.first
     highest = None
     asked = problem
@@ -515,9 +608,10 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
 def _by_worlds(
     assembly: Assembly, found: _Answer
 ) -> tuple[_Answer, tuple[SampledApr, SampledApr] | None]:
-    """The answer with greedy choice's layout if fresh worlds prefer it; the one it takes.
+    """Replace the layout by the greedy one if fresh worlds prefer that.
 
-    And the other one, both there; None where these worlds are not asked.
+    The second value has both in these worlds, the one that is taken first. And the
+    other one, both there; None where these worlds are not asked.
     """
     problem = assembly.problem
     first = found.first
@@ -557,7 +651,7 @@ def may_prefer(
     solution: Solution,
     greedy: Sequence[int],
 ) -> bool:
-    """True if fresh worlds decide between the layout found for a problem and greedy choice's.
+    """True if fresh worlds decide between the layout found and the greedy one.
 
     Worlds that were chosen in are few, and the plan knows nothing of chance: they
     decide wherever worlds were sampled or detections are drawn. By rule, the plan
@@ -566,6 +660,7 @@ def may_prefer(
     """
     wishes = assembly.wishes
     setting = assembly.setting
+    # Anything but the highest APR is left as it was asked for.
     is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
     is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
     is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(
@@ -594,7 +689,10 @@ def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
 
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
-    """An answer from the cache, or a new one. Raises InputError: wishes cannot be met."""
+    """An answer from the cache, or a new one.
+
+    Raises InputError if wishes cannot be met.
+    """
     problem = assembly.problem
     wishes = assembly.wishes
     effort = assembly.effort
@@ -619,6 +717,7 @@ def _nominal(
     assembly: Assembly, problem: PlacementProblem, pose_index: tuple[int, ...]
 ) -> tuple[PlacementProblem, tuple[int, ...]]:
     """The problem without chance, and the rows of a layout in it."""
+    # The plan: no levels, no share of cars, no sampled worlds.
     cars = assembly.setting.cars
     plain = replace(assembly.setting, levels=None, cars=float(cars == 1.0))
     if problem.sample_index is not None:
@@ -643,6 +742,7 @@ def pick_layout(
 
     A name that a unit of another layout brings along is not given again.
     """
+    # Names of the grid hold a slash; they get the first free short name.
     chosen = [candidates[index] for index in pose_index]
     taken = {candidate.id for candidate in chosen}
     free = (name for name in (f"U{number}" for number in count(1)) if name not in taken)

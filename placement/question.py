@@ -1,6 +1,6 @@
-"""The question: what a user asks, as typed values; read from and written to TOML.
+"""The question: everything that a user asks, as typed values.
 
-Imports nothing heavy.
+It is read from and written to TOML. Imports nothing heavy.
 """
 
 import math
@@ -43,12 +43,13 @@ N_JUDGED = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """A user's question: what is driven and how it brakes, what may be mounted, how hard to look.
+    """A user's question.
 
-    What its fields mean stands in ``data/question.toml``, and in this class's docstring
-    at run time. Lists are one text with commas between; an empty text means that
-    nothing is given. Raises InputError where a value is of another kind, or out of its
-    range.
+    It says what is driven and how the VUT brakes, what may be mounted, and how hard
+    to look. What its fields mean stands in ``data/question.toml``, and in this
+    class's docstring at run time. Lists are one text with commas between; an empty
+    text means that nothing is given. Raises InputError where a value is of another
+    kind, or out of its range.
     """
 
     budget: int | None = None
@@ -118,7 +119,10 @@ class Question:
 
     @property
     def n_samples(self) -> int:
-        """`samples` as a number; raises InputError where it is still to be found out."""
+        """`samples` as a number.
+
+        Raises InputError where the number is still to be found.
+        """
         if isinstance(self.samples, str):
             expected = (
                 f"a number; {AUTO} where the best layout within a budget is chosen"
@@ -145,7 +149,10 @@ def map_options(question: Question) -> dict[str, Any]:
 
 
 def read_point(text: str, where: str) -> tuple[float, float]:
-    """Two finite numbers with a comma between; raises InputError for anything else."""
+    """Two finite numbers with a comma between.
+
+    Raises InputError for anything else.
+    """
     numbers = [float_of(word) for word in text.split(",")]
     if len(numbers) != 2 or not all(map(math.isfinite, numbers)):
         raise InputError(where, text, "two numbers: X,Y")
@@ -154,15 +161,28 @@ def read_point(text: str, where: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuestionField:
-    """A field of :class:`Question`, taken apart."""
+    """A field of :class:`Question`, taken apart.
 
-    name: str  # of the field
-    key: str  # such as "site_cost": the name in a question file
-    # int, float, bool or str, or one of the words of a Literal; with limits in a
-    # :class:`msgspec.Meta`
+    Attributes
+    ----------
+    name : str
+        Of the field.
+    key : str
+        Such as "site_cost": the name in a question file.
+    kind : Any
+        Int, float, bool or str, or one of the words of a Literal; with limits
+        in a :class:`msgspec.Meta`.
+    default : Any
+        None: nothing is given.
+    description : str
+        Other fields stand in it between backticks.
+    """
+
+    name: str
+    key: str
     kind: Any
-    default: Any  # None: nothing is given
-    description: str  # other fields stand in it between backticks
+    default: Any
+    description: str
 
 
 _KEYS = {
@@ -170,7 +190,8 @@ _KEYS = {
     "build_up_s": "brake_build_up",
     "case_range": "range",
 }
-_UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
+# A key has none.
+_UNIT = re.compile("_(eur|m|deg|s|mps2)$")
 
 
 @cache
@@ -180,8 +201,10 @@ def question_fields() -> dict[str, QuestionField]:
     words = load_data(__package__, "question.toml")
     known = {}
     for field in fields(Question):
-        name, kind = field.name, hints[field.name]
-        if get_origin(kind) in (Union, UnionType):  # of a value and None
+        name = field.name
+        kind = hints[name]
+        # Of a value and None.
+        if get_origin(kind) in (Union, UnionType):
             kind = next(one for one in get_args(kind) if one is not NoneType)
         says = words[name]
         if "expected" in says:
@@ -244,7 +267,10 @@ def load_question_values(path: Path) -> dict[str, Any]:
 
 
 def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Values of a question file's table, by the names of the fields; or InputError."""
+    """Values of a question file's table, by the names of the fields.
+
+    Raises InputError for an unknown key, or a value that cannot be.
+    """
     known = {field.key: field for field in question_fields().values()}
     values = {}
     for key, value in table.items():
@@ -261,11 +287,15 @@ def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
     return values
 
 
-_ENDLESS = "inf"  # JSON has no infinity
+# JSON has no infinity.
+_ENDLESS = "inf"
 
 
 def question_values(question: Question) -> dict[str, Any]:
-    """What a question gives beyond the defaults, by the keys of a question file, for JSON."""
+    """Values of a question that differ from the defaults, for JSON.
+
+    They are under the keys of a question file.
+    """
     values = {}
     for field in question_fields().values():
         value = getattr(question, field.name)
@@ -290,7 +320,10 @@ def read_question(values: Mapping[str, Any], where: str) -> Question:
 
 
 def _check_value(field: QuestionField, value: Any, where: str) -> Any:
-    """A value of a field, of its kind. Raises InputError if it is of another kind, or too large."""
+    """Check a value of a field, and convert it to the field's type.
+
+    Raises InputError if it is of another type, or out of range.
+    """
     if (field.name, value) in (("track_memory_s", math.inf), ("samples", AUTO)):
         return value
     return read_table(value, field.kind, where)
@@ -307,7 +340,10 @@ def load_question(path: str | Path) -> Question:
 
 
 def question_text(question: Question) -> str:
-    """A question file's text: every field that differs from its default, below its description."""
+    """Text of a question file.
+
+    It has every field that differs from its default, below the field's description.
+    """
     import tomlkit
 
     document = tomlkit.document()

@@ -1,4 +1,7 @@
-"""Poses between those of the grid: a layout whose units are turned, tilted, zoomed and lifted."""
+"""Refinement: poses between those of the grid.
+
+The units of a layout are turned, tilted, zoomed and lifted.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,12 +41,13 @@ from .setting import Setting
 def certify(
     values: Mapping[Objective, float], certificate: Certificate, solver: Phrase
 ) -> Certificate:
-    """The bounds of a certificate for a set of poses that is as good as its layout or better.
+    """Certificate of a set that is as good as another's layout or better.
 
-    A bound holds for all sets that are as good in the stages before as the
-    certificate's layout, and so for those that are as good as this one. `solver` is the
-    new certificate's text about it.
+    It has the bounds of that certificate. A bound holds for all sets that are as
+    good in the stages before as the certificate's layout, and so for those that are
+    as good as this one. `solver` is the new certificate's text about it.
     """
+    # Each stage has the new value and the proven bound.
     stages = (
         build_stage(name, value, proven.bound, proven.seconds)
         for (name, value), proven in zip(
@@ -54,22 +58,37 @@ def certify(
 
 
 # ---------- places, and the steps from one pose to its neighbours
-_DIGITS = 2  # of metres and degrees: finer than anyone mounts
+# Of metres and degrees: finer than anyone mounts.
+_DIGITS = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
-    """Where poses of a grid may be moved to."""
+    """Where poses of a grid may be moved to.
 
-    scene: Scene  # its sites say how high
-    candidates: tuple[CandidatePose, ...]  # the grid
-    # (n,): which of them stand for poses that may be chosen: not forbidden, and not
-    # existing.
+    Attributes
+    ----------
+    scene : Scene
+        Its sites say how high.
+    candidates : tuple of CandidatePose
+        The grid.
+    is_free : (n,) bool
+        Which of them stand for poses that may be chosen: not forbidden, and not
+        existing.
+    row_of : mapping of str to int
+        Row of every id.
+    """
+
+    scene: Scene
+    candidates: tuple[CandidatePose, ...]
     is_free: BoolArray
-    row_of: Mapping[str, int]  # row of every id
+    row_of: Mapping[str, int]
 
     def height_range_m(self, origin: int) -> tuple[float, float]:
-        """Lowest and highest position for a row of the grid, in the world frame, in metres."""
+        """Lowest and highest position for a row of the grid.
+
+        They are heights in the world frame, in metres.
+        """
         pose = self.candidates[origin]
         own_m = float(pose.pose.position_m[2])
         site = self.site_of(origin)
@@ -105,11 +124,13 @@ def moved(
     pitch_deg: float,
     fov_deg: float | None = None,
 ) -> CandidatePose | None:
-    """Replacement for a row of the grid, moved and turned; None if it would be inside something.
+    """Pose of a row of the grid, moved and turned.
 
-    Height, pitch and field of view (by default the grid's) are brought into their
-    ranges. The pose's id says where it is mounted and how it looks.
+    None if it would be inside something. Height, pitch and field of view (by
+    default the grid's) are brought into their ranges. The pose's id says where it
+    is mounted and how it looks.
     """
+    # Height, angles and field of view are rounded and brought into their ranges.
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
     height_m = float(np.clip(round(height_m, _DIGITS), low_m, high_m))
@@ -157,6 +178,7 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     sensor = unit.sensor
     has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
     poses = []
+    # All steps in yaw and pitch; a zoom changes neither.
     for step_deg, turn_sign, tilt_sign, zoom_sign in product(
         STEPS_DEG, *[(-1, 0, 1)] * 3
     ):
@@ -176,11 +198,13 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     return _others(poses, unit)
 
 
-LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
+# Of the height: each costs rays of its own.
+LIFTS_M = (1.0, 0.5, 0.25, 0.1)
 
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
     """The same pose higher and lower on its site, each id once."""
+    # Everything but the height stays.
     own = _as_it_is(unit)
     lifts_m = (sign * size_m for size_m in LIFTS_M for sign in (-1.0, 1.0))
     heights_m = (own["height_m"] + lift_m for lift_m in lifts_m)
@@ -203,6 +227,7 @@ def _as_it_is(unit: CandidatePose) -> dict[str, float]:
 def _others(
     poses: Iterable[CandidatePose | None], unit: CandidatePose
 ) -> list[CandidatePose]:
+    """Poses that are not the unit itself, each id once."""
     return [
         *{
             one.id: one for one in poses if one is not None and one.id != unit.id
@@ -211,21 +236,31 @@ def _others(
 
 
 # ---------- the search
-_MAX_MOUNTS = (
-    16  # whose rays are cached, some ten megabytes each at the study's junction
-)
-_PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
+# Whose rays are cached, some ten megabytes each at the study's junction.
+_MAX_MOUNTS = 16
+# Of the time: for the whole grid, when the search is over.
+_PROOF_SHARE = 0.4
 _LEAST_SOLVER_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Tried:
-    """A pose at hand."""
+    """A pose at hand.
+
+    Attributes
+    ----------
+    candidate : CandidatePose
+        The pose.
+    origin : int
+        Row of the grid's pose that it is, or stands in for: same place, same
+        sensor.
+    packed : (ceil(n_frames / 8),) uint8
+        Its row of a detection table.
+    """
 
     candidate: CandidatePose
-    # row of the grid's pose that it is, or stands in for: same place, same sensor
     origin: int
-    packed: NDArray[np.uint8]  # (ceil(n_frames / 8),): its row of a detection table
+    packed: NDArray[np.uint8]
 
 
 class _Search:
@@ -244,7 +279,8 @@ class _Search:
         self.places = build_places(setting.scene, candidates, self.grid.limits)
         self.live = LiveTable(setting, compute=compute, max_mounts=_MAX_MOUNTS)
         self.end_s = end_s
-        self.new: dict[str, _Tried] = {}  # poses that are not of the grid, by id
+        # Poses that are not of the grid, by id.
+        self.new: dict[str, _Tried] = {}
         self.units = [self._of_grid(row) for row in placement.pose_index]
         self.values = objective_values(self.grid, placement.pose_index)
 
@@ -259,6 +295,7 @@ class _Search:
         """
         position = 0
         n_settled = 0
+        # Go round the units until none improves, or the time is up.
         while n_settled < len(self.units) and now_s() < self.end_s:
             unit = self.units[position]
             if self.places.is_free[unit.origin] and any(
@@ -274,6 +311,7 @@ class _Search:
 
     def _take_best(self, position: int, poses: Sequence[CandidatePose]) -> bool:
         """Exchange one unit for the best of some poses; whether that improves."""
+        # The other units stay; each trial joins them in turn.
         others = [unit for index, unit in enumerate(self.units) if index != position]
         taken = {unit.candidate.id for unit in others}
         tried = self._look(
@@ -296,6 +334,7 @@ class _Search:
     def _look(self, origin: int, poses: Sequence[CandidatePose]) -> list[_Tried]:
         """Poses with their rows, from the grid or computed anew."""
         row_of = self.places.row_of
+        # Rows of the table for poses that are new.
         unknown = [
             pose for pose in poses if pose.id not in row_of and pose.id not in self.new
         ]
@@ -308,6 +347,7 @@ class _Search:
         ]
 
     def _of_grid(self, row: int) -> _Tried:
+        """Pose of a row of the grid, with its row of the table."""
         return _Tried(
             candidate=self.places.candidates[row],
             origin=row,
@@ -315,8 +355,9 @@ class _Search:
         )
 
     def _problem(self, poses: Iterable[_Tried]) -> PlacementProblem:
-        """The grid's problem on some poses; those that are forced must be among them."""
+        """The grid's problem on some poses, which include the forced ones."""
         poses = list(poses)
+        # A new pose has the limits of the grid's pose that it stands in for.
         limits = self.grid.limits.of_poses(
             np.array([one.origin for one in poses], dtype=np.int64)
         )
@@ -332,10 +373,11 @@ class _Search:
     def prove(
         self, placement: Placement, solver: Effort, *, end_s: float
     ) -> "tuple[Placement, tuple[CandidatePose, ...], tuple[Move, ...]] | None":
-        """The best set and its bounds among the whole grid and all new poses, and the moves there.
+        """Best set among the grid and all new poses, with bounds and moves.
 
         None where nothing could be said in time of how good it is.
         """
+        # Solve the problem on the grid and on all poses tried.
         everyone = [
             *map(self._of_grid, range(self.grid.table.n_poses)),
             *self.new.values(),
@@ -351,6 +393,7 @@ class _Search:
         except InputError:
             # the set at hand meets all wishes, but time was too short to find one
             return None
+        # The optimiser may find a better set than the steps did.
         found = objective_values(problem, solution.pose_index)
         if improves(found, self.values) and is_feasible(problem, solution.pose_index):
             rows = list(solution.pose_index)
@@ -369,7 +412,9 @@ class _Search:
             for _, new in pair_units(placement.layout.units, poses)
             if new is not None
         )
-        pose_index = tuple(rows[new] for new in in_order)  # as the layout has its units
+        # As the layout has its units.
+        pose_index = tuple(rows[new] for new in in_order)
+        # The certificate says on which poses it rests.
         certificate = certify(
             self.values,
             solution.certificate,
@@ -391,28 +436,44 @@ class _Search:
             pose_index=pose_index,
             nominal=problem,
             nominal_index=pose_index,
-            next_unit=None,  # between the poses of the grid there are ever more
+            # Between the poses of the grid there are ever more.
+            next_unit=None,
         )
         return refined, candidates, moves
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refinement:
-    """A layout, and what it was before."""
+    """A layout, and what it was before.
 
-    unrefined: Placement  # the one given: its certificate is about the grid alone
-    # the refined one: its problem's table has the poses tried behind those of the grid,
-    # and the bounds of its certificate are about these, not about all poses in between.
-    # The one given, where nothing better was found.
+    Attributes
+    ----------
+    unrefined : Placement
+        The one given: its certificate is about the grid alone.
+    placement : Placement
+        The refined one: its problem's table has the poses tried behind those of
+        the grid, and the bounds of its certificate are about these, not about
+        all poses in between. The one given, where nothing better was found.
+    candidates : tuple of CandidatePose
+        The rows of that table.
+    before, after : mapping of Objective to float
+        In the order of the problem's stages; `after` is `before` or better.
+    moves : tuple of Move
+        What became of each unit; empty where nothing better was found.
+    n_tried : int
+        New poses whose detections were computed.
+    seconds : float
+        Time spent. [s]
+    """
+
+    unrefined: Placement
     placement: Placement
-    candidates: tuple[CandidatePose, ...]  # the rows of that table
-    # before, after: in the order of the problem's stages; `after` is `before` or better
+    candidates: tuple[CandidatePose, ...]
     before: Mapping[Objective, float]
     after: Mapping[Objective, float]
-    # what became of each unit; empty where nothing better was found
     moves: "tuple[Move, ...]"
-    n_tried: int  # new poses whose detections were computed
-    seconds: float  # time spent. [s]
+    n_tried: int
+    seconds: float
 
     @property
     def is_improved(self) -> bool:
@@ -448,6 +509,7 @@ def refine(
         refuse("candidates", "other poses", "the rows of the placement's table")
     if table.axis.run_ids != setting.axis.run_ids:
         refuse("refine", "a table of sampled worlds", "a table of the runs as planned")
+    # Steps first; the proof has the rest of the time.
     search = _Search(
         setting,
         placement,
@@ -459,6 +521,7 @@ def refine(
     compute.progress(Phrase("refine: steps"), 0, 0)
     search.turn()
     proven = None
+    after = before
     if improves(search.values, before):
         compute.progress(Phrase("refine: proof"), 0, 0)
         if solver is None:
@@ -466,13 +529,15 @@ def refine(
         else:
             effort = solver
         proven = search.prove(placement, effort, end_s=started_s + time_limit_s)
+    if proven is not None:
+        after = search.values
     refined, all_candidates, moves = proven or (placement, tuple(candidates), ())
     return Refinement(
         unrefined=placement,
         placement=refined,
         candidates=all_candidates,
         before=before,
-        after=before if proven is None else search.values,
+        after=after,
         moves=moves,
         n_tried=len(search.new),
         seconds=now_s() - started_s,
@@ -485,10 +550,18 @@ _SAME_PLACE_M = 1.0e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Move:
-    """One unit before and after."""
+    """One unit before and after.
 
-    before: CandidatePose | None  # None: the unit is new
-    after: CandidatePose | None  # None: the unit is gone
+    Attributes
+    ----------
+    before : CandidatePose, optional
+        None: the unit is new.
+    after : CandidatePose, optional
+        None: the unit is gone.
+    """
+
+    before: CandidatePose | None
+    after: CandidatePose | None
 
     @property
     def is_same_place(self) -> bool:
@@ -532,7 +605,10 @@ class Move:
 
 
 def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
-    """True if two poses are of one sensor model at one place, whatever their heights."""
+    """True if two poses are of one sensor model at one place.
+
+    Heights do not matter.
+    """
     away_m = one.pose.position_m[:2] - other.pose.position_m[:2]
     return one.sensor.name == other.sensor.name and bool(
         np.hypot(*away_m) <= _SAME_PLACE_M
@@ -552,6 +628,7 @@ def pair_units(
         turn = float(wrap_deg(one.pose.yaw_deg - other.pose.yaw_deg))
         return abs(turn) + abs(one.pose.pitch_deg - other.pose.pitch_deg)
 
+    # The pairs that look most alike are taken first.
     distances = sorted(
         (distance_deg(one, other), old, new)
         for old, one in enumerate(before)
@@ -569,15 +646,16 @@ def pair_units(
 def rename(
     before: Layout, poses: Sequence[CandidatePose], *, named: Sequence[str], name: str
 ) -> tuple[Layout, tuple[Move, ...]]:
-    """A layout of the poses, whose units keep their names where they stay in place, and the moves.
+    """Name the poses of a new layout, and list what moved.
 
-    Names of `named` mean one pose and no other, such as those of an existing layout.
-    Units come in the order of `before`, new ones behind; the moves leave out units that
-    stayed as they were.
+    Units that stay in place keep their names. Names of `named` mean one pose and no
+    other, such as those of an existing layout. Units come in the order of `before`,
+    new ones behind; the moves leave out units that stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (name for name in map("U{}".format, count(1)) if name not in taken)
     moves = []
+    # A unit that stays in place keeps its name.
     for old, new in pair_units(before.units, poses):
         if old is None:
             unit = None
@@ -595,6 +673,7 @@ def rename(
             unit_id = next(free)
         moves.append(Move(before=unit, after=replace(poses[new], id=unit_id)))
     units = tuple(move.after for move in moves if move.after is not None)
+    # Units that did not move at all are left out of the moves.
     changed = (
         move
         for move in moves

@@ -1,4 +1,4 @@
-"""Retrofit of mounted units: remove one, re-aim one, add one, or the best changes for a budget.
+"""Retrofit of mounted units: remove, re-aim, add, or combine.
 
 Removals, re-aims and additions are tried one by one; a combination is a placement
 problem with the units already in place. All values are those of the detection table.
@@ -47,12 +47,19 @@ _SAME_DEG = 1.0e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RetrofitPoses:
-    """All poses that may be mounted in the end."""
+    """All poses that may be mounted in the end.
 
-    # the units as they are, in the layout's order; then their re-aims; then what can be
-    # added
+    Attributes
+    ----------
+    candidates : tuple of CandidatePose
+        The units as they are, in the layout's order; then their re-aims; then
+        what can be added.
+    unit_index : (n_poses,) int
+        Which unit each of them is; -1: a new one.
+    """
+
     candidates: tuple[CandidatePose, ...]
-    unit_index: IntArray  # (n_poses,): which unit each of them is; -1: a new one
+    unit_index: IntArray
 
     @property
     def n_units(self) -> int:
@@ -68,13 +75,14 @@ class RetrofitPoses:
 def build_retrofit_poses(
     layout: Layout, grid: CandidateGrid, additions: Sequence[CandidatePose]
 ) -> RetrofitPoses:
-    """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
+    """Poses of a retrofit: units, their re-aims, and new poses.
 
-    Additions with the id of a unit are left out. Raises InputError if two ids are
-    equal.
+    A re-aim has the same place and sensor, and a direction of the grid. Additions
+    with the id of a unit are left out. Raises InputError if two ids are equal.
     """
     aims = []
     numbers = [*range(len(layout.units))]
+    # Every direction of the grid that differs from the unit's own.
     for number, unit in enumerate(layout.units):
         for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor):
             turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
@@ -85,6 +93,7 @@ def build_retrofit_poses(
                 name = f"{unit.id}/aim/{yaw_deg:g}/{pitch_deg:g}"
                 aims.append(replace(unit, id=name, pose=pose))
                 numbers.append(number)
+    # New poses come last.
     taken = {unit.id for unit in layout.units}
     new = [candidate for candidate in additions if candidate.id not in taken]
     candidates = (*layout.units, *aims, *new)
@@ -97,15 +106,33 @@ def build_retrofit_poses(
 # ---------- labour: what it costs to re-aim or to remove a unit
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labour:
-    """Prices of work without hardware: people and a lift."""
+    """Prices of work without hardware: people and a lift.
 
-    people: float  # at work together
-    wage_eur_per_h: float  # of each, also on the way
-    travel_h: float  # there and back
-    lift_eur: float  # for the visit
-    re_aim_h: float  # at the pole
-    remove_h: float  # at the pole
-    source: str  # where the numbers come from
+    Attributes
+    ----------
+    people : float
+        At work together.
+    wage_eur_per_h : float
+        Of each, also on the way.
+    travel_h : float
+        There and back.
+    lift_eur : float
+        For the visit.
+    re_aim_h : float
+        At the pole.
+    remove_h : float
+        At the pole.
+    source : str
+        Where the numbers come from.
+    """
+
+    people: float
+    wage_eur_per_h: float
+    travel_h: float
+    lift_eur: float
+    re_aim_h: float
+    remove_h: float
+    source: str
 
     @property
     def re_aim_eur(self) -> float:
@@ -137,22 +164,37 @@ def load_labour() -> Labour:
 # ---------- changes
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A change, and what it brings."""
+    """A change, and what it brings.
 
-    # removed, added: poses that go and that come, as rows of the table; a unit that is
-    # re-aimed is in both
+    Attributes
+    ----------
+    removed, added : tuple of int
+        Poses that go and that come, as rows of the table; a unit that is
+        re-aimed is in both.
+    price_eur : float
+        Labour, units and sites. [EUR]
+    pose_index : tuple of int
+        What is mounted afterwards, ascending.
+    value : PlacementValue
+        Of what is mounted afterwards.
+    gained, lost : tuple of str
+        Ids of runs that are avoided only afterwards, and only before.
+    n_compared : int
+        Number of alternatives of its kind that were tried, including itself; 0
+        for a combination.
+    certificate : Certificate, optional
+        Of a combination.
+    """
+
     removed: tuple[int, ...]
     added: tuple[int, ...]
-    price_eur: float  # labour, units and sites. [EUR]
-    pose_index: tuple[int, ...]  # what is mounted afterwards, ascending
-    value: PlacementValue  # of what is mounted afterwards
-    # gained, lost: ids of runs that are avoided only afterwards, and only before
+    price_eur: float
+    pose_index: tuple[int, ...]
+    value: PlacementValue
     gained: tuple[str, ...]
     lost: tuple[str, ...]
-    # number of alternatives of its kind that were tried, including itself; 0 for a
-    # combination
     n_compared: int = 0
-    certificate: Certificate | None = None  # of a combination
+    certificate: Certificate | None = None
 
     @property
     def is_proven(self) -> bool:
@@ -180,14 +222,11 @@ class Retrofit:
         The best re-aims and additions together within the budget, if there is one.
     """
 
-    before: PlacementValue  # of what is mounted now
-    removals: tuple[Change, ...]  # of every unit, the one that loses least first
-    # the best of every unit, the best first; they may be worse than no change
+    before: PlacementValue
+    removals: tuple[Change, ...]
     re_aims: tuple[Change, ...]
-    addition: Change | None  # the best new unit; None if no addition is an improvement
-    combination: (
-        Change | None
-    )  # the best re-aims and additions within the budget, if there is one
+    addition: Change | None
+    combination: Change | None
 
 
 def find_retrofit(
@@ -198,12 +237,13 @@ def find_retrofit(
     budget_eur: float | None = None,
     effort: Effort | None = None,
 ) -> Retrofit:
-    """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
+    """Find the best change of every kind.
 
-    The problem is on the table of all poses, with those mounted as forced ones that
-    cost nothing; its budgets and forced sites do not matter. `budget_eur` and `effort`
-    are for the combination; an addition must not cost more, either. All other changes
-    are tried one by one.
+    Changes are compared by APR, APR when one unit fails, margins, then price. The
+    problem is on the table of all poses, with those mounted as forced ones that
+    cost nothing; its budgets and forced sites do not matter. `budget_eur` and
+    `effort` are for the combination; an addition must not cost more, either. All
+    other changes are tried one by one.
     """
     if effort is None:
         effort = Effort()
@@ -212,6 +252,7 @@ def find_retrofit(
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
     removals = []
     re_aims = []
+    # Remove each unit in turn, and re-aim it as well as possible.
     for number in standing:
         others = [unit for unit in standing if unit != number]
         price_eur = labour.remove_eur
@@ -227,6 +268,7 @@ def find_retrofit(
                 _change(problem, poses, after, price_eur=price_eur, n_compared=n_aims)
             )
     combination = None
+    # Combine re-aims and additions within the budget.
     if budget_eur is not None:
         prices = {"re_aim_eur": labour.re_aim_eur, "budget_eur": budget_eur}
         within = replace(
@@ -250,23 +292,27 @@ def find_retrofit(
 def combined_limits(
     limits: Limits, poses: RetrofitPoses, *, re_aim_eur: float, budget_eur: float
 ) -> Limits:
-    """Limits in which every unit stays or is re-aimed, and others are added within the budget.
+    """Limits in which units stay or are re-aimed, and others are added.
 
-    Every unit becomes a site of its own, on which one of its poses must be chosen. What
-    room the real sites have left is for new ones; rivals of units are forbidden.
+    Changes are paid from the budget. Every unit becomes a site of its own, on which
+    one of its poses must be chosen. What room the real sites have left is for new
+    ones; rivals of units are forbidden.
     """
     n_units = poses.n_units
     n_sites = limits.n_sites
     is_new = poses.unit_index < 0
+    # Room that is left at the real sites, and sites that are rivals of units.
     at_site = np.bincount(limits.site_index[:n_units], minlength=n_sites)
     one = limits.rivals[:, 0]
     other = limits.rivals[:, 1]
     is_blocked = np.zeros(n_sites, dtype=bool)
     is_blocked[other[at_site[one] > 0]] = True
     is_blocked[one[at_site[other] > 0]] = True
+    # Units that stay cost nothing, re-aims cost labour.
     price = np.where(is_new, limits.unit_cost_eur, re_aim_eur)
     price[:n_units] = 0.0
     is_open = is_new & ~limits.is_forbidden & ~is_blocked[limits.site_index]
+    # No more new units than money can buy.
     cheapest = float(price[is_open].min(initial=np.inf))
     if 0.0 < cheapest < np.inf:
         n_affordable = budget_eur // cheapest
@@ -296,12 +342,14 @@ def find_addition(
     *,
     budget_eur: float | None,
 ) -> Change | None:
-    """The best new unit next to the existing ones; None if none is allowed or an improvement.
+    """Best new unit next to the existing ones.
 
-    All that are allowed are tried; a budget is for the new unit and its site alone.
+    None if no unit is allowed, or none is an improvement. All that are allowed are
+    tried; a budget is for the new unit and its site alone.
     """
     standing = np.arange(poses.n_units)
     new = np.flatnonzero(poses.unit_index < 0)
+    # One set for each new pose: all existing units and that pose.
     sets = np.column_stack([np.tile(standing, (len(new), 1)), new])
     limits = replace(
         problem.limits,
@@ -312,6 +360,7 @@ def find_addition(
     new = new[are_allowed(limits, sets)]
     if not len(new):
         return None
+    # The best of them counts only if it is an improvement.
     after = [*standing.tolist(), best_joining(reduced, standing.tolist(), new)]
     price_eur = cost_eur(limits, after)
     n = len(new)
@@ -330,8 +379,10 @@ def _change(
     price_eur: float = 0.0,
     n_compared: int = 0,
 ) -> Change:
+    """A change to the poses `after`, with its value and its runs."""
     standing = range(poses.n_units)
     run_ids = np.array(problem.table.axis.run_ids)
+    # Runs that are avoided before and afterwards.
     was = run_margins_s(problem, standing) > -np.inf
     now = run_margins_s(problem, after) > -np.inf
     return Change(
@@ -347,7 +398,10 @@ def _change(
 
 
 def _best_first(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """Changes by the value of what is mounted afterwards; equal ones keep their order."""
+    """Changes by the value of what is mounted afterwards, best first.
+
+    Equal ones keep their order.
+    """
 
     def compare(one: Change, other: Change) -> int:
         values = _without_cost(one.value), _without_cost(other.value)
@@ -364,14 +418,16 @@ def _without_cost(value: PlacementValue) -> PlacementValue:
 def best_joining(
     reduced: ReducedProblem, mounted: Sequence[int], each: IntArray
 ) -> int:
-    """The pose of `each`, rows of the table, that joins those `mounted` best; the first of equals.
+    """The pose of `each` that joins the mounted ones best.
 
-    Best by APR, then APR when one unit fails, smallest and mean margin, and price.
+    `each` and `mounted` are rows of the table; of equals the first is taken. Best
+    by APR, then APR when one unit fails, smallest and mean margin, and price.
     Limits and floors do not matter; `reduced` is by
     :func:`placement.optimiser.presolve.presolve_freely`.
     """
     poses = units_of(reduced, each)
-    if not len(poses):  # none detects anything that counts
+    # None detects anything that counts.
+    if not len(poses):
         return int(each[0])
     best = best_with_each(
         reduced, units_of(reduced, np.array(mounted, dtype=np.int64)), poses
@@ -380,7 +436,8 @@ def best_joining(
 
 
 # ---------- answers to somebody who plans by hand
-LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
+# An APR that is higher by less is the same.
+LEAST_GAIN = 1.0e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -390,33 +447,26 @@ class Advice:
     Attributes
     ----------
     units : tuple of CandidatePose
-        All that would hang then; those that stay keep their ids.
+        All that would be mounted then; those that stay keep their ids.
     before, after : PlacementValue
-        What hangs, and what would hang, on the detection table; `before` is None where
-        nothing hangs. Costs are of the same kind: of what is new, or of everything, see
-        the question.
+        Worth of the present and of the new layout on the detection table; `before` is
+        None where nothing is mounted. Costs of both are of the same kind: of what is
+        new, or of everything, as the question says.
     certificate : Certificate, optional
         Of a search; None where all alternatives were tried one by one.
     n_compared : int
         How many were tried so; 0 of a search.
     """
 
-    units: tuple[
-        CandidatePose, ...
-    ]  # all that is mounted then; those that stay keep their ids
-    # before, after: worth of the present and the new layout on the detection table;
-    # `before` is None where nothing is mounted. Costs are of the same kind: of what is
-    # new, or of everything.
+    units: tuple[CandidatePose, ...]
     before: PlacementValue | None
     after: PlacementValue
-    certificate: Certificate | None = (
-        None  # of a search; None: all were tried one by one
-    )
-    n_compared: int = 0  # how many were tried so; 0 of a search
+    certificate: Certificate | None = None
+    n_compared: int = 0
 
     @property
     def is_proven(self) -> bool:
-        """True if nothing of its kind is better by what is asked for, the first objective."""
+        """True if nothing of its kind is better in the first objective."""
         if self.certificate is None:
             return self.n_compared > 0
         return self.certificate.stages[0].gap == 0.0
@@ -447,14 +497,18 @@ class Adviser:
     """
 
     def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
-        self._assembly, self._grid, self._compute = assembly, grid, assembly.compute
-        self._wishes, self._setting = assembly.wishes, assembly.setting
+        self._assembly = assembly
+        self._grid = grid
+        self._compute = assembly.compute
+        self._wishes = assembly.wishes
+        self._setting = assembly.setting
         self._live = LiveTable(assembly.setting, compute=assembly.compute)
 
     def best_next(self, units: Sequence[CandidatePose]) -> Advice:
-        """The unit that gains most next to the mounted ones; costs are its own and its site's.
+        """The unit that gains most next to the mounted ones.
 
-        Raises InputError if none is allowed, or none is an improvement.
+        Costs are its own and its site's. Raises InputError if none is allowed, or
+        none is an improvement.
         """
         if not units:
             return self.complete(units, n_units=1)
@@ -476,10 +530,11 @@ class Adviser:
         )
 
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
-        """The best layout of `n_units` that has the mounted units; costs are of what is new.
+        """The best layout of `n_units` that keeps the mounted units.
 
-        One more unit is found by trying all. Raises InputError if so many are mounted
-        already, the sites cannot carry them, or one unit more is no improvement.
+        Costs are those of what is new. One more unit is found by trying all. Raises
+        InputError if so many are mounted already, the sites cannot carry them, or
+        one unit more is no improvement.
         """
         if n_units <= len(units):
             expected = Phrase(
@@ -499,14 +554,16 @@ class Adviser:
         return self._search(units, wishes)
 
     def re_aim(self, units: Sequence[CandidatePose]) -> Advice:
-        """The best directions of all units, each at its place with its sensor; nothing is bought.
+        """The best directions of all mounted units.
 
-        Raises InputError if nothing is mounted, or no unit can look elsewhere.
+        Each keeps its place and sensor; nothing is bought. Raises InputError if
+        nothing is mounted, or no unit can look elsewhere.
         """
         if not units:
             refuse(Phrase("re-aim"), Phrase("no unit"), Phrase("at least one unit"))
         n = len(units)
         may_look = self._assembly.may_look
+        # Directions that respect private ground.
         poses = build_retrofit_poses(
             Layout(name="now", units=tuple(units)), self._grid, ()
         )
@@ -548,6 +605,7 @@ class Adviser:
         )
 
     def _solve(self, problem: PlacementProblem, starts: Sequence[IntArray]) -> Solution:
+        """Solve a problem, and report its stages."""
         return solve_placement(
             problem,
             effort=self._assembly.effort,
@@ -558,9 +616,10 @@ class Adviser:
         )
 
     def cheapest(self, units: Sequence[CandidatePose]) -> Advice:
-        """The layout of least cost whose APR is that of the mounted one; costs are of everything.
+        """The cheapest layout with the APR of the mounted one.
 
-        Raises InputError if nothing is mounted, or it avoids nothing.
+        Costs are those of everything. Raises InputError if nothing is mounted, or
+        it avoids nothing.
         """
         if not units:
             refuse(
@@ -581,7 +640,7 @@ class Adviser:
     def why_not(
         self, units: Sequence[CandidatePose], site_id: str
     ) -> tuple[Advice, Advice]:
-        """Worth of a site: beside the mounted units, and in a layout of as many units.
+        """Worth of a site, with the mounted units and in a layout of as many units.
 
         The first has the best unit there next to all others; the second is the best
         layout of as many units that uses the site, costs of everything. Raises
@@ -608,20 +667,30 @@ class Adviser:
             after=placement_value(problem, [*range(len(units)), best]),
             n_compared=len(rows),
         )
+        # ... and the best layout of as many units that uses the site.
         wishes = replace(self._wishes, budget_units=len(units), forced_sites=(site_id,))
         return beside, self._search(units, wishes)
 
     # ---------- problems
     def _search(self, units: Sequence[CandidatePose], wishes: Wishes) -> Advice:
-        """The optimiser's answer, started from the mounted units where that is allowed."""
+        """The optimiser's answer, as advice.
+
+        It starts from the mounted units where that is allowed.
+        """
         problem = self._problem(units, wishes)
-        has_start = bool(len(units)) and wishes.budget_units is None
-        solution = self._solve(problem, [np.arange(len(units))] if has_start else [])
+        starts = []
+        if len(units) and wishes.budget_units is None:
+            starts.append(np.arange(len(units)))
+        solution = self._solve(problem, starts)
+        # Rows before the grid's are mounted units.
         stay = [units[row] for row in solution.pose_index if row < len(units)]
         new = [row for row in solution.pose_index if row >= len(units)]
+        before = None
+        if units:
+            before = placement_value(problem, range(len(units)))
         return Advice(
             units=self._named(stay, self._candidates(units), new, taken=units),
-            before=placement_value(problem, range(len(units))) if units else None,
+            before=before,
             after=placement_value(problem, solution.pose_index),
             certificate=solution.certificate,
         )
@@ -637,7 +706,10 @@ class Adviser:
         return self._problem(units, self._one_more(units)), poses
 
     def _one_more(self, units: Sequence[CandidatePose]) -> Wishes:
-        """One more row than the mounted units: a further unit, or another direction of one."""
+        """Wishes for one more row than the mounted units.
+
+        It is a further unit, or another direction of one.
+        """
         return replace(
             self._wishes,
             budget_units=len(units) + 1,
@@ -664,6 +736,7 @@ class Adviser:
     def _candidates(self, units: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
         """The units, then the grid's poses, under ids that no other row has."""
         taken = {unit.id for unit in units}
+        # A pose of the grid may be called as a unit is.
         grid = (
             replace(one, id=free_name(taken, f"{one.id}/")) if one.id in taken else one
             for one in self._assembly.candidates
@@ -671,6 +744,7 @@ class Adviser:
         return (*units, *grid)
 
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
+        """Detection table of some units."""
         names = tuple(unit.id for unit in units)
         axis = self._setting.axis
         return DetectionTable(

@@ -1,8 +1,11 @@
-"""The setting in which layouts are placed and judged: scene, runs, braking, detectors, radio."""
+"""The setting in which layouts are placed and judged.
+
+It has scene, runs, braking rule, detectors and radio.
+"""
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -60,14 +63,19 @@ from .question import Question, map_options, read_cars, read_point, split_names
 # ---------- radio
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Radio:
-    """Radio between RSUs, VRUs and the VUT."""
+    """Radio between RSUs, VRUs and the VUT.
 
-    # : Probability that a message is lost: an RSU's collective perception message (CPM)
-    # of one : frame, or a VRU's awareness message (VAM). 0 .. 1
+    Attributes
+    ----------
+    packet_loss : float
+        Probability that a message is lost: an RSU's collective perception
+        message (CPM) of one frame, or a VRU's awareness message (VAM). 0 .. 1.
+    vam_rate : float
+        Share of the runs whose VRU carries a device that sends VAMs. 0 .. 1.
+    """
+
     packet_loss: float = 0.0
-    vam_rate: float = (
-        0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
-    )
+    vam_rate: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
@@ -81,25 +89,52 @@ VUT_SENSORS = ("camera", "lidar")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Setting:
-    """The question, but for the layout."""
+    """The question, but for the layout.
 
-    scene: Scene  #: what stands still, and the mount sites
-    runs: tuple[Run, ...]  #: what happens there
-    axis: FrameAxis  #: frames and weights of `runs`
-    rule: AebRule  #: from detected frames to braking
-    detector: Detector  #: of cameras, in the evaluator
-    table_detector: PlanningDetector  #: of cameras, in the detection table
-    refusals: tuple[Refusal, ...] = ()  #: what was asked for, but cannot be driven
-    radio: Radio = field(default_factory=Radio)  #: from detections to the VUT
-    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
-    vut_camera: CameraModel | None = None  #: in place of the study's
-    levels: Levels | None = (
-        None  #: what runs count by the speed at contact; None: if avoided
-    )
-    # : share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
+    Attributes
+    ----------
+    scene : Scene
+        What stands still, and the mount sites.
+    runs : tuple of Run
+        What happens there.
+    axis : FrameAxis
+        Frames and weights of `runs`.
+    rule : AebRule
+        From detected frames to braking.
+    detector : Detector
+        Of cameras, in the evaluator.
+    table_detector : PlanningDetector
+        Of cameras, in the detection table.
+    refusals : tuple of Refusal
+        What was asked for, but cannot be driven.
+    radio : Radio
+        From detections to the VUT.
+    vut_sensors : tuple of str
+        What the VUT itself looks with.
+    vut_camera : CameraModel, optional
+        In place of the study's.
+    levels : Levels, optional
+        What runs count by the speed at contact; None: if avoided.
+    cars : float
+        Share of the VUTs whose own sensors are one more unit in every run. 0 ..
+        1.
+    seen_by_vut : (n_frames,) bool, optional
+        In which the VUT's own sensors detect, where that is known already; see
+        :func:`placement.evaluator.with_sight`.
+    """
+
+    scene: Scene
+    runs: tuple[Run, ...]
+    axis: FrameAxis
+    rule: AebRule
+    detector: Detector
+    table_detector: PlanningDetector
+    refusals: tuple[Refusal, ...] = ()
+    radio: Radio = field(default_factory=Radio)
+    vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]
+    vut_camera: CameraModel | None = None
+    levels: Levels | None = None
     cars: float = 0.0
-    # : (n_frames,): in which the VUT's own sensors detect, where that is known already;
-    # see : :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -128,6 +163,7 @@ def build_rule(question: Question) -> AebRule:
     Raises InputError if the latency budget is unknown or a latency is given as well, or
     tracks live for less than a frame.
     """
+    # Fields of the rule that the question gives.
     changes = {
         name: getattr(question, name)
         for name in (
@@ -136,8 +172,10 @@ def build_rule(question: Question) -> AebRule:
         if getattr(question, name) is not None
     }
     # By default tracks live for ever in the study's cases, as the study reads it.
-    study = is_study_set(question.cases)
-    changes.setdefault("track_memory_s", math.inf if study else load_track_memory_s())
+    memory_s = math.inf
+    if not is_study_set(question.cases):
+        memory_s = load_track_memory_s()
+    changes.setdefault("track_memory_s", memory_s)
     if question.latency_budget:
         if question.latency_s is not None:
             refuse("latency_s", "it beside `latency_budget`", "one of them")
@@ -171,6 +209,7 @@ def check_question(question: Question) -> None:
 
 
 def _select(question: Question) -> Selection:
+    """Cases that a question selects."""
     return select_cases(
         question.cases,
         speeds=question.speeds or None,
@@ -181,12 +220,21 @@ def _select(question: Question) -> Selection:
 
 
 class Drives(NamedTuple):
-    """The runs that a question lays on a scene."""
+    """The runs that a question lays on a scene.
 
-    runs: tuple[Run, ...]  # what is driven
-    refused: tuple[Refusal, ...]  # what the junction does not carry
-    # cases none of whose speeds were asked for, or that meet somebody who is not to be
-    # protected
+    Attributes
+    ----------
+    runs : tuple of Run
+        What is driven.
+    refused : tuple of Refusal
+        What the junction does not carry.
+    left_out : tuple of Refusal
+        Cases none of whose speeds were asked for, or that meet somebody who is
+        not to be protected.
+    """
+
+    runs: tuple[Run, ...]
+    refused: tuple[Refusal, ...]
     left_out: tuple[Refusal, ...]
 
 
@@ -213,6 +261,7 @@ def drive(
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "approaches", known) or known
     weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
+    # Everything that the runs depend on; it is part of the cache's key.
     laid: dict[str, Any] = {
         "vut": pick_actor("vut", "vut"),
         "rule": build_rule(question),
@@ -255,9 +304,13 @@ def _unprotected(case: Case) -> Phrase:
 
 
 def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
-    """The only run of a question at a position; InputError if there are none, or several."""
+    """The only run of a question at a position.
+
+    Raises InputError if there are none, or several.
+    """
     where = "position"
     place = read_position(position, where)
+    # Cases that are bound to the junction are driven at 0 only.
     for case in select_cases(question.cases, force=True).cases:
         if is_bound(case) and place != AT_ZERO:
             raise InputError(
@@ -303,6 +356,7 @@ def build_setting(
     runs = drives.runs
     if question.strict or not runs:
         _check_every_case(drives, scene)
+    # The detector has to know the classes of road users.
     classes = {vru_class(run.encounter.vru) for run in runs}
     if isinstance(detector, NetworkDetector):
         detector.check_classes(sorted(classes))
@@ -320,6 +374,7 @@ def build_setting(
             near=_place_deg(question, scene),
             within_m=question.accidents_within_m,
         )
+    # With a score, runs count by the speed at contact.
     levels = None
     if question.score != AVOIDED:
         levels = cached_value(
@@ -346,7 +401,10 @@ def build_setting(
 
 
 def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
-    """Latitude and longitude around which accidents count; None where nobody knows."""
+    """Latitude and longitude around which accidents count.
+
+    None where they are not known.
+    """
     if question.near:
         return _read_place_deg(question.near)
     if not scene.crs or split_source(question.weights) is None:
@@ -357,6 +415,7 @@ def _place_deg(question: Question, scene: Scene) -> tuple[float, float] | None:
 
 
 def _read_place_deg(text: str) -> tuple[float, float]:
+    """Latitude and longitude in a text, in degrees; else an InputError."""
     try:
         latitude, longitude = read_point(text, "near")
     except InputError:
@@ -369,9 +428,13 @@ def _read_place_deg(text: str) -> tuple[float, float]:
 
 
 def _check_every_case(drives: Drives, scene: Scene) -> None:
-    """Raise InputError for the first case that no approach carries, with all its reasons."""
+    """Raise InputError for the first case that no approach carries.
+
+    The message has all its reasons.
+    """
     driven = {run.case.name for run in drives.runs}
     reasons: dict[str, dict[str, list[str]]] = {}
+    # Approaches by case and reason.
     for refusal in drives.refused:
         if refusal.case.name not in driven:
             by_reason = reasons.setdefault(refusal.case.name, {})
@@ -407,7 +470,10 @@ def _words(
 ) -> tuple[str, ...]:
     """Known words with commas between; none of an empty text."""
     words = split_names(text, where)
-    for word in words if len(words) >= at_least else [text]:
+    checked: Sequence[str] = words
+    if len(words) < at_least:
+        checked = [text]
+    for word in checked:
         if word not in known:
             raise InputError(where, word, "one or more of " + ", ".join(known))
     return words

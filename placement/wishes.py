@@ -1,4 +1,7 @@
-"""Demands on a layout - units, money, targets, sites - with prices, and the problem they make."""
+"""Demands on a layout, and the problem that they make.
+
+Demands are on units, money, targets and sites; prices belong to them.
+"""
 
 import re
 from collections import Counter
@@ -23,7 +26,7 @@ from .optimiser.problem import Fusion
 from .question import Question, read_number, split_names
 from .setting import Setting
 
-# ---------- prices of sites that have none of their own: assumptions, each with its source
+# ---------- prices of sites without one: assumptions, each with its source
 _FILE = "prices.toml"
 _OTHERWISE = "pole"
 
@@ -40,10 +43,7 @@ class Part:
         Where the price comes from; it begins with "assumption" where that is nowhere.
     """
 
-    eur: Annotated[
-        float, Meta(ge=0.0, description="euros, at least 0")
-    ]  # its price. [EUR]
-    # where the price comes from; it begins with "assumption" where that is nowhere
+    eur: Annotated[float, Meta(ge=0.0, description="euros, at least 0")]
     source: str
 
 
@@ -60,9 +60,7 @@ class SitePrices:
         kinds.
     """
 
-    parts: dict[str, Part]  # what sites may take, by name
-    # names of the parts that a site takes, by its kind; "pole" stands for all other
-    # kinds
+    parts: dict[str, Part]
     kinds: dict[str, tuple[str, ...]]
 
     def __post_init__(self) -> None:
@@ -98,7 +96,8 @@ def load_prices() -> SitePrices:
 
 
 def assumed_prices(prices: SitePrices, sites: Sequence[Site]) -> tuple[str, ...]:
-    """Assumed prices of sites that have none of their own, a sentence for each kind."""
+    """Assumed prices of sites without one, a sentence for each kind."""
+    # Frequent kinds come first.
     count = Counter(site.kind for site in sites if not site.cost_eur > 0.0)
     sentences = []
     for kind, number in count.most_common():
@@ -148,46 +147,62 @@ _PARTS = {
 # ---------- demands
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """Demands on a layout."""
+    """Demands on a layout.
 
-    budget_units: int | None = (
-        None  #: At most so many units in all, the existing ones among them.
-    )
-    budget_eur: float | None = (
-        None  #: At most so much money for new units and their sites. [EUR]
-    )
-    # : APR that must be reached, 0..1: with the fewest units or the least cost. With
-    # ``max`` as : infinity: as much as all candidates together reach.
+    Attributes
+    ----------
+    budget_units : int, optional
+        At most so many units in all, the existing ones among them.
+    budget_eur : float, optional
+        At most so much money for new units and their sites. [EUR]
+    target : float, optional
+        APR that must be reached, 0..1: with the fewest units or the least cost.
+        With ``max`` as infinity: as much as all candidates together reach.
+    saves : str
+        What a target is reached with the least of.
+    min_case_apr : float
+        APR that must be reached in every case.
+    survive : int
+        Units or sites that may fail, any of them: target and floors hold then,
+        too; without these, the APR that is left is the first objective.
+    give_up : float
+        APR that may be given up so that more is left when a unit fails.
+    failing : Failing
+        What fails at once: a unit, or a site with all that it carries.
+    existing : tuple of str
+        Ids of candidates that are mounted already: they stay, and cost nothing.
+    forced_sites, forbidden_sites : tuple of str
+        Ids of sites that must, and must not, carry units, in addition to the
+        scene's.
+    site_capacity : int, optional
+        Units per site, in place of the scene's.
+    site_cost_eur : float, optional
+        For a site that is used, in place of the scene's. [EUR]
+    prices : SitePrices, optional
+        For sites without a price; by default they cost nothing.
+    separation_m : float
+        Least distance on the ground between two units; on one site there is one
+        at most then. [m]
+    tail : float
+        Share of the sampled worlds that counts, the worst ones, see
+        :class:`placement.optimiser.problem.Measure`.
+    """
+
+    budget_units: int | None = None
+    budget_eur: float | None = None
     target: float | None = None
-    saves: str = "units"  #: What a target is reached with the least of.
-    min_case_apr: float = 0.0  #: APR that must be reached in every case.
-    # : Units or sites that may fail, any of them: target and floors hold then, too;
-    # without these, : the APR that is left is the first objective.
+    saves: str = "units"
+    min_case_apr: float = 0.0
     survive: int = 0
-    give_up: float = (
-        0.0  #: APR that may be given up so that more is left when a unit fails.
-    )
-    failing: Failing = (
-        "unit"  #: What fails at once: a unit, or a site with all that it carries.
-    )
-    #: Ids of candidates that are mounted already: they stay, and cost nothing.
+    give_up: float = 0.0
+    failing: Failing = "unit"
     existing: tuple[str, ...] = ()
-    # : forced_sites and forbidden_sites: ids of sites that must, and must not, carry
-    # units, in : addition to the scene's.
     forced_sites: tuple[str, ...] = ()
     forbidden_sites: tuple[str, ...] = ()
-    site_capacity: int | None = None  #: Units per site, in place of the scene's.
-    site_cost_eur: float | None = (
-        None  #: For a site that is used, in place of the scene's. [EUR]
-    )
-    prices: SitePrices | None = (
-        None  #: For sites without a price; by default they cost nothing.
-    )
-    # : Least distance on the ground between two units; on one site there is one at most
-    # then. [m]
+    site_capacity: int | None = None
+    site_cost_eur: float | None = None
+    prices: SitePrices | None = None
     separation_m: float = 0.0
-    #: Share of the sampled worlds that counts, the worst ones, see
-    #: :class:`placement.optimiser.problem.Measure`.
     tail: float = 1.0
 
     def __post_init__(self) -> None:
@@ -224,6 +239,7 @@ def build_limits(
     for a site that does not exist, an existing unit that is no candidate, or more units
     than sites can carry.
     """
+    # Sites and forced units must exist.
     sites = {site.id: site for site in scene.sites}
     for name in (*wishes.forced_sites, *wishes.forbidden_sites):
         if name not in sites:
@@ -232,6 +248,7 @@ def build_limits(
             else:
                 where = "forbid_site"
             raise InputError(where, name, "one of " + ", ".join(sorted(sites)))
+    # Sites in the order of the candidates; a pose of no site is one by itself.
     keys = [c.site_id if c.site_id in sites else ("own", c.id) for c in candidates]
     order = {key: index for index, key in enumerate(dict.fromkeys(keys))}
     site_index = np.array([order[key] for key in keys], dtype=np.int64)
@@ -239,6 +256,7 @@ def build_limits(
     cost = np.zeros(len(order))
     is_forced_site = np.zeros(len(order), dtype=bool)
     is_forbidden_site = np.zeros(len(order), dtype=bool)
+    # Room, price and use of each site.
     for key, index in order.items():
         if isinstance(key, str):
             site = sites[key]
@@ -262,6 +280,7 @@ def build_limits(
     lost = set(wishes.existing) - {candidate.id for candidate in candidates}
     if lost:
         raise InputError("keep", sorted(lost)[0], "units that are candidates")
+    # Existing units may be nearer to one another than new ones.
     existing_at = np.bincount(site_index[is_existing], minlength=len(order))
     rivals = np.zeros((0, 2), dtype=np.int64)
     if wishes.separation_m > 0.0:
@@ -272,9 +291,12 @@ def build_limits(
         )
         distance_m = np.linalg.norm(where_m[:, None, :] - where_m[None, :, :], axis=2)
         pairs = np.argwhere(np.triu(distance_m < wishes.separation_m, k=1))
-        rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]  # existing units may stay
-    capacity = np.maximum(capacity, existing_at)  # existing units have found room
+        # Existing units may stay.
+        rivals = pairs[~(existing_at[pairs] > 0).all(axis=1)]
+    # Existing units have found room.
+    capacity = np.maximum(capacity, existing_at)
     cost[existing_at > 0] = 0.0
+    # As many units as sites and candidates allow.
     usable = site_index[~is_forbidden_site[site_index] | is_existing]
     most = int(np.minimum(np.bincount(usable, minlength=len(order)), capacity).sum())
     price = np.array([c.sensor.price_eur for c in candidates])
@@ -296,12 +318,16 @@ def build_limits(
 
 
 def _check_room(wishes: Wishes, scene: Scene, most: int) -> None:
-    """Raise InputError if the sites, or the candidates at them, cannot carry the budget."""
+    """Raise InputError if the budget has more units than there is room for.
+
+    Sites, and the candidates at them, limit the number.
+    """
     if wishes.budget_units is None or wishes.budget_units <= most:
         return
     n_existing = len(wishes.existing)
     asked = wishes.budget_units - n_existing
     n_free = most - n_existing
+    # Say what limits the number: sites, or candidates at them.
     at_sites = sum(
         wishes.capacity_of(site)
         for site in scene.sites
@@ -334,19 +360,21 @@ def build_problem(
     of the table that a VUT that sees detects in, (n_frames,). Raises InputError as
     :func:`build_limits`, and where a target or floor is no share.
     """
+    survive = wishes.survive
+    if wishes.target is not None or wishes.min_case_apr:
+        survive = 0
     problem = PlacementProblem(
         table=table,
         limits=build_limits(wishes, setting.scene, candidates),
         fusion=fusion,
         rule=setting.rule,
         goal=wishes.goal,
-        survive=(
-            0 if wishes.target is not None or wishes.min_case_apr else wishes.survive
-        ),
+        survive=survive,
         sample_index=sample_index,
         tail=wishes.tail,
         seen_by_vut=seen_by_vut,
     )
+    # Targets and least APRs of cases become floors.
     floors = []
     if wishes.target is not None:
         share = wishes.target
@@ -380,18 +408,23 @@ def read_wishes(
     existing: Sequence[CandidatePose] = (),
     counts_money: bool = False,
 ) -> Wishes:
-    """Wishes of a question, whose budget is of units in addition to the existing ones.
+    """Wishes of a question.
 
-    With `counts_money`, sites without a price cost what is assumed, whatever is asked
-    for. Raises InputError for words that mean nothing.
+    Its budget is of units in addition to the existing ones. With `counts_money`,
+    sites without a price cost what is assumed, whatever is asked for. Raises
+    InputError for words that mean nothing.
     """
     survive, failing = _failures(question.survive)
     counts_money |= question.budget_cost is not None
     counts_money |= bool(question.target) and question.least == "cost"
+    budget_units = None
+    if question.budget is not None:
+        budget_units = question.budget + len(existing)
+    prices = None
+    if counts_money and question.site_cost_eur is None:
+        prices = load_prices()
     return Wishes(
-        budget_units=(
-            None if question.budget is None else question.budget + len(existing)
-        ),
+        budget_units=budget_units,
         budget_eur=question.budget_cost,
         target=_target(question.target),
         saves=question.least,
@@ -404,9 +437,7 @@ def read_wishes(
         forbidden_sites=split_names(question.forbid_site, "forbid_site"),
         site_capacity=question.site_capacity,
         site_cost_eur=question.site_cost_eur,
-        prices=(
-            load_prices() if counts_money and question.site_cost_eur is None else None
-        ),
+        prices=prices,
         separation_m=question.separation_m,
         tail=_tail(question.risk, question.n_samples),
     )
@@ -431,7 +462,11 @@ docs/decisions/default_question.md has why.
 
 
 def _give_up(question: Question, survive: int) -> float:
-    """What may be given up; nothing where failures count already, or something else is asked."""
+    """APR that may be given up to lose less when a unit fails.
+
+    Nothing where failures count already, or something else is asked for.
+    """
+    # Demands that leave nothing to give up.
     others = {
         "target": bool(question.target),
         "min_case_apr": question.min_case_apr > 0.0,
@@ -457,10 +492,14 @@ def _failures(text: str) -> tuple[int, Failing]:
         )
         raise InputError("survive", text, expected)
     count, what = words.groups()
-    return 1 if count is None else int(count), "site" if what == "site" else "unit"
+    number = int(count or "1")
+    if what == "site":
+        return number, "site"
+    return number, "unit"
 
 
 def _tail(risk: str, n_samples: int) -> float:
+    """Share of the sampled worlds that counts, from the word on risk."""
     if risk == "mean":
         return 1.0
     if n_samples == 0:

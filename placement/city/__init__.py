@@ -1,1 +1,4 @@
-"""Many junctions under one budget: a front of each, and one point of each front."""
+"""Many junctions under one budget.
+
+Each has a front, of which one point is chosen.
+"""

@@ -1,7 +1,8 @@
-"""Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
+"""Choice of what each junction gets, with bounds.
 
-APR by the junctions' weights; APR if at each junction the unit needed most fails;
-smallest time to spare; its mean over the accidents prevented; cost. Each stage holds
+The sum over all junctions is the best one, objective by objective. APR by the
+junctions' weights; APR if at each junction the unit needed most fails; smallest
+time to spare; its mean over the accidents prevented; cost. Each stage holds
 those before it.
 """
 
@@ -33,18 +34,20 @@ from .fronts import Options
 
 
 CORE_OPTIONS = 4_000
-"""Options that are handed to the solver at first; more where they can be in a better choice."""
+"""Options that the solver gets at first; more where they can be in a better choice."""
 _MAX_CORE = 40_000
-_ROUNDING = 1.0e-9  # of sums, relative
+# Of sums, relative.
+_ROUNDING = 1.0e-9
 _MAX_CUTS = 120
-_UNIT_SUM = (
-    1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
-)
+# The solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum.
+_UNIT_SUM = 1.0e5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Knapsack:
-    """A problem: the highest sum of profits of one option per group, within limits.
+    """Multiple-choice knapsack: one option per group, within limits.
+
+    The sum of the profits is maximised.
 
     Attributes
     ----------
@@ -58,12 +61,10 @@ class Knapsack:
         What all chosen options may take together.
     """
 
-    group: IntArray  # (n,): ascending, 0, 1, 2
-    profit: FloatArray  # (n,): of each option
-    rows: (
-        FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
-    )
-    limits: FloatArray  # (m,): what all chosen options may take together
+    group: IntArray
+    profit: FloatArray
+    rows: FloatArray
+    limits: FloatArray
 
     @property
     def starts(self) -> IntArray:
@@ -78,12 +79,18 @@ class Knapsack:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Choice:
-    """Options that were chosen."""
+    """Options that were chosen.
 
-    # (n_groups,): option of each group; None: nothing was found within the time, or
-    # `bound` is minus infinity and nothing keeps the limits
+    Attributes
+    ----------
+    chosen : (n_groups,) int, optional
+        Option of each group; None: nothing was found within the time, or
+        `bound` is minus infinity and nothing keeps the limits.
+    objective, bound : float
+        Sum of profits, and what no choice exceeds.
+    """
+
     chosen: IntArray | None
-    # objective, bound: sum of profits, and what no choice exceeds
     objective: float
     bound: float
 
@@ -113,12 +120,14 @@ def solve_knapsack(
     choice : Choice
         Bounds hold for all choices, whatever the core.
     """
+    # A small problem is all core.
     end_s = now_s() + time_limit_s
     if len(problem.group) <= core_options:
         chosen, bound = _solve_core(
             problem, np.ones(len(problem.group), dtype=bool), gap=gap, end_s=end_s
         )
         return _choice(problem, chosen, bound)
+    # Prices give a first bound, and often a first choice.
     prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
     best, relaxed, short = _shortfalls(problem, prices)
     if problem.is_within(best):
@@ -131,6 +140,7 @@ def solve_knapsack(
         objective = float(problem.profit[incumbent].sum())
     bound = relaxed
     size = core_options
+    # Enlarge the core until the gap is closed or the time is up.
     while True:
         is_core, least_outside = _core(short, best, size)
         left_s = end_s - now_s()
@@ -152,6 +162,7 @@ def solve_knapsack(
 
 
 def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> Choice:
+    """A choice with its value; a bound within rounding is that value."""
     if chosen is None:
         objective = -np.inf
     else:
@@ -169,7 +180,11 @@ def _tiny(amount: float) -> float:
 
 # ---------- prices on the limits
 def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float]:
-    """The best option of each group at some prices, the first of equals, and the bound of these."""
+    """Best option of each group at some prices, and the bound of these.
+
+    Of equal options the first one is taken.
+    """
+    # Profit less what an option takes at these prices.
     worth = problem.profit - prices @ problem.rows
     most = np.maximum.reduceat(worth, problem.starts)
     rows = np.flatnonzero(worth == most[problem.group])
@@ -180,7 +195,11 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
 def _shortfalls(
     problem: Knapsack, prices: FloatArray
 ) -> tuple[IntArray, float, FloatArray]:
-    """As :func:`priced_choice`, and by how much each option falls short of its group's best."""
+    """Best options and bound at some prices, and every shortfall.
+
+    See :func:`priced_choice`. A shortfall, (n,), is that to the best option of the
+    group.
+    """
     best, bound = priced_choice(problem, prices)
     worth = problem.profit - prices @ problem.rows
     return best, bound, worth[best][problem.group] - worth
@@ -193,6 +212,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
     """
     from scipy.optimize import linprog
 
+    # Prices in units of each limit, so that all are of one size.
     scale = np.abs(problem.profit).sum() / np.maximum(
         np.abs(problem.rows).sum(axis=1), 1.0e-300
     )
@@ -203,6 +223,7 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
     prices = np.zeros(n_rows)
     lowest = np.inf
     best = np.zeros(n_rows)
+    # Each round cuts off prices that cannot have a lower bound.
     for _ in range(_MAX_CUTS):
         chosen, bound = priced_choice(problem, prices * scale)
         if bound < lowest:
@@ -225,12 +246,13 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
         if lowest - solved.x[-1] <= 1.0e-9 * max(1.0, abs(lowest)):
             if (prices < most - 1.0e-9).all() or most > 1.0e9:
                 break
-            most *= 100.0  # a limit that is hard to keep
+            # A limit that is hard to keep.
+            most *= 100.0
     return np.asarray(best * scale)
 
 
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
-    """Options that fall short by least, and by how much the first one outside does.
+    """Options with the least shortfall, and that of the first one outside.
 
     The best option of each group whose others are in the core is there, too; groups
     without others are settled.
@@ -257,6 +279,7 @@ def _solve_core(
 
     rows = np.flatnonzero(is_core)
     group = problem.group[rows]
+    # Groups with a single option are settled.
     count = np.bincount(group, minlength=int(problem.group[-1]) + 1)
     is_open = count[group] > 1
     settled = rows[~is_open]
@@ -269,17 +292,20 @@ def _solve_core(
             return (settled, fixed)
         return (None, -np.inf)
     groups, position = np.unique(problem.group[free], return_inverse=True)
+    # Rows: groups that are open; columns: their options.
     one_of_each = sp.csr_array(
         (np.ones(len(free)), (position, np.arange(len(free)))),
         shape=(len(groups), len(free)),
     )
     profit = problem.profit[free]
+    # Scale the objective to the solver's tolerance.
     unit = max(float(np.abs(profit).sum()), 1.0e-300) / _UNIT_SUM
     total = max(
         abs(fixed + float(np.maximum.reduceat(profit, _first(position)).sum())),
         1.0e-300,
     )
     room = limits.copy()
+    # Solve again with less room if rounding breaks a limit.
     for _ in range(3):
         x = cp.Variable(len(free), boolean=True)
         constraints = [one_of_each @ x == 1.0]
@@ -317,19 +343,29 @@ def _first(position: IntArray) -> IntArray:
 
 
 # ---------- the choice
-_HELD = (
-    1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
-)
-_STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
+# Scale of rows that hold an earlier stage: the solver's tolerance is 1e-6.
+_HELD = 1.0e5
+# Of the time, for the first stage and its bound.
+_STAGES_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class District:
-    """Junctions that shall reach an APR together."""
+    """Junctions that shall reach an APR together.
+
+    Attributes
+    ----------
+    name : str
+        Name of the district.
+    junctions : (n,) int
+        Its junctions, by number.
+    least_apr : float
+        Of their accidents together, by weight.
+    """
 
     name: str
     junctions: IntArray
-    least_apr: float  # of their accidents together, by weight
+    least_apr: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -348,10 +384,9 @@ class CityWishes:
         APR that each junction reaches by itself; by default 0.
     """
 
-    budget_units: int | None = None  # at most so many new units
-    budget_eur: float | None = None  # at most so much money. [EUR]
-    districts: Sequence[District] = field(default_factory=tuple)  # each reaches its APR
-    # (n_junctions,): APR that each junction reaches by itself; by default 0
+    budget_units: int | None = None
+    budget_eur: float | None = None
+    districts: Sequence[District] = field(default_factory=tuple)
     least_apr: FloatArray | None = None
 
 
@@ -371,12 +406,8 @@ class CityChoice:
         and the first stage's bound is what the fronts leave open.
     """
 
-    rows: IntArray  # (n_junctions,): row of the options, for each junction
-    # a stage for each objective. The bound of the first holds for all layouts of all
-    # junctions, those of the others for the points of the fronts
+    rows: IntArray
     certificate: Certificate
-    # what no choice among the points exceeds in the first stage: what is between this
-    # and the first stage's bound is what the fronts leave open
     bound_of_points: float
 
 
@@ -427,10 +458,12 @@ def choose(
     began_s = now_s()
     rows = np.flatnonzero(_may_be(options, wishes))
     left = options.taken(rows)
+    # First stage: APR by the weights of the junctions.
     problem = _problem(left, share, wishes, profit=share[left.junction] * left.apr)
     found = solve_knapsack(problem, gap=gap, time_limit_s=_STAGES_SHARE * time_limit_s)
     if found.chosen is None:
         raise _unmet(options, share, wishes)
+    # Bounds of all layouts, not only of the fronts' points.
     highest = found.bound
     if bounds is not None:
         beside = bounds.taken(np.flatnonzero(_may_be(bounds, wishes)))
@@ -445,6 +478,7 @@ def choose(
     _, relaxed, short = _shortfalls(problem, best_prices(problem))
     room = max(relaxed, found.bound) - found.objective + 1.0e-7 * max(1.0, abs(relaxed))
     keep = short <= room
+    # Later stages choose among these and hold the first one.
     later = _Later(
         options=left.taken(np.flatnonzero(keep)),
         rows=rows[keep],
@@ -499,6 +533,7 @@ def _may_be(options: Options, wishes: CityWishes) -> BoolArray:
 def _problem(
     options: Options, share: FloatArray, wishes: CityWishes, *, profit: FloatArray
 ) -> Knapsack:
+    """Knapsack of options within a city's wishes."""
     rows: list[FloatArray] = []
     limits: list[float] = []
     if wishes.budget_units is not None:
@@ -530,18 +565,39 @@ def _part(district: District, share: FloatArray) -> tuple[FloatArray, FloatArray
 # ---------- the stages after the first
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Later:
-    """The stages after the first, and what they hold."""
+    """The stages after the first, and what they hold.
+
+    Attributes
+    ----------
+    options : Options
+        Options that can still be chosen.
+    rows : int
+        Of all options, those of these.
+    share : (n_junctions,) float
+        Share of each junction in all accidents.
+    wishes : CityWishes
+        Budgets, and what has to be reached.
+    gap : float
+        Relative gap at which a stage counts as settled.
+    end_s : float
+        When the time is up, on the clock of `now_s`. [s]
+    held : list of (float, float)
+        Rows of at least so much, in shares.
+    chosen : (n_junctions,) int
+        Option chosen so far, for each junction.
+    """
 
     options: Options
-    rows: IntArray  # of all options, those of these
+    rows: IntArray
     share: FloatArray
     wishes: CityWishes
     gap: float
     end_s: float
-    held: list[tuple[FloatArray, float]]  # rows of at least so much, in shares
+    held: list[tuple[FloatArray, float]]
     chosen: IntArray
 
     def solve(self, apr: float) -> list[Stage]:
+        """Solve the stages one after the other."""
         by_weight = self.share[self.options.junction]
         self.held.append((by_weight * self.options.apr, apr))
         one_failed = self._most(
@@ -550,9 +606,8 @@ class _Later:
         smallest = self._smallest_margin()
         # At a given APR, the sum of prevented accidents by their time to spare says the
         # same.
-        prevented = (
-            self.share[self.options.junction] * self.options.apr
-        )  # fewer than before
+        # Fewer than before.
+        prevented = self.share[self.options.junction] * self.options.apr
         mean = self._most(
             Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr
         )
@@ -562,6 +617,7 @@ class _Later:
     def _knapsack(
         self, profit: FloatArray, rows: IntArray | slice = slice(None)
     ) -> Knapsack:
+        """Knapsack of some options that holds the stages before."""
         whole = _problem(self.options, self.share, self.wishes, profit=profit)
         least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
         return Knapsack(
@@ -580,6 +636,7 @@ class _Later:
     def _most(
         self, objective: Objective, profit: FloatArray, *, unit: float = 1.0
     ) -> Stage:
+        """Maximise a profit, in units of `unit`, and hold its value."""
         began_s = now_s()
         found = self._solve(self._knapsack(profit), self.gap)
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
@@ -587,14 +644,18 @@ class _Later:
         value = float(profit[self.chosen].sum())
         if objective is not Objective.COST:
             self.held.append((profit, value))
-        if unit == 0.0:  # nothing is prevented: there is no time to spare
+        # Nothing is prevented: there is no time to spare.
+        if unit == 0.0:
             return build_stage(objective, 0.0, 0.0, now_s() - began_s)
         return build_stage(
             objective, value / unit, found.bound / unit, now_s() - began_s
         )
 
     def _smallest_margin(self) -> Stage:
-        """The largest smallest margin: options with less are left out, as many as can be."""
+        """Maximise the smallest margin, by bisection.
+
+        Options with less are left out, as many as possible.
+        """
         began_s = now_s()
         margin_s = self.options.smallest_margin_s
         counts = self.options.apr > TOLERANCE
@@ -604,10 +665,12 @@ class _Later:
             return values[Objective.SMALLEST_MARGIN]
 
         value = reached()
+        # Margins that could be reached; bisect for the highest of them.
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
         low = 0
-        high = len(levels)  # levels below low can be kept, those from high on cannot
+        # Levels below low can be kept, those from high on cannot.
+        high = len(levels)
         if len(levels):
             bound = float(levels[-1])
         else:
@@ -620,7 +683,8 @@ class _Later:
                 answer = self._solve(self._knapsack(profit, rows))
                 found = answer.chosen
                 if found is None and answer.bound > -np.inf:
-                    break  # the time was up
+                    # The time was up.
+                    break
             if found is None:
                 high = middle
                 if middle:
@@ -631,9 +695,12 @@ class _Later:
                 self.chosen = rows[found]
                 low = middle + 1
         value = reached()
+        # Later stages go on with the options that are left.
         keep = np.flatnonzero(~counts | (margin_s >= value - TOLERANCE))
-        self.chosen = np.searchsorted(keep, self.chosen)  # go on with these alone
-        self.options, self.rows = self.options.taken(keep), self.rows[keep]
+        # Go on with these alone.
+        self.chosen = np.searchsorted(keep, self.chosen)
+        self.options = self.options.taken(keep)
+        self.rows = self.rows[keep]
         self.held = [(row[keep], least) for row, least in self.held]
         return build_stage(Objective.SMALLEST_MARGIN, value, bound, now_s() - began_s)
 
@@ -671,6 +738,7 @@ def _check_reach(
 
 def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputError:
     """The error of wishes that the budgets do not allow: what they take at least."""
+    # The least that the demands take, without budgets.
     in_money = wishes.budget_eur is not None
     free = replace(wishes, budget_eur=None, budget_units=None)
     left = options.taken(np.flatnonzero(_may_be(options, free)))
@@ -710,12 +778,26 @@ def _floor(share: float) -> str:
 # ---------- the city's own front
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """A junction gets more: with the steps before it, the most for the money that they take."""
+    """A step at which a junction gets more.
+
+    With the steps before, it is the most for the money that they take.
+
+    Attributes
+    ----------
+    junction : int
+        Number of the junction.
+    row : int
+        Of the options: what it has from here on.
+    taken : float
+        By all junctions together: euros or units.
+    apr : float
+        Of all junctions together.
+    """
 
     junction: int
-    row: int  # of the options: what it has from here on
-    taken: float  # by all junctions together: euros or units
-    apr: float  # of all junctions together
+    row: int
+    taken: float
+    apr: float
 
 
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
@@ -743,11 +825,13 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
         taken = options.cost_eur
     else:
         taken = options.units.astype(np.float64)
+    # First row of each junction, and the end.
     starts = [
         *np.flatnonzero(np.diff(options.junction, prepend=-1)).tolist(),
         len(options),
     ]
     rises: list[tuple[float, int, int, int]] = []
+    # Upper hull of each junction: the steepest rise from each point on.
     for junction, (begin, end) in enumerate(pairwise(starts)):
         at = begin
         while True:
@@ -768,6 +852,7 @@ def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[S
     base = starts[:-1]
     spent = float(taken[base].sum())
     apr = float(share @ options.apr[base])
+    # All rises in order of what they gain for what they take.
     for _, junction, before, row in sorted(rises):
         spent += float(taken[row] - taken[before])
         apr += float(share[junction] * (options.apr[row] - options.apr[before]))
@@ -795,23 +880,22 @@ class Phases:
         What no other order exceeds.
     """
 
-    year: IntArray  # (n,): from 1; 0 where nothing is mounted
-    # Sum over junctions of gain times the years, up to the last one, in which it is
-    # there
+    year: IntArray
     gain_years: float
-    bound: float  # What no other order exceeds
+    bound: float
 
 
 def plan_phases(
     units: IntArray, gain: FloatArray, *, units_per_year: int, years: int | None = None
 ) -> Phases:
-    """Spread units over years, at most so many a year: the most gain times years that it is there.
+    """Spread units over years so that gain times years is largest.
 
-    A junction counts from the year in which its last unit is mounted. Solved as a
-    mixed-integer model, or for thousands of junctions by the largest gain per unit
-    first (Smith, 1956), with the bound where units may be divided. `units` and `gain`,
-    (n,), are those of each junction. Raises InputError if the years, by default as many
-    as it takes, do not suffice.
+    At most `units_per_year` are mounted in a year. A junction counts from the year
+    in which its last unit is mounted. Solved as a mixed-integer model, or for
+    thousands of junctions by the largest gain per unit first (Smith, 1956), with
+    the bound where units may be divided. `units` and `gain`, (n,), are those of
+    each junction. Raises InputError if the years, by default as many as it takes,
+    do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)
@@ -824,6 +908,7 @@ def plan_phases(
         raise InputError("years", years, expected)
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
+    # A good order by rule; a model where it is small enough.
     year[rows], bound = _in_order(units[rows], gain[rows], units_per_year, n_years)
     if 0 < len(rows) * n_years <= _MAX_BINARIES and n_years > 1:
         found, proven = _solve(units[rows], gain[rows], units_per_year, n_years)
@@ -846,12 +931,16 @@ def _gain_years(year: IntArray, gain: FloatArray, n_years: int) -> float:
 def _in_order(
     units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray, float]:
-    """Years where the largest gain per unit comes first; the sum if parts gained parts of it."""
+    """Years if the largest gain per unit comes first, and a bound.
+
+    The bound is the sum where parts of a junction gain parts of it.
+    """
     order = np.argsort(-gain / units, kind="stable")
     end = np.cumsum(units[order])
     year = np.empty(len(units), dtype=np.int64)
     year[order] = -(-end // units_per_year)
     worth = 0.0
+    # Parts of a junction gain parts of it, year by year.
     for number in range(1, n_years + 1):
         mounted = (number * units_per_year - (end - units[order])) / units[order]
         worth += float(gain[order] @ np.clip(mounted, 0.0, 1.0))
@@ -861,11 +950,15 @@ def _in_order(
 def _solve(
     units: IntArray, gain: FloatArray, units_per_year: int, n_years: int
 ) -> tuple[IntArray | None, float]:
+    """Years by a mixed-integer model, and its bound; None if not found."""
     import cvxpy as cp
 
     n = len(units)
-    x = cp.Variable(n * n_years, boolean=True)  # junction by junction, its year
+    # Junction by junction, its year.
+    x = cp.Variable(n * n_years, boolean=True)
+    # Each junction is ready in one year.
     one_each = sp.kron(sp.eye_array(n), np.ones((1, n_years)), format="csr")
+    # Up to each year, no more units are mounted than there were years for.
     until = np.tril(np.ones((n_years, n_years)))
     ready = sp.csr_array(np.kron(units.astype(np.float64)[None], until))
     most = units_per_year * np.arange(1.0, n_years + 1.0)

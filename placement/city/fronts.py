@@ -33,17 +33,16 @@ class Point:
     Attributes
     ----------
     units : int
-        New ones: those that hang there already are not counted.
+        New ones: existing units are not counted.
     cost_eur : float
         Of the new units and their sites. [EUR]
     apr, apr_one_failed, smallest_margin_s, mean_margin_s : float
-        As :class:`placement.optimiser.PlacementValue` has them, with what hangs there
-        already.
+        As :class:`placement.optimiser.PlacementValue` has them, with the existing
+        units.
     """
 
-    units: int  # New ones: the existing ones are not counted
-    cost_eur: float  # Of the new units and their sites. [EUR]
-    # As :class:`placement.optimiser.PlacementValue` has them, with the existing units
+    units: int
+    cost_eur: float
     apr: float
     apr_one_failed: float
     smallest_margin_s: float
@@ -54,7 +53,7 @@ class Point:
         return {Objective(name): getattr(self, name) for name in _WORTH}
 
     def is_beaten_by(self, other: "Point") -> bool:
-        """True if another point takes no more and is no worse, objective by objective."""
+        """True if another point takes no more and is worse in nothing."""
         return (
             other.units <= self.units
             and other.cost_eur <= self.cost_eur + COST_TOLERANCE_EUR
@@ -67,7 +66,7 @@ NOTHING = Point(units=0, cost_eur=0.0, **dict.fromkeys(_WORTH, 0.0))
 
 
 def point_of(value: PlacementValue, *, units: int, cost_eur: float) -> Point:
-    """A point that takes so much, by what its layout is worth."""
+    """A point by what its layout takes and what it is worth."""
     worth = {name: getattr(value, name) for name in _WORTH}
     return Point(units=units, cost_eur=cost_eur, **worth)
 
@@ -86,12 +85,9 @@ class JunctionFront:
         From so many euros on, up to the next step, no layout has a higher APR.
     """
 
-    points: tuple[Point, ...]  # the first takes nothing
-    # from so many new units on, up to the next step, no layout has a higher APR
+    points: tuple[Point, ...]
     by_units: Steps
-    by_cost: (
-        Steps  # from so many euros on, up to the next step, no layout has a higher APR
-    )
+    by_cost: Steps
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
@@ -117,7 +113,7 @@ def build_junction_front(
     Parameters
     ----------
     points : iterable of Point
-        Any; one without new units is among them.
+        Points in any order; one without new units is among them.
     by_units, by_cost : sequence of (from, APR)
         Steps from 0 on, ascending, in any order of APR: a bound also holds for less.
 
@@ -127,6 +123,7 @@ def build_junction_front(
         With steps that rise.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
+    # Of points that beat one another, the first one stays.
     kept = [
         point
         for index, point in enumerate(found)
@@ -156,7 +153,11 @@ def lowest(steps: Sequence[Steps]) -> Steps:
 
 
 def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
-    """Steps that rise: what holds for more holds for less; steps that say the same are one."""
+    """Steps that rise.
+
+    A bound for more holds for less; steps that say the same become one.
+    """
+    # From the last step back, each bound is the least of those behind it.
     least = np.minimum.accumulate([bound for _, bound in reversed(steps)])[::-1]
     rising: list[tuple[float, float]] = []
     for (start, _), bound in zip(steps, least.tolist(), strict=True):
@@ -182,13 +183,9 @@ class Options:
         What the option is worth, see :class:`Point`.
     """
 
-    junction: (
-        IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
-    )
-    units: IntArray  # (n,): new units
-    cost_eur: FloatArray  # (n,): of these. [EUR]
-    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is
-    # worth, see :class:`Point`
+    junction: IntArray
+    units: IntArray
+    cost_eur: FloatArray
     apr: FloatArray
     apr_one_failed: FloatArray
     smallest_margin_s: FloatArray
@@ -205,7 +202,10 @@ class Options:
         return 0
 
     def taken(self, rows: IntArray) -> "Options":
-        """Some of the options, by rows in ascending order; each junction keeps one at least."""
+        """Some of the options, by rows in ascending order.
+
+        Each junction keeps one at least.
+        """
         return Options(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
 
@@ -230,10 +230,11 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
 def stack_bounds(
     fronts: Sequence[JunctionFront], *, counts_units: bool, counts_cost: bool
 ) -> Options:
-    """Upper bounds of layouts other than the points, as options whose other values are 0.
+    """Upper bounds as options, for layouts other than the points.
 
-    Each layout of a junction takes at least as much as one of them and has no higher
-    APR. With units and cost counted, an option stands for a step of both.
+    Their APR with a failure and their margins are 0. Each layout of a junction takes
+    at least as much as one of them and has no higher APR. With units and cost
+    counted, an option stands for a step of both.
     """
     rows = []
     for index, front in enumerate(fronts):
@@ -245,6 +246,7 @@ def stack_bounds(
             by_cost = front.by_cost
         else:
             by_cost = ((0.0, front.by_cost[-1][1]),)
+        # One option for each pair of a step by units and a step by cost.
         for row, (n_units, most) in enumerate(by_units):
             for column, (eur, bound) in enumerate(by_cost):
                 value = min(most, bound)
@@ -279,18 +281,14 @@ class SiteFront:
     Attributes
     ----------
     limits : tuple of float
-        APR that no layout exceeds whose new units hang at 0, 1, 2 .. sites; more sites
+        APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites
         are not bounded.
     layouts : tuple of tuple of int
         Good ones with fewer sites than new units: rows of the detection table, with
-        those kept.
+        the existing ones.
     """
 
-    # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are
-    # not bounded
     limits: tuple[float, ...]
-    # good ones with fewer sites than new units: rows of the detection table, with the
-    # existing ones
     layouts: tuple[tuple[int, ...], ...]
 
     def limit(self, n_sites: int) -> float:
@@ -305,6 +303,7 @@ def rooms_of(limits: Limits) -> IntArray:
     sites = limits.site_index
     n_existing = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
     is_free = ~limits.is_forced & ~limits.is_forbidden
+    # A site carries no more than its room, nor than its free poses.
     room: IntArray = np.minimum(
         limits.site_capacity - n_existing,
         np.bincount(sites[is_free], minlength=limits.n_sites),
@@ -355,11 +354,11 @@ def front_by_sites(
             site_cost_eur=np.where(has_existing, 0.0, 1.0),
         ),
     )
+    # Poses that can be new units at sites with room.
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
-    if (
-        not is_free.any()
-    ):  # what remains is mounted already, or where there is no more room
+    # What remains is mounted already, or where there is no more room.
+    if not is_free.any():
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full, are_best = _front_of_full_sites(
@@ -368,6 +367,7 @@ def front_by_sites(
     layouts: dict[tuple[int, int], tuple[int, ...]] = {}
     n_existing = int(limits.is_forced.sum())
     widest = np.sort(room)[::-1]
+    # Fewer sites than units: numbers of both, from small to large.
     for n_sites in range(1, min(max_units, int((room > 0).sum()) + 1)):
         for n_units in range(
             n_sites + 1, min(max_units, int(widest[:n_sites].sum())) + 1
@@ -380,7 +380,8 @@ def front_by_sites(
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
             parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_existing)
             if are_best and n_units == widest[:n_sites].sum() and parts:
-                layouts[n_sites, n_units] = parts[0]  # the best one there is
+                # The best one there is.
+                layouts[n_sites, n_units] = parts[0]
                 continue
             fewer = ((n_sites, n_units - 1), (n_sites - 1, n_units))
             starts = [*parts, *(layouts[key] for key in fewer if key in layouts)]
@@ -392,7 +393,10 @@ def front_by_sites(
 
 
 def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
-    """Lowest and highest price of the sites in each tier, cheap ones first; three tiers at most."""
+    """Lowest and highest price of the sites in each tier.
+
+    Cheap tiers come first; there are three at most.
+    """
     prices = np.unique(limits.site_cost_eur[rooms_of(limits) > 0]).tolist()
     own = [(price, price) for price in prices[:_MAX_TIERS]]
     if len(prices) <= _MAX_TIERS:
@@ -403,10 +407,11 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
 def bounds_by_money(
     limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]
 ) -> Steps:
-    """What no layout for so much money exceeds: by the units and sites that so much buys at most.
+    """Upper bounds of the APR by money.
 
-    So many new units at so many sites, the dearest of which is of some tier, cost at
-    least what the cheapest ones and one site of that tier do; they do no more than what
+    They follow from the units and sites that so much money buys at most. So many
+    new units at so many sites, the dearest of which is of some tier, cost at least
+    what the cheapest ones and one site of that tier do; they do no more than what
     sites up to that tier can.
 
     Parameters
@@ -424,12 +429,14 @@ def bounds_by_money(
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
+    # The cheapest units and sites, and the roomiest sites, in sum.
     units = np.cumsum(np.sort(limits.unit_cost_eur[free]))
     cheapest = np.cumsum([0.0, *np.sort(limits.site_cost_eur[room > 0])])
     carried = np.cumsum(np.sort(room[room > 0])[::-1])
     max_units = limits.budget_new_units
     assert max_units is not None
     least = {0.0: tiers[0][1][0][1]}
+    # Each tier, number of sites and number of units gives a price and a bound.
     for own_eur, by_units, by_sites in tiers:
         for n_sites, most in enumerate(carried, start=1):
             for n_units in range(n_sites, min(max_units, int(most)) + 1):
@@ -451,14 +458,15 @@ def _front_of_full_sites(
     max_sites: int,
     effort: Callable[[], Effort],
 ) -> tuple[list[float], dict[int, tuple[int, ...]], bool]:
-    """Bounds for 1, 2 .. full sites, the layout of each number, and whether those are the best.
+    """Bounds for 1, 2 .. full sites, with layouts.
 
-    They are where poses are columns one by one; of a class the pose that adds most is
-    taken.
+    The last value says whether these layouts are the best ones. They are where
+    poses are columns one by one; of a class the pose that adds most is taken.
     """
     limits = problem.limits
     table = problem.table
     free = reduced.pose_index[~limits.is_forced[reduced.pose_index]]
+    # Free poses of each site.
     at_site = [
         free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)
     ]
@@ -467,6 +475,7 @@ def _front_of_full_sites(
         return [], {}, False
     classes = _classes_of(table, at_site, sizes)
     existing = np.flatnonzero(limits.is_forced).tolist()
+    # All ways to fill a site become the columns of another problem.
     sets = [
         (site, chosen)
         for site, (here, size) in enumerate(zip(classes, sizes, strict=True))
@@ -492,6 +501,7 @@ def _front_of_full_sites(
     max_sites = min(max_sites, len({site for site, _ in sets}))
     bounds = []
     layouts = {}
+    # Its front by units is a front by full sites.
     for point in pareto_front(of_sets, max_units=max_sites, effort=effort()).points:
         bounds.append(point.apr_bound)
         chosen_classes = chain.from_iterable(sets[row][1] for row in point.pose_index)
@@ -502,7 +512,10 @@ def _front_of_full_sites(
 def _one_of_each(
     reduced: ReducedProblem, classes: list[tuple[int, ...]]
 ) -> tuple[int, ...]:
-    """Existing units, and of each class the pose that adds most to those before it."""
+    """Existing units, and of each class the pose that adds most.
+
+    Poses are added one after the other.
+    """
     units = forced_units(reduced)
     for poses in classes:
         members = np.searchsorted(reduced.pose_index, poses)
@@ -513,9 +526,10 @@ def _one_of_each(
 def _classes_of(
     table: DetectionTable, at_site: list[list[int]], sizes: list[int]
 ) -> list[list[tuple[int, ...]]]:
-    """Poses of each site one by one; where that makes too many sets, those together that see alike.
+    """Poses of each site in classes.
 
-    A class sees what any of its poses does: bounds hold, but are higher.
+    A class is a single pose; where that makes too many sets, it has those that see
+    alike. A class sees what any of its poses does: bounds hold, but are higher.
     """
     n_sets = sum(
         comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size
@@ -524,6 +538,7 @@ def _classes_of(
         return [[(pose,) for pose in here] for here in at_site]
     from scipy.cluster.hierarchy import fcluster, linkage
 
+    # As many classes as keep the number of sets small.
     most = max(sizes)
     n_sites = sum(size > 0 for size in sizes)
     while (
@@ -561,6 +576,7 @@ def _improved(
     reduced: ReducedProblem, starts: list[tuple[int, ...]], effort: Effort
 ) -> tuple[int, ...]:
     """A good layout within the limits, from the best of some smaller ones."""
+    # Extend each start greedily, and improve the best of them.
     begin = [np.searchsorted(reduced.pose_index, layout) for layout in starts]
     best = BestSet()
     for units in begin or [forced_units(reduced)]:

@@ -1,4 +1,7 @@
-"""The front of one junction of a city: what units and money buy there, with bounds for all sums."""
+"""Front of one junction of a city, by units and by money.
+
+Bounds hold for all sums.
+"""
 
 import logging
 import time
@@ -49,32 +52,59 @@ class TimeUpError(RuntimeError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionWishes:
-    """How a junction's front is looked for."""
+    """How a junction's front is looked for.
 
-    grid: CandidateGrid  # poses at each site
-    max_units: int  # most new units
-    # for all of it; of what is left after the detection table, the optimiser takes what
-    # the question allows it. [s]
+    Attributes
+    ----------
+    grid : CandidateGrid
+        Poses at each site.
+    max_units : int
+        Most new units.
+    time_limit_s : float
+        For all of it; of what is left after the detection table, the optimiser
+        takes what the question allows it. [s]
+    existing : Layout, optional
+        What is mounted there already.
+    """
+
+    grid: CandidateGrid
+    max_units: int
     time_limit_s: float
-    existing: Layout | None = None  # what is mounted there already
+    existing: Layout | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolvedJunction:
-    """A junction's front with its layouts, and the sizes of its question."""
+    """A junction's front with its layouts, and the sizes of its question.
 
-    front: JunctionFront  # points and bounds
-    layouts: tuple[
-        Layout | None, ...
-    ]  # of each point, existing units too; None: nothing mounted
+    Attributes
+    ----------
+    front : JunctionFront
+        Points and bounds.
+    layouts : tuple of Layout, optional
+        Of each point, existing units too; None: nothing mounted.
+    sites : int
+        Number of sites.
+    poses : int
+        Number of candidate poses.
+    runs : int
+        Number of runs that are driven.
+    possible_runs : int
+        These, and those for which the junction has no room.
+    frames : int
+        Number of frames of all runs.
+    seconds : dict of str to float
+        Processor time of the thread that solved it, by stage. [s]
+    """
+
+    front: JunctionFront
+    layouts: tuple[Layout | None, ...]
     sites: int
     poses: int
     runs: int
-    possible_runs: int  # these, and those for which the junction has no room
+    possible_runs: int
     frames: int
-    seconds: dict[
-        str, float
-    ]  # processor time of the thread that solved it, by stage. [s]
+    seconds: dict[str, float]
 
 
 def solve_junction(
@@ -105,6 +135,7 @@ def solve_junction(
     TimeUpError
         The time was up before there was a front.
     """
+    # The watch ends the work when the time is up.
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)
     existing = wishes.existing
@@ -125,6 +156,7 @@ def solve_junction(
     end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
     def effort() -> Effort:
+        """Effort of the next step, from the time that is left."""
         left_s = max(end_s - now_s(), _LEAST_OPTIMISER_S)
         return Effort(
             solver=question.solver,
@@ -133,6 +165,7 @@ def solve_junction(
             workers=compute.workers,
         )
 
+    # No point may be worse than what the coarse grid reaches.
     rule = replace(load_candidate_grid(is_coarse=True), sensors=wishes.grid.sensors)
     extra = () if existing is None else existing.units
     coarse = {candidate.id for candidate in build_candidates(scene, rule, extra=extra)}
@@ -167,23 +200,23 @@ def find_front(
     begin: Callable[[str], None],
     first: IntArray | None = None,
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
-    """Front of what units and money buy, and the layout of each point; the first takes nothing.
+    """Front of what units and money buy, and the layout of each point.
 
-    The problem has a number of units, the existing ones among them, and no floors.
-    `effort` says what the next step may take, `begin` is called with each step. No
-    point is worse than what the poses `first`, (n,), the existing ones among them, can
-    do. Layouts are rows of the table.
+    The first point takes nothing. The problem has a number of units, the existing
+    ones among them, and no floors. `effort` says what the next step may take,
+    `begin` is called with each step. No point is worse than what the poses `first`,
+    (n,), the existing ones among them, can do. Layouts are rows of the table.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_existing = len(forced)
-    base = placement_value(
-        problem, forced
-    )  # what the VUT avoids by itself, where there are none
+    # What the VUT avoids by itself, where there are none.
+    base = placement_value(problem, forced)
 
     def fronts_of(
         part: PlacementProblem, tell: Callable[[str], None]
     ) -> tuple[Front, SiteFront]:
+        """Fronts by units and by sites of a part of the problem."""
         assert limits.budget_units is not None
         tell("front by units")
         by_units = pareto_front(
@@ -199,6 +232,7 @@ def find_front(
         )
         return by_units, by_sites
 
+    # Layouts of a few poses first, as further points.
     few: list[tuple[int, ...]] = []
     if first is not None and 0 < len(first) < limits.n_poses:
         begin("front of few poses")
@@ -222,8 +256,10 @@ def find_front(
         try:
             by_cost = cost_front(problem, effort=effort())
         except InputError as error:
-            if error.where != "candidates":  # else the poses avoid nothing
+            # Else the poses avoid nothing.
+            if error.where != "candidates":
                 raise
+    # Tiers from all sites to the cheapest ones.
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(
         problem,
@@ -237,6 +273,7 @@ def find_front(
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
     """As many new units as are asked for, or as the sites have room for."""
+    # Room of the sites that may be used, less the existing units.
     room = {
         site.id: (
             site.capacity_units
@@ -272,6 +309,7 @@ def _merge(
     prices; `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
+    # Points by what they take and are worth; the first layout of each counts.
     poses = {point_of(base, units=0, cost_eur=0.0): forced}
     layouts = [(placement_value(problem, layout), layout) for layout in others]
     if by_cost:
@@ -288,6 +326,7 @@ def _merge(
             poses.setdefault(
                 point_of(value, units=n_new, cost_eur=value.cost_eur), layout
             )
+    # Bounds by units and sites of every tier, and by money.
     bounds = [
         (
             eur,
@@ -308,6 +347,7 @@ def _merge(
 
 
 def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
+    """Upper bounds of the APR by new units."""
     steps = [
         (float(point.units - n_existing), max(point.apr_bound, base))
         for point in front.points
@@ -326,6 +366,7 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
     steps: list[tuple[float, float]] = [(0.0, base)]
 
     def add(eur: float, bound: float) -> None:
+        """Add a step; it replaces the last one unless it costs more."""
         before_eur, before = steps[-1]
         if eur <= before_eur:
             steps.pop()
@@ -333,6 +374,7 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
         steps.append((eur, max(bound, before)))
 
     points = front.points
+    # Bounds rise from point to point.
     for index, point in enumerate(points):
         if index + 1 == len(points):
             beyond = most
@@ -353,7 +395,8 @@ class _Watch:
         self._end_s = now_s() + limit_s
         self._limit_s = limit_s
         self._progress = compute.progress
-        self._stage, self._began_s = "begin", time.process_time()
+        self._stage = "begin"
+        self._began_s = time.process_time()
         self._seconds: dict[str, float] = {}
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
@@ -369,6 +412,7 @@ class _Watch:
         self(stage, 0, 0)
 
     def _note(self) -> None:
+        """Add the time since the last note to the current stage."""
         at_s = time.process_time()
         self._seconds[self._stage] = (
             self._seconds.get(self._stage, 0.0) + at_s - self._began_s

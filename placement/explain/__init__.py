@@ -1,1 +1,4 @@
-"""Explanations of a layout: what its units contribute, what it misses, what else would do."""
+"""Explanations of a layout.
+
+They say what its units contribute, what it misses, and what else would do.
+"""

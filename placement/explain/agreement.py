@@ -1,4 +1,4 @@
-"""Agreement of detection table and evaluator: the runs on which they differ, and why."""
+"""Runs on which detection table and evaluator differ, and why."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -55,19 +55,19 @@ def find_disagreements(
     *,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Disagreement, ...]:
-    """Runs on which table and evaluator disagree, for each unit alone, then for all fused.
+    """Runs on which table and evaluator disagree.
 
-    `pose_index` are the table's rows of the layout's units, in their order.
+    Each unit is compared alone, then all fused. `pose_index` are the table's rows
+    of the layout's units, in their order.
     """
-    units, axis, detected = (
-        evaluation.layout.units,
-        setting.axis,
-        table.detected(list(pose_index)),
-    )
+    units = evaluation.layout.units
+    axis = setting.axis
+    detected = table.detected(list(pose_index))
     if setting.detector.needs_pictures:
         folder = None
     else:
         folder = compute.cache_folder
+    # The cache's key covers the table, the detector and the evaluation.
     seen = ""
     if folder is not None:
         runs = setting.runs
@@ -76,6 +76,7 @@ def find_disagreements(
     on_table = dict(zip((unit.id for unit in units), detected, strict=True))
 
     def differing_frames(unit: CandidatePose, run: int) -> IntArray:
+        """Frames of a run, before its last moment, in which a unit differs."""
         frames = np.arange(axis.n_frames)[axis.frames_of(run)]
         counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
         differs = (
@@ -86,19 +87,23 @@ def find_disagreements(
     def compare(
         parties: Sequence[CandidatePose], verdict: Verdict
     ) -> Iterator[Disagreement]:
+        """Disagreements of a unit, or of all units fused."""
         is_fused = verdict is evaluation.headline
         with_vut = is_fused and evaluation.cars == 1.0
+        # Runs on which both verdicts differ, with the frames that explain it.
         rows = np.array([on_table[unit.id] for unit in parties])
         avoided = table_verdict(parties, rows, setting, with_vut=with_vut).is_avoided
         for run in np.flatnonzero(avoided != verdict.is_avoided).tolist():
             differing = [(unit, differing_frames(unit, run)) for unit in parties]
+            frames = np.concatenate([frames for _, frames in differing])
+            party = parties[0].id
+            if is_fused:
+                party = FUSED
             yield Disagreement(
-                party=FUSED if is_fused else parties[0].id,
+                party=party,
                 run_id=axis.run_ids[run],
                 on_table=bool(avoided[run]),
-                n_frames=len(
-                    np.unique(np.concatenate([frames for _, frames in differing]))
-                ),
+                n_frames=len(np.unique(frames)),
                 cause=_cause(setting, differing, on_table),
             )
 
@@ -136,7 +141,8 @@ def _cause(
             time=time_s,
         )
     run = int(np.searchsorted(setting.axis.run_start, frame, side="right")) - 1
-    from ..evaluator import build_surroundings, perceive_frames  # loads the compiler
+    # Loads the compiler.
+    from ..evaluator import build_surroundings, perceive_frames
 
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
     frames = np.array([frame - int(setting.axis.run_start[run])])

@@ -1,4 +1,7 @@
-"""Layouts that other priorities choose, and which of those that lead the evaluator prefers."""
+"""Layouts that other priorities choose, and a choice among leaders.
+
+Leaders on the detection table are compared by the evaluator.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -69,9 +72,11 @@ def find_by_runs(
     )
     if not (is_best and is_whole) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
         return None
+    # The same problem, in which every run counts the same.
     alike = replace(axis, weight=np.full(axis.n_runs, 1.0 / axis.n_runs))
     by_runs = replace(problem, table=replace(problem.table, axis=alike))
     effort = replace(effort, time_limit_s=min(effort.time_limit_s, TIME_LIMIT_S))
+    # Start from the layout at hand, so that the answer is never worse.
     start = np.array(sorted(pose_index), dtype=np.int64)
     found = cached_value(
         cache_folder,
@@ -97,20 +102,26 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-EQUAL_APR = (
-    0.001  # front-runners no farther apart are equal: results print a tenth of a point
-)
+# Front-runners no farther apart are equal: results print a tenth of a point.
+EQUAL_APR = 0.001
 
 Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontRunner:
-    """A layout that leads on the detection table, by the evaluator."""
+    """A layout that leads on the detection table, by the evaluator.
 
-    layout: Layout  # its units
-    # apr, apr_one_failed: all units together, and when the most needed one fails; 0 for
-    # a single unit. 0..1
+    Attributes
+    ----------
+    layout : Layout
+        Its units.
+    apr, apr_one_failed : float
+        All units together, and when the most needed one fails; 0 for a single
+        unit. 0..1.
+    """
+
+    layout: Layout
     apr: float
     apr_one_failed: float
 
@@ -126,6 +137,7 @@ def build_front_runner(
             apr=headline_apr(evaluation),
             apr_one_failed=apr_one_failed(evaluation, rule),
         )
+    # Each unit confirms alone: a run is avoided if any of them avoids it.
     alone = np.array([unit.is_avoided for unit in evaluation.units.values()])
     own = evaluation.vut.is_avoided
     cars = evaluation.cars
@@ -147,10 +159,11 @@ def build_front_runner(
 def recommend(
     runners: Sequence[FrontRunner], mounted_wrongly: Callable[[int], float]
 ) -> tuple[int, Deciding]:
-    """Number of the front-runner to recommend, and what the first one was passed over for.
+    """Number of the front-runner to recommend, and what decided.
 
-    In this order: APR; APR when the most needed unit fails; APR that a usual error of
-    mounting leaves, `mounted_wrongly` by number, asked only for those equal so far.
+    The second value says what the first one was passed over for. In this order:
+    APR; APR when the most needed unit fails; APR that a usual error of mounting
+    leaves, `mounted_wrongly` by number, asked only for those equal so far.
     Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended:
     "order".
     """
@@ -161,6 +174,7 @@ def recommend(
         ("mounting", mounted_wrongly),
     )
     deciding: Deciding = "order"
+    # Each key keeps the leaders up to a tolerance.
     for name, key in keys:
         if len(left) == 1:
             break

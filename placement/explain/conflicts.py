@@ -1,4 +1,4 @@
-"""Conflicts: demands that contradict each other, and the least by which one must give way.
+"""Conflicts between demands, and the least by which one must give way.
 
 A problem is taken apart into demands, of which any part makes a problem again. Parts
 are asked for in order of size, but for those that a set of poses found before meets,
@@ -19,6 +19,7 @@ from geometry.scene import Scene
 
 from ..candidates import CandidatePose
 from ..optimiser import Limits, PlacementProblem, is_feasible
+from ..optimiser.problem import Goal
 from ..wishes import Wishes, build_limits
 from .feasible_sets import Answer, Oracle
 
@@ -50,20 +51,27 @@ class Demand:
         Index of the floor.
     """
 
-    # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive":
-    # that all floors hold when units fail; "capacity": of all sites; "separation":
-    # rivals among the sites; "forced_sites", "forbidden": all of them together
     kind: Kind
-    floor: int | None = None  # index of the floor
+    floor: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Separation:
-    """The effect of a least distance between units on the limits."""
+    """The effect of a least distance between units on the limits.
 
-    distance_m: float  # pairs of sites that are nearer are rivals. [m]
-    pair_distance_m: FloatArray  # (n_pairs,): distances of the limits' rivals. [m]
-    site_capacity: IntArray  # (n_sites,): units that each site could carry without it
+    Attributes
+    ----------
+    distance_m : float
+        Pairs of sites that are nearer are rivals. [m]
+    pair_distance_m : (n_pairs,) float
+        Distances of the limits' rivals. [m]
+    site_capacity : (n_sites,) int
+        Units that each site could carry without it.
+    """
+
+    distance_m: float
+    pair_distance_m: FloatArray
+    site_capacity: IntArray
 
 
 class Wish:
@@ -99,12 +107,13 @@ class Wish:
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
-        """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
+        """Demands that a set of poses meets all at once.
 
-        That floors hold when units fail counts as met where that is so for all floors
-        that are met without failures, or where it is asked for: then floors must hold
-        so.
+        Those of `active` are among them if the set meets them. That floors hold
+        when units fail counts as met where that is so for all floors that are met
+        without failures, or where it is asked for: then floors must hold so.
         """
+        # Floors with failures depend on which floors are met at all.
         survive = frozenset(
             n for n in self.everything if self.demands[n].kind == "survive"
         )
@@ -118,6 +127,7 @@ class Wish:
         return met
 
     def _limits_of(self, active: Set[int]) -> Limits:
+        """Limits of the active demands; equal ones are one object."""
         key = frozenset(
             number
             for number in active
@@ -139,6 +149,7 @@ def _list_demands(
     else:
         capacity = separation.site_capacity
     per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
+    # Limits are demands where they bind something.
     is_there: dict[Kind, bool] = {
         "budget_units": limits.budget_units is not None,
         "budget_eur": limits.budget_eur is not None,
@@ -160,6 +171,7 @@ def _list_demands(
 
 def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> Limits:
     """Limits of some kinds only."""
+    # Room at the sites, with and without a least distance.
     capacity = limits.site_capacity
     if separation is not None and "separation" not in kinds:
         capacity = separation.site_capacity
@@ -189,7 +201,7 @@ class Relaxation:
     Attributes
     ----------
     demand : Demand
-        Which.
+        The demand that gives way.
     value : float
         What can be had in place of its number: units, euros, share, failed units, units
         per site, metres. NaN where it has none.
@@ -204,17 +216,12 @@ class Relaxation:
         A set of poses that does.
     """
 
-    demand: Demand  # which
-    # what can be had in place of its number: units, euros, share, failed units, units
-    # per site, metres. NaN where it has none.
+    demand: Demand
     value: float = np.nan
-    # of a demand that lists poses or sites: those that have to go
     given_up: tuple[int, ...] = ()
-    suffices: bool = (
-        False  # the whole wish can be met then; else only this conflict is settled
-    )
-    is_least: bool = True  # proven: less does not do
-    pose_index: tuple[int, ...] = ()  # a set of poses that does
+    suffices: bool = False
+    is_least: bool = True
+    pose_index: tuple[int, ...] = ()
 
 
 def relax(
@@ -222,11 +229,15 @@ def relax(
     relaxation: Relaxation,
     separation: Separation | None = None,
 ) -> PlacementProblem:
-    """The problem with a demand relaxed that has no number of its own to be asked for."""
+    """The problem with one demand relaxed.
+
+    The demand has no number of its own that could be optimised.
+    """
     kind = relaxation.demand.kind
     value = relaxation.value
     limits = problem.limits
     items = list(relaxation.given_up)
+    # Each kind of demand is relaxed in its own way.
     if kind == "survive":
         floors = (
             replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors
@@ -257,9 +268,10 @@ def relax(
 def find_relaxation(
     wish: Wish, oracle: Oracle, number: int, others: frozenset[int]
 ) -> Relaxation | None:
-    """The least by which a demand has to give way so that others, which can be met, are met, too.
+    """The least by which a demand has to give way for others to be met.
 
-    None if nothing was found in time; `suffices` is to be filled in.
+    The others can be met together without it. None if nothing was found in time;
+    `suffices` is to be filled in.
     """
     demand = wish.demands[number]
     separation = wish.separation
@@ -267,11 +279,13 @@ def find_relaxation(
     without = wish.part(others)
     limits = with_it.limits
     kinds = {wish.demands[other].kind for other in others}
+    # Demands with a number are optimised: the least or the most that can be had.
     answer = None
     if demand.kind in ("budget_units", "budget_eur"):
-        answer = oracle.least(
-            without, "fewest" if demand.kind == "budget_units" else "cheapest"
-        )
+        goal: Goal = "cheapest"
+        if demand.kind == "budget_units":
+            goal = "fewest"
+        answer = oracle.least(without, goal)
     elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
         if "survive" in kinds:
@@ -288,11 +302,11 @@ def find_relaxation(
             is_least=answer.is_proven,
             pose_index=answer.pose_index,
         )
-    if (
-        separation is not None and "capacity" not in kinds
-    ):  # sites may carry any number of units
+    # Sites may carry any number of units.
+    if separation is not None and "capacity" not in kinds:
         any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
         separation = replace(separation, site_capacity=any_number)
+    # Others are tried, from the tightest to the loosest.
     trial = _Trial(demand, with_it, oracle, separation)
     if demand.kind == "survive":
         most = max(floor.n_failures for floor in with_it.floors)
@@ -308,7 +322,10 @@ def find_relaxation(
 
 
 def _items(demand: Demand, limits: Limits) -> list[tuple[int, ...]]:
-    """The entries of a demand, in groups that belong together: all forbidden poses of a site."""
+    """Entries of a demand, in groups that belong together.
+
+    All forbidden poses of a site are one group.
+    """
     if demand.kind == "forced_sites":
         return [(site,) for site in np.flatnonzero(limits.is_forced_site).tolist()]
     forbidden = np.flatnonzero(limits.is_forbidden)
@@ -326,11 +343,15 @@ class _Trial:
     separation: Separation | None
 
     def first(self, values: Sequence[float]) -> Relaxation | None:
-        """The first of some values, each looser than the one before, that can be met."""
+        """The first of some values that can be met.
+
+        Each value is looser than the one before.
+        """
         low = 0
         high = len(values)
         best = None
         is_proven = True
+        # Bisection: what can be met stays possible when it is looser.
         while low < high:
             middle = (low + high) // 2
             tried = self._try(values[middle], ())
@@ -347,9 +368,13 @@ class _Trial:
     def fewest(
         self, items: Sequence[tuple[int, ...]], without: Answer
     ) -> Relaxation | None:
-        """Fewest items that have to go; `without` is what can be had without all of them."""
+        """The fewest items that have to go.
+
+        `without` is the answer without any of them.
+        """
         if without.pose_index is None:
             return None
+        # All items that the free answer violates are enough; look for fewer.
         enough = [item for item in items if self._is_violated(item, without.pose_index)]
         best = self._relaxation(np.nan, enough, without.pose_index)
         n_trials = 0
@@ -366,7 +391,10 @@ class _Trial:
         return replace(best, is_least=is_proven)
 
     def _thinned(self, best: Relaxation, given_up: list[tuple[int, ...]]) -> Relaxation:
-        """No item that is given up could stay, as far as time goes; others might be fewer."""
+        """Drop given-up items that could stay, as far as time goes.
+
+        Other items might be fewer.
+        """
         for item in given_up.copy():
             if self.oracle.left_s() <= 0.0:
                 break
@@ -391,13 +419,18 @@ class _Trial:
         given_up: Sequence[tuple[int, ...]],
         poses: tuple[int, ...] = (),
     ) -> Relaxation:
+        """A relaxation of the demand that gives up some items."""
         gone = tuple(part for item in given_up for part in item)
         return Relaxation(
             demand=self.demand, value=value, given_up=gone, pose_index=poses
         )
 
     def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
-        """A relaxation; no poses if it cannot be met, and then whether that is proven."""
+        """Try a relaxation.
+
+        It has no poses if it cannot be met; `is_least` then says whether that is
+        proven.
+        """
         relaxation = self._relaxation(value, given_up)
         answer = self.oracle.find(relax(self.problem, relaxation, self.separation))
         return replace(
@@ -408,10 +441,18 @@ class _Trial:
 # ---------- conflicts
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conflict:
-    """Demands that cannot all be met; any part of them can."""
+    """Demands that cannot all be met; any part of them can.
 
-    demands: tuple[Demand, ...]  # in the order of ``Wish.demands``
-    # for each demand the least by which it has to give way, where that was found
+    Attributes
+    ----------
+    demands : tuple of Demand
+        In the order of ``Wish.demands``.
+    relaxations : tuple of Relaxation
+        For each demand the least by which it has to give way, where that was
+        found.
+    """
+
+    demands: tuple[Demand, ...]
     relaxations: tuple[Relaxation, ...]
 
 
@@ -421,10 +462,11 @@ def find_conflicts(
     separation: Separation | None = None,
     time_limit_s: float = 30.0,
 ) -> tuple[Conflict, ...]:
-    """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
+    """Smallest conflicts that explain why no set of poses does.
 
-    `time_limit_s` is for all questions together, but for presolve. None if the wish can
-    be met, if it was not found out that it cannot, or if nothing would help.
+    No two of them have a demand in common. `time_limit_s` is for all questions
+    together, but for presolve. None if the wish can be met, if it was not found out
+    that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -437,8 +479,10 @@ def find_conflicts(
             asked[active] = oracle.find(wish.part(active))
         return asked[active]
 
-    if ask(frozenset()).pose_index is None:  # forced and forbidden, say
+    # Forced and forbidden, say.
+    if ask(frozenset()).pose_index is None:
         return ()
+    # Take out one smallest conflict after the other.
     left = wish.everything
     found = []
     while left and _is_refused(ask(left)):
@@ -461,8 +505,13 @@ def _is_refused(answer: Answer) -> bool:
 def _smallest_conflict(
     wish: Wish, demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
 ) -> frozenset[int]:
-    """A smallest conflict among demands that cannot all be met; any, where time is short."""
-    met = list[frozenset[int]]()  # demands that some set of poses meets together
+    """A smallest conflict among demands that cannot all be met.
+
+    Where time is short, it is any conflict.
+    """
+    # Demands that some set of poses meets together.
+    met = list[frozenset[int]]()
+    # Parts in order of size: the first refused one is a smallest conflict.
     for size in range(len(demands) + 1):
         for tried in map(frozenset, combinations(sorted(demands), size)):
             if any(tried <= known for known in met):
@@ -470,7 +519,8 @@ def _smallest_conflict(
             answer = ask(tried)
             if _is_refused(answer):
                 return tried
-            if answer.pose_index is None:  # time is up
+            # Time is up.
+            if answer.pose_index is None:
                 return _thinned(demands, ask)
             met.append(wish.met_by(answer.pose_index, tried))
     raise ValueError("the demands can be met")
@@ -492,6 +542,7 @@ def _relaxations(
     conflict: frozenset[int],
     ask: Callable[[frozenset[int]], Answer],
 ) -> tuple[Relaxation, ...]:
+    """Relaxations of the demands of a conflict, as far as found."""
     found = []
     for number in sorted(conflict):
         suffices = ask(wish.everything - {number}).pose_index is not None
@@ -526,6 +577,7 @@ def find_refusal(
     if not conflicts:
         return None
     words = _Words(problem, wishes, candidates)
+    # The first conflict is the error; others follow in its text.
     first, *others = conflicts
     got = "demands that no layout meets together"
     if len(first.demands) == 1:
@@ -545,10 +597,14 @@ def build_separation(
     scene: Scene,
     candidates: Sequence[CandidatePose],
 ) -> Separation | None:
-    """The effect of a least distance between units on the limits; None where none is asked for."""
+    """Effect of a least distance between units on the limits.
+
+    None where no distance is asked for.
+    """
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
+    # Room at the sites if there were no least distance.
     free = build_limits(
         Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
         scene,
@@ -606,12 +662,15 @@ class _Words:
         return f"one of them to give way: {ways}"
 
     def _demand(self, demand: Demand) -> str:
+        """A demand as the question states it, in words."""
         limits = self.problem.limits
         kind = demand.kind
         if demand.floor is not None:
             floor = self.problem.floors[demand.floor]
             is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
-            return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
+            if is_max:
+                return _inserted(floor.name, "max")
+            return _inserted(floor.name, f"{floor.share:g}")
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
         items = {
@@ -620,6 +679,7 @@ class _Words:
         }
         if kind in items:
             return self._sites(kind, np.flatnonzero(items[kind]).tolist())
+        # Demands that have a number.
         number = {
             "survive": max(
                 (floor.n_failures for floor in self.problem.floors), default=0
@@ -629,16 +689,16 @@ class _Words:
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return (
-            f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
-        )
+        text = f"`{_FIELDS[kind]}` {number:g}"
+        if kind == "survive":
+            text += self._failing
+        return text
 
     def _way_out(self, relaxation: Relaxation) -> str:
-        demand, kind, value = (
-            relaxation.demand,
-            relaxation.demand.kind,
-            relaxation.value,
-        )
+        """A relaxation as a change of the question, in words."""
+        demand = relaxation.demand
+        kind = demand.kind
+        value = relaxation.value
         if demand.floor is not None:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
@@ -647,6 +707,7 @@ class _Words:
         elif kind == "separation" and not value > 0.0:
             text = "no `separation_m`"
         else:
+            # Numbers are rounded to the side that is sure to be met.
             number = f"{value:g}"
             if kind == "budget_units":
                 number = f"{value - self._n_kept:g}"
@@ -656,10 +717,9 @@ class _Words:
                 )
             elif kind == "separation":
                 number = f"{np.floor(value * 100.0) / 100.0:g}"
-            text = (
-                f"`{_FIELDS[kind]}`"
-                f" {number}{self._failing if kind == 'survive' else ''}"
-            )
+            if kind == "survive":
+                number += self._failing
+            text = f"`{_FIELDS[kind]}` {number}"
         if not relaxation.suffices:
             text += " (not enough by itself)"
         if relaxation.is_least:
@@ -704,7 +764,10 @@ _FIELDS = {
 
 
 def _inserted(name: str, number: str) -> str:
-    """A number after the field that a name begins with: "`min_case_apr` 0.8 in CPNA-25"."""
+    """Insert a number after the field that a name begins with.
+
+    An example is "`min_case_apr` 0.8 in CPNA-25".
+    """
     return f"`{_field(name)}` {number} {name.partition(' ')[2]}".rstrip()
 
 

@@ -1,4 +1,4 @@
-"""Contribution of each unit to a layout: what is left without some, and what one more would add."""
+"""Contributions of units: what is left without some, or with one more."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -35,18 +35,31 @@ from ..optimiser.bitsets import avoided_with_each
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contribution:
-    """The contribution of one unit of a set, on the detection table."""
+    """The contribution of one unit of a set, on the detection table.
 
-    pose_index: int  # row of the table
-    only_runs: (
-        IntArray  # (n,): runs with weight that are avoided with it and not without it
-    )
-    marginal_apr: float  # APR of the whole set less that of the others, 0..1
-    without: PlacementValue  # what the others are worth
-    # by how much later, on average by weight, the runs that the others avoid, too, are
-    # confirmed without it. [s]
+    Attributes
+    ----------
+    pose_index : int
+        Row of the table.
+    only_runs : (n,) int
+        Runs with weight that are avoided with it and not without it.
+    marginal_apr : float
+        APR of the whole set less that of the others, 0..1.
+    without : PlacementValue
+        What the others are worth.
+    mean_delay_s : float
+        By how much later, on average by weight, the runs that the others avoid,
+        too, are confirmed without it. [s]
+    max_delay_s : float
+        The most of it in any of these runs. [s]
+    """
+
+    pose_index: int
+    only_runs: IntArray
+    marginal_apr: float
+    without: PlacementValue
     mean_delay_s: float
-    max_delay_s: float  # the most of it in any of these runs. [s]
+    max_delay_s: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "only_runs", freeze(self.only_runs))
@@ -55,12 +68,16 @@ class Contribution:
 def find_contributions(
     problem: PlacementProblem, pose_index: Sequence[int]
 ) -> tuple[Contribution, ...]:
-    """The contribution of each unit of a set, in order; limits and floors do not matter."""
+    """Contribution of each unit of a set, in order.
+
+    Limits and floors do not matter.
+    """
     poses = list(pose_index)
     value = placement_value(problem, poses)
     margin_s = run_margins_s(problem, poses)
     weight = problem.table.axis.weight
     found = []
+    # Take out each unit in turn.
     for position, pose in enumerate(poses):
         others = poses[:position] + poses[position + 1 :]
         left_s = run_margins_s(problem, others)
@@ -70,6 +87,9 @@ def find_contributions(
         delay_s = np.where(counts, margin_s, 0.0) - np.where(counts, left_s, 0.0)
         without = placement_value(problem, others)
         share = float(weight[counts].sum())
+        mean_delay_s = 0.0
+        if share:
+            mean_delay_s = float(delay_s @ weight) / share
         found.append(
             Contribution(
                 pose_index=pose,
@@ -78,7 +98,7 @@ def find_contributions(
                 ),
                 marginal_apr=value.apr - without.apr,
                 without=without,
-                mean_delay_s=float(delay_s @ weight) / share if share else 0.0,
+                mean_delay_s=mean_delay_s,
                 max_delay_s=float(delay_s.max(initial=0.0)),
             )
         )
@@ -86,7 +106,8 @@ def find_contributions(
 
 
 # ---------- failures of units and poles (N-1, N-2)
-MAX_PAIR_UNITS = 12  # for layouts with more units, only single failures are evaluated
+# For layouts with more units, only single failures are evaluated.
+MAX_PAIR_UNITS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,18 +131,11 @@ class Failure:
         The site that fails with all its units; empty: units fail, their poles stand.
     """
 
-    unit_ids: tuple[str, ...]  # the units that fail
-    # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
+    unit_ids: tuple[str, ...]
     apr: float
-    # of the runs with weight that the others still avoid, the least time from the onset
-    # of braking to the last moment; NaN where they avoid none. [s]
     smallest_margin_s: float
-    # runs with weight that all units together avoid and the others do not, those with
-    # the highest speed first
     lost_run_ids: tuple[str, ...]
-    site_id: str = (
-        ""  # the site that fails with all its units; empty: units fail, poles stand
-    )
+    site_id: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,18 +155,14 @@ class Failures:
         One for each site: power or a crash takes all of its units at once.
     """
 
-    none_failed: Failure  # of all units together
-    one_failed: tuple[Failure, ...]  # one for each unit
-    # one for each pair; empty for a layout of one unit or of more than
-    # ``MAX_PAIR_UNITS``
+    none_failed: Failure
+    one_failed: tuple[Failure, ...]
     two_failed: tuple[Failure, ...]
-    site_failed: tuple[
-        Failure, ...
-    ] = ()  # one for each site: power or a crash takes all its units
+    site_failed: tuple[Failure, ...] = ()
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
-    """Evaluate the failure of each unit of a layout, of each pair, and of each site.
+    """Evaluate the failure of each unit, each pair, and each site.
 
     In each frame any remaining unit may be the one that detects, and the VUT where
     every VUT sees. The worst comes first: the lowest APR, then the smallest margin,
@@ -160,6 +170,7 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """
     axis = evaluation.axis
     units = evaluation.layout.units
+    # Arrivals of every unit, and of a VUT that sees.
     arrivals_s = unit_arrivals_s(evaluation, rule)
     if evaluation.cars == 1.0:
         own = [(evaluation.vut.detected, rule.latency_s)]
@@ -177,8 +188,10 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     def failure(
         failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = ""
     ) -> Failure:
+        """Achievement of the units that are left when some fail."""
         onsets = find_onsets(np.minimum(arrival_s, own_s), axis, rule=rule)
         avoided = onsets.is_in_time
+        # Margins and losses count runs with weight only.
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
         lost = np.flatnonzero(avoided_by_all & ~avoided & counts)
         fastest_first = lost[np.argsort(-axis.vut_speed_kmh[lost], kind="stable")]
@@ -208,9 +221,13 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
 
 
 def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
+    """Failures by APR, then by smallest margin, the worst first."""
+
     def key(failure: Failure) -> tuple[float, float]:
         margin_s = failure.smallest_margin_s
-        return failure.apr, -math.inf if math.isnan(margin_s) else margin_s
+        if math.isnan(margin_s):
+            margin_s = -math.inf
+        return failure.apr, margin_s
 
     return tuple(sorted(failures, key=key))
 
@@ -218,7 +235,10 @@ def _worst_first(failures: Iterable[Failure]) -> tuple[Failure, ...]:
 # ---------- one more unit
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NextUnit:
-    """The further unit that greedy choice would add, budgets aside, on the detection table."""
+    """The further unit that greedy choice would add.
+
+    Budgets do not count; values are those of the detection table.
+    """
 
     pose: Annotated[str, says("Id of the candidate pose.")]
     apr: Annotated[float, says("Accident prevention ratio with it, 0..1.")]
@@ -228,10 +248,11 @@ class NextUnit:
 def find_next_unit(
     problem: PlacementProblem, reduced: ReducedProblem, pose_index: Sequence[int]
 ) -> NextUnit | None:
-    """The pose whose APR together with a layout is the highest, as greedy choice would go on.
+    """The pose with which a layout has the highest APR.
 
-    Budgets do not count: it is what one more unit buys. Sites, rivals and wishes do.
-    Another layout of as many units may be better still.
+    It is the one that greedy choice would add next. Budgets do not count: it is
+    what one more unit buys. Sites, rivals and wishes do. Another layout of as many
+    units may be better still.
 
     Parameters
     ----------
@@ -246,10 +267,11 @@ def find_next_unit(
     Returns
     -------
     next_unit : NextUnit or None
-        None where no pose fits beside the layout.
+        None where no pose fits next to the layout.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)
+    # Poses that fit next to the layout, whatever they cost.
     free = np.flatnonzero(fitting(limits, units))
     if not len(free):
         return None

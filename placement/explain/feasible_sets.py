@@ -1,4 +1,7 @@
-"""Search for sets of poses that meet a wish, and for the least by which a number must give way."""
+"""Search for sets of poses that meet a wish.
+
+Where none does, it finds the least by which a number must give way.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +28,8 @@ from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits, check_reach
 
 # ---------- greedy choice
-_MAX_ADDED = 12  # values with failed units take too long to compute for more
+# Values with failed units take too long to compute for more.
+_MAX_ADDED = 12
 
 
 def choose_greedily(reduced: ReducedProblem) -> IntArray:
@@ -54,20 +58,27 @@ def meets(reduced: ReducedProblem, units: IntArray) -> bool:
 
 # ---------- the oracle
 _FEW_UNITS = 6
-_SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
+# Of the remaining time, that one question may take.
+_SHARE_OF_TIME = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """The answer to whether a wish can be met."""
+    """The answer to whether a wish can be met.
 
-    pose_index: (
-        tuple[int, ...] | None
-    )  # a set of poses that meets it; None: none was found
-    is_proven: bool  # that there is none; or that none has a better `value`
-    value: float = (
-        np.nan
-    )  # where a number was asked for: the least, or the most, found; else NaN
+    Attributes
+    ----------
+    pose_index : tuple of int, optional
+        A set of poses that meets it; None: none was found.
+    is_proven : bool
+        That there is none; or that none has a better `value`.
+    value : float
+        Where a number was asked for: the least, or the most, found; else NaN.
+    """
+
+    pose_index: tuple[int, ...] | None
+    is_proven: bool
+    value: float = np.nan
 
 
 _NONE = Answer(pose_index=None, is_proven=True)
@@ -80,7 +91,8 @@ class Oracle:
     """
 
     def __init__(self, problem: PlacementProblem, *, end_s: float) -> None:
-        self.end_s, self._shared = end_s, presolve_freely(problem)
+        self.end_s = end_s
+        self._shared = presolve_freely(problem)
         self._presolved: dict[int, tuple[Limits, ReducedProblem]] = {}
 
     def left_s(self) -> float:
@@ -93,6 +105,7 @@ class Oracle:
             return _NONE
         problem = replace(problem, goal="fewest", survive=0)
         shared = self._shared.for_problem(problem)
+        # Greedy choice first; the search only where it fails.
         quick = choose_greedily(shared)
         if meets(shared, quick):
             return Answer(pose_index=to_full(shared, quick), is_proven=True)
@@ -112,6 +125,7 @@ class Oracle:
         if isinstance(found, Answer):
             return found
         (objective, find_bound), *_ = Stages(problem, found, Effort()).plan()
+        # Proven if the bound of the first stage is reached.
         bound = find_bound()
         assert found.units is not None
         is_of_units = objective is Objective.UNITS
@@ -125,19 +139,20 @@ class Oracle:
     def most(
         self, problem: PlacementProblem, measure: Measure, n_failures: int
     ) -> Answer:
-        """The highest ratio left when the most painful units fail, within limits and floors.
+        """The highest ratio left when units fail, within limits and floors.
 
-        `measure` is that of all runs; the problem's floors hold, too.
+        Those units fail whose loss costs most. `measure` is that of all runs; the
+        problem's floors hold, too.
         """
         problem = replace(problem, goal="best", survive=n_failures)
         if self._is_refused_at_once(problem):
             return _NONE
         reduced = self._presolve(problem)
         measure = measure.of_runs(reduced.run_index)
-        if (
-            not measure.weight.any()
-        ):  # nothing that counts can be avoided: any set is as good
+        # Nothing that counts can be avoided: any set is as good.
+        if not measure.weight.any():
             return replace(self.find(problem), value=0.0)
+        # Ask for all of the measure; what is reached is the most.
         everything = Requirement(
             measure=measure, least=measure.limit, n_failures=n_failures
         )
@@ -147,15 +162,18 @@ class Oracle:
         stages = Stages(problem, found, Effort())
         if n_failures:
             bound = stages.bound_apr_survived()
+            objective = Objective.APR_SURVIVED
         else:
             bound = stages.bound_apr()
-        value = float(
-            found.row.of(Objective.APR_SURVIVED if n_failures else Objective.APR)
-        )
+            objective = Objective.APR
+        value = float(found.row.of(objective))
         return _answer(found, is_proven=bound <= value + SOLVER_TOLERANCE, value=value)
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
-        """True if limits contradict each other, or all poses together reach too little."""
+        """True if it is plain that the problem has no solution.
+
+        Limits contradict each other, or all poses together reach too little.
+        """
         limits = problem.limits
         shared = self._shared.for_problem(problem)
         usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
@@ -179,9 +197,10 @@ class Oracle:
     def _search(
         self, reduced: ReducedProblem, aim: Requirement | None = None
     ) -> Search | Answer:
-        """A search that has a set within limits and floors; else the answer that there is none.
+        """Search for a set within limits and floors.
 
-        It begins with a set found quickly, and takes a part of the time left.
+        Where there is none, the answer says so. It begins with a set found quickly,
+        and takes a part of the time left.
         """
         deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
         search = Search(reduced, deadline=deadline)
@@ -192,7 +211,8 @@ class Oracle:
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
-            if len(units) <= _FEW_UNITS:  # exchanges take long for more
+            # Exchanges take long for more.
+            if len(units) <= _FEW_UNITS:
                 search.keep(improve(reduced, units, search.limit, deadline=deadline))
 
         def has_set() -> bool:

@@ -1,4 +1,4 @@
-"""Tolerances: by how much one unit may be off before a run is lost, and what then is lost."""
+"""Tolerances of mounting: how far off a unit may be, and what is lost."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ STEPS: Steps = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
 
 USUAL_DEG = 1.0
 USUAL_M = 0.05
-"""Errors of a careful mounting: half a bubble of a spirit level, the play of a clamp."""
+"""Errors of a careful mounting: half a spirit level's bubble, the play of a clamp."""
 
 _QUICK_STEPS: Steps = {
     "yaw": (0.5, USUAL_DEG, 2.0),
@@ -45,7 +45,7 @@ _USUAL: Mapping[ErrorKind, float] = {
 }
 
 MAX_UNITS = 30
-"""Of larger layouts nobody asks what a usual error loses: one look for each takes too long."""
+"""Largest layout whose usual errors are evaluated: each unit takes looks of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,13 +64,10 @@ class Tolerance:
         Lower and higher, the same. [m]
     """
 
-    unit_id: str  # the unit
-    # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up:
-    # the largest of the tried turns up to which every run that the layout avoids is
-    # still avoided; 0: not even the smallest. [deg]
+    unit_id: str
     yaw_deg: tuple[float, float]
     pitch_deg: tuple[float, float]
-    height_m: tuple[float, float]  # lower and higher, the same. [m]
+    height_m: tuple[float, float]
 
 
 def find_tolerances(
@@ -137,6 +134,7 @@ def find_standing(
     """Cost of the usual errors of mounting, one unit and one error at a time."""
     errors = _find_errors(setting, units, _QUICK_STEPS, fusion=fusion, compute=compute)
     found = errors.tolerances()
+    # Usual errors of all units, in both directions.
     usual = [
         errors.error(number, kind, sign * _USUAL[kind])
         for number in range(len(units))
@@ -152,16 +150,32 @@ def find_standing(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Errors:
-    """Runs that are avoided with one unit off, by its number, what is off and by how much."""
+    """Runs that are avoided with one unit off.
+
+    They are by the unit's number, what is off and by how much.
+
+    Attributes
+    ----------
+    setting : Setting
+        Runs, and the share of cars that see.
+    units : sequence of CandidatePose
+        Units as planned.
+    steps : mapping of str to tuple of float
+        Sizes of the errors that were tried, by kind.
+    planned : (2, n_runs) bool
+        By VUTs that do not see, and that do.
+    avoided : mapping of (int, str, float) to (2, n_runs) bool
+        As `planned`, by number of the unit, kind and step of the error.
+    """
 
     setting: Setting
     units: Sequence[CandidatePose]
     steps: Steps
-    # (2, n_runs) each: by VUTs that do not see, and that do
     planned: BoolArray
     avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
     def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
+        """The error of one unit: the APR that is left, and the runs lost."""
         axis = self.setting.axis
         avoided = self.avoided[number, kind, step]
         blind, seeing = (weight_share(part, axis.weight) for part in avoided)
@@ -175,14 +189,15 @@ class _Errors:
         )
 
     def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
+        """Runs that are lost with one unit off."""
         is_lost = self.planned & ~self.avoided[number, kind, step]
         cars = self.setting.cars
-        is_driven = np.array(
-            [cars < 1.0, cars > 0.0]
-        )  # by cars that do not see, and that do
+        # By cars that do not see, and that do.
+        is_driven = np.array([cars < 1.0, cars > 0.0])
         return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 
     def tolerances(self) -> tuple[Tolerance, ...]:
+        """Tolerances of all units."""
         return tuple(
             Tolerance(
                 unit_id=unit.id,
@@ -214,7 +229,9 @@ def _find_errors(
     fusion: Fusion,
     compute: Compute,
 ) -> _Errors:
+    """Runs that are avoided with each unit off by each of the steps."""
     setting = with_sight(setting, compute=compute)
+    # One pose for every unit, error and step.
     keys = [
         (number, kind, sign * step)
         for number in range(len(units))
@@ -227,6 +244,7 @@ def _find_errors(
         *(_off_by(units[number], kind, step) for number, kind, step in keys),
     ]
     looks = [(unit, setting.table_detector) for unit in everyone]
+    # Detections of all poses at once.
     frames = detected_frames(setting, looks, stage=TOLERANCES, compute=compute)
     axis = setting.axis
     rule = setting.rule
@@ -245,6 +263,7 @@ def _find_errors(
         return np.asarray(np.any(each, axis=0))
 
     def avoided(rows: Sequence[int]) -> BoolArray:
+        """True for runs that some rows avoid, (2, n_runs)."""
         blind = in_time(arrival_s[rows])
         if own_s is None:
             seeing = blind

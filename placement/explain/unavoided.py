@@ -1,4 +1,7 @@
-"""Runs that a layout does not avoid: what is in the way, how late it brakes, what would help."""
+"""Runs that a layout does not avoid, and why.
+
+It says what is in the way, how late braking comes, and what would help.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -42,16 +45,27 @@ Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "othe
 
 THE_VUT = "the VUT"
 Names = tuple[NDArray[np.object_], list[list[str]]]
-_OFF_SURFACE_M = 1.0e-3  # rays end this much before the point they are cast to
+# Rays end this much before the point they are cast to.
+_OFF_SURFACE_M = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A unit, a run, and the frames in which the unit should have detected the road user."""
+    """Frames in which a unit should have detected the road user.
+
+    Attributes
+    ----------
+    unit : CandidatePose
+        The unit.
+    run_index : int
+        Of the setting's runs.
+    frame_index : (n,) int
+        Frames of that run, from 0.
+    """
 
     unit: CandidatePose
-    run_index: int  # of the setting's runs
-    frame_index: IntArray  # (n,): frames of that run, from 0
+    run_index: int
+    frame_index: IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,15 +92,17 @@ class Reason:
 def find_reasons(
     setting: Setting, looks: Sequence[Look], *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[tuple[Reason, ...]]:
-    """Reasons of each look why its unit does not detect, the most frequent one first."""
+    """Reasons why units do not detect, the most frequent one first."""
     if not looks:
         return []
+    # One world has the runs of all looks.
     run_index = list(dict.fromkeys(look.run_index for look in looks))
     runs = [setting.runs[index] for index in run_index]
     ends = np.cumsum([0, *(len(run.time_s) for run in runs)])
     world = build_world(setting.scene, runs, n_points=N_POINTS, seed=compute.seed)
     names = _names(setting.scene, runs)
     reasons: list[tuple[Reason, ...]] = [()] * len(looks)
+    # Frames of one unit are evaluated together.
     for unit in {id(look.unit): look.unit for look in looks}.values():
         mine = [number for number, look in enumerate(looks) if look.unit is unit]
         frames = [
@@ -107,6 +123,7 @@ def _causes(
     setting: Setting, world: World, names: Names, unit: CandidatePose, frames: IntArray
 ) -> list[tuple[Cause, str]]:
     """Cause, and the thing in the way, of each frame of a world."""
+    # The same world with nothing in the way.
     nothing = build_caster(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
     no_triangles = world.shared.triangles_m[:0]
     empty = replace(
@@ -128,6 +145,7 @@ def _causes(
     sensing = build_sensing(empty, open_sight, position_m, setting.table_detector)
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
     shown = (0, views.weather_of_frame[frames], open_sight.entry_of_frame[frames])
+    # Detected in the open, and in the open with full contrast.
     in_the_open = sensing.detected([unit])[shown]
     in_full_light = bright.detected([unit])[shown]
     points = (
@@ -137,6 +155,7 @@ def _causes(
         is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
     )
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
+    # The first cause that applies to each frame.
     causes: list[tuple[Cause, str]] = []
     for frame in range(len(frames)):
         if in_the_open[frame]:
@@ -152,12 +171,16 @@ def _causes(
 def _things_between(
     world: World, names: Names, unit: CandidatePose, frames: IntArray, open_sight: Sight
 ) -> list[str]:
-    """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
+    """The thing that blocks most rays to the road user in each frame.
+
+    It is empty where nothing does.
+    """
     views = world.views
     vehicles = world.vehicles
     eye = unit.pose.position_m - world.origin_m
     of_triangles, of_standing = names
     things = []
+    # Rays to the visible points of the body; the nearest hit blocks each.
     for frame in frames.tolist():
         view = int(views.view_of_frame[frame])
         faces_eye = open_sight.is_visible[open_sight.entry_of_frame[frame]]
@@ -194,8 +217,9 @@ def _rays(
 
 
 def _names(scene: Scene, runs: Sequence[Run]) -> Names:
-    """Name of the thing of each triangle of the scene, and of each body of every obstruction."""
+    """Names of things: by triangle of the scene, and by parked body."""
     instances = [scene.instances[index].id for index in scene.triangle_instance]
+    # Equal names of one obstruction are numbered.
     of_standing = []
     for parked in find_obstructions(runs)[0]:
         bodies = [body.actor.name for body in parked]
@@ -231,7 +255,9 @@ class Rescue:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unavoided:
-    """A run with weight that is not avoided in the world as planned, on the detection table.
+    """A run with weight that is not avoided on the detection table.
+
+    It is in the world as planned.
 
     Attributes
     ----------
@@ -293,6 +319,7 @@ def find_unavoided(
         )
 
     def find() -> tuple[Unavoided, ...]:
+        """Find the runs, then the reasons and rescues of all at once."""
         is_missed = run_margins_s(problem, chosen) == -np.inf
         misses = [
             _find_miss(setting, problem, candidates, chosen, run)
@@ -332,11 +359,12 @@ def _find_miss(
     chosen: list[int],
     run: int,
 ) -> tuple[Unavoided, Look | None]:
-    """Outcome of a run with the chosen units, and what the one that should see best has missed."""
+    """Outcome of a run, and the look of the unit that should see best."""
     axis = problem.table.axis
     rule = problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]
+    # Frames from which braking in time could follow.
     counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
     detected = _detected_in(problem.table, run)[chosen]
     parties = np.vstack([detected, *_seen_by_vut(problem, run)])
@@ -345,12 +373,14 @@ def _find_miss(
         together = seen
     else:
         together = parties
+    # The first confirmation after the last moment tells how late it is.
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
     braking_s = (
         np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf)
         + rule.latency_s
     )
     is_hopeless = int(counts.sum()) < rule.n_confirmations
+    # The first outcome that applies.
     outcomes: tuple[tuple[Outcome, bool], ...] = (
         ("hopeless", is_hopeless),
         ("never seen", not seen.any()),
@@ -393,7 +423,11 @@ def _find_miss(
 def _find_joining(
     problem: PlacementProblem, candidates: Sequence[CandidatePose], chosen: list[int]
 ) -> tuple[IntArray, FloatArray]:
-    """Candidates that may join the chosen ones, (n,), and the distance to the nearest of these."""
+    """Candidates that may join the chosen ones, with their distances.
+
+    They are (n,); a distance is that to the nearest chosen unit, in metres.
+    """
+    # Neither budgets nor forced units and sites matter here.
     limits = replace(
         problem.limits,
         budget_units=None,
@@ -421,7 +455,10 @@ def _nearest_rescue(
     joining: tuple[IntArray, FloatArray],
     run: int,
 ) -> Rescue | None:
-    """The nearest candidate that saves a run; of several at the same place the quickest."""
+    """The nearest candidate that saves a run.
+
+    Of several at the same place it is the quickest.
+    """
     axis = problem.table.axis
     rule = problem.rule
     poses, distance_m = joining
@@ -432,6 +469,7 @@ def _nearest_rescue(
             axis=0
         )
     last_brake_s = float(axis.last_brake_time_s[run])
+    # A candidate helps if its track is alive at the last moment.
     confirmed_s = live_confirmation_time_s(
         seen,
         axis.time_s[axis.frames_of(run)],
@@ -441,6 +479,7 @@ def _nearest_rescue(
     saves = np.isfinite(confirmed_s)
     if not saves.any():
         return None
+    # By distance, then by the time of confirmation.
     helping = np.flatnonzero(saves)
     best = helping[np.lexsort((confirmed_s[helping], distance_m[helping]))[0]]
     pose = int(poses[best])
@@ -453,7 +492,10 @@ def _nearest_rescue(
 
 
 def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
-    """Frames of a run in which the VUT detects, (n_frames of the run,), if it sees."""
+    """Frames of a run in which the VUT detects; none if it is blind.
+
+    They are (n_frames of the run,).
+    """
     seen = problem.seen_by_vut
     if seen is None:
         return []
@@ -463,6 +505,7 @@ def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:
     """V[c, f] of the frames of one run, (n_poses, n_frames of the run)."""
     frames = table.axis.frames_of(run)
+    # Unpack only the bytes of this run.
     first_byte = frames.start // 8
     bits = np.unpackbits(
         table.packed[:, first_byte : -(-frames.stop // 8)], axis=1, bitorder="little"

@@ -1,4 +1,4 @@
-"""Detections from elsewhere: recordings of the CarlaNCAP study, and in the formats of others.
+"""Detections from elsewhere: the study's recordings, and others.
 
 ``read`` reads a folder strictly, cuts its frames into drives that end at the impact,
 and counts what it leaves out; ``evaluate`` matches, confirms and brakes. ``files``

@@ -1,4 +1,7 @@
-"""Evaluation of recorded detections: match them with labels, confirm, and brake in time."""
+"""Evaluation of recorded detections.
+
+They are matched with labels, confirmed, and braked for.
+"""
 
 import math
 from collections import Counter
@@ -23,7 +26,7 @@ RECORDED = "recorded"
 """Approach and weather of every drive: a recording does not contain them."""
 
 _FINDS = {"pedestrian": ("pedestrian",), "bicycle": ("bicycle", "pedestrian")}
-"""By class of VRU, which detections may match its label: a detector may find the rider."""
+"""Detections that may match a label, by its class: a detector may find the rider."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,16 +51,11 @@ class RecordedEvaluation:
         them is detected.
     """
 
-    axis: FrameAxis  # A run per drive, all of equal weight
-    vut: Verdict | None  # the VUT's own camera alone; None where it is not recorded
-    units: Mapping[str, Verdict]  # each roadside unit alone, by the name of its folder
-    rsu_all: Verdict  # all of them fused: in each frame any of them may be the detector
-    vut_and_rsus: (
-        Verdict | None
-    )  # the same with the VUT's camera; None where that is not recorded
-    # frames of a roadside unit with several VRUs of the drive's class in view: it is
-    # not known which one the VUT is about to hit, so that they count only if each of
-    # them is detected
+    axis: FrameAxis
+    vut: Verdict | None
+    units: Mapping[str, Verdict]
+    rsu_all: Verdict
+    vut_and_rsus: Verdict | None
     n_ambiguous: int
 
 
@@ -76,6 +74,7 @@ def evaluate_recording(
     if not 0.0 <= min_confidence <= 1.0:
         raise InputError("min_confidence", min_confidence, "a confidence, 0 .. 1")
     form = load_format()
+    # Roadside units first, then the VUT's camera.
     detected = {}
     n_ambiguous = 0
     for unit in recording.units:
@@ -102,7 +101,10 @@ def take_units(
 
 
 def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
-    """Detection table whose rows are the roadside units, by the names of their folders."""
+    """Detection table whose rows are the roadside units.
+
+    Their ids are the names of their folders.
+    """
     return pack_table(
         tuple(evaluation.units),
         evaluation.axis,
@@ -111,9 +113,10 @@ def recorded_table(evaluation: RecordedEvaluation) -> DetectionTable:
 
 
 def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
-    """Frames of the drives, laid end to end; runs are called "recording/SCENARIO/KMH".
+    """Frames of the drives, laid end to end.
 
-    Cases are "scenario-3-pedestrian" and so on.
+    Runs are called "recording/SCENARIO/KMH". Cases are "scenario-3-pedestrian" and
+    so on.
     """
     form = load_format()
     drives = recording.drives
@@ -156,10 +159,11 @@ def is_same_direction(
     closing_speed_mps: float,
     form: RecordingFormat,
 ) -> bool:
-    """True if the VUT catches up with a VRU that goes its way, by the law of cosines.
+    """True if the VUT catches up with a VRU that goes its way.
 
-    False for a VRU that stands, or is as fast as the VUT. The format says up to which
-    angle the ways count as the same.
+    That follows from the speeds by the law of cosines. False for a VRU that stands,
+    or is as fast as the VUT. The format says up to which angle the ways count as
+    the same.
     """
     v = vut_speed_mps
     u = vru_speed_mps
@@ -214,12 +218,16 @@ def _run_ids(drives: Sequence[Drive]) -> tuple[str, ...]:
 def _detected(
     recording: Recording, unit: str, form: RecordingFormat, min_confidence: float
 ) -> tuple[BoolArray, int]:
-    """Frames in which a unit detects the VRU, and the number of those with several in view."""
+    """Frames in which a unit detects the VRU.
+
+    The second value says how many have several VRUs in view.
+    """
     all_labels = recording.labels[unit]
     all_found = recording.detections[unit]
     detected = []
     n_several = 0
     for drive in recording.drives:
+        # Labels of the drive's class in this frame.
         for key, distance_m in zip(
             drive.frames, drive.distance_m.tolist(), strict=True
         ):
@@ -233,6 +241,7 @@ def _detected(
                     min(labels, key=lambda label: abs(label.distance_m - distance_m))
                 ]
             n_several += len(labels) > 1 and not np.isnan(distance_m)
+            # Detections that may match them.
             found = [
                 one
                 for one in (all_found.get(key, ()) if labels else ())
@@ -261,6 +270,7 @@ def _evaluate(
     rule: AebRule,
     n_ambiguous: int,
 ) -> RecordedEvaluation:
+    """Verdicts of units alone and fused, from detected frames."""
     any_unit = np.logical_or.reduce(list(detected.values()))
     return RecordedEvaluation(
         axis=axis,
@@ -275,6 +285,7 @@ def _evaluate(
 
 
 def _verdict(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> Verdict:
+    """Verdict on detected frames, with the rule's latency."""
     arrival_s = earliest_arrival_s([(detected, rule.latency_s)], axis)
     onsets = find_onsets(arrival_s, axis, rule=rule)
     return Verdict(

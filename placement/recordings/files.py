@@ -1,4 +1,4 @@
-"""The study's folder layout: its files are read line by line, and whole folders written.
+"""The study's folder layout: files read line by line, folders written.
 
 Reading is strict: every error names file, line and field.
 """
@@ -27,10 +27,11 @@ from geometry.files import (
     write_new,
 )
 
+# That are read; other road users are only written.
 VRU_CLASSES = (
     "pedestrian",
     "bicycle",
-)  # that are read; other road users are only written
+)
 _MOST_FRAMES = 100_000_000
 _SIDES = ("min_x", "min_y", "max_x", "max_y")
 _WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
@@ -38,10 +39,18 @@ Box = tuple[float, float, float, float]
 
 
 class FrameKey(NamedTuple):
-    """Scenario and number of a frame, as in a file's name SCENARIO_FRAME.txt."""
+    """Scenario and number of a frame, as in a file's name SCENARIO_FRAME.txt.
+
+    Attributes
+    ----------
+    scenario : int
+        Index of the scenario in the recording.
+    number : int
+        Runs on over all drives of the scenario.
+    """
 
     scenario: int
-    number: int  # runs on over all drives of the scenario
+    number: int
 
     @property
     def file_name(self) -> str:
@@ -51,21 +60,70 @@ class FrameKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingFormat:
-    """The study's folder layout, and how motion is read from it: ``carla_ncap_format.toml``."""
+    """The study's folder layout, and how motion is read from it.
+
+    It is the content of ``carla_ncap_format.toml``.
+
+    Attributes
+    ----------
+    width_px : int
+        Width of the images. [px]
+    height_px : int
+        Height of the images. [px]
+    frame_rate_hz : float
+        Frames per second. [Hz]
+    n_reset_frames : int
+        Between two drives.
+    vut_folder : str
+        All other folders are units and have a number for a name.
+    world_folder : str
+        Folder of the distances and speeds.
+    eval_folder : str
+        Folder of the detections.
+    vut_indices : tuple of str
+        What stands for the VUT in Eval.
+    label_fields : tuple of str
+        Fields of a line with a label.
+    world_fields : tuple of str
+        Fields of a line in the world folder.
+    eval_fields : tuple of str
+        Fields of a line with a detection.
+    actor_types : mapping of str to str
+        Spelling to "pedestrian", "bicycle" or "other".
+    window_s : float
+        Time before the impact in which motion is read. This and the following
+        are those of the section `motion`. [s]
+    min_frames : int
+        Least frames in that window, the impact included.
+    min_closing_speed_mps : float
+        Least speed at which the distance falls; else nothing approaches. [m/s]
+    max_same_direction_deg : float
+        Largest angle between the paths of a VRU that goes the VUT's way. [deg]
+    speed_tolerance : float
+        Deviation of the closing speed from the target speeds, relative.
+    jump_m : float
+        The bodies were put back if the distance rises by this more than the
+        speeds allow. [m]
+    max_gap_s : float
+        Longest gap of missing frames within a drive. [s]
+    standing_m : float
+        The bodies stand while the distance has changed by less since the reset.
+        [m]
+    """
 
     width_px: int
     height_px: int
     frame_rate_hz: float
-    n_reset_frames: int  # between two drives
-    vut_folder: str  # all other folders are units and have a number for a name
+    n_reset_frames: int
+    vut_folder: str
     world_folder: str
     eval_folder: str
-    vut_indices: tuple[str, ...]  # what stands for the VUT in Eval
+    vut_indices: tuple[str, ...]
     label_fields: tuple[str, ...]
     world_fields: tuple[str, ...]
     eval_fields: tuple[str, ...]
-    actor_types: Mapping[str, str]  # spelling to "pedestrian", "bicycle" or "other"
-    window_s: float  # this and the following: [motion]
+    actor_types: Mapping[str, str]
+    window_s: float
     min_frames: int
     min_closing_speed_mps: float
     max_same_direction_deg: float
@@ -84,53 +142,106 @@ def load_format() -> RecordingFormat:
 
 
 class Label(NamedTuple):
-    """Where an actor is in a unit's image."""
+    """Where an actor is in a unit's image.
 
-    class_name: str  # "pedestrian", "bicycle" or "other"
-    box_px: Box  # of the visible pixels
-    distance_m: float  # from the unit
+    Attributes
+    ----------
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    box_px : Box
+        Of the visible pixels.
+    distance_m : float
+        From the unit.
+    """
+
+    class_name: str
+    box_px: Box
+    distance_m: float
 
 
 class Detection(NamedTuple):
-    """A detection in a unit's image."""
+    """A detection in a unit's image.
 
-    unit: str  # as in the file
-    class_name: str  # "pedestrian", "bicycle" or "other"
+    Attributes
+    ----------
+    unit : str
+        As in the file.
+    class_name : str
+        "pedestrian", "bicycle" or "other".
+    box_px : Box
+        Box around what was found. [px]
+    confidence : float
+        0 .. 1.
+    line_number : int
+        Line of the file, from 1.
+    """
+
+    unit: str
+    class_name: str
     box_px: Box
-    confidence: float  # 0 .. 1
+    confidence: float
     line_number: int
 
 
 class World(NamedTuple):
-    """How the bodies move in a frame."""
+    """How the bodies move in a frame.
 
-    distance_m: float  # between the origins of VUT and VRU
-    vut_speed_mps: float  # target speeds of the drive: the bodies may still stand
+    Attributes
+    ----------
+    distance_m : float
+        Between the origins of VUT and VRU.
+    vut_speed_mps : float
+        Target speed of the VUT in the drive: the bodies may still stand. [m/s]
+    vru_speed_mps : float
+        Target speed of the VRU. [m/s]
+    """
+
+    distance_m: float
+    vut_speed_mps: float
     vru_speed_mps: float
 
 
 # ---------- folders, JSON, lines of text
 def entries_of(folder: Path, expected: str) -> list[Path]:
-    """What is in a folder; InputError, with what is expected, where it cannot be read."""
+    """Entries of a folder.
+
+    Raises InputError, with what is expected, where it cannot be read.
+    """
     with reading(folder, expected, OSError):
         return list(folder.iterdir())
 
 
 def json_of(path: Path, **limits: int) -> Any:
-    """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
+    """Content of a JSON file.
+
+    `limits` are those of :func:`geometry.files.read_bytes`.
+    """
     return parse_json(read_bytes(path, **limits), str(path), "a JSON file")
 
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """The fields of a line, or of an element of XML, taken by name."""
+    """The fields of a line, or of an element of XML, taken by name.
 
-    place: str  # file and line, or file and words
+    Attributes
+    ----------
+    place : str
+        File and line, or file and words.
+    words : mapping of str to str
+        Text of each field, by its name.
+    line : int
+        Of a file that has lines.
+    """
+
+    place: str
     words: Mapping[str, str]
-    line: int = 0  # of a file that has lines
+    line: int = 0
 
     def number(self, name: str, *, least: float = -1.0e9, most: float = 1.0e9) -> float:
-        """A field's number; raises InputError unless it lies between `least` and `most`."""
+        """Number of a field.
+
+        Raises InputError unless it lies between `least` and `most`.
+        """
         where = f"{self.place}: {name}"
         if name not in self.words:
             raise InputError(where, Unquoted("nothing"), "a number")
@@ -165,6 +276,7 @@ def read_lines(
         fewest = len(names)
     else:
         fewest = least
+    # Lines count from 1.
     for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
         words = [word.strip() for word in text.strip().split(separator)]
         if not any(words):
@@ -180,10 +292,11 @@ def read_lines(
 
 
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
-    """Labels of a unit's frame, ``UNIT/SCENARIO_FRAME.txt``, and how many lines repeat others.
+    """Labels of a unit's frame, and how many lines repeat others.
 
-    The file is empty where nothing is in view; boxes may extend beyond the image. Lines
-    repeat because the generator opens its files for appending.
+    The file is ``UNIT/SCENARIO_FRAME.txt``. The file is empty where nothing is in
+    view; boxes may extend beyond the image. Lines repeat because the generator
+    opens its files for appending.
     """
     rows, n_repeated = _distinct(path, form.label_fields)
     return [
@@ -195,7 +308,10 @@ def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
 
 
 def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection], int]:
-    """Detections of all units, ``Eval/SCENARIO_FRAME.txt``, and how many lines repeat others."""
+    """Detections of all units, and how many lines repeat others.
+
+    The file is ``Eval/SCENARIO_FRAME.txt``.
+    """
     rows, n_repeated = _distinct(path, form.eval_fields)
     return [
         Detection(
@@ -210,10 +326,11 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
 
 
 def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
-    """Distance and speeds of a frame, ``WorldData/SCENARIO_FRAME.txt``, and how often they repeat.
+    """Distance and speeds of a frame, and how often they repeat.
 
-    The generator ends the line without a line break: a frame that is recorded twice
-    reads ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
+    The file is ``WorldData/SCENARIO_FRAME.txt``. The generator ends the line
+    without a line break: a frame that is recorded twice reads ``12.5 5.6 1.412.5
+    5.6 1.4``. Different numbers in a file are an error.
     """
     text = read_text(path, "text").strip()
     once, n_repeated = _once(text, len(form.world_fields))
@@ -238,10 +355,14 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
 
 
 def _once(text: str, n_fields: int) -> tuple[str, int]:
-    """The first `n_fields` words of a text that may repeat them, and how often it does."""
+    """First `n_fields` words of a text that may repeat them.
+
+    The second value says how often it does.
+    """
     lines = [line.strip() for line in text.splitlines()]
     if len(lines) > 1 and len(set(lines)) == 1:
         return lines[0], len(lines) - 1
+    # The text may be a whole number of repetitions without a break between.
     for n_times in range(2, len(text.split())):
         length, rest = divmod(len(text), n_times)
         part = text[:length]
@@ -266,6 +387,7 @@ def _class(row: Fields, form: RecordingFormat) -> str:
 
 
 def _box(row: Fields) -> Box:
+    """Box of a row; InputError if a side is on the wrong side."""
     x_min, y_min, x_max, y_max = row.box(_SIDES, most=math.inf)
     if x_max < x_min or y_max < y_min:
         got = Unquoted(" ".join(row.words[name] for name in _SIDES))
@@ -274,30 +396,42 @@ def _box(row: Fields) -> Box:
 
 
 # ---------- writing
-_BICYCLE = "bycicle"  # as the study's paper spells it
+# As the study's paper spells it.
+_BICYCLE = "bycicle"
 CONFIDENCE = 1.0
 """Of every detection that is written."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WrittenDrive:
-    """A drive to write."""
+    """A drive to write.
 
-    scenario: int  # index in the recording
-    vru_class: str  # "pedestrian", "bicycle", "motorcycle" or "car"
-    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
+    Attributes
+    ----------
+    scenario : int
+        Index in the recording.
+    vru_class : str
+        "pedestrian", "bicycle", "motorcycle" or "car".
+    vut_speed_mps, vru_speed_mps : float
+        Target speeds. [m/s]
+    distance_m : (n_frames,) float
+        Between the origins of VUT and VRU; the last frame is that of the
+        impact. [m]
+    labels_px, detections_px : mapping of str to (n_frames, 4) float
+        Per unit, by the name of its folder, the VRU's box and what was found; a
+        box without area stands for none. [px]
+    label_distance_m : mapping of str to (n_frames,) float
+        Per unit, how far the VRU is. [m]
+    """
+
+    scenario: int
+    vru_class: str
     vut_speed_mps: float
     vru_speed_mps: float
-    # (n_frames,): between the origins of VUT and VRU; the last frame is that of the
-    # impact. [m]
     distance_m: FloatArray
-    # labels_px, detections_px: (n_frames, 4): per unit, by the name of its folder, the
-    # VRU's box and what was found; a box without area stands for none. [px]
     labels_px: Mapping[str, FloatArray]
     detections_px: Mapping[str, FloatArray]
-    label_distance_m: Mapping[
-        str, FloatArray
-    ]  # (n_frames,): per unit, how far the VRU is. [m]
+    label_distance_m: Mapping[str, FloatArray]
 
     def __post_init__(self) -> None:
         check_one_of("vru_class", self.vru_class, _WRITTEN)
@@ -328,12 +462,13 @@ def write_recording(
     n_reset_frames: int | None = None,
     also: Mapping[str, str] | None = None,
 ) -> None:
-    """Write drives (with the same units) as the study's generator does, whole or not at all.
+    """Write drives as the study's generator does, whole or not at all.
 
-    Frame numbers run on over all drives. After each drive there are `n_reset_frames`
-    frames, by default as many as the generator's, with the bodies back at their starts,
-    as in its first frame. `also` are other files that shall be there, with their text.
-    Raises InputError if units differ, or the folder is not empty or not writable.
+    All drives have the same units. Frame numbers run on over all drives. After each
+    drive there are `n_reset_frames` frames, by default as many as the generator's,
+    with the bodies back at their starts, as in its first frame. `also` are other
+    files that shall be there, with their text. Raises InputError if units differ,
+    or the folder is not empty or not writable.
     """
     form = load_format()
     if not drives:
@@ -358,9 +493,10 @@ def write_recording(
 def write_folder(
     folder: Path, texts: Iterable[tuple[str, str]], *, folders: Iterable[str] = ()
 ) -> None:
-    """Write a new folder of text files, whole or not at all; `folders` are made in it before.
+    """Write a new folder of text files, whole or not at all.
 
-    Raises InputError if the folder is not empty or not writable.
+    `folders` are made in it before. Raises InputError if the folder is not empty or
+    not writable.
     """
     temporary = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
     with ExitStack() as stack, reading(folder, "a folder that can be written", OSError):
@@ -368,13 +504,15 @@ def write_folder(
             raise InputError(
                 str(folder), Unquoted("a folder that is not empty"), "a new one"
             )
+        # Write into a temporary folder, and rename it at the end.
         stack.callback(shutil.rmtree, temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         for name in folders:
             (temporary / name).mkdir(parents=True)
         for file_name, text in texts:
             write_new(temporary / file_name, text)
-        temporary.rename(folder)  # onto an empty folder, too
+        # Onto an empty folder, too.
+        temporary.rename(folder)
 
 
 def _files(
@@ -387,6 +525,7 @@ def _files(
             actor = _BICYCLE
         else:
             actor = drive.vru_class
+        # After the drive, the frames in which the bodies are back at their starts.
         for frame in [*range(len(drive.distance_m)), *[0] * n_resets]:
             name = FrameKey(drive.scenario, number).file_name
             number += 1

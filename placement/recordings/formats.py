@@ -1,4 +1,4 @@
-"""Boxes of recordings in the formats of others, and which format a recording is in.
+"""Boxes of recordings in other formats, and which format it is.
 
 MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from
 0 here. KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and
@@ -27,22 +27,47 @@ from geometry.untrusted_files import read_xml
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
 
 IGNORE = "ignore"
-"""Class of a region in which nothing is annotated: what is found there does not count."""
+"""Class of a region without annotations: what is found there does not count."""
 
 JUMPS = "tracks that jump"
 _MOST_HEIGHTS = 8.0
-"""A box's middle that moves on by more of its heights in a frame jumps: assumption. The most in
-PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in WILDTRACK (2 Hz) 5.8."""
+"""Most of its heights that a box's middle moves on in a frame; more is a jump.
+
+An assumption: the most in PETS (7 Hz) is 0.1, in KITTI's even sequences (10 Hz) 3.2, in
+WILDTRACK (2 Hz) 5.8.
+"""
 
 _NOWHERE = (np.nan, np.nan, np.nan)
 
 
 class BoxRow(NamedTuple):
-    """A box in a file, and where it stands there: a line, or words."""
+    """A box in a file, and where it stands there: a line, or words.
+
+    Attributes
+    ----------
+    place : str
+        File, and line or words.
+    frame : int
+        Number of the frame, from 0.
+    class_name : str
+        "pedestrian", "cyclist", "car", "other" or "ignore".
+    box_px : Box
+        Left, upper, right, lower side. [px]
+    track : int
+        Number of the track; -1: not said.
+    score : float
+        Score of a detector; NaN where the box is annotated.
+    seen_share : float
+        Share that nothing hides, 0 .. 1; NaN: not said.
+    hidden_level : int
+        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
+    position_m : (float, float, float)
+        Middle of the body's foot in the recording's frame; NaN: not said. [m]
+    """
 
     place: str
     frame: int
-    class_name: str  # "pedestrian", "cyclist", "car", "other" or "ignore"
+    class_name: str
     box_px: Box
     track: int = -1
     score: float = np.nan
@@ -53,26 +78,43 @@ class BoxRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedBoxes:
-    """Boxes (n) in a camera's frames: annotated, or found by a detector."""
+    """Boxes (n) in a camera's frames: annotated, or found by a detector.
 
-    source: str  # file that they come from
-    frame: IntArray  # (n,): from 0; consecutive numbers are consecutive frames
+    Attributes
+    ----------
+    source : str
+        File that they come from.
+    frame : (n,) int
+        From 0; consecutive numbers are consecutive frames.
+    class_name : tuple of str
+        Class of each box, as of :class:`BoxRow`.
+    box_px : (n, 4) float
+        Left, upper, right, lower side; without area: not in view. [px]
+    track : (n,) int
+        Whose box it is; -1: not said.
+    score : (n,) float
+        A detector's; not a number where it is annotated.
+    seen_share : (n,) float
+        That nothing hides; not a number where it is not said.
+    hidden_level : (n,) int
+        KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said.
+    position_m : (n, 3) float
+        Middle of the body's foot in the recording's own frame; not a number:
+        not said. [m]
+    left_out : mapping of str to int
+        What is not among them, how often.
+    """
+
+    source: str
+    frame: IntArray
     class_name: tuple[str, ...]
-    # (n, 4): left, upper, right, lower side; without area: not in view. [px]
     box_px: FloatArray
-    track: IntArray  # (n,): whose box it is; -1: not said
-    score: FloatArray  # (n,): a detector's; not a number where it is annotated
-    seen_share: (
-        FloatArray  # (n,): that nothing hides; not a number where it is not said
-    )
-    # (n,): KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said
+    track: IntArray
+    score: FloatArray
+    seen_share: FloatArray
     hidden_level: IntArray
-    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not
-    # said. [m]
     position_m: FloatArray
-    left_out: Mapping[str, int] = field(
-        default_factory=dict
-    )  # what is not among them, how often
+    left_out: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -101,6 +143,7 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
     the same track, where there are tracks), a negative width or height, numbers out of
     range.
     """
+    # Rows are checked in the order of the file.
     kept = list(rows)
     last: dict[int, int] = {}
     for row in kept:
@@ -146,10 +189,12 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
 def _jumping(boxes: RecordedBoxes) -> IntArray:
     """Tracks that move on too far between two of their boxes."""
     left, top, right, bottom = boxes.box_px.T
+    # Boxes of tracks with an area, track by track.
     rows = np.flatnonzero((boxes.track >= 0) & (right > left) & (bottom > top))
     rows = rows[np.argsort(boxes.track[rows], kind="stable")]
     before = rows[:-1]
     after = rows[1:]
+    # How far the middle moved, compared with the height and the frames between.
     moved = 0.5 * np.hypot(np.diff((left + right)[rows]), np.diff((top + bottom)[rows]))
     height = np.maximum((bottom - top)[before], (bottom - top)[after])
     is_same = boxes.track[before] == boxes.track[after]
@@ -170,15 +215,21 @@ _MOT = (
     "visibility",
     "z",
 )
-_MOT_LEAST = 7  # the rest is -1, or missing
-_WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
+# The rest is -1, or missing.
+_MOT_LEAST = 7
+# Fields from 2016 on; in 2015 there were x, y, z in their place.
+_WITH_CLASSES = 9
 _PEDESTRIAN = 1
 # Ignored: riders, statues, reflections.
 _MOT_OTHERS = {3: "car", 2: IGNORE, 7: IGNORE, 8: IGNORE, 12: IGNORE}
 
 
 def mot_rows(path: Path) -> Iterator[BoxRow]:
-    """Boxes with an id are annotated, to be ignored if their flag is 0; others were found."""
+    """Rows of a file of MOT challenge.
+
+    Boxes with an id are annotated, and ignored if their flag is 0; others were
+    found.
+    """
     for fields in read_lines(path, _MOT, separator=",", least=_MOT_LEAST):
         frame = fields.whole("frame", least=1)
         track = fields.whole("id")
@@ -229,6 +280,9 @@ def kitti_rows(path: Path) -> Iterator[BoxRow]:
         word = fields.words["type"]
         check_one_of(f"{fields.place}: type", word, (*_CLASSES, *_OTHERS))
         level = fields.whole("occluded", most=3)
+        # The level 3 means unknown.
+        if level == 3:
+            level = -1
         name = _CLASSES.get(word, "other")
         yield BoxRow(
             fields.place,
@@ -236,7 +290,7 @@ def kitti_rows(path: Path) -> Iterator[BoxRow]:
             name,
             fields.box(_SIDES),
             track=-1 if name == IGNORE else fields.whole("track"),
-            hidden_level=level if level < 3 else -1,
+            hidden_level=level,
             position_m=_position(fields),
         )
 
@@ -270,12 +324,16 @@ def pointrcnn_rows(path: Path) -> Iterator[BoxRow]:
 
 # ---------- CVML
 def cvml_rows(path: Path) -> Iterator[BoxRow]:
-    """Annotated people; frames are in order, and all as far apart (one frame rate)."""
+    """Rows of a CVML file: annotated people.
+
+    Frames are in order, and all as far apart (one frame rate).
+    """
     root = read_xml(path, expected="CVML")
     if root.tag != "dataset":
         raise InputError(str(path), root.tag, "CVML: an element <dataset> with frames")
     step: int | None = None
     last: int | None = None
+    # Frames must be equally far apart.
     for frame in root.iter("frame"):
         place = f"{path}: frame {frame.get('number')}"
         number = Fields(place, frame.attrib).whole("number", least=0)
@@ -310,6 +368,8 @@ _Pixel = Annotated[int, Meta(ge=-100_000, le=100_000)]
 
 
 class _View(msgspec.Struct, frozen=True):
+    """A person's box in one view of WILDTRACK."""
+
     viewNum: Annotated[int, Meta(ge=0, lt=N_VIEWS)]
     xmin: _Pixel
     ymin: _Pixel
@@ -324,13 +384,15 @@ class _Person(msgspec.Struct, frozen=True):
 
 
 def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
-    """Everybody who is annotated, view by view; a box without area means: not in this view.
+    """Annotated people of WILDTRACK, view by view.
 
-    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a
-    file is not what it should be, views are missing, or the files' numbers are not all
-    as far apart (mixed frame rates).
+    A box without area means that the person is not in this view. Frames are
+    numbered 0, 1, .. in the order of their files. Raises InputError if a file is
+    not what it should be, views are missing, or the files' numbers are not all as
+    far apart (mixed frame rates).
     """
     rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
+    # Each person has one entry in every view.
     for frame, path in enumerate(_files(folder)):
         for person in read_table(json_of(path), tuple[_Person, ...], str(path)):
             if sorted(view.viewNum for view in person.views) != [*range(N_VIEWS)]:
@@ -359,7 +421,10 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """What a folder and those below it hold, by relative name; empty folders count as well."""
+    """Frames of a folder of WILDTRACK, in the order of their numbers.
+
+    Raises InputError if there are none, two of a number, or if steps differ.
+    """
     entries = entries_of(folder, "a folder with frames")
     named = [(int(m[1]), path) for path in entries if (m := _NAME.fullmatch(path.name))]
     found = dict(named)
@@ -398,9 +463,10 @@ _BY_FIELDS = {6: "RRC", 15: "PointRCNN"} | dict.fromkeys(range(7, 11), "MOT chal
 
 
 def find_format(path: Path) -> str:
-    """Name of the format of a recording, by its content: a folder's files, a file's beginning.
+    """Name of the format of a recording, by its content.
 
-    Raises InputError, with the formats that are known, if it is in none of them.
+    A folder's files, or the beginning of a file, tell it. Raises InputError, with
+    the formats that are known, if it is in none of them.
     """
     with reading(path, "a recording", OSError):
         is_folder = stat.S_ISDIR(path.stat().st_mode)
@@ -412,6 +478,7 @@ def find_format(path: Path) -> str:
         raise _unknown(str(path), "a folder without their files")
     if name is not None:
         return name
+    # The first line with words tells the format of a file.
     first = next(
         (one for one in read_text(path, "text").splitlines() if one.strip()), ""
     )
@@ -420,7 +487,8 @@ def find_format(path: Path) -> str:
     if first.lstrip().startswith(("{", "[")):
         return COCO
     if not first:
-        return "MOT challenge"  # a detector that found nothing
+        # A detector that found nothing.
+        return "MOT challenge"
     n_fields = len(first.split(","))
     words = first.split()
     if n_fields == 1 and len(words) > 2 and not words[2][0].isdigit():
@@ -433,6 +501,7 @@ def find_format(path: Path) -> str:
 
 
 def _of_folder(path: Path) -> str | None:
+    """Name of the format of a folder; None if it is of no known format."""
     form = load_format()
     if any((path / name).is_dir() for name in (form.world_folder, form.eval_folder)):
         return STUDY
@@ -449,10 +518,10 @@ def _unknown(where: str, got: str) -> InputError:
 
 
 def read_boxes(path: Path) -> RecordedBoxes:
-    """Boxes of a file in any of the formats that are known; the file itself says in which.
+    """Boxes of a file in any of the known formats.
 
-    Raises InputError, with line or frame, if it is none of them, or not what its format
-    asks for.
+    The file itself says in which one. Raises InputError, with line or frame, if it
+    is none of them, or not what its format asks for.
     """
     name = find_format(path)
     if name not in _READERS:

@@ -1,4 +1,4 @@
-"""Annotated boxes next to what a detector found, and how long it takes to confirm a track."""
+"""Annotated boxes next to a detector's, and frames to confirm a track."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,24 +13,34 @@ from ..detectors.fitting import LabelledPicture
 from .formats import RecordedBoxes
 
 HIDDEN_SHARES = (1.0, 0.75, 0.25)
-"""Share seen at KITTI's levels in view, partly and largely hidden: assumed, half of it or more."""
+"""Share that is seen at KITTI's levels: in view, partly and largely hidden.
+
+An assumption: partly hidden stands for up to half, largely hidden for half or more.
+"""
 
 _FROM_THE_SIDE_DEG = 90.0
-_MOSTLY = 0.5  # a box of which more lies in a region to ignore does not count
-_LEAST_FRAMES = 10  # with boxes, to tell a frame rate
-_OUTSIDE_FRAMES = (
-    10  # detections may go on for so long where nobody is annotated any more
-)
+# A box of which more lies in a region to ignore does not count.
+_MOSTLY = 0.5
+# With boxes, to tell a frame rate.
+_LEAST_FRAMES = 10
+# Detections may go on for so long where nobody is annotated any more.
+_OUTSIDE_FRAMES = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairedBoxes:
-    """Pictures of a recording, and which of its boxes their labels are."""
+    """Pictures of a recording, and which of its boxes their labels are.
+
+    Attributes
+    ----------
+    pictures : tuple of LabelledPicture
+        One for each frame.
+    label_index : (n,) int
+        Into the annotated boxes, in the order of the pictures' labels.
+    """
 
     pictures: tuple[LabelledPicture, ...]
-    label_index: (
-        IntArray  # (n,): into the annotated boxes, in the order of the pictures' labels
-    )
+    label_index: IntArray
 
 
 def pair_boxes(
@@ -42,13 +52,14 @@ def pair_boxes(
     first_track: int = 0,
     n_frames: int | None = None,
 ) -> PairedBoxes:
-    """Pictures with labels of some classes, and the boxes of at least `min_score` found in them.
+    """Pair annotated boxes of some classes with what was found.
 
-    `classes` are those that are annotated, and the road users that they are. Boxes
-    mostly in a region to ignore, or on other annotated things, are no false alarms.
-    Tracks are numbered from `first_track` on. `n_frames` were recorded; by default as
-    many as have boxes. Raises InputError if nobody of these classes is annotated, or
-    frames of the two files do not belong together.
+    Only boxes of at least `min_score` count. `classes` are those that are
+    annotated, and the road users that they are. Boxes mostly in a region to ignore,
+    or on other annotated things, are no false alarms. Tracks are numbered from
+    `first_track` on. `n_frames` were recorded; by default as many as have boxes.
+    Raises InputError if nobody of these classes is annotated, or frames of the two
+    files do not belong together.
     """
     is_label = annotated.is_class(*classes) & (annotated.track >= 0)
     if not is_label.any():
@@ -61,6 +72,7 @@ def pair_boxes(
         got = Unquoted(f"frames up to {found.frame.max()}")
         expected = f"up to {last}, as in {annotated.source}: the same frame rate"
         raise InputError(found.source, got, expected)
+    # Both files must have the same frame rate.
     steps = _step(annotated.frame), _step(found.frame)
     if 0 not in steps and steps[0] != steps[1]:
         got = Unquoted(f"a frame in {steps[1]}")
@@ -74,6 +86,7 @@ def pair_boxes(
     counts = found.is_class(*classes) & (found.score >= min_score)
     pictures = []
     index = []
+    # One picture for each frame, also where nothing is found.
     for frame in range(last + 1 if n_frames is None else n_frames):
         here = np.flatnonzero(annotated.frame == frame)
         labels = here[is_label[here]]
@@ -99,7 +112,7 @@ def pair_boxes(
 
 
 def _step(frame: IntArray) -> int:
-    """How far apart frames with boxes are, at least; 0 where there are too few to tell."""
+    """Least distance of frames with boxes; 0 where too few tell it."""
     frames = np.unique(frame)
     if len(frames) >= _LEAST_FRAMES:
         return int(np.gcd.reduce(np.diff(frames)))
@@ -107,12 +120,14 @@ def _step(frame: IntArray) -> int:
 
 
 def seen_shares(annotated: RecordedBoxes) -> FloatArray:
-    """Share of each annotated box (n,) that is seen, as well as the recording tells it.
+    """Share of each annotated box that is seen, (n,).
 
-    As annotated; else by KITTI's level (see ``HIDDEN_SHARES``); else what the box of no
-    single nearer person covers. A box whose lower side is further down is nearer.
+    It is as exact as the recording tells it. As annotated; else by KITTI's level
+    (see ``HIDDEN_SHARES``); else what the box of no single nearer person covers. A
+    box whose lower side is further down is nearer.
     """
     shares = np.ones(len(annotated))
+    # Within a frame, nearer people cover those behind them.
     for frame in np.unique(annotated.frame).tolist():
         rows = np.flatnonzero((annotated.frame == frame) & (annotated.track >= 0))
         boxes = annotated.box_px[rows]
@@ -160,16 +175,16 @@ def frames_to_confirm(
             end = 0
             n_row = 0
         is_next = track[row] == last_track and frame[row] + 1 == last_frame
-        if is_found[row]:
-            n_row = (n_row if is_next else 0) + 1
-        else:
+        if not is_found[row]:
             n_row = 0
+        elif is_next:
+            n_row += 1
+        else:
+            n_row = 1
         last_frame = int(frame[row])
         last_track = int(track[row])
         if n_row >= n_confirmations:
             end = last_frame + n_confirmations
         if end:
             waits[row] = end - last_frame
-        else:
-            waits[row] = 0
     return waits

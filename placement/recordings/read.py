@@ -1,4 +1,4 @@
-"""A recording from its folder: its frames cut into drives, its labels and detections.
+"""A recording from its folder: drives, labels and detections.
 
 Anything that would make the result wrong is an error; frames that are left out are
 counted.
@@ -50,7 +50,8 @@ UNSEEN = "unseen"
 
 _FRAME_NAME = re.compile(r"(0|[1-9]\d{0,8})_(0|[1-9]\d{0,8})\.txt", re.ASCII)
 _UNIT_NAME = re.compile(r"0|[1-9]\d{0,8}", re.ASCII)
-_OF_FRAMES = (".png", ".bin")  # images and points of the frames
+# Images and points of the frames.
+_OF_FRAMES = (".png", ".bin")
 
 
 # ---------- drives: frames of a scenario up to the impact
@@ -75,16 +76,12 @@ class Drive:
         a frame that is missing. [m]
     """
 
-    scenario: int  # index in the recording
-    vru_class: str  # "pedestrian", "bicycle", or "unseen"
-    # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
+    scenario: int
+    vru_class: str
     vut_speed_mps: float
     vru_speed_mps: float
-    # at which the distance falls in the last second before the impact. [m/s]
     closing_speed_mps: float
-    first_number: int  # frame number of the first frame; the others follow one by one
-    # (n_frames,): between the origins of VUT and VRU; the last one is that of the
-    # impact. NaN for a frame that is missing. [m]
+    first_number: int
     distance_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -127,6 +124,7 @@ def cut_drives(
     """
     drives: list[Drive] = []
     left_out: Counter[str] = Counter()
+    # Frames of a scenario with the same target speeds.
     for _, group in groupby(
         sorted(world), key=lambda key: (key.scenario, *world[key][1:])
     ):
@@ -159,6 +157,7 @@ def _between_resets(
     """Parts of a sequence of frames, and whether another part comes before."""
     distance, numbers = _laid_out(frames, world)
     _, vut_speed, vru_speed = world[frames[0]]
+    # A cut where the distance rises too much, or many frames are missing.
     fastest_m = (vut_speed + vru_speed) * np.diff(numbers) / form.frame_rate_hz
     is_cut = np.diff(distance) > fastest_m + form.jump_m
     is_cut |= np.diff(numbers) > form.max_gap_s * form.frame_rate_hz
@@ -180,14 +179,14 @@ def _drive(
     _, vut_speed, vru_speed = world[frames[0]]
     impact = int(np.argmin(distance))
     first = 0
-    if (
-        is_after_reset
-    ):  # without the frames in which the bodies stand at their starts, but the last
+    # Without the frames in which the bodies stand at their starts, but the last.
+    if is_after_reset:
         has_moved = np.abs(distance - distance[0]) > form.standing_m
         if has_moved.any():
             first = int(np.argmax(has_moved)) - 1
         else:
             first = len(distance) - 1
+    # Motion is read from the last frames before the impact.
     n_window = round(form.window_s * form.frame_rate_hz)
     is_near = (numbers >= numbers[impact] - n_window) & (numbers < numbers[impact])
     is_near[:first] = False
@@ -206,11 +205,13 @@ def _drive(
         if is_after_reset:
             return RESETS
         return NO_APPROACH
+    # The closing speed must fit the target speeds.
     slowest = abs(vut_speed - vru_speed)
     fastest = vut_speed + vru_speed
     tolerance = form.speed_tolerance
     if not (1.0 - tolerance) * slowest <= closing <= (1.0 + tolerance) * fastest:
         return MISFITS
+    # Missing frames are NaN.
     laid_out = np.full(numbers[impact] - numbers[first] + 1, np.nan)
     laid_out[numbers[first : impact + 1] - numbers[first]] = distance[
         first : impact + 1
@@ -235,7 +236,9 @@ def _laid_out(
 
 
 def closing_speed_mps(time_s: FloatArray, distance_m: FloatArray) -> float:
-    """How fast a distance falls, by least squares: minus the slope of the line through it.
+    """Speed at which a distance falls, by least squares.
+
+    It is minus the slope of the line through the distances.
 
     >>> round(closing_speed_mps(np.array([-0.2, -0.1]), np.array([6.0, 5.5])), 9)
     5.0
@@ -269,16 +272,14 @@ class Recording:
         What was left out: reason and count.
     """
 
-    folder: Path  # where it was read
-    units: tuple[str, ...]  # names of the roadside units' folders, ascending
-    has_vut: bool  # the VUT's own camera is recorded, too
-    drives: tuple[Drive, ...]  # at least one
-    # per unit ("car": the VUT): VRUs in view, boxes clipped to the image
+    folder: Path
+    units: tuple[str, ...]
+    has_vut: bool
+    drives: tuple[Drive, ...]
     labels: Mapping[str, Mapping[FrameKey, list[Label]]]
-    # per unit: VRUs found, boxes clipped to the image
     detections: Mapping[str, Mapping[FrameKey, list[Detection]]]
-    n_frames: int  # frames with WorldData
-    skipped: Mapping[str, int]  # what was left out: reason and count
+    n_frames: int
+    skipped: Mapping[str, int]
 
     @property
     def n_missing(self) -> int:
@@ -293,14 +294,14 @@ class Recording:
 
 
 def read_recording(folder: Path) -> Recording:
-    """Read a folder in the format of the released CarlaNCAP data, and count what is left out.
+    """Read a folder in the format of the released CarlaNCAP data.
 
-    It has unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In
-    ``Eval``, cam_index is the name of a unit's folder; where there is no unit folder
-    ``12``, that number means the VUT's camera, as -1 does: the release does not say
-    which it uses. Raises InputError if a folder is missing or holds no frame, a line is
-    not what it should be, Eval names a unit that has no folder, or nothing remains that
-    could be judged.
+    What is left out is counted. It has unit folders ``0``, ``1``.. and ``car``,
+    ``WorldData`` and ``Eval``. In ``Eval``, cam_index is the name of a unit's
+    folder; where there is no unit folder ``12``, that number means the VUT's
+    camera, as -1 does: the release does not say which it uses. Raises InputError if
+    a folder is missing or holds no frame, a line is not what it should be, Eval
+    names a unit that has no folder, or nothing remains that could be judged.
     """
     name = find_format(folder)
     if name != STUDY:
@@ -316,6 +317,7 @@ def read_recording(folder: Path) -> Recording:
         names = [*units, form.vut_folder]
     else:
         names = [*units]
+    # WorldData tells the distance in every frame.
     world = {}
     for key, path in _frames(folder / form.world_folder, skipped):
         world[key], n_repeated = read_world(path, form)
@@ -323,6 +325,7 @@ def read_recording(folder: Path) -> Recording:
     labels = {name: _read_all_labels(folder / name, form, skipped) for name in names}
     detections, evaluated = _read_all_detections(folder, names, form, skipped)
     skipped[NO_WORLD] += len(set(evaluated).union(*labels.values()).difference(world))
+    # Drives follow from the distances alone; labels tell their class.
     drives, left_out = cut_drives(world, form)
     skipped += left_out
     if not drives:
@@ -355,6 +358,7 @@ def read_recording(folder: Path) -> Recording:
 def _find_units(
     folder: Path, form: RecordingFormat, skipped: Counter[str]
 ) -> tuple[list[str], bool]:
+    """Names of the unit folders, and if the VUT's camera is recorded."""
     entries = entries_of(folder, "a folder with a recording")
     names = {entry.name for entry in entries if entry.is_dir()}
     for name in (form.world_folder, form.eval_folder):
@@ -369,6 +373,7 @@ def _find_units(
             Unquoted("no unit"),
             "a folder named 0, 1 .. for each roadside unit",
         )
+    # Anything else in the folder is counted.
     known = {*units, form.vut_folder, form.world_folder, form.eval_folder}
     skipped[OTHER_NAMES] += len({entry.name for entry in entries} - (known & names))
     return units, form.vut_folder in names
@@ -410,6 +415,7 @@ def _read_all_detections(
     if form.vut_folder in names:
         unit_of = dict.fromkeys(form.vut_indices, form.vut_folder) | unit_of
     frames = []
+    # Detections must be of units that have a folder.
     for key, path in _frames(folder / form.eval_folder, skipped):
         frames.append(key)
         detections, n_repeated = read_detections(path, form)
@@ -429,7 +435,10 @@ def _read_all_detections(
 def _of_vrus(
     boxes: Iterable[Any], others: str, form: RecordingFormat, skipped: Counter[str]
 ) -> Iterator[Any]:
-    """Boxes of VRUs, as far as they lie inside the image; what else there is, is counted."""
+    """Boxes of VRUs, clipped to the image.
+
+    Anything else is counted and left out.
+    """
     for one in boxes:
         box = one.box_px
         low = max(box[0], 0.0), max(box[1], 0.0)

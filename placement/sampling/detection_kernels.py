@@ -28,24 +28,34 @@ Array = NDArray[Any]
 
 @kernel
 def random_bits(key: Any, counter: int) -> Any:
-    """Random 64 bits of a key (uint64): number `counter` of the sequence of SplitMix64."""
+    """Number `counter` of the sequence of SplitMix64, 64 random bits.
+
+    `key` (uint64) is the state that the sequence begins with.
+    """
+    # Step the state by the golden ratio, then mix its bits.
     bits = key + np.uint64(counter + 1) * np.uint64(0x9E3779B97F4A7C15)
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return bits ^ (bits >> np.uint64(31))
 
 
-_N_LAYERS = 128  # of the ziggurat
+# Of the ziggurat.
+_N_LAYERS = 128
 # where its lowest layer ends, and the tail begins: of 128 layers [2]
 _TAIL = 3.442619855899
 
 
 def _layers() -> tuple[Array, Array]:
-    """Half widths of the layers from the lowest on, the last one 0, and the density there."""
+    """Half widths of the ziggurat's layers, and the density there.
+
+    Both are (n + 1,), from the lowest layer on; the last width is 0.
+    """
     density = np.exp(-0.5 * _TAIL**2)
+    # All layers have the area of the lowest one with its tail.
     area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(
         _TAIL / math.sqrt(2.0)
     )
+    # Each further layer is as wide as its area asks for.
     widths = [area / density, _TAIL]
     while len(widths) < _N_LAYERS:
         widths.append(
@@ -71,13 +81,14 @@ def _normal(key: Any, counter: int) -> Any:
     """A standard normal number."""
     bits = random_bits(key, counter)
     while True:
-        layer = np.int64(
-            bits & np.uint64(_N_LAYERS - 1)
-        )  # these bits are not in the share
+        # These bits are not in the share.
+        layer = np.int64(bits & np.uint64(_N_LAYERS - 1))
+        # Most numbers lie within the next narrower layer: done.
         x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]
         if abs(x) < _HALF_WIDTH[layer + 1]:
             return x
         more = random_bits(bits, 0)
+        # The lowest layer goes on in the tail (Marsaglia's method).
         if layer == 0:
             tail = -np.log(_share(more)) / _TAIL
             if -2.0 * np.log(_share(random_bits(bits, 1))) > tail * tail:
@@ -85,6 +96,7 @@ def _normal(key: Any, counter: int) -> Any:
                     return _TAIL + tail
                 return -_TAIL - tail
         else:
+            # At the edge of a layer, the density decides.
             low = _DENSITY[layer]
             high = _DENSITY[layer + 1]
             if low + _share(more) * (high - low) < np.exp(-0.5 * x * x):
@@ -102,11 +114,11 @@ def _linked(
     before: int,
     last: float,
 ) -> float:
-    """Noise at a place of a run, from that at a place before; -1 is before the first.
+    """Noise at a place of a run, from that at an earlier place.
 
-    Standard normal, a first-order autoregression: the frame of number `place` of a run
-    has the fresh random number of counter `run` + `place`; `correlation` is that of a
-    frame with the next.
+    Place -1 is before the first frame. Standard normal, a first-order
+    autoregression: the frame of number `place` of a run has the fresh random number
+    of counter `run` + `place`; `correlation` is that of a frame with the next.
     """
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
@@ -132,18 +144,21 @@ def draw_frames(
     deviations: Array,
     packed: Array,
 ) -> None:
-    """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
+    """Set the bits of frames whose noise is below a limit.
 
-    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is
-    the sum of what the `person` (n_frames,) adds, of a number that lasts for a run, and
-    of one that is linked from frame to frame, with this `correlation`; `deviations`
-    (2,) are those of the last two.
+    `packed` (n_bytes,) are the bits; the limit is that of what a frame shows.
+    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise
+    is the sum of what the `person` (n_frames,) adds, of a number that lasts for a
+    run, and of one that is linked from frame to frame, with this `correlation`;
+    `deviations` (2,) are those of the last two.
     """
+    # Innovation of the autoregression, so that its variance stays 1.
     step = np.sqrt(1.0 - correlation**2)
     run = -1
     before = -1
     last = 0.0
     own = 0.0
+    # Frames in the order of the table; those of a run follow one another.
     for frame in range(len(entry_of_frame)):
         entry = entry_of_frame[frame]
         if entry < 0:
@@ -151,6 +166,7 @@ def draw_frames(
         least = limit[weather_of_frame[frame], entry]
         if least == -np.inf:
             continue
+        # Only frames that chance decides need noise.
         if least < np.inf:
             place = place_of_frame[frame]
             if run_of_frame[frame] != run or place < before:
@@ -162,6 +178,7 @@ def draw_frames(
             before = place
             if not deviations[1] * last + own + person[frame] < least:
                 continue
+        # The frame is a detection: set its bit, lowest first.
         packed[frame >> 3] |= np.uint8(1 << (frame & 7))
 
 
@@ -182,19 +199,22 @@ def lose_frames(
     again: float,
     packed: Array,
 ) -> None:
-    """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
+    """Clear the bits of a share of the frames.
 
-    Whether a frame is lost is drawn anew with the probability `again`, and is else as
-    in the frame before: a chain of two states (E. N. Gilbert, "Capacity of a
-    burst-noise channel", Bell System Technical Journal 39, 1960), with the same share
-    of lost frames whatever `again` is.
+    `packed` (n_bytes,) are the bits; counters are `run` + `place`. Whether a frame
+    is lost is drawn anew with the probability `again`, and is else as in the frame
+    before: a chain of two states (E. N. Gilbert, "Capacity of a burst-noise
+    channel", Bell System Technical Journal 39, 1960), with the same share of lost
+    frames whatever `again` is.
     """
+    # Only frames that are detections can be lost.
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))
         if not packed[frame >> 3] & bit:
             continue
         run = run_of_frame[frame]
         drawn = place_of_frame[frame]
+        # Go back to the frame in which the present state was drawn.
         while drawn > 0 and not _share(random_bits(again_key, run + drawn)) < again:
             drawn -= 1
         if _share(random_bits(key, run + drawn)) < loss:

@@ -49,23 +49,22 @@ class MeanEstimate:
     """
 
     mean: float
-    standard_error: float  # of the mean; NaN for a single sample
-    # low, high: confidence interval of the true mean
+    standard_error: float
     low: float
     high: float
-    method: str  # how the interval was found, in words
+    method: str
 
 
 def estimate_mean(
     values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)
 ) -> MeanEstimate:
-    """Mean of independent samples within `bounds`, and between which limits the true mean lies.
+    """Mean of independent samples, with a confidence interval.
 
-    The interval has 95 % confidence: Student's t [1]_, cut off at the bounds. Where
-    samples show no spread, at most a share q of all worlds differs, since n draws in a
-    row would show none of a larger share with a probability below (1 - q)^n = 0.05, and
-    these may be as bad or as good as can be [2]_. Raises InputError for no sample, or
-    one out of bounds.
+    Samples lie within `bounds`. The interval has 95 % confidence: Student's t [1]_,
+    cut off at the bounds. Where samples show no spread, at most a share q of all
+    worlds differs, since n draws in a row would show none of a larger share with a
+    probability below (1 - q)^n = 0.05, and these may be as bad or as good as can be
+    [2]_. Raises InputError for no sample, or one out of bounds.
 
     References
     ----------
@@ -88,11 +87,13 @@ def estimate_mean(
     if samples.min() < lowest - _NO_SPREAD or samples.max() > highest + _NO_SPREAD:
         raise InputError("samples", samples.tolist(), f"{lowest:g} .. {highest:g}")
     n = len(samples)
+    # Rounding must not carry the mean out of its bounds.
     mean = min(max(math.fsum(samples) / n, lowest), highest)
     if n > 1:
         error = float(samples.std(ddof=1)) / math.sqrt(n)
     else:
         error = math.nan
+    # Without spread, the rule of three; else Student's t.
     if np.ptp(samples) <= _NO_SPREAD:
         share = 1.0 - (1.0 - 0.95) ** (1.0 / n)
         low = mean + share * (lowest - mean)
@@ -111,12 +112,12 @@ def estimate_mean(
 
 
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
-    """Conditional value at risk: the mean over the worst share of equally likely worlds.
+    """Conditional value at risk: mean over the worst share of worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail. A tail of 1 is the expectation; up
-    to 1 / n_samples, 0 among them, it is the worst world alone. Where the share ends
-    within a world, that one counts in part. Raises InputError if there is no sample, or
-    the tail is no share.
+    Worlds are equally likely. max over t of t - mean(max(0, t - apr)) / tail. A
+    tail of 1 is the expectation; up to 1 / n_samples, 0 among them, it is the worst
+    world alone. Where the share ends within a world, that one counts in part.
+    Raises InputError if there is no sample, or the tail is no share.
 
     References
     ----------
@@ -130,6 +131,7 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     0.6
     """
     samples: FloatArray = np.sort(float_array(apr_by_sample, (-1,), "samples"))
+    # Each world counts fully, in part, or not at all.
     n_counted = max(1.0, tail * len(samples))
     counts = np.clip(n_counted - np.arange(len(samples)), 0.0, 1.0)
     return math.fsum(counts * samples) / n_counted
@@ -141,11 +143,11 @@ _N_RESAMPLED = 1000
 def resampled_cvar(
     apr_by_sample: ArrayLike, tail: float, *, seed: int = 0
 ) -> FloatArray:
-    """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
+    """CVaR of layouts in worlds drawn with repetition.
 
-    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods:
-    another look at the jackknife", Annals of Statistics 7, 1979). All layouts have the
-    same worlds in each draw.
+    `apr_by_sample` is (n_layouts, n_samples). (n_layouts, 1000): the bootstrap's
+    distribution (B. Efron, "Bootstrap methods: another look at the jackknife",
+    Annals of Statistics 7, 1979). All layouts have the same worlds in each draw.
     """
     samples = float_array(apr_by_sample, (-1, -1), "samples")
     rng = np.random.default_rng(seed)
@@ -158,24 +160,37 @@ def resampled_cvar(
 
 STAGE = Phrase("out of sample")
 APART = 100_000
-"""Number of the first world in which layouts are chosen among: the answer is judged in others."""
-N_DRAWS = 4  # of a world: a draw costs a sixth of a world
+"""First world to choose among layouts in; the answer is judged in others."""
+# Of a world: a draw costs a sixth of a world.
+N_DRAWS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledApr:
-    """Accident prevention ratio of a layout, world by world."""
+    """Accident prevention ratio of a layout, world by world.
+
+    Attributes
+    ----------
+    layout : Layout
+        The layout that is judged.
+    axis : FrameAxis
+        Runs as planned.
+    apr_by_sample : (n_samples,) float
+        0 .. 1.
+    avoided_share : (n_runs,) float
+        Of all worlds, in which each run is avoided. 0 .. 1.
+    driving : TrafficCount
+        Vehicles that drove by in these worlds.
+    alone : float
+        Mean APR of all cars without units; 0 where they are blind. 0 .. 1.
+    """
 
     layout: Layout
-    axis: FrameAxis  # runs as planned
-    apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
-    avoided_share: (
-        FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
-    )
-    driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
-    alone: float = (
-        0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
-    )
+    axis: FrameAxis
+    apr_by_sample: FloatArray
+    avoided_share: FloatArray
+    driving: TrafficCount = NO_TRAFFIC
+    alone: float = 0.0
 
     def __post_init__(self) -> None:
         set_arrays(self, "", apr_by_sample=(-1,), avoided_share=(self.axis.n_runs,))
@@ -203,13 +218,21 @@ class SampledApr:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreshWorlds:
-    """Runs that layouts avoid in some worlds that none was chosen in."""
+    """Runs that layouts avoid in some worlds that none was chosen in.
 
-    avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
-    driving: TrafficCount  # vehicles that drove by, in all of them
-    alone: (
-        FloatArray  # (n_worlds, n_runs): share of the cars that avoid it without units
-    )
+    Attributes
+    ----------
+    avoided : (n_layouts, n_worlds, n_runs) float
+        Share of the draws in a world.
+    driving : TrafficCount
+        Vehicles that drove by, in all of them.
+    alone : (n_worlds, n_runs) float
+        Share of the cars that avoid it without units.
+    """
+
+    avoided: FloatArray
+    driving: TrafficCount
+    alone: FloatArray
 
 
 def out_of_sample_layouts(
@@ -222,17 +245,20 @@ def out_of_sample_layouts(
     fusion: str = "any",
     compute: Compute = DEFAULT_COMPUTE,
 ) -> list[SampledApr]:
-    """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
+    """Evaluate layouts by detection tables in new sampled worlds.
 
-    No draw is shared with the worlds of
-    :func:`placement.sampling.tables.sampled_table`, also not for the same seed. What is
-    avoided is cached, unless vehicles drive by or a network looks at pictures; progress
-    counts the worlds.
+    All layouts are judged in the same worlds. No draw is shared with the worlds of
+    :func:`placement.sampling.tables.sampled_table`, also not for the same seed.
+    What is avoided is cached, unless vehicles drive by or a network looks at
+    pictures; progress counts the worlds.
     """
     look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
     is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
+    folder = None
+    if is_cached:
+        folder = compute.cache_folder
     worlds = cached_value(
-        compute.cache_folder if is_cached else None,
+        folder,
         "fresh-worlds",
         partial(look, setting, layouts, uncertainty, compute=compute),
         kind=FreshWorlds,
@@ -267,6 +293,7 @@ def look_at_fresh_worlds(
     In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance
     decides them.
     """
+    # Every unit once, even where several layouts have it.
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
     row = {key: index for index, key in enumerate(units)}
     # Two layouts may call different units the same.
@@ -288,25 +315,24 @@ def look_at_fresh_worlds(
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
     alone = np.zeros(avoided.shape[1:])
     quiet = replace(compute, cache_folder=None, progress=silent)
+    lasting = None
+    if uncertainty.road_users.are_as_planned:
+        lasting = _shared(setting, uncertainty.moving is None, quiet)
     worlds = build_sample_tables(
         samples,
         compute=quiet,
         at_once=compute.workers,
-        lasting=(
-            _shared(setting, uncertainty.moving is None, quiet)
-            if uncertainty.road_users.are_as_planned
-            else None
-        ),
+        lasting=lasting,
         n_draws=n_draws,
     )
     driving = TrafficCount()
+    # Each world comes once for every draw.
     for draw, (sample, table) in enumerate(worlds):
         index = draw // n_draws
         if draw % n_draws == 0:
             driving += sample.driving
-            seen = seen_by_vut(
-                sample, quiet
-            )  # once in each world: nothing repeats in its images
+            # Once in each world: nothing repeats in its images.
+            seen = seen_by_vut(sample, quiet)
             if seen is None:
                 own = []
             else:
@@ -316,6 +342,7 @@ def look_at_fresh_worlds(
                     own, table.axis, setting.rule, fusion
                 )
         detected = table.detected(slice(None))
+        # Layouts are judged for cars that see, and for those that do not.
         for which, layout in enumerate(layouts):
             sent = [
                 (detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units
@@ -331,7 +358,8 @@ def look_at_fresh_worlds(
     return FreshWorlds(avoided=avoided / n_draws, driving=driving, alone=alone)
 
 
-@lru_cache(maxsize=1)  # worlds of one question may be looked at in parts
+# Worlds of one question may be looked at in parts.
+@lru_cache(maxsize=1)
 def _shared(setting: Setting, is_still: bool, compute: Compute) -> SharedScene:
     return share_scene(setting, is_still=is_still, compute=compute)
 
@@ -347,6 +375,7 @@ def judge_layouts(
     for some in worlds:
         driving += some.driving
     tell_traffic(driving, uncertainty)
+    # APR of each world, and share of the worlds that avoid each run.
     weight = setting.axis.weight
     alone = np.concatenate([some.alone for some in worlds]).mean(axis=0)
     return [
@@ -377,7 +406,10 @@ def _avoided(
     rule: AebRule,
     fusion: str,
 ) -> BoolArray:
-    """Runs in which braking comes in time, (n_runs,), by frames detected and their latency."""
+    """True for runs in which braking comes in time, (n_runs,).
+
+    `arrivals` are frames that are detected, with their latency.
+    """
     if fusion == "any":
         together = [arrivals]
     else:

@@ -1,4 +1,7 @@
-"""Detection tables of sampled worlds, end to end in one table for the optimiser."""
+"""Detection tables of sampled worlds.
+
+They are laid end to end in one table for the optimiser.
+"""
 
 import hashlib
 import logging
@@ -55,13 +58,14 @@ def build_drawn_tables(
     lasting: SharedScene | None = None,
     n_draws: int = 1,
 ) -> tuple[DetectionTable, ...]:
-    """Detection tables of a sampled world in which chance decides every frame of a camera.
+    """Detection tables of a world in which chance decides every frame.
 
-    Random numbers of a pose do not depend on the other poses, but for those of the
-    person, and are the same in all weathers; frames are linked as in the evaluator.
-    Boxes are not drawn; a LiDAR counts the points that it may expect. `lasting` is what
-    this world shares with others. A table for each of `n_draws`: what can be seen, and
-    who is hard to see, is the same in all.
+    Only detections of cameras are drawn. Random numbers of a pose do not depend on
+    the other poses, but for those of the person, and are the same in all weathers;
+    frames are linked as in the evaluator. Boxes are not drawn; a LiDAR counts the
+    points that it may expect. `lasting` is what this world shares with others. A
+    table for each of `n_draws`: what can be seen, and who is hard to see, is the
+    same in all.
     """
     setting = sample.setting
     world = build_world(
@@ -72,10 +76,12 @@ def build_drawn_tables(
         rays=compute.rays,
         shared=lasting,
     )
+    # Frames that share random numbers, and how noise lasts.
     numbers = draw_index(setting.runs)
     order = link_frames(numbers)
     lasting_noise = detector.lasting
-    correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
+    correlation = detector.frame_correlation
+    deviations = np.array([0.0, 1.0])
     person = np.zeros(len(numbers))
     if lasting_noise is not None:
         correlation = lasting_noise.frame_correlation(correlation)
@@ -86,6 +92,7 @@ def build_drawn_tables(
     packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
     def fill(rows: list[int]) -> None:
+        """Draw the detections of poses at one mount position."""
         from .detection_kernels import draw_frames
 
         candidates = [sample.candidates[row] for row in rows]
@@ -119,9 +126,10 @@ def build_drawn_tables(
 
 
 def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
-    """Frames in which the VUT's own sensors detect in a sampled world, if cars see, (n_frames,).
+    """Frames in which the VUT's sensors detect in a sampled world.
 
-    By the evaluator's routine; drawn detections have random numbers of this world.
+    They are (n_frames,); None where no car sees. By the evaluator's routine; drawn
+    detections have random numbers of this world.
     """
     compute = replace(compute, progress=silent)
     if sample.drawn_detector is not None:
@@ -135,10 +143,10 @@ def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
 def _limits(
     world: World, candidates: Sequence[CandidatePose], detector: ResponseDetector
 ) -> tuple[FloatArray, IntArray]:
-    """Limits below which a standard normal number is a detection, for one mount position.
+    """Limits below which a standard normal number is a detection.
 
-    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is
-    seen.
+    All candidates are at one mount position. (n, n_weathers, n_entries), and the
+    entry that each frame shows; -1 where nothing is seen.
     """
     from scipy.special import ndtri
 
@@ -148,10 +156,12 @@ def _limits(
     )
     sensing = build_sensing(world, sight, position_m, detector)
     limits = np.full((len(candidates), *sensing.contrast.shape), -np.inf)
+    # LiDARs are not drawn: they detect or they do not.
     lidars = [i for i, c in enumerate(candidates) if isinstance(c.sensor, LidarModel)]
     limits[lidars] = np.where(
         sensing.detected([candidates[i] for i in lidars]), np.inf, -np.inf
     )
+    # Probabilities of cameras become limits of a normal number.
     for rows, evidence in sensing.evidence(candidates):
         entries = evidence.draw_index
         for weather, contrast in enumerate(sensing.contrast):
@@ -163,7 +173,7 @@ def _limits(
 
 
 def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
-    """Everything but the probabilities that a drawn table depends on, and how it is drawn."""
+    """Text that names how a table is drawn, but for the probabilities."""
     lasting = detector.lasting
     if lasting is None:
         shares = ""
@@ -176,19 +186,32 @@ def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
 # ---------- detection tables of sampled worlds
 STAGE = Phrase("sampled detection tables")
 _log = logging.getLogger(__name__)
-_ROWS = 256  # unpacked at a time
+# Unpacked at a time.
+_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledTable:
-    """Detections in many sampled worlds: every run once in each."""
+    """Detections in many sampled worlds: every run once in each.
 
-    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds;
-    # last brake times have lost what messages take longer than the rule says
+    Attributes
+    ----------
+    table : DetectionTable
+        Run ids end in "#1", "#2" and so on; weights are divided by the number
+        of worlds; last brake times have lost what messages take longer than the
+        rule says.
+    sample_index : (n_runs,) int
+        World of each run of `table`, from 0.
+    n_samples : int
+        Number of worlds.
+    seen_by_vut : (n_frames,) bool, optional
+        Of `table`, where cars see.
+    """
+
     table: DetectionTable
-    sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
+    sample_index: IntArray
     n_samples: int
-    seen_by_vut: BoolArray | None = None  # (n_frames,): of `table`, where cars see
+    seen_by_vut: BoolArray | None = None
 
 
 def sampled_table(
@@ -200,12 +223,12 @@ def sampled_table(
     first: int = 0,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> SampledTable:
-    """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
+    """Detections of all candidates in many sampled worlds.
 
-    Where mounts, the street or detections are drawn, every world takes nearly as long
-    as the plan's own table. A packed table has n_poses x n_frames / 8 bytes per world,
-    in memory and in the cache, which has single worlds. Progress counts the mount
-    positions of all.
+    Worlds are laid end to end, from number `first` on. Where mounts, the street or
+    detections are drawn, every world takes nearly as long as the plan's own table.
+    A packed table has n_poses x n_frames / 8 bytes per world, in memory and in the
+    cache, which has single worlds. Progress counts the mount positions of all.
     """
     samples = draw_samples(
         setting,
@@ -223,6 +246,7 @@ def sampled_table(
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
     driving = TrafficCount()
     n_as_planned = 0
+    # Worlds are laid end to end along the columns.
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
         n_as_planned += sample.n_as_planned
@@ -235,6 +259,9 @@ def sampled_table(
         _log.info(
             "%d of %d drawn runs would have no impact: as planned", n_as_planned, n_all
         )
+    seen_in_all = None
+    if setting.cars:
+        seen_in_all = np.concatenate([each for each in seen if each is not None])
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
@@ -250,11 +277,7 @@ def sampled_table(
         ),
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
         n_samples=n_samples,
-        seen_by_vut=(
-            np.concatenate([each for each in seen if each is not None])
-            if setting.cars
-            else None
-        ),
+        seen_by_vut=seen_in_all,
     )
 
 
@@ -277,14 +300,15 @@ def build_sample_tables(
     lasting: SharedScene | None = None,
     n_draws: int = 1,
 ) -> Iterator[tuple[Sample, DetectionTable]]:
-    """Detection table of one sampled world after the other, from the cache or built anew.
+    """Detection tables of sampled worlds, one after the other.
 
-    Detections that are not told are taken out, see :func:`.silence`. Worlds that look
-    as planned share one build, all of them what scene and bodies hide. The next world
-    is drawn and built while one is looked at; with few poses, several may be built
-    `at_once`, by one thread each. `n_samples` is for the progress, `lasting` as of
-    :func:`share_scene`. Each world comes `n_draws` times, with detections and lost
-    messages drawn anew; only single draws are cached.
+    They come from the cache, or are built anew. Detections that are not told are
+    taken out, see :func:`.silence`. Worlds that look as planned share one build,
+    all of them what scene and bodies hide. The next world is drawn and built while
+    one is looked at; with few poses, several may be built `at_once`, by one thread
+    each. `n_samples` is for the progress, `lasting` as of :func:`share_scene`. Each
+    world comes `n_draws` times, with detections and lost messages drawn anew; only
+    single draws are cached.
     """
     lock = Lock()
     if lasting is None:
@@ -293,9 +317,12 @@ def build_sample_tables(
         shared = [lasting]
 
     def share(sample: Sample) -> SharedScene | None:
+        """Shared scene of still worlds, built when first asked for."""
         if not sample.uncertainty.road_users.are_as_planned:
-            return None  # they are looked at in other places, world by world
-        with lock:  # where all tables are in the cache, nobody asks
+            # They are looked at in other places, world by world.
+            return None
+        # Where all tables are in the cache, nobody asks.
+        with lock:
             if not shared:
                 is_still = sample.uncertainty.moving is None
                 shared.append(
@@ -303,6 +330,7 @@ def build_sample_tables(
                 )
         return shared[0]
 
+    # Worlds that look as planned wait for one and the same build.
     as_planned: Future[tuple[DetectionTable, ...]] | None = None
     pending: deque[tuple[Sample, Future[tuple[DetectionTable, ...]]]] = deque()
     if at_once == 1:
@@ -322,14 +350,18 @@ def build_sample_tables(
                 tables = as_planned
                 progress(STAGE, 1, 1)
             pending.append((sample, tables))
-            if len(pending) > at_once:  # one more waits
+            # One more waits.
+            if len(pending) > at_once:
                 yield from _received(*pending.popleft())
         while pending:
             yield from _received(*pending.popleft())
 
 
 def share_scene(setting: Setting, *, is_still: bool, compute: Compute) -> SharedScene:
-    """What all sampled worlds have in common; in still ones nothing drives that was not planned."""
+    """Scene that all sampled worlds have in common.
+
+    In still worlds nothing drives that was not planned.
+    """
     return build_shared_scene(
         setting.scene,
         setting.runs,
@@ -384,6 +416,7 @@ def obtain_table(
         drawn = None
     else:
         drawn = sample.drawn_detector
+    # The file's name is the fingerprint of everything that the table depends on.
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
@@ -429,7 +462,11 @@ def obtain_table(
 def _append(
     packed: NDArray[np.uint8], part: NDArray[np.uint8], *, first_bit: int, n_bits: int
 ) -> None:
-    """Write a table's columns into a larger one, from a bit on that need not begin a byte."""
+    """Write a table's columns into a larger table, from a bit on.
+
+    That bit need not begin a byte.
+    """
+    # The first bit may lie within a byte: shift the part.
     byte, shift = divmod(first_bit, 8)
     for row in range(0, len(part), _ROWS):
         rows = slice(row, row + _ROWS)
@@ -447,14 +484,14 @@ def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
     )
 
 
-# ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
+# ---------- frames that are not reported: lost messages, outages, blinded cameras
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
-    """A table without the detections that do not reach the VUT, the same ones in all weathers.
+    """Table without the detections that do not reach the VUT.
 
-    All is drawn for each run, and anew each time that a world is looked at, but for low
-    sun, which is that of the VUT and shines by day alone. Poses that may be the same
-    unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs are never
-    blinded.
+    They are the same ones in all weathers. All is drawn for each run, and anew each
+    time that a world is looked at, but for low sun, which is that of the VUT and
+    shines by day alone. Poses that may be the same unit (see :func:`.unit_key`) are
+    out of order and dirty together. LiDARs are never blinded.
     """
     drawn = sample.uncertainty
     loss = sample.setting.radio.packet_loss
@@ -462,6 +499,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
         return table
     from .detection_kernels import lose_frames
 
+    # Numbers are the same in all weathers.
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
     if drawn.may_fail:
@@ -473,6 +511,7 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     else:
         mounts = mount_key
     packed = np.array(table.packed)
+    # Only poses that detect anything can lose something.
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         planned = sample.planned[row]
         if is_silent is not None:
@@ -494,9 +533,10 @@ def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
 
 
 def blinded_frames(sample: Sample) -> BoolArray:
-    """Frames in which the VUT's camera is dirty or dazzled, (n_frames,); none beside a LiDAR.
+    """Frames in which the VUT's camera is dirty or dazzled.
 
-    Each run's VUT is another car.
+    They are (n_frames,); there are none where the VUT has a LiDAR. Each run's VUT
+    is another car.
     """
     runs = sample.setting.runs
     blinding = sample.uncertainty.blinding
@@ -506,6 +546,7 @@ def blinded_frames(sample: Sample) -> BoolArray:
     is_low, sun = _low_sun(sample)
     yaw_rad = np.radians(np.concatenate([run.vut_yaw_deg for run in runs]))
     towards = np.repeat(sun, n_frames, axis=0)
+    # Cosine of the angle between the VUT's heading and the sun.
     cosine = towards[:, 0] * np.cos(yaw_rad) + towards[:, 1] * np.sin(yaw_rad)
     dazzled = np.repeat(is_low, n_frames) & (
         cosine > np.cos(np.radians(blinding.dazzled_within_deg))
@@ -515,7 +556,10 @@ def blinded_frames(sample: Sample) -> BoolArray:
 
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
-    """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
+    """Function that finds the runs in which a unit reports nothing.
+
+    It takes the unit's pose as planned and as mounted, and returns (n_runs,) bool.
+    """
     outages = sample.uncertainty.outages
     blinding = sample.uncertainty.blinding
     coins = _coins(sample)
@@ -523,12 +567,14 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
+        """True for runs in which the unit reports nothing, (n_runs,)."""
         unit = unit_key(planned)
         pole = mount_key(planned)
         silent = coins("unit", *unit) < outages.unit_share
         silent |= coins("pole", *pole) < outages.pole_share
         if isinstance(planned.sensor, LidarModel):
             return silent
+        # Optical axis of the unit as it is mounted.
         yaw, pitch = np.radians([mounted.pose.yaw_deg, mounted.pose.pitch_deg])
         axis = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
         is_dazzled: BoolArray = is_low & (sun @ axis > least)
@@ -544,6 +590,7 @@ def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
     coins = _coins(replace(sample, streams=replace(sample.streams, draw=0)))
     is_low = coins("low sun") < blinding.low_sun_share
     is_low &= [pick_weather(run.weather, "runs: weather").sun_lux > 0.0 for run in runs]
+    # Direction of the sun: any yaw, up to a height.
     yaw = 2.0 * np.pi * coins("yaw of the sun")
     height = np.radians(blinding.sun_below_deg) * coins("height of the sun")
     level = np.cos(height)
@@ -553,14 +600,18 @@ def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
 
 
 def _coins(sample: Sample) -> Callable[..., FloatArray]:
-    """Function of a thing: its numbers from 0 to 1 by run (n_runs,), the same in all weathers."""
+    """Function of a thing that draws its numbers from 0 to 1 by run.
+
+    They are (n_runs,), the same in all weathers.
+    """
     from .detection_kernels import draw_coins
 
     runs = sample.setting.runs
     first = np.cumsum([0, *(len(run.time_s) for run in runs[:-1])])
     counter = link_frames(draw_index(runs)).run_of_frame[first]
 
-    @cache  # poses that may be the same unit share them
+    # Poses that may be the same unit share them.
+    @cache
     def draw(*thing: object) -> FloatArray:
         coins = np.empty(len(runs))
         draw_coins(counter, sample.streams.key(*thing), coins)

@@ -1,4 +1,4 @@
-"""Vehicles that stand at random: in the parking lanes of the arms, and at the stop lines."""
+"""Vehicles that stand at random: parked, or waiting at stop lines."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,26 +21,40 @@ from scenarios.runs import Run
 from .uncertainty import StandingTraffic, VehicleKind
 
 # ---------- ways of VUT and VRU
-_STEP_M = 0.25  # along a way, from one footprint to the next
-_TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
+# Along a way, from one footprint to the next.
+_STEP_M = 0.25
+# Bodies nearer than this stand in one another.
+_TOGETHER_M = 1.0e-3
 
 GroupKey = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Footprints:
-    """Rectangles on the road, and circles around them."""
+    """Rectangles on the road, and circles around them.
 
-    corners_m: FloatArray  # (n, 4, 2): world frame. [m]
-    middle_m: FloatArray  # (2, n). [m]
-    radius_m: FloatArray  # (n,). [m]
+    Attributes
+    ----------
+    corners_m : (n, 4, 2) float
+        World frame. [m]
+    middle_m : (2, n) float
+        [m]
+    radius_m : (n,) float
+        [m]
+    """
+
+    corners_m: FloatArray
+    middle_m: FloatArray
+    radius_m: FloatArray
 
     def are_any_within(self, others: "Footprints", limit_m: FloatArray) -> BoolArray:
-        """Which others, (n_others,), are within a limit of any of these, (n,), which has its own.
+        """True for others, (n_others,), within a limit of any of these.
 
-        The gap along one of the normals of two sides is at least the distance of the
-        middles over the root of 2, less both radii.
+        `limit_m` is (n,): each of these has its own. The gap along one of the
+        normals of two sides is at least the distance of the middles over the root
+        of 2, less both radii.
         """
+        # Circles first; rectangles only where these come near.
         east, north = self.middle_m[:, None, :] - others.middle_m[:, :, None]
         reach_m = limit_m + (self.radius_m + others.radius_m[:, None] + _TOGETHER_M)
         other, near = np.nonzero(east**2 + north**2 <= 2.0 * reach_m**2)
@@ -51,6 +65,7 @@ class Footprints:
 
 
 def _footprints(corners_m: FloatArray) -> Footprints:
+    """Footprints of rectangles (n, 4, 2), with circles around them."""
     diagonal = corners_m[:, 0] - corners_m[:, 2]
     return Footprints(
         corners_m=corners_m,
@@ -61,17 +76,30 @@ def _footprints(corners_m: FloatArray) -> Footprints:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ways:
-    """The ground that runs of a case, an approach and a position sweep over, at any speed."""
+    """Ground that runs of one case, approach and position sweep over.
 
-    # footprints of VUT and VRU, close to one another along their ways
+    It is the same at any speed.
+
+    Attributes
+    ----------
+    swept : Footprints
+        Footprints of VUT and VRU, close to one another along their ways.
+    reach_m : (n,) float
+        Nothing of a body between two footprints is farther than this from the
+        nearer one. [m]
+    parked : Footprints
+        Of the case's own obstructions.
+    """
+
     swept: Footprints
-    # (n,): nothing of a body between two footprints is farther than this from the
-    # nearer one. [m]
     reach_m: FloatArray
-    parked: Footprints  # of the case's own obstructions
+    parked: Footprints
 
     def blocks(self, footprints: Footprints, *, clearance_m: float) -> BoolArray:
-        """Which footprints, (n,), are nearer than this to a way, or in an obstruction."""
+        """True for footprints, (n,), that are too near to a way.
+
+        Those that stand in an obstruction count as well.
+        """
         in_obstruction = np.full(len(self.parked.corners_m), _TOGETHER_M)
         return self.swept.are_any_within(
             footprints, clearance_m + self.reach_m
@@ -112,10 +140,12 @@ def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
 
 
 def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
+    """Ways of the runs of one group."""
     swept = []
     reach = []
     # In all weathers the encounter is one and the same.
     for encounter in {id(run.encounter): run.encounter for run in runs}.values():
+        # The VUT brakes at the impact at the latest.
         speed_mps = encounter.vut_motion.speed_mps
         standstill_s = float(standstill_time_s(speed_mps, rule=rule))
         braking_m = float(
@@ -123,6 +153,7 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
         )
         vut_end_m = float(encounter.vut_motion.distance_m(0.0)) + braking_m
         vru_end_m = float(encounter.vru_motion.distance_m(standstill_s))
+        # Footprints of both along their ways, close to one another.
         for body, motion, end_m, turns in (
             (encounter.vut, encounter.vut_motion, vut_end_m, encounter.vut_reach),
             (encounter.vru, encounter.vru_motion, vru_end_m, encounter.vru_reach),
@@ -142,12 +173,14 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
+# Above kerbs, below bonnets and walls; and just below each roof.
 _HEIGHTS_M = (
     0.35,
     1.0,
-)  # above kerbs, below bonnets and walls; and just below each roof
+)
 _BELOW_ROOF_M = 0.1
-_MOUTH_M = 10.0  # so much of a lane says where it points at its mouth
+# So much of a lane says where it points at its mouth.
+_MOUTH_M = 10.0
 _PARALLEL = 1.0e-3
 
 Rng = Callable[..., np.random.Generator]
@@ -155,15 +188,31 @@ Rng = Callable[..., np.random.Generator]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Kerbside:
-    """One lane along which vehicles stand."""
+    """One lane along which vehicles stand.
 
-    lane: Lane  # of an arm
-    is_in: bool  # whether it leads into the junction
-    first_m: float  # from the lane's mouth to the first place. [m]
-    end_m: float  # from the lane's mouth to the end of the last one. [m]
+    Attributes
+    ----------
+    lane : Lane
+        Of an arm.
+    is_in : bool
+        Whether it leads into the junction.
+    first_m : float
+        From the lane's mouth to the first place. [m]
+    end_m : float
+        From the lane's mouth to the end of the last one. [m]
+    """
+
+    lane: Lane
+    is_in: bool
+    first_m: float
+    end_m: float
 
     def at(self, near_m: float, actor: Actor) -> PlacedActor:
-        """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
+        """A body on the lane, at a distance from the lane's mouth.
+
+        It faces as the lane is driven.
+        """
+        # The end that is farther along the driving direction is the front.
         ends = [self._point(near_m), self._point(near_m + actor.length_m)]
         if self.is_in:
             rear, front = reversed(ends)
@@ -177,6 +226,7 @@ class Kerbside:
         return PlacedActor(actor=actor, pose=pose)
 
     def _point(self, from_mouth_m: float) -> FloatArray:
+        """Point of the lane's centreline, (2,)."""
         if self.is_in:
             points = self.lane.centreline_m[::-1]
         else:
@@ -186,16 +236,27 @@ class Kerbside:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Street:
-    """Where in a scene vehicles may stand."""
+    """Where in a scene vehicles may stand.
 
-    traffic: StandingTraffic  # how many, of which kinds
-    # parking, entries: parking lanes, and lanes that lead into the junction
+    Attributes
+    ----------
+    traffic : StandingTraffic
+        How many, of which kinds.
+    parking, entries : tuple of Kerbside
+        Parking lanes, and lanes that lead into the junction.
+    solid : RayCaster
+        Everything but the ground, relative to `origin_m`.
+    origin_m : (3,) float
+        Near the junction: rays are cast in single precision. [m]
+    scene : Scene
+        The scene, for the height of its ground.
+    """
+
+    traffic: StandingTraffic
     parking: tuple[Kerbside, ...]
     entries: tuple[Kerbside, ...]
-    solid: RayCaster  # everything but the ground, relative to `origin_m`
-    origin_m: (
-        FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
-    )
+    solid: RayCaster
+    origin_m: FloatArray
     scene: Scene
 
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
@@ -206,6 +267,7 @@ class Street:
         """
         kept: list[PlacedActor] = []
         taken: list[FloatArray] = []
+        # Parked vehicles first, then those that wait.
         drawn = [
             placed
             for name, lanes, fill in (
@@ -215,6 +277,7 @@ class Street:
             for side in lanes
             for placed in fill(side, self.traffic, rng(name, side.is_in, side.lane.id))
         ]
+        # Keep each one that touches neither another vehicle nor the scene.
         for placed in drawn:
             corners = placed.footprint_m
             if not touches_any(corners, taken) and self._is_free(
@@ -237,7 +300,10 @@ class Street:
 
 
 def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
-    """Find where in a scene vehicles may stand; raises InputError where there is no junction."""
+    """Find where in a scene vehicles may stand.
+
+    Raises InputError where there is no junction.
+    """
     parking = []
     entries = []
 
@@ -245,6 +311,7 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
         end_m = min(traffic.along_arm_m, lane_length_m(lane))
         return Kerbside(lane=lane, is_in=is_in, first_m=first_m, end_m=end_m)
 
+    # Parking lanes of all arms, and entry lanes behind their stop lines.
     for arm in build_junction(scene).arms.values():
         for is_in, lanes in ((True, arm.lanes_in), (False, arm.lanes_out)):
             parking += [
@@ -277,6 +344,7 @@ def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
 
     At the mouth, or `crosswalk_gap_m` before the line on which pedestrians cross.
     """
+    # Parallel lines never cross: then vehicles wait at the mouth.
     line, _ = lane_line(lane, is_in=True, length_m=_MOUTH_M)
     if abs(line.left @ arm.crosswalk.direction) < _PARALLEL:
         return 0.0

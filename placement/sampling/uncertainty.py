@@ -1,4 +1,7 @@
-"""Uncertainty: mounting errors, traffic, misses, lost messages, latencies; read from TOML."""
+"""Everything that is uncertain, read from TOML.
+
+Mounting errors, traffic, misses, lost messages and latencies are.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -42,15 +45,17 @@ _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
 }
 _WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
-_UNIFORM_REACH = np.sqrt(
-    3.0
-)  # standard deviations from a uniform distribution's mean to its end
+# Standard deviations from a uniform distribution's mean to its end.
+_UNIFORM_REACH = np.sqrt(3.0)
 
 
 def _up_to(
     most: float, unit: str = "", *, default: Any = 0.0, least: float = 0.0
 ) -> Any:
-    """Field of a number from `least` to `most`, which :func:`_check_numbers` looks at."""
+    """Field of a number from `least` to `most`.
+
+    The limits are checked by :func:`_check_numbers`.
+    """
     return field(default=default, metadata={"limits": (least, most, unit)})
 
 
@@ -77,11 +82,16 @@ _OUT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountingErrors:
-    """Errors of units after installation."""
+    """Errors of units after installation.
+
+    Attributes
+    ----------
+    height_sd_m : float
+        Standard deviation of the height; poses at one mount share its error. [m]
+    """
 
     yaw_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
     pitch_sd_deg: Annotated[float, says(_SD_DEG)] = _up_to(30.0, "degrees")
-    # the same poles, the same view
     height_sd_m: Annotated[float, says(_SD_M)] = _up_to(0.5, "metres")
 
     def __post_init__(self) -> None:
@@ -90,17 +100,27 @@ class MountingErrors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyJitter:
-    """By how much messages take longer than the braking rule says."""
+    """By how much messages take longer than the braking rule says.
 
-    # {"gamma", "uniform"}: of the time on top of the rule's latency; never negative
+    Attributes
+    ----------
+    distribution : str
+        {"gamma", "uniform"}: of the time on top of the rule's latency; never
+        negative.
+    mean_s, sd_s : float
+        Mean and standard deviation; with a deviation of 0 it is always the
+        mean. [s]
+    drawn_per : str
+        {"run", "sample"}: how often it is drawn.
+    budget : LatencyBudget, optional
+        In place of all that: totals are drawn from it, and stand in for the
+        rule's latency.
+    """
+
     distribution: str = "gamma"
-    # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the
-    # mean. [s]
     mean_s: float = _up_to(10.0, "seconds")
     sd_s: float = _up_to(10.0, "seconds")
-    drawn_per: str = "run"  # {"run", "sample"}: how often it is drawn
-    # in place of all that: totals are drawn from it, and stand in for the rule's
-    # latency
+    drawn_per: str = "run"
     budget: LatencyBudget | None = None
 
     def __post_init__(self) -> None:
@@ -130,6 +150,7 @@ class LatencyJitter:
             n_draws = n_runs
         else:
             n_draws = 1
+        # A budget stands for the whole latency; else the jitter comes on top.
         if self.budget is not None:
             drawn = self.budget.sample_s(rng, n_draws) - rule_latency_s
         elif self.sd_s == 0.0:
@@ -157,7 +178,9 @@ class Outages:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blinding:
-    """How often a camera sees nothing for a whole run: units' cameras, and the VUT's.
+    """Share of runs in which cameras of units and of the VUT are blind.
+
+    A blind camera sees nothing for the whole run.
 
     Attributes
     ----------
@@ -196,7 +219,7 @@ class VehicleKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StandingTraffic:
-    """Vehicles that stand at random: parked along the arms, and waiting to enter the junction.
+    """Vehicles that stand at random: parked, or waiting to enter.
 
     Attributes
     ----------
@@ -222,33 +245,17 @@ class StandingTraffic:
         Nobody stands nearer to the way of a VUT or a VRU. [m]
     """
 
-    taken_share: float = _up_to(
-        1.0
-    )  # probability that a place in a parking lane is taken
-    # waiting_share, following_share: probability that somebody waits at the stop line
-    # of a lane; then, again and again, that another one stands behind
+    taken_share: float = _up_to(1.0)
     waiting_share: float = _up_to(1.0)
     following_share: float = _up_to(1.0)
-    free_place_m: float = _up_to(
-        1000.0, "metres", default=5.5
-    )  # length of a place that stays free
-    # parked_gap_m, waiting_gap_m: from bumper to bumper
+    free_place_m: float = _up_to(1000.0, "metres", default=5.5)
     parked_gap_m: float = _up_to(1000.0, "metres", default=0.8)
-    clear_of_mouth_m: float = _up_to(
-        1000.0, "metres", default=5.0
-    )  # no parking nearer to it
+    clear_of_mouth_m: float = _up_to(1000.0, "metres", default=5.0)
     waiting_gap_m: float = _up_to(1000.0, "metres", default=2.0)
-    # from the line on which pedestrians cross an arm to the first bumper that waits
     crosswalk_gap_m: float = _up_to(1000.0, "metres", default=3.0)
-    along_arm_m: float = _up_to(
-        1000.0, "metres", default=60.0
-    )  # nobody stands farther away
-    clearance_m: float = _up_to(
-        1000.0, "metres", default=0.5
-    )  # nor nearer to a VUT's or VRU's way
-    vehicles: tuple[
-        VehicleKind, ...
-    ] = ()  # what stands there; shares of each use sum to 1
+    along_arm_m: float = _up_to(1000.0, "metres", default=60.0)
+    clearance_m: float = _up_to(1000.0, "metres", default=0.5)
+    vehicles: tuple[VehicleKind, ...] = ()
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -262,6 +269,7 @@ class StandingTraffic:
                 self._check_mix(use)
 
     def _check_mix(self, use: str) -> None:
+        """Raise InputError unless the shares of one use sum to 1."""
         if not self.vehicles:
             refuse("vehicles", "none", "at least one kind of vehicle")
         total = sum(getattr(kind, use) for kind in self.vehicles)
@@ -308,18 +316,25 @@ class MeasuredPeople:
                 raise InputError(name, list(values), expected)
 
     def draw(self, rng: np.random.Generator, planned_kmh: float) -> tuple[float, float]:
-        """A speed in km/h and an acceleration in m/s^2; a planned speed beyond all stays."""
+        """Draw a speed in km/h and an acceleration in m/s^2.
+
+        A planned speed beyond all measured ones stays.
+        """
         speed, start = (
             float(np.interp(rng.random(), self.probability, values))
             for values in (self.speed_kmh, self.start_mps2)
         )
         is_usual = self.speed_kmh[0] <= planned_kmh <= self.speed_kmh[-1]
-        return (speed if is_usual else planned_kmh), start
+        if not is_usual:
+            speed = planned_kmh
+        return speed, start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadUsers:
-    """How road users may move otherwise than their case says; by default they do not.
+    """How road users may deviate from their case.
+
+    By default they do not.
 
     Attributes
     ----------
@@ -347,6 +362,7 @@ class RoadUsers:
     measured: dict[str, MeasuredPeople] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # Pairs of limits by name; those of ways also by case.
         limits = {name: getattr(self, name) for name in _SPEEDS}
         for way in _WAYS:
             limits |= {
@@ -372,45 +388,63 @@ class RoadUsers:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Uncertainty:
-    """All that is uncertain; by default nothing is."""
+    """All that is uncertain; by default nothing is.
 
-    mounting: MountingErrors = field(
-        default_factory=MountingErrors
-    )  # how far off units are
-    latency: LatencyJitter = field(
-        default_factory=LatencyJitter
-    )  # how long messages take
-    # probability that the message of one unit in one frame is lost; in place of the
-    # setting's
+    Attributes
+    ----------
+    mounting : MountingErrors
+        How far off units are.
+    latency : LatencyJitter
+        How long messages take.
+    packet_loss : float
+        Probability that the message of one unit in one frame is lost; in place
+        of the setting's.
+    draws_detections : bool
+        Whether a planning detector that gives probabilities is drawn frame by
+        frame.
+    person_share, unit_person_share : float
+        Of the variance of what decides a frame, what is the same in all frames
+        of a run: for all units, and for one of them.
+    burst_frames : float
+        Whether messages get lost lasts so many frames on average, then it is
+        drawn anew; 1: each.
+    loss_shared_by : str
+        {"unit", "pole"}: who loses the same messages.
+    outages : Outages
+        Units out of order.
+    blinding : Blinding
+        Cameras that see nothing.
+    v2x_share : float
+        Of all cars, those that hear the units.
+    most_draws : int
+        In worlds to choose in, a run of k times the mean weight is drawn k
+        times, at most so often.
+    traffic : StandingTraffic
+        What stands at random.
+    road_users : RoadUsers
+        How those of the cases move.
+    moving : MovingTraffic, optional
+        What drives by; see :func:`with_moving_traffic`.
+    name : str
+        What it is called in reports.
+    """
+
+    mounting: MountingErrors = field(default_factory=MountingErrors)
+    latency: LatencyJitter = field(default_factory=LatencyJitter)
     packet_loss: float = _up_to(1.0)
-    # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
-    # person_share, unit_person_share: of the variance of what decides a frame, what is
-    # the same in all frames of a run: for all units, and for one of them
     person_share: float = _up_to(1.0)
     unit_person_share: float = 0.0
-    # whether messages get lost lasts so many frames on average, then it is drawn anew;
-    # 1: each
     burst_frames: float = _up_to(1000.0, "frames", default=1.0, least=1.0)
-    loss_shared_by: str = "unit"  # {"unit", "pole"}: who loses the same messages
-    outages: Outages = field(default_factory=Outages)  # units out of order
-    blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
-    v2x_share: float = _up_to(
-        1.0, default=1.0
-    )  # of all cars, those that hear the units
-    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most
-    # so often
+    loss_shared_by: str = "unit"
+    outages: Outages = field(default_factory=Outages)
+    blinding: Blinding = field(default_factory=Blinding)
+    v2x_share: float = _up_to(1.0, default=1.0)
     most_draws: int = 1
-    traffic: StandingTraffic = field(
-        default_factory=StandingTraffic
-    )  # what stands at random
-    road_users: RoadUsers = field(
-        default_factory=RoadUsers
-    )  # how those of the cases move
-    moving: MovingTraffic | None = (
-        None  # what drives by; see :func:`with_moving_traffic`
-    )
-    name: str = "none"  # what it is called in reports
+    traffic: StandingTraffic = field(default_factory=StandingTraffic)
+    road_users: RoadUsers = field(default_factory=RoadUsers)
+    moving: MovingTraffic | None = None
+    name: str = "none"
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -433,7 +467,10 @@ class Uncertainty:
 
 
 def with_moving_traffic(uncertainty: Uncertainty, moving: MovingTraffic) -> Uncertainty:
-    """Uncertainty with vehicles that drive by, which replace those drawn at the stop lines."""
+    """Uncertainty with vehicles that drive by.
+
+    They replace the vehicles that wait at the stop lines.
+    """
     standing = replace(uncertainty.traffic, waiting_share=0.0, following_share=0.0)
     return replace(uncertainty, moving=moving, traffic=standing)
 
@@ -445,7 +482,8 @@ _SECTIONS = (
     *("mounting", "latency", "messages", "detector", "outages", "blinding", "fleet"),
     *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
-_AS = "as"  # what else is as in one of the names
+# What else is as in one of the names.
+_AS = "as"
 # Sections whose values are fields of :class:`Uncertainty` itself: field and reader of
 # each key; but for the first of a section they may be left out.
 _Reader = Callable[[Table, str, str], Any]
@@ -472,10 +510,12 @@ _PEOPLE = ("pedestrian", "cyclist")
 def load_uncertainty(
     name_or_path: str = "default", *, where: str = "uncertainty"
 ) -> Uncertainty:
-    """Uncertainty by name (``UNCERTAINTY_NAMES``), or a file like ``data/uncertainty.toml``.
+    """Uncertainty by its name, or from a file.
 
-    `where` says what named it, for error messages. Raises InputError if the name is
-    unknown, or the file or a field is not what it should be.
+    Names are ``UNCERTAINTY_NAMES``; a file is laid out as
+    ``data/uncertainty.toml``. `where` says what named it, for error messages.
+    Raises InputError if the name is unknown, or the file or a field is not what it
+    should be.
     """
     if name_or_path in UNCERTAINTY_NAMES:
         return _load_named(name_or_path)
@@ -489,7 +529,7 @@ def load_uncertainty(
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
-    """Uncertainty and traffic that a question draws in so many sampled worlds of a scene.
+    """Uncertainty and traffic of a question, drawn in sampled worlds.
 
     Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where
     traffic is given and no world is sampled; MissingExtraError where SUMO is asked for
@@ -523,8 +563,10 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
         vehicles = _read_vehicles(document)
         if vehicles and "traffic" not in document:
             refuse("vehicles", "no section traffic", "where they stand")
+        # A word in place of the section names how units are aimed.
         mounting = document
-        if isinstance(aimed := document.get("mounting"), str):  # how units are aimed
+        # How units are aimed.
+        if isinstance(aimed := document.get("mounting"), str):
             mounting = {"mounting": pick(_shipped()["aimed"], aimed, "mounting")}
         parts: dict[str, Any] = {
             "mounting": _read_numbers(mounting, "mounting", MountingErrors),
@@ -536,6 +578,7 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
             "outages": _read_numbers(document, "outages", Outages),
             "blinding": _read_numbers(document, "blinding", Blinding),
         }
+        # Sections whose values are fields of the uncertainty itself.
         for key, keys in _FLAT.items():
             table = _section(document, key, tuple(keys)) or {}
             for number, (word, (field_name, read)) in enumerate(keys.items()):
@@ -552,6 +595,7 @@ def _with_rest(document: Table) -> Table:
     """With the sections of the name that all else is as in."""
     if _AS not in document:
         return document
+    # The named one may itself refer to another.
     named = {name: _shipped()[name] for name in UNCERTAINTY_NAMES}
     given = _with_rest(pick(named, take_text(document, _AS, ""), _AS))
     return {**given, **{key: document[key] for key in document if key != _AS}}
@@ -560,7 +604,10 @@ def _with_rest(document: Table) -> Table:
 def _section(
     document: Table, key: str, known: Sequence[str], at: str = ""
 ) -> Table | None:
-    """A section without unknown keys, None where it is left out; `at` is where its parent is."""
+    """A section without unknown keys; None where it is left out.
+
+    `at` is the place of its parent.
+    """
     table = document.get(key)
     if table is not None:
         if not isinstance(table, dict):
@@ -572,7 +619,10 @@ def _section(
 def _read_numbers(
     document: Table, key: str, kind: Callable[..., _T], **more: Any
 ) -> _T:
-    """A value whose numbers a section has, all of them; the default where it is left out."""
+    """A value whose numbers a section has, all of them.
+
+    It is the default where the section is left out.
+    """
     names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
     table = _section(document, key, names)
     if table is None:
@@ -584,6 +634,7 @@ def _read_numbers(
 
 
 def _read_latency(document: Table) -> LatencyJitter:
+    """Latency jitter of a document."""
     where = "latency"
     has_budget = isinstance(document.get(where), dict) and "budget" in document[where]
     known = ("budget",) if has_budget else ("distribution", "mean_s", "sd_s")
@@ -604,6 +655,7 @@ def _read_latency(document: Table) -> LatencyJitter:
 
 
 def _read_road_users(document: Table) -> RoadUsers:
+    """Deviations of road users of a document, by case."""
     measured = _read_people(document)
     where = "road_users"
     table = _section(document, where, (*_SPEEDS, "start_nearer_share", *_WAYS))
@@ -611,6 +663,7 @@ def _read_road_users(document: Table) -> RoadUsers:
         return RoadUsers(measured=measured)
     limits: dict[str, Any] = {key: _read_list(table, key, where, 2) for key in _SPEEDS}
     nearer = take_number(table, "start_nearer_share", where)
+    # Ways are given by the family of the case.
     known = sorted({case.family for case in load_cases().values()})
     for key in _WAYS:
         by_case = _section(table, key, known, f"{where}.") or {}
@@ -622,6 +675,7 @@ def _read_road_users(document: Table) -> RoadUsers:
 
 
 def _read_people(document: Table) -> dict[str, MeasuredPeople]:
+    """Measured speeds and starts of a document, by class."""
     where = "people"
     keys = ("speed_kmh", "start_mps2")
     table = _section(document, where, ("probability", *_PEOPLE))
@@ -641,12 +695,14 @@ def _read_people(document: Table) -> dict[str, MeasuredPeople]:
 def _read_list(
     table: Table, key: str, where: str, length: int = -1
 ) -> tuple[float, ...]:
+    """Numbers of a list; `length` -1 stands for any number of them."""
     return tuple(
         float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist()
     )
 
 
 def _read_vehicles(document: Table) -> tuple[VehicleKind, ...]:
+    """Kinds of vehicles of a document."""
     kinds = []
     names = ("parked_share", "waiting_share")
     for index, entry in enumerate(

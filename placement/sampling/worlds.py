@@ -1,4 +1,4 @@
-"""Sampled worlds: mounting errors, standing vehicles and latencies, drawn for each world."""
+"""Sampled worlds: mounting errors, vehicles, latencies, road users."""
 
 import hashlib
 import zlib
@@ -43,7 +43,7 @@ from .uncertainty import MountingErrors, RoadUsers, Uncertainty
 
 
 class FrameLinks(NamedTuple):
-    """Frames that share their random numbers, and frames that follow one another, (n_frames,).
+    """Links between frames, for their random numbers, (n_frames,) each.
 
     The place of each in its run, and what makes the sum of both another for each frame;
     the same for the same run in several weathers.
@@ -54,10 +54,12 @@ class FrameLinks(NamedTuple):
 
 
 def link_frames(frames: IntArray) -> FrameLinks:
-    """Which frames belong together, from numbers as `draw_index` gives, (n_frames,).
+    """Find which frames belong together.
 
-    Equal ones share their random numbers, those that follow one another are linked.
+    `frames` are numbers as `draw_index` gives, (n_frames,). Equal ones share their
+    random numbers, those that follow one another are linked.
     """
+    # A gap in the numbers begins another run.
     draws, index = np.unique(frames, return_inverse=True)
     starts = np.flatnonzero(np.diff(draws, prepend=draws[0] - 2) != 1)
     run = np.repeat(starts, np.diff(np.append(starts, len(draws))))
@@ -73,17 +75,31 @@ PURPOSES = ("choose", "judge")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RandomStreams:
-    """Where the random numbers of one sampled world come from."""
+    """Where the random numbers of one sampled world come from.
 
-    seed: int  # the user's
-    purpose: str  # {"choose", "judge"}: what the world is for
-    index: int  # number of the world
-    draw: int = (
-        0  # of detections and lost messages: a world may be looked at more than once
-    )
+    Attributes
+    ----------
+    seed : int
+        The user's.
+    purpose : str
+        {"choose", "judge"}: what the world is for.
+    index : int
+        Number of the world.
+    draw : int
+        Of detections and lost messages: a world may be looked at more than
+        once.
+    """
+
+    seed: int
+    purpose: str
+    index: int
+    draw: int = 0
 
     def rng(self, *key: object) -> np.random.Generator:
-        """Generator of one thing of this world; its draws do not depend on any other thing."""
+        """Generator of one thing of this world.
+
+        Its draws do not depend on any other thing.
+        """
         thing = zlib.crc32(repr(key).encode())
         return np.random.default_rng(
             [self.seed, PURPOSES.index(self.purpose) + 1, self.index, thing]
@@ -97,14 +113,17 @@ class RandomStreams:
 
 
 def mount_key(candidate: CandidatePose) -> tuple[object, ...]:
-    """Equal for poses of one physical mount: one site, or one point where there is none."""
+    """Key of a physical mount: a site, or a point where there is none.
+
+    It is equal for all poses of that mount.
+    """
     if candidate.site_id:
         return ("site", candidate.site_id)
     return ("point", *candidate.pose.position_m[:2].tolist())
 
 
 def unit_key(candidate: CandidatePose) -> tuple[object, ...]:
-    """Equal for poses of one sensor model at one mount that look into the same quarter.
+    """Key of a unit: its mount, sensor model and quarter of the compass.
 
     They share what becomes of the unit: none is chosen because it alone was in order.
     """
@@ -120,38 +139,59 @@ def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
     return (*pose.position_m.tolist(), *angles_deg, candidate.sensor.name)
 
 
-_CUT_OFF = 3.0  # standard deviations: who is off by more, notices
+# Standard deviations: who is off by more, notices.
+_CUT_OFF = 3.0
 # Two thirds of all heights are as planned, a sixth is this much lower, and a sixth
 # higher: in mean, variance and the moments up to the fifth as if they were normal
 # (Gauss and Hermite's rule of three points). Few heights come up again: what hides what
 # from there need not be found out anew.
-_HEIGHT_STEP = np.sqrt(3.0)  # standard deviations
-_LEVEL = 0.9674215661017014  # two thirds of all normal numbers are nearer to 0
-_LOWEST_M = 0.1  # above the road
+# Standard deviations.
+_HEIGHT_STEP = np.sqrt(3.0)
+# Two thirds of all normal numbers are nearer to 0.
+_LEVEL = 0.9674215661017014
+# Above the road.
+_LOWEST_M = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """One world that may turn out to be."""
+    """One sampled world: a setting, and the poses as they are mounted in it.
 
-    streams: RandomStreams  # where its random numbers come from
-    uncertainty: Uncertainty  # what they are drawn of
-    # the runs with all that stands in the street in them; deadlines less what messages
-    # take longer than the rule says; the share of messages that is lost
+    Attributes
+    ----------
+    streams : RandomStreams
+        Where its random numbers come from.
+    uncertainty : Uncertainty
+        What they are drawn of.
+    setting : Setting
+        The runs with all that stands in the street in them; deadlines less what
+        messages take longer than the rule says; the share of messages that is
+        lost.
+    planned : tuple of CandidatePose
+        Poses as planned.
+    candidates : tuple of CandidatePose
+        The same as they are really mounted; ids, sites and sensors are as
+        planned.
+    vehicles : tuple of PlacedActor
+        All that stands in the street, in whichever runs.
+    driving : TrafficCount
+        How many drive by, in all runs together.
+    n_as_planned : int
+        Runs whose road users' drawn motions lead to no impact, and are not
+        used.
+    extra_latency_s : (n_runs,) float
+        What messages take longer than the rule says. [s]
+    """
+
+    streams: RandomStreams
+    uncertainty: Uncertainty
     setting: Setting
-    planned: tuple[CandidatePose, ...]  # poses as planned
-    # the same as they are really mounted; ids, sites and sensors are as planned
+    planned: tuple[CandidatePose, ...]
     candidates: tuple[CandidatePose, ...]
-    vehicles: tuple[
-        PlacedActor, ...
-    ]  # all that stands in the street, in whichever runs
-    driving: TrafficCount  # how many drive by, in all runs together
-    n_as_planned: (
-        int  # runs whose road users' drawn motions lead to no impact, and are not used
-    )
-    extra_latency_s: (
-        FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
-    )
+    vehicles: tuple[PlacedActor, ...]
+    driving: TrafficCount
+    n_as_planned: int
+    extra_latency_s: FloatArray
 
     @property
     def drawn_detector(self) -> ResponseDetector | None:
@@ -168,20 +208,25 @@ class Sample:
 
     @property
     def is_seen_as_planned(self) -> bool:
-        """True if whoever is in its place, such as the VUT, detects what it would in the plan."""
+        """True if the VUT, as planned, detects what it would in the plan.
+
+        So does anybody else who is in its place.
+        """
         is_empty = not self.vehicles and not self.driving.n_vehicles
         is_run_as_planned = is_empty and self.uncertainty.road_users.are_as_planned
         return is_run_as_planned and self.drawn_detector is None
 
 
 def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
-    """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
+    """Setting in which heavy runs are repeated.
 
-    Copies share its weight and are drawn each by itself: the variance of a weighted sum
-    is least so (Neyman), if runs are equally uncertain. Their ids end in "+1", "+2" and
-    so on.
+    A run of k times the mean weight is there k times (rounded), at most `most`
+    times. Copies share its weight and are drawn each by itself: the variance of a
+    weighted sum is least so (Neyman), if runs are equally uncertain. Their ids end
+    in "+1", "+2" and so on.
     """
     axis = setting.axis
+    # How often each run is drawn.
     times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
     if times.max() == 1:
         return setting
@@ -192,20 +237,19 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     for row, copy in zip(rows.tolist(), copies.tolist(), strict=True):
         run = setting.runs[row]
         if copy:
-            key = (id(run.encounter), copy)  # one and the same in all weathers
+            # One and the same in all weathers.
+            key = (id(run.encounter), copy)
             encounter = encounters.setdefault(key, replace(run.encounter))
             run = replace(run, id=f"{run.id}+{copy}", encounter=encounter)
         runs.append(run)
     seen = setting.seen_by_vut
+    if seen is not None:
+        seen = np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()])
     return replace(
         setting,
         runs=tuple(runs),
         axis=build_frame_axis(runs, (axis.weight / times)[rows]),
-        seen_by_vut=(
-            None
-            if seen is None
-            else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()])
-        ),
+        seen_by_vut=seen,
     )
 
 
@@ -233,6 +277,7 @@ def draw_samples(
     junction; MissingExtraError where SUMO shall drive and is not installed.
     """
     check_whole("samples", n_samples, least=1)
+    # Places for vehicles, and ways to keep clear, are found once.
     traffic = uncertainty.traffic
     if traffic.is_empty:
         street = None
@@ -262,6 +307,7 @@ def draw_samples(
 def _one_ahead(draws: Iterator[Callable[[], Sample]]) -> Iterator[Sample]:
     """The next world is drawn, and SUMO drives in it, while this one is looked at."""
     with ThreadPoolExecutor(1) as pool:
+        # At most one further world is drawn at a time.
         pending = [pool.submit(draw) for draw in islice(draws, 1)]
         while pending:
             sample = pending.pop().result()
@@ -277,8 +323,10 @@ def _draw(
     street: Street | None,
     ways: dict[GroupKey, Ways],
 ) -> Sample:
+    """Draw one world."""
     axis = setting.axis
     rule = setting.rule
+    # Each kind of uncertainty has random numbers of its own.
     extra_s = uncertainty.latency.draw_s(
         streams.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
@@ -291,6 +339,7 @@ def _draw(
             runs, uncertainty.road_users, rule, streams.rng, setting.scene
         )
         last_s = np.array([run.last_brake_time_s for run in runs])
+    # Parked and waiting vehicles leave the ways of each run free.
     if vehicles:
         clearance_m = uncertainty.traffic.clearance_m
         standing = clear_of_ways(vehicles, ways, clearance_m=clearance_m)
@@ -310,6 +359,7 @@ def _draw(
             clearance_m=uncertainty.traffic.clearance_m,
             rng=streams.rng("moving traffic"),
         )
+    # Deadlines move by the extra latency; messages are lost as the uncertainty says.
     sample = Sample(
         streams=streams,
         uncertainty=uncertainty,
@@ -337,10 +387,14 @@ def _with_lasting_noise(
     uncertainty: Uncertainty,
     streams: RandomStreams,
 ) -> Setting:
-    """Setting whose detectors draw what is the same in all frames of a run as shares say."""
+    """Setting whose detectors draw noise that lasts for a run.
+
+    The shares of its variance are those of the uncertainty.
+    """
     shares = (uncertainty.person_share, uncertainty.unit_person_share)
     if not uncertainty.draws_detections or shares == (0.0, 0.0):
         return setting
+    # One number for each person and run, in all its frames.
     numbers = draw_index(runs)
     drawn = streams.rng("person").standard_normal(len(numbers))
     person = np.zeros(numbers.max() + 1)
@@ -361,6 +415,8 @@ def _as_mounted(
     errors: MountingErrors,
     streams: RandomStreams,
 ) -> tuple[CandidatePose, ...]:
+    """Candidates as they are really mounted."""
+    # All poses of one mount share its error.
     spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
     if not spread.any():
         return candidates
@@ -377,6 +433,7 @@ def _as_mounted(
 
 
 def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
+    """A pose that is off by angles and a height; never below the road."""
     east, north, up = pose.position_m.tolist()
     position_m = np.array([east, north, max(up + height_m, min(up, _LOWEST_M))])
     pitch_deg = float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0))
@@ -388,9 +445,8 @@ def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
 # ---------- road users who move otherwise than a case says
 
 
-_MAX_EARLY_S = (
-    0.3  # of a contact before the impact: more is another impact, somewhere else
-)
+# Of a contact before the impact: more is another impact, somewhere else.
+_MAX_EARLY_S = 0.3
 
 
 def draw_road_users(
@@ -400,11 +456,12 @@ def draw_road_users(
     rng: Callable[..., np.random.Generator],
     scene: Scene,
 ) -> tuple[tuple[Run, ...], int]:
-    """Runs of one sampled world, and how many road users move as planned because they must.
+    """Runs of one sampled world, with road users who move otherwise.
 
-    `rng` gives each encounter its generator: a run is the same in all weathers, and
-    does not depend on others. Speed, start, heading and way are drawn evenly within
-    their limits, measured speeds and starts as often as measured. The planned way stays
+    The second value says how many move as planned because they must. `rng` gives
+    each encounter its generator: a run is the same in all weathers, and does not
+    depend on others. Speed, start, heading and way are drawn evenly within their
+    limits, measured speeds and starts as often as measured. The planned way stays
     where something stands in the other one, the planned motion where the drawn one
     leads to no impact at the planned place.
     """
@@ -412,7 +469,8 @@ def draw_road_users(
     drawn = []
     n_kept = 0
     for run in runs:
-        key = id(run.encounter)  # one and the same in all weathers
+        # One and the same in all weathers.
+        key = id(run.encounter)
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
             both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
@@ -421,7 +479,8 @@ def draw_road_users(
             )
         other = changed[key]
         n_kept += other is None
-        if other is not None:  # its bodies move so in every weather
+        # Its bodies move so in every weather.
+        if other is not None:
             run = replace(run, **{name: getattr(other, name) for name in _MOVED})
         drawn.append(run)
     return tuple(drawn), n_kept
@@ -430,11 +489,13 @@ def draw_road_users(
 def _draw_one(
     run: Run, users: RoadUsers, rule: AebRule, random: np.random.Generator, scene: Scene
 ) -> Run | None:
+    """Draw one run; None where it has no impact at the planned place."""
     encounter = run.encounter
     planned_mps = encounter.vru_motion.speed_mps
     faster_mps = (
         random.uniform(*users.speed_kmh(encounter.vru.class_name)) * MPS_PER_KMH
     )
+    # All numbers are drawn in any case: each is independent of the others.
     nearer_share = random.uniform(0.0, users.start_nearer_share)
     turn_deg = random.uniform(*users.heading_deg.get(run.case.family, (0.0, 0.0)))
     aside_m = random.uniform(*users.path_m.get(run.case.family, (0.0, 0.0)))
@@ -446,9 +507,11 @@ def _draw_one(
         if measured is not None and run.case.recorded is None:
             speed_kmh, start_mps2 = measured.draw(random, planned_mps / MPS_PER_KMH)
             speed_mps = speed_kmh * MPS_PER_KMH + faster_mps
-    else:  # who stands or brakes does what the case is about
+    else:
+        # Who stands or brakes does what the case is about.
         speed_mps = planned_mps
         nearer_share = 0.0
+    # Another way is taken if nothing stands in it.
     if turn_deg or aside_m:
         other = change_motion(
             run,
@@ -469,7 +532,10 @@ def _draw_one(
 
 
 def _sense(run: Run) -> float:
-    """Of a turn: 1 = counter-clockwise; -1 where traffic keeps left, all else being mirrored."""
+    """Sense of a turn: 1 is counter-clockwise, -1 clockwise.
+
+    It is -1 where traffic keeps left, since all is mirrored.
+    """
     if run.case.kind != "crossing":
         return 1.0
     _, north = rotated([1.0, 0.0], float(run.vru_yaw_deg[-1] - run.vut_yaw_deg[-1]))
@@ -488,18 +554,21 @@ def change_motion(
     aside_m: float = 0.0,
     start_mps2: float | None = None,
 ) -> Run | None:
-    """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
+    """A run whose road user moves otherwise than planned.
 
-    Its way from rest to the impact is shorter by `nearer_share`, turned about the
-    impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left. With
-    `start_mps2` it sets off so, else over the planned distance. The VUT keeps its way;
-    both are at the impact as planned. Frames are those of the planned run; the last
-    brake time is computed anew. None: the bodies do not touch, or long before,
-    somewhere else.
+    It is faster or slower, starts nearer to the impact, or takes another way. Its
+    way from rest to the impact is shorter by `nearer_share`, turned about the
+    impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left.
+    With `start_mps2` it sets off so, else over the planned distance. The VUT keeps
+    its way; both are at the impact as planned. Frames are those of the planned run;
+    the last brake time is computed anew. None: the bodies do not touch, or long
+    before, somewhere else.
     """
-    encounter, vru = run.encounter, run.encounter.vru_motion
+    encounter = run.encounter
+    vru = encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
         return None
+    # Another speed, start or acceleration.
     motion = vru
     gains_m = vru.acceleration_distance_m
     if start_mps2 is not None and gains_m > 0.0:
@@ -516,12 +585,16 @@ def change_motion(
             speed_mps=speed_mps,
             acceleration_distance_m=gains_m,
         )
+        path = vru.path
+        if ahead_m:
+            path = MovedPath(path=path, ahead_m=ahead_m)
         motion = Motion(
-            path=MovedPath(path=vru.path, ahead_m=ahead_m) if ahead_m else vru.path,
+            path=path,
             speed_mps=speed_mps,
             start_time_s=-travel_s,
             acceleration_distance_m=gains_m,
         )
+    # Another way: turned about the impact, then moved aside.
     if turn_deg or aside_m:
         there_m, yaw_deg = vru.path.at(vru.distance_m(0.0))
         shift_m = there_m - rotated(there_m, turn_deg)
@@ -529,6 +602,7 @@ def change_motion(
         east_m, north_m = shift_m.tolist()
         path = MovedPath(path=motion.path, turn_deg=turn_deg, shift_m=(east_m, north_m))
         motion = replace(motion, path=path)
+    # Shift both so that the first contact is at the planned time.
     changed = replace(encounter, vru_motion=motion)
     early_s = first_contact_s(changed)
     if not abs(early_s) <= _MAX_EARLY_S:
@@ -543,6 +617,7 @@ def change_motion(
 
 
 def _later(motion: Motion, seconds: float) -> Motion:
+    """A motion that begins and brakes later."""
     return replace(
         motion,
         start_time_s=motion.start_time_s + seconds,

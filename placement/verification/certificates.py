@@ -1,7 +1,8 @@
-"""``certificate.json``: what was solved, what was found, and how good it is said to be.
+"""Certificates: what was solved and found, and how good it is.
 
-Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they
-are enough to check the claim without the optimiser.
+``certificate.json`` is the file's name. Next to it lies ``instance.npz``, the
+whole problem (:mod:`.instances`): together they are enough to check the claim
+without the optimiser.
 """
 
 import json
@@ -51,9 +52,12 @@ CERTIFICATE_FILE = "certificate.json"
 class StoredUnit(Struct, frozen=True, kw_only=True):
     """A unit of the layout."""
 
-    row: _Count  # of the detection table
-    pose: Text  # its name there
-    unit: dict[str, Any]  # as ``layout.json`` has it
+    # Of the detection table.
+    row: _Count
+    # Its name there.
+    pose: Text
+    # As ``layout.json`` has it.
+    unit: dict[str, Any]
 
 
 class Claim(Struct, frozen=True, kw_only=True):
@@ -62,9 +66,11 @@ class Claim(Struct, frozen=True, kw_only=True):
     name: Text
     objective: float
     bound: float
-    gap: float | None  # None: infinite
+    # None: infinite
+    gap: float | None
     seconds: float
-    is_proven: bool  # is the layout claimed to be the best?
+    # Is the layout claimed to be the best?
+    is_proven: bool
 
 
 class StoredCertificate(Struct, frozen=True, kw_only=True):
@@ -73,15 +79,19 @@ class StoredCertificate(Struct, frozen=True, kw_only=True):
     As :func:`build_certificate` makes them.
     """
 
-    instance: dict[str, Any]  # what :func:`instance_of` says
-    model: dict[
-        str, Any
-    ]  # what :func:`model_of` says, and the names of the "stages" in order
+    # What :func:`instance_of` says.
+    instance: dict[str, Any]
+    # What :func:`model_of` says, and the names of the "stages" in order.
+    model: dict[str, Any]
     layout: Annotated[list[StoredUnit], _SOME]
-    claims: Annotated[list[Claim], _SOME] = field(name="stages")  # objectives in order
-    is_proven: bool  # is the layout claimed to be the best in all?
-    solver: Text  # name and version of what the proof rests on
-    versions: dict[str, Any]  # of the programs that the numbers depend on
+    # Objectives in order.
+    claims: Annotated[list[Claim], _SOME] = field(name="stages")
+    # Is the layout claimed to be the best in all?
+    is_proven: bool
+    # Name and version of what the proof rests on.
+    solver: Text
+    # Of the programs that the numbers depend on.
+    versions: dict[str, Any]
     presolve: _Sizes  # type: ignore[valid-type]  # sizes before and after
 
     @property
@@ -166,9 +176,10 @@ def save_certificate(
     problem: PlacementProblem,
     mounts: Mounts | None = None,
 ) -> None:
-    """Write ``certificate.json``, a document of :func:`build_certificate`, and ``instance.npz``.
+    """Write ``certificate.json`` and ``instance.npz`` into a folder.
 
-    Raises OSError if the folder cannot be written to.
+    `document` is that of :func:`build_certificate`. Raises OSError if the folder
+    cannot be written to.
     """
     save_problem(folder / INSTANCE_FILE, problem, mounts)
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -195,6 +206,7 @@ def load_certificate(path: str | Path) -> StoredCertificate:
         kind.
     """
     where = str(path)
+    # Form and version are checked; claims are not.
     document = parse_json(read_text(Path(path), "JSON"), where, "a certificate")
     if isinstance(document, dict):
         schema = document.get("schema")
@@ -221,21 +233,24 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
 
 
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
-    """The model in words: fusion, what avoided means, and the formula of each stage."""
+    """The model in words.
+
+    It has fusion, what avoided means, and the formula of each stage.
+    """
     words = load_data("placement", "certificate.toml")
     formulas = words["formulas"]
-    avoided = words["avoided"]
-    parts = words["parts"]
     if problem.limits.failing == "site":
         formulas |= words["site_formulas"]
-    return {
-        "fusion": words["fusion"][problem.fusion],
-        "avoided": avoided["always"]
-        + ("" if is_never_lost(problem.rule) else avoided["and_alive"]),
-        **({"levels": parts["levels"]} if has_levels(problem.table.axis) else {}),
-        **({} if problem.seen_by_vut is None else {"cars": parts["cars"]}),
-        **{name: formulas[name] for name in stages},
-    }
+    avoided = words["avoided"]["always"]
+    if not is_never_lost(problem.rule):
+        avoided += words["avoided"]["and_alive"]
+    told = {"fusion": words["fusion"][problem.fusion], "avoided": avoided}
+    # Parts of the model that not every problem has.
+    if has_levels(problem.table.axis):
+        told["levels"] = words["parts"]["levels"]
+    if problem.seen_by_vut is not None:
+        told["cars"] = words["parts"]["cars"]
+    return told | {name: formulas[name] for name in stages}
 
 
 def cars_of(problem: PlacementProblem) -> float:

@@ -1,6 +1,7 @@
-"""``instance.npz``: a whole problem as a file that any program can read, and its hash.
+"""Placement problems in files, and their hash.
 
-It is compressed and holds no Python objects: numpy's arrays under the names in
+``instance.npz`` holds a whole problem so that any program can read it. It is
+compressed and holds no Python objects: numpy's arrays under the names in
 ``data/instance.toml``. It may also say where and what the poses are, see
 :class:`Mounts`.
 """
@@ -39,7 +40,8 @@ from ..optimiser import Floor, Limits, PlacementProblem
 Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 
-TOLERANCE = 1.0e-9  # metres and degrees that differ by no more are equal
+# Metres and degrees that differ by no more are equal.
+TOLERANCE = 1.0e-9
 
 _OF_GRID = re.compile(
     r"(?P<site>.+)/(?P<height>[^/]+)m/(?P<yaw>[^/]+)/(?P<pitch>[^/]+)/(?P<sensor>.+)"
@@ -48,7 +50,9 @@ _OF_GRID = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mounts:
-    """Site, pose and sensor of each row of a problem's table, and the scene that it was made in.
+    """Site, pose and sensor of each row of a problem's table.
+
+    The scene that it was made in is named as well.
 
     Attributes
     ----------
@@ -68,15 +72,13 @@ class Mounts:
         Name and :func:`scene_hash` of the scene.
     """
 
-    sites: tuple[str, ...]  # site of each pose; empty: none
-    position_m: FloatArray  # (n_poses, 3): world frame. [m]
-    # yaw_deg, pitch_deg: (n_poses,): counter-clockwise from east, positive up. [deg]
+    sites: tuple[str, ...]
+    position_m: FloatArray
     yaw_deg: FloatArray
     pitch_deg: FloatArray
-    latency_s: FloatArray  # (n_poses,): of its own; NaN: that of the rule. [s]
-    sensor_index: IntArray  # (n_poses,): row of `sensors`
-    sensors: tuple[Sensor, ...]  # models, complete
-    # scene_name, scene_sha256: name and :func:`scene_hash` of the scene
+    latency_s: FloatArray
+    sensor_index: IntArray
+    sensors: tuple[Sensor, ...]
     scene_name: str
     scene_sha256: str
 
@@ -94,12 +96,16 @@ class Mounts:
             raise InputError("mount_sensor", got, "a row of sensors")
 
     def differences(self, row: int, unit: CandidatePose) -> list[str]:
-        """Differences of a unit from the pose of a row, in words; its name does not count."""
+        """Differences of a unit from the pose of a row, in words.
+
+        Its name does not count.
+        """
         found = []
         if unit.site_id != self.sites[row]:
             found.append(
                 f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}"
             )
+        # Numbers are compared up to a tolerance, models field by field.
         names = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "latency_s")
         if unit.latency_s is None:
             own_s = math.nan
@@ -127,7 +133,7 @@ class Mounts:
     def misnamed(
         self, pose_ids: Sequence[str], feet_m: Mapping[str, FloatArray] | None = None
     ) -> str:
-        """The first pose of the grid whose name does not say where it is, in words; or nothing.
+        """The first pose of the grid with a wrong name, in words; or nothing.
 
         Names of the grid have site, height, yaw, pitch and sensor. All poses of a site
         are one above the other, as far apart as their names say; above the site, if
@@ -135,10 +141,12 @@ class Mounts:
         """
         sites = set(self.sites)
         foot_m = dict(feet_m or {})
+        # Each part of the name must say what the row has.
         for row, name in enumerate(pose_ids):
             parts = _OF_GRID.fullmatch(name)
             if parts is None or parts["site"] not in sites:
-                continue  # a unit with a name of its own
+                # A unit with a name of its own.
+                continue
             sensor = self.sensors[int(self.sensor_index[row])]
             for key, value in (
                 ("site", self.sites[row]),
@@ -209,6 +217,7 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
 
     def add(name: str, array: NDArray[Any]) -> None:
+        """Add an array to the digest: name, type, shape and bytes."""
         # no -0.0, which equals 0.0
         if array.dtype.kind == "f":
             values = array + 0.0
@@ -230,6 +239,7 @@ def scene_hash(scene: Scene) -> str:
         add("lane", lane.centreline_m)
     for site in scene.sites:
         add("site", np.concatenate([site.position_m, site.height_range_m]))
+    # Names and words follow as one JSON text.
     words: dict[str, Any] = {
         "name": scene.name,
         "crs": [scene.crs, scene.source_crs],
@@ -247,7 +257,8 @@ def scene_hash(scene: Scene) -> str:
     }
     if limits:
         words["speed_limits"] = limits
-    if scene.zero_height_m is not None:  # else as before scenes had it
+    # Else as before scenes had it.
+    if scene.zero_height_m is not None:
         words["zero_height_m"] = scene.zero_height_m
     digest.update(json.dumps(words).encode())
     return digest.hexdigest()
@@ -278,6 +289,7 @@ def _fields_of(sensor: Sensor) -> dict[str, object]:
 
 
 def _read_sensor(text: str) -> Sensor:
+    """Sensor model of a text in JSON."""
     try:
         given = parse_json(text, "sensors", "a sensor model")
         kind = given.pop("kind")
@@ -300,13 +312,12 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNDAMAGED = "an undamaged instance file (.npz)"
-_UNPACKED_BYTES = (
-    4  # of memory for each byte of a file, unpacked, while it is read and checked
-)
+# Of memory for each byte of a file, unpacked, while it is read and checked.
+_UNPACKED_BYTES = 4
 
 
 class _Field(Struct, frozen=True):
-    """An array of the file: its type, what its axes count, whether it may be missing."""
+    """An array of the file: its type, its axes, and if it may be missing."""
 
     dtype: str
     axes: tuple[str, ...] = ()
@@ -314,7 +325,10 @@ class _Field(Struct, frozen=True):
 
 
 class _Fields(Struct, frozen=True):
-    """All arrays by name, from ``data/instance.toml``: of a problem, and of :class:`Mounts`."""
+    """All arrays by name, from ``data/instance.toml``.
+
+    Some are those of a problem, some those of :class:`Mounts`.
+    """
 
     problem: dict[str, _Field]
     mounts: dict[str, _Field]
@@ -332,16 +346,19 @@ _ATTRIBUTES = {name: name.removeprefix("mount_") for name in _MOUNT_FIELDS} | {
 def save_problem(
     path: Path, problem: PlacementProblem, mounts: Mounts | None = None
 ) -> None:
-    """Write a problem, whole or not at all; the same problem always makes the same file.
+    """Write a problem, whole or not at all.
 
-    Raises InputError if a name ends with a null character, which numpy's text cannot
-    hold, and OSError if the file cannot be written.
+    The same problem always makes the same file. Raises InputError if a name ends
+    with a null character, which numpy's text cannot hold, and OSError if the file
+    cannot be written.
     """
     arrays = _to_arrays(problem, mounts)
 
+    # As numpy's savez_compressed: 6 % larger, a third of its time.
     def write(
         file: BinaryIO,
-    ) -> None:  # as numpy's savez_compressed: 6 % larger, a third of its time
+    ) -> None:
+        """Write the arrays as an archive."""
         with zipfile.ZipFile(
             file, "w", zipfile.ZIP_DEFLATED, compresslevel=1
         ) as archive:
@@ -353,10 +370,18 @@ def save_problem(
 
 
 class StoredProblem(NamedTuple):
-    """Content of an instance file."""
+    """Content of an instance file.
+
+    Attributes
+    ----------
+    problem : PlacementProblem
+        The problem.
+    mounts : Mounts, optional
+        None: the file does not say what the poses are.
+    """
 
     problem: PlacementProblem
-    mounts: Mounts | None  # None: the file does not say what the poses are
+    mounts: Mounts | None
 
 
 def load_problem(path: str | Path) -> PlacementProblem:
@@ -394,6 +419,7 @@ def load_stored_problem(path: Path) -> StoredProblem:
             known = _FIELDS
         else:
             known = {**_FIELDS, **_MOUNT_FIELDS}
+        # Nothing but known fields may be there.
         unknown = sorted(set(archive.files) - set(known))
         if unknown:
             refuse(f"{path}: {unknown[0]}", "a field", "none of this name")
@@ -442,13 +468,13 @@ def is_never_lost(rule: AebRule) -> bool:
 
 
 def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
-    table, axis, limits, rule = (
-        problem.table,
-        problem.table.axis,
-        problem.limits,
-        problem.rule,
-    )
+    """Arrays of a problem, by the names of the file's fields."""
+    table = problem.table
+    axis = table.axis
+    limits = problem.limits
+    rule = problem.rule
     floors = problem.floors
+    # Floors as arrays, one row each.
     counted = [
         (
             np.ones(axis.n_runs, dtype=bool)
@@ -469,6 +495,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
             len(floors), axis.n_runs
         ),
     }
+    # All other fields are attributes of the problem and its parts.
     for owner in (axis, limits, problem, rule):
         values |= {
             name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)
@@ -476,14 +503,17 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
     if is_never_lost(rule):
         del values["track_memory_s"]
     if limits.failing == "unit":
-        del values["failing"]  # the same file, and hash, as before sites could fail
+        # The same file, and hash, as before sites could fail.
+        del values["failing"]
     if set(axis.positions) == {AT_ZERO.name}:
-        del values["positions"]  # the same file, and hash, as before there were others
+        # The same file, and hash, as before there were others.
+        del values["positions"]
     arrays = {
         name: np.asarray(value, dtype=_FIELDS[name].dtype)
         for name, value in values.items()
         if value is not None
     }
+    # numpy cuts off null characters at the end of a text.
     for name, array in arrays.items():
         if (
             array.dtype.kind == "U"
@@ -499,6 +529,7 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
 
 
 def _from_arrays(arrays: Arrays) -> PlacementProblem:
+    """Problem of the arrays of a file."""
     axis = _build(FrameAxis, arrays)
     table = _build(DetectionTable, arrays, axis=axis)
     if len(set(table.pose_ids)) < table.n_poses:
@@ -533,7 +564,10 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
 
 
 def _build(kind: type[_T], arrays: Arrays, **more: Any) -> _T:
-    """A dataclass from the arrays that are called as its fields, texts and numbers plain."""
+    """A dataclass from the arrays that are called as its fields.
+
+    Texts and numbers become plain values.
+    """
     given: dict[str, Any] = {}
     for name in (field.name for field in fields(kind)):  # type: ignore[arg-type]
         if name in arrays:
@@ -563,11 +597,13 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 
 @contextmanager
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
-    """An archive that says what kind it is; whatever is wrong with it is an InputError."""
+    """An open archive that says of what kind it is.
+
+    Whatever is wrong with it raises InputError.
+    """
+    # What damaged ones raise has no end: zipfile's, ..
     with (
-        reading(
-            path, _UNDAMAGED, Exception
-        ),  # what damaged ones raise has no end: zipfile's, ..
+        reading(path, _UNDAMAGED, Exception),
         reading(path, "a readable instance file", OSError),
         open_file(path) as file,
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
@@ -575,7 +611,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     ):
         if "kind" not in archive.files:
             refuse(f"{path}: kind", "nothing", f"a text such as {KIND}")
-        assert archive.zip is not None  # it is open
+        # It is open.
+        assert archive.zip is not None
         names = archive.zip.namelist()
         if len(set(names)) < len(names):
             # Programs differ in which of the two they read.
@@ -588,11 +625,11 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 
 
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
+    """An array of an archive; InputError if it is none, or damaged."""
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
-    if not isinstance(
-        array, np.ndarray
-    ):  # what does not begin as an array comes as bytes
+    # What does not begin as an array comes as bytes.
+    if not isinstance(array, np.ndarray):
         refuse(f"{where}: {name}", "no array", "an array")
     if array.dtype.kind == "U" and not is_text(array):
         refuse(f"{where}: {name}", "characters that are none", "texts")
@@ -600,8 +637,12 @@ def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
 
 
 def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> None:
-    """True if all fields are there, of their types, and agree about what their axes count."""
+    """Raise InputError unless all fields are there and fit together.
+
+    Types must be right, and shapes agree about what their axes count.
+    """
     sizes: dict[str, int] = {"2": 2, "3": 3}
+    # Axes with one name must have one length.
     for name, field in known.items():
         if name not in arrays:
             if field.is_optional:

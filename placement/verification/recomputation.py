@@ -1,8 +1,9 @@
-"""Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
+"""Recompute the worth of sets of poses from a saved problem.
 
-Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the
-names of the objectives. Frames are gone through one after the other; there is no
-presolve, no window and no model. To be read against ``docs/method.md``.
+The optimiser's code is not used. Shared with :mod:`placement.optimiser` are
+only the problem as it lies in a file and the names of the objectives. Frames
+are gone through one after the other; there is no presolve, no window and no
+model. To be read against ``docs/method.md``.
 """
 
 import math
@@ -25,13 +26,17 @@ if TYPE_CHECKING:
 # ---------- values
 # shares and times that differ by no more are equal: they carry rounding noise
 EPSILON = 1.0e-9
-EPSILON_EUR = 1.0e-6  # so are sums of prices
+# So are sums of prices.
+EPSILON_EUR = 1.0e-6
 
 _BLOCK_BYTES = 1 << 22
 
 
 def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
-    """Objectives of a problem in order: those of a goal or of failures first, then the five."""
+    """Objectives of a problem in order.
+
+    Those of a goal or of failures come first, then the five of every problem.
+    """
     order = [Objective.APR, Objective.APR_ONE_FAILED]
     order += [Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN]
     if problem.survive:
@@ -45,7 +50,10 @@ def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
 def stage_values(
     problem: "PlacementProblem", objective: Objective, sets: IntArray
 ) -> FloatArray:
-    """Values of sets of poses in a stage: (n_sets, n_units) distinct rows -> (n_sets,)."""
+    """Values of sets of poses in a stage, (n_sets,).
+
+    `sets` are distinct rows, (n_sets, n_units).
+    """
     if objective is Objective.UNITS:
         return np.full(len(sets), float(sets.shape[1]))
     if objective is Objective.COST:
@@ -65,7 +73,7 @@ def stage_values(
 
 
 def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
-    """Margins of all runs for sets of poses: (n_sets, n_units) -> (n_sets, n_runs).
+    """Margins of all runs for sets of poses, (n_sets, n_runs).
 
     That is last brake time - (confirmation + latency); minus infinity where that is too
     late or there is no confirmation. The VUT, if it sees, is one unit more, also where
@@ -80,10 +88,12 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
         sets = np.column_stack([sets, np.full(len(sets), len(packed) - 1)])
     if n_units == 0:
         return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
-    if problem.fusion == "single":  # each for itself: the first to confirm counts
+    # Each for itself: the first to confirm counts.
+    if problem.fusion == "single":
         poses, where = np.unique(sets, return_inverse=True)
         alone = _margins_of_bits(problem, packed[poses])
         return np.asarray(alone[where.reshape(sets.shape)].max(axis=1))
+    # Any unit may detect: the bits of all units together.
     bits = packed[sets[:, 0]].copy()
     for unit in range(1, n_units):
         bits |= packed[sets[:, unit]]
@@ -91,7 +101,10 @@ def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
 
 
 def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray:
-    """Margins if all of some poses were mounted at once, whatever the limits, (n_runs,)."""
+    """Margins if all of some poses were mounted at once, (n_runs,).
+
+    Limits do not matter.
+    """
     if problem.fusion == "any":
         return np.asarray(margins_s(problem, poses[None, :])[0])
     everything = np.full(problem.table.axis.n_runs, -np.inf)
@@ -101,9 +114,13 @@ def margins_of_all_s(problem: "PlacementProblem", poses: IntArray) -> FloatArray
 
 
 def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
-    """Price of sets: each unit, and each site once, in euros: (n_sets, n_units) -> (n_sets,)."""
+    """Prices of sets in euros, (n_sets,).
+
+    Each unit is paid, and each site once; `sets` is (n_sets, n_units).
+    """
     limits = problem.limits
     total = np.zeros(len(sets))
+    # A site is paid with the first of its units.
     for unit in range(sets.shape[1]):
         pose = sets[:, unit]
         total += limits.unit_cost_eur[pose]
@@ -125,6 +142,7 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
         most = np.inf
     else:
         most = limits.budget_units
+    # Each limit by itself, over all sets.
     checks = {"units": everyone & (1 <= n_units <= most)}
     if limits.budget_eur is not None:
         checks["money"] = costs_eur(problem, sets) <= limits.budget_eur + EPSILON_EUR
@@ -153,7 +171,10 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
 def floor_values(
     problem: "PlacementProblem", floor: "Floor", sets: IntArray
 ) -> FloatArray:
-    """Share of a floor that sets reach after the failures that it allows for, (n_sets,)."""
+    """Share of a floor that sets reach after failures, (n_sets,).
+
+    So many units or sites fail as the floor allows for.
+    """
     return _of_blocks(
         problem, sets, lambda block: _left(problem, block, floor.n_failures, floor)
     )
@@ -165,10 +186,10 @@ def _left(
     n_failures: int,
     floor: "Floor | None" = None,
 ) -> FloatArray:
-    """Smallest ratio that is left when any so many units, or whole sites, fail, (n_sets,).
+    """Smallest ratio left when any `n_failures` fail, (n_sets,).
 
-    Failing more never leaves more: the sites of any so many units are all that need be
-    tried.
+    Units fail, or whole sites. Failing more never leaves more: the sites of any so
+    many units are all that need be tried.
     """
     if n_failures > sets.shape[1]:
         return _apr(problem, margins_s(problem, sets[:, :0]), floor)
@@ -177,9 +198,11 @@ def _left(
     else:
         at = sets
     smallest = np.full(len(sets), np.inf)
+    # All ways in which units or sites can fail.
     for chosen in combinations(range(sets.shape[1]), n_failures):
         has_failed = (at[:, :, None] == at[:, None, list(chosen)]).any(axis=2)
         patterns, which = np.unique(has_failed, axis=0, return_inverse=True)
+        # Sets in which the same columns fail are evaluated together.
         for number, pattern in enumerate(patterns):
             rows = which.ravel() == number
             left = _apr(problem, margins_s(problem, sets[rows][:, ~pattern]), floor)
@@ -190,7 +213,10 @@ def _left(
 def _apr(
     problem: "PlacementProblem", margin_s: FloatArray, floor: "Floor | None" = None
 ) -> FloatArray:
-    """Weight of the avoided runs; of a floor's own runs, or of the worst worlds on average."""
+    """Weight of the avoided runs, (n_sets,).
+
+    It is that of a floor's own runs, or the mean of the worst worlds.
+    """
     is_avoided: BoolArray = margin_s > -np.inf
     weight = problem.table.axis.weight
     if floor is not None and floor.is_counted is not None:
@@ -224,14 +250,20 @@ def _apr(
 
 
 def _smallest_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
-    """Smallest margin of the avoided runs that have weight; 0 where there is none, (n_sets,)."""
+    """Smallest margin of the avoided runs with weight, (n_sets,).
+
+    It is 0 where no run is avoided.
+    """
     counts = (margin_s > -np.inf) & (problem.table.axis.weight > 0.0)
     smallest = np.where(counts, margin_s, np.inf).min(axis=1)
     return np.where(counts.any(axis=1), smallest, 0.0)
 
 
 def _mean_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
-    """Mean margin of the avoided runs by their weights; 0 where there is none, (n_sets,)."""
+    """Weighted mean margin of the avoided runs, (n_sets,).
+
+    It is 0 where no run is avoided.
+    """
     counts = np.where(margin_s > -np.inf, problem.table.axis.weight, 0.0)
     total = counts.sum(axis=1)
     summed = (counts * np.where(counts > 0.0, margin_s, 0.0)).sum(axis=1)
@@ -250,19 +282,19 @@ def _margins_of_bits(
     rule = problem.rule
     moment_s = axis.last_brake_time_s - rule.latency_s
     run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    is_in_time = (
-        axis.time_s <= moment_s[run_of_frame] + EPSILON
-    )  # times of a run ascend
+    # Times of a run ascend.
+    is_in_time = axis.time_s <= moment_s[run_of_frame] + EPSILON
     length = np.bincount(run_of_frame[is_in_time], minlength=axis.n_runs)
-    order = np.argsort(
-        -length, kind="stable"
-    )  # runs that have a frame come before all others
+    # Runs that have a frame come before all others.
+    order = np.argsort(-length, kind="stable")
     start = axis.run_start[order]
     last_s = axis.last_brake_time_s[order]
     moment_s = moment_s[order]
     margin_s = np.full((len(bits), axis.n_runs), -np.inf)
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
-    seen_s = np.full((len(bits), axis.n_runs), -np.inf)  # when last
+    # When last
+    seen_s = np.full((len(bits), axis.n_runs), -np.inf)
+    # Frame by frame, all sets and runs at once.
     for position in range(int(length.max())):
         runs = slice(int(np.count_nonzero(length > position)))
         frame = start[runs] + position
@@ -294,6 +326,7 @@ def _of_blocks(
     sets: IntArray,
     values: Callable[[IntArray], FloatArray],
 ) -> FloatArray:
+    """Values of all sets, block by block, (n_sets,)."""
     if not len(sets):
         return np.zeros(0)
     return np.concatenate([values(block) for block in _blocks(problem, sets)])
@@ -311,6 +344,7 @@ def most_units(problem: "PlacementProblem") -> int:
     """No layout has more units."""
     limits = problem.limits
     usable = usable_poses(problem)
+    # Room at the sites, number of units, and money limit it.
     most = sum(
         min(
             int(limits.site_capacity[site]),
@@ -329,7 +363,7 @@ def most_units(problem: "PlacementProblem") -> int:
 def simple_limits(
     problem: "PlacementProblem", stages: Sequence[Stage]
 ) -> dict[Objective, float]:
-    """What no layout can be better than in each objective, by a look at all poses at once.
+    """Bounds of all objectives, by a look at all poses at once.
 
     `stages` are what is claimed of a layout: limits of later stages hold for layouts
     that are as good in earlier ones. The more poses, the earlier each run is confirmed:
@@ -342,6 +376,7 @@ def simple_limits(
     usable = usable_poses(problem)
     margin_s = margins_of_all_s(problem, usable)
     counts = (margin_s > -np.inf) & (weight > 0.0)
+    # All usable poses together reach the most.
     most_apr = float(_apr(problem, margin_s[None, :])[0])
     smallest_s = mean_s = (
         float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
@@ -354,11 +389,12 @@ def simple_limits(
     ):
         smallest_s = float(margin_s[counts].min())
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
+    # With failures, as much is left as all poses have, if one stays.
     most = most_units(problem)
     nobody = np.empty((1, 0), dtype=np.int64)
-    of_vut = float(
-        _apr(problem, margins_s(problem, nobody))[0]
-    )  # when all units have failed
+    # When all units have failed.
+    of_vut = float(_apr(problem, margins_s(problem, nobody))[0])
+    # The least cost is that of the forced units, or of the cheapest pose.
     forced = np.flatnonzero(limits.is_forced)
     price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     least_eur = float(price[usable].min(initial=np.inf))
@@ -380,7 +416,10 @@ def simple_limits(
 
 # ---------- other sets
 class BestOther(NamedTuple):
-    """The best of the sets that are as good as the layout in all stages before; NaN if none is."""
+    """Best of the sets that are as good as the layout before a stage.
+
+    Its value is NaN if there is none.
+    """
 
     name: Objective
     value: float
@@ -394,16 +433,23 @@ def n_sets_of_all(problem: "PlacementProblem") -> int:
 
 
 def all_sets(problem: "PlacementProblem") -> Iterator[IntArray]:
-    """All sets of usable poses that are not too large, (n_sets, n_units) for each size."""
+    """All sets of usable poses that are not too large, size by size.
+
+    For each size an array (n_sets, n_units) is yielded.
+    """
     usable = usable_poses(problem)
     for size in range(1, most_units(problem) + 1):
         yield np.array(list(combinations(usable.tolist(), size)), dtype=np.int64)
 
 
 def neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> Iterator[IntArray]:
-    """The layout, and all sets with one unit left out, exchanged or added, size by size."""
+    """Sets with one unit left out, exchanged or added, and the layout.
+
+    They are yielded size by size.
+    """
     layout = np.array(rows, dtype=np.int64)
     others = np.setdiff1d(usable_poses(problem), layout)
+    # One unit less, one exchanged, one more.
     fewer = [np.delete(layout, index) for index in range(len(layout))]
     if len(layout) > 1:
         yield np.array(fewer)
@@ -425,11 +471,13 @@ def n_neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> int:
 def best_others(
     problem: "PlacementProblem", stages: Sequence[Stage], families: Iterator[IntArray]
 ) -> list[BestOther]:
-    """Best value of each claimed stage among families of sets, each (n_sets, n_units).
+    """Best value of each claimed stage among families of sets.
 
-    Sets that are not allowed, or miss a floor, are left out; so are, from each stage
-    on, those that are not as good in it as what is claimed.
+    Each family is (n_sets, n_units). Sets that are not allowed, or miss a floor,
+    are left out; so are, from each stage on, those that are not as good in it as
+    what is claimed.
     """
+    # Sets within all limits and floors.
     alive = []
     for sets in families:
         kept = sets[np.logical_and.reduce(list(limit_checks(problem, sets).values()))]
@@ -437,6 +485,7 @@ def best_others(
             kept = kept[floor_values(problem, floor, kept) >= floor.share - EPSILON]
         alive.append(kept)
     best = []
+    # Stage by stage, sets that are worse than claimed drop out.
     for stage in stages:
         objective = Objective(stage.name)
         if objective.is_minimised:
@@ -463,5 +512,8 @@ def best_others(
 
 
 def _with_each(units: IntArray, others: IntArray) -> IntArray:
-    """Some units together with each of other poses in turn, (n_others, n_units + 1)."""
+    """Some units with each of other poses in turn.
+
+    It is (n_others, n_units + 1).
+    """
     return np.column_stack([np.tile(units, (len(others), 1)), others])

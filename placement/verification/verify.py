@@ -1,10 +1,11 @@
-"""An independent check of a certificate: everything that can be recomputed is recomputed.
+"""Independent check of a certificate.
 
-That the layout is within all limits, and what it is worth, is recomputed by
-:mod:`.recomputation`. That no other is better than the bound is proven again where all
-poses together reach no more, or all sets can be compared. Elsewhere the proof rests on
-the solver that the certificate names; but layouts that differ in one unit are compared,
-if they are not too many. Whether the detection table is right is the evaluator's
+Everything that can be recomputed is recomputed. That the layout is within all
+limits, and what it is worth, is recomputed by :mod:`.recomputation`. That no
+other is better than the bound is proven again where all poses together reach no
+more, or all sets can be compared. Elsewhere the proof rests on the solver that
+the certificate names; but layouts that differ in one unit are compared, if they
+are not too many. Whether the detection table is right is the evaluator's
 question.
 """
 
@@ -39,42 +40,70 @@ from .recomputation import (
 if TYPE_CHECKING:
     from ..optimiser import PlacementProblem
 
-MAX_SETS = 50_000  # so many sets of poses are compared at most
-_MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
-_ROUNDED_GAP = 1.0e-9  # certificates round gaps
+# So many sets of poses are compared at most.
+MAX_SETS = 50_000
+# Sets times frames; half a minute.
+_MAX_LOOKS = 2_000_000_000
+# Certificates round gaps.
+_ROUNDED_GAP = 1.0e-9
 _SIZES = ("poses", "frames", "windows", "runs")
-_SOLVER_TOLERANCE = (
-    1.0e-6  # relative; solvers meet their rows and whole numbers up to this
-)
+# Relative; solvers meet their rows and whole numbers up to this.
+_SOLVER_TOLERANCE = 1.0e-6
 
 
 class Check(NamedTuple):
-    """Something that was looked at."""
+    """Something that was looked at.
 
-    name: str  # what
-    passed: bool  # whether it is as it should be
-    detail: str  # in words
+    Attributes
+    ----------
+    name : str
+        What.
+    passed : bool
+        Whether it is as it should be.
+    detail : str
+        In words.
+    """
+
+    name: str
+    passed: bool
+    detail: str
 
 
 class StageProof(NamedTuple):
-    """Grounds for a stage of a certificate."""
+    """Grounds for a stage of a certificate.
 
-    name: str  # the stage
-    claims_optimum: (
-        bool  # whether the certificate says that the layout is proven best in it
-    )
-    is_proven_again: bool  # whether that was proven here, without a solver
-    reason: str  # how; or what it rests on instead
+    Attributes
+    ----------
+    name : str
+        The stage.
+    claims_optimum : bool
+        Whether the certificate says that the layout is proven best in it.
+    is_proven_again : bool
+        Whether that was proven here, without a solver.
+    reason : str
+        How; or what it rests on instead.
+    """
+
+    name: str
+    claims_optimum: bool
+    is_proven_again: bool
+    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """Result of checking a certificate."""
+    """Result of checking a certificate.
 
-    checks: tuple[Check, ...]  # in the order in which they were made
-    proofs: tuple[
-        StageProof, ...
-    ]  # of every stage; none if the layout could not be made out
+    Attributes
+    ----------
+    checks : tuple of Check
+        In the order in which they were made.
+    proofs : tuple of StageProof
+        Of every stage; none if the layout could not be made out.
+    """
+
+    checks: tuple[Check, ...]
+    proofs: tuple[StageProof, ...]
 
     @property
     def passed(self) -> bool:
@@ -118,6 +147,7 @@ def verify_certificate(
     """
     report = on_stage or (lambda stage: None)
     report("recompute the layout's values")
+    # Form first: instance, model, poses, layout file, mounts.
     checks = [
         *_instance_checks(problem, stored, mounts),
         *_model_checks(problem, stored),
@@ -125,9 +155,8 @@ def verify_certificate(
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
     checks += _mount_checks(problem, stored, mounts, units)
     if not all(check.passed for check in checks if check.name in ("poses", "stages")):
-        return Verification(
-            checks=tuple(checks), proofs=()
-        )  # there is nothing to recompute
+        # There is nothing to recompute.
+        return Verification(checks=tuple(checks), proofs=())
     chosen = np.array([stored.pose_index], dtype=np.int64)
     checks += [
         Check(
@@ -148,6 +177,7 @@ def verify_certificate(
         checks.append(
             Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text)
         )
+    # Each stage: its numbers, and whether a simple bound proves it.
     limits = simple_limits(problem, stored.stages)
     proofs = []
     for stage, claim in zip(stored.stages, stored.claims, strict=True):
@@ -175,12 +205,15 @@ def verify_certificate(
 
 def _check(name: str, wrong: Sequence[str], right: str) -> Check:
     """A check that fails with the first of what is wrong."""
-    return Check(name, not wrong, wrong[0] if wrong else right)
+    if wrong:
+        return Check(name, False, wrong[0])
+    return Check(name, True, right)
 
 
 def _instance_checks(
     problem: "PlacementProblem", stored: StoredCertificate, mounts: Mounts | None
 ) -> list[Check]:
+    """Checks that the certificate is about this instance."""
     found = problem_hash(problem, mounts)
     text = f"SHA-256 {found[:16]}.."
     if found != stored.sha256:
@@ -199,12 +232,15 @@ def _instance_checks(
 def _model_checks(
     problem: "PlacementProblem", stored: StoredCertificate
 ) -> list[Check]:
+    """Checks that the certificate states the problem's model."""
     asked = model_of(problem)
     wrong = [name for name, value in asked.items() if stored.model.get(name) != value]
     names = [stage.name for stage in stored.stages]
     expected = [objective.value for objective in stage_names(problem)]
     is_so = names == expected and stored.model.get("stages") == expected
-    table, axis = problem.table, problem.table.axis
+    table = problem.table
+    axis = table.axis
+    # Sizes before presolve follow from the problem.
     n_windows = np.maximum(
         np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
     ).sum()
@@ -271,6 +307,7 @@ def _layout_check(
     """True if the layout file has the same units, and sites where the problem has."""
     if [dict(unit) for unit in shown] != [dict(unit) for unit in stored.units]:
         return Check("layout file", False, "it does not show the certificate's units")
+    # Units share a site in the file if they share one in the problem.
     sites = [unit.get("site") for unit in shown]
     rows = stored.pose_index
     for (site, row), (other_site, other_row) in combinations(
@@ -292,15 +329,17 @@ def _mount_checks(
     mounts: Mounts | None,
     units: Sequence[CandidatePose],
 ) -> list[Check]:
-    """Whether units are mounted as the poses that were solved, and poses as their names say.
+    """Checks that units are mounted as the poses that were solved.
 
-    Sites and prices of the problem follow from the poses, too.
+    Poses must be as their names say. Sites and prices of the problem follow from
+    the poses, too.
     """
     if mounts is None:
         return []
     table = problem.table
     limits = problem.limits
     misnamed = mounts.misnamed(table.pose_ids)
+    # Poses of one site of the problem share a site of the scene.
     of_index: dict[int, str] = {}
     torn = [
         f"{table.pose_ids[row]} is elsewhere"
@@ -310,6 +349,7 @@ def _mount_checks(
     prices = np.array([sensor.price_eur for sensor in mounts.sensors])[
         mounts.sensor_index
     ]
+    # Existing units may cost nothing.
     is_paid = (limits.unit_cost_eur == prices) | (
         (limits.unit_cost_eur == 0.0) & limits.is_forced
     )
@@ -337,7 +377,7 @@ def _mount_checks(
 def _stage_checks(
     stage: Stage, objective: Objective, is_proven: bool, value: float, limit: float
 ) -> list[Check]:
-    """Checks of a stage's claims about the layout, and of its numbers among themselves."""
+    """Checks of a stage's claims, and of its numbers among themselves."""
     name = stage.name
     claimed = stage.objective
     bound = stage.bound
@@ -392,9 +432,13 @@ def _compare(
     max_sets: int,
     report: Callable[[str], None],
 ) -> tuple[list[Check], list[StageProof]]:
-    """Look for a set of poses that a bound does not allow for: among all, or near the layout."""
+    """Look for a set of poses that a claimed bound does not allow for.
+
+    All sets are compared, or those near the layout.
+    """
     if all(proof.is_proven_again for proof in proofs):
         return checks, proofs
+    # All sets if they are few, else the neighbours of the layout.
     most = min(max_sets, _MAX_LOOKS // problem.table.axis.n_frames)
     n_all = n_sets_of_all(problem)
     n_near = n_neighbours(problem, stored.pose_index)
@@ -412,6 +456,7 @@ def _compare(
     best = best_others(problem, stored.stages, families)
     checks = checks.copy()
     proofs = proofs.copy()
+    # A set beyond a bound disproves it.
     for index, (stage, other) in enumerate(zip(stored.stages, best, strict=True)):
         slack = _SOLVER_TOLERANCE * max(1.0, abs(stage.bound))
         excess = Objective(stage.name).excess(other.value, stage.bound)

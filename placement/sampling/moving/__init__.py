@@ -1,8 +1,9 @@
-"""Vehicles that drive by: a scene's lanes as a SUMO network, demand, simulation, windows.
+"""Vehicles that drive by, from SUMO.
 
-``demand`` reads how much drives; ``sumo`` writes lanes for netconvert and runs SUMO in
-a process of its own (``child``). All end in ``trajectories``, of which a window is cut
-for each run; ``source`` is the way in.
+A scene's lanes become a network; demand drives on it, and windows are cut out.
+``demand`` reads how much drives; ``sumo`` writes lanes for netconvert and runs
+SUMO in a process of its own (``child``). All end in ``trajectories``, of which
+a window is cut for each run; ``source`` is the way in.
 """
 
 from .demand import read_body

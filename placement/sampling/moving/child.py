@@ -1,7 +1,8 @@
-"""One simulation of SUMO in a process of its own: ``python child.py INPUT.json OUTPUT.npz``.
+"""One simulation of SUMO in a process of its own.
 
-libsumo holds one simulation per process, and brings libraries that must not meet those
-of its caller: this file imports nothing of the toolkit. It reads and writes what
+It is started by ``python child.py INPUT.json OUTPUT.npz``. libsumo holds one
+simulation per process, and brings libraries that must not meet those of its
+caller: this file imports nothing of the toolkit. It reads and writes what
 :mod:`.sumo` says.
 """
 
@@ -13,13 +14,16 @@ from typing import Any
 
 import numpy as np
 
-if __name__ == "__main__":  # whoever else imports this file may lack SUMO
+# Whoever else imports this file may lack SUMO.
+if __name__ == "__main__":
     import libsumo
     from libsumo import constants
 
 VUT = "vut"
-_EXACT_MAPPING = 2  # keepRoute: where it is put, on whichever lane lies there
-_SPEED_AS_SET = 0  # speedMode: no safe gap, no right of way, no red light
+# keepRoute: where it is put, on whichever lane lies there
+_EXACT_MAPPING = 2
+# speedMode: no safe gap, no right of way, no red light
+_SPEED_AS_SET = 0
 
 
 def simulate(job: dict[str, Any]) -> dict[str, Any]:
@@ -43,6 +47,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
             *("--duration-log.disable", "--random-depart-offset", "0"),
         ]
     )
+    # Samples (vehicle, step, east, north, angle), and the type of each vehicle.
     rows: list[tuple[float, ...]] = []
     number: dict[str, int] = {}
     types: list[str] = []
@@ -51,6 +56,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
         libsumo.vehicletype.copy(job["first_type"], VUT)
         for name in ("Length", "Width", "Height"):
             getattr(libsumo.vehicletype, f"set{name}")(VUT, job["vut"][name.lower()])
+    # Between windows traffic only flows; within them it is recorded.
     for index, window in enumerate(job["windows"]):
         while now < window["first_step"]:
             libsumo.simulationStep()
@@ -66,6 +72,7 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
             libsumo.simulationStep()
             n_departed += _others(libsumo.simulation.getDepartedIDList())
             now += 1
+            # Vehicles within reach, in the order in which they were first seen.
             near = libsumo.junction.getContextSubscriptionResults(job["junction"])
             for vehicle, values in near.items():
                 if vehicle == vut.id:
@@ -130,9 +137,8 @@ class _Vut:
                 self.drive["angle_deg"][row],
                 _EXACT_MAPPING,
             )
-        except (
-            libsumo.TraCIException
-        ):  # no lane within 100 m, or it has driven off the network
+        except libsumo.TraCIException:
+            # No lane within 100 m, or it has driven off the network.
             self.remove()
 
     def remove(self) -> None:

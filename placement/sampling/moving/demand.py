@@ -1,4 +1,7 @@
-"""How much drives through a junction, where to and with what: from TOML to SUMO's routes."""
+"""Demand of traffic through a junction, from TOML to SUMO's routes.
+
+It says how much drives, where to and with what.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,11 +48,21 @@ _KIND_KEYS = ("sumo_class", "share")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrivingKind:
-    """A kind of vehicle that drives."""
+    """A kind of vehicle that drives.
 
-    actor: Actor  # its body
-    sumo_class: str  # one of `SUMO_CLASSES`
-    share: float  # of all vehicles, 0 .. 1
+    Attributes
+    ----------
+    actor : Actor
+        Its body.
+    sumo_class : str
+        One of `SUMO_CLASSES`.
+    share : float
+        Of all vehicles, 0 .. 1.
+    """
+
+    actor: Actor
+    sumo_class: str
+    share: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,17 +91,15 @@ class Demand:
         What it is called in reports.
     """
 
-    vehicles_per_hour_per_lane: float  # into the junction, on each lane of an arm
-    arms: Mapping[
-        str, float
-    ]  # in place of that, on all lanes of an arm together, by name. [1/h]
-    turns: Mapping[str, float]  # share of each of ``TURNS``; sums to 1
-    vehicles: tuple[DrivingKind, ...]  # shares sum to 1
-    speed_limit_mps: float  # on all lanes. [m/s]
-    approach_m: float  # length of each arm, at least. [m]
-    warm_up_s: float  # until the streets are full. [s]
-    pause_s: tuple[float, float]  # shortest and longest time between two windows. [s]
-    name: str = "default"  # in reports
+    vehicles_per_hour_per_lane: float
+    arms: Mapping[str, float]
+    turns: Mapping[str, float]
+    vehicles: tuple[DrivingKind, ...]
+    speed_limit_mps: float
+    approach_m: float
+    warm_up_s: float
+    pause_s: tuple[float, float]
+    name: str = "default"
 
     def per_hour(self, arm: str, n_lanes: int) -> float:
         """Vehicles an hour on all entry lanes of an arm."""
@@ -136,6 +147,7 @@ def load_demand(path: Path | None = None) -> Demand:
 
 
 def _read(document: Table, where: str, name: str) -> Demand:
+    """Demand of a document; errors name the place `where`."""
     table = read_table(document, _DemandFile, where)
     if table.pause_s[0] > table.pause_s[1]:
         expected = "[shortest, longest], in seconds"
@@ -144,6 +156,7 @@ def _read(document: Table, where: str, name: str) -> Demand:
     kinds = tuple(
         _read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries)
     )
+    # Shares must sum to 1.
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
     for what, shares in (
         ("vehicles: share", [k.share for k in kinds]),
@@ -183,10 +196,11 @@ _SIZES = ("length_m", "width_m", "height_m")
 
 
 def read_body(entry: Table, where: str) -> Actor:
-    """A vehicle by a table's `actor`, or a box by `name`, `length_m`, `width_m` and `height_m`.
+    """Body of a vehicle, from the catalogue or as a box.
 
-    A box reaches down to the road. Raises InputError for any other key, or a body of
-    the catalogue that is no vehicle.
+    A table has `actor`, or `name`, `length_m`, `width_m` and `height_m`. A box
+    reaches down to the road. Raises InputError for any other key, or a body of the
+    catalogue that is no vehicle.
     """
     known = ("actor",) if "actor" in entry else ("name", *_SIZES)
     for key in entry:
@@ -209,11 +223,11 @@ def write_routes(
     ways: Mapping[str, Mapping[str, Mapping[str, str]]],
     n_lanes: Mapping[str, int],
 ) -> str:
-    """Vehicle types and flows as a SUMO route file; gaps between vehicles are exponential.
+    """Vehicle types and flows as a SUMO route file.
 
-    `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes
-    of each arm. Raises InputError if the demand names an arm that the junction does not
-    have, or nobody drives.
+    Gaps between vehicles are exponential. `ways` has by arm, turn and exit the
+    edges of the route; `n_lanes` the entry lanes of each arm. Raises InputError if
+    the demand names an arm that the junction does not have, or nobody drives.
     """
     for arm in demand.arms:
         if arm not in n_lanes:
@@ -222,13 +236,15 @@ def write_routes(
     lines = ["<routes>", '<vTypeDistribution id="all">']
     for kind in demand.vehicles:
         body = kind.actor
+        name = quoteattr(body.name)
+        sumo_class = quoteattr(kind.sumo_class)
         lines.append(
-            "<vType"
-            f' id={quoteattr(body.name)} vClass={quoteattr(kind.sumo_class)} probability="{kind.share}"'
+            f'<vType id={name} vClass={sumo_class} probability="{kind.share}"'
             f' length="{body.length_m}" width="{body.width_m}"'
             f' height="{body.height_m}"/>'
         )
     lines.append("</vTypeDistribution>")
+    # One flow for each way; exits of a turn share its vehicles evenly.
     n_flows = 0
     for arm, turns in ways.items():
         total = sum(demand.turns[turn] for turn in turns)

@@ -1,11 +1,12 @@
-"""SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
+"""A scene's lanes as a SUMO network, and the traffic on it.
 
-netconvert puts plain nodes and edges together; the simulation runs in a child process
-(:mod:`.child`). Windows of time, one per group of runs, follow one another with random
-pauses, so that each meets another moment of the signal programme. In each, the VUT of
-one run is moved along its path without braking; SUMO's vehicles react to it as to any
-other. It obeys neither lights nor right of way, as Euro NCAP's does not: who comes into
-its way is left out of the run by :mod:`.trajectories`.
+The traffic is that of one sampled world. netconvert puts plain nodes and edges
+together; the simulation runs in a child process (:mod:`.child`). Windows of
+time, one per group of runs, follow one another with random pauses, so that each
+meets another moment of the signal programme. In each, the VUT of one run is
+moved along its path without braking; SUMO's vehicles react to it as to any
+other. It obeys neither lights nor right of way, as Euro NCAP's does not: who
+comes into its way is left out of the run by :mod:`.trajectories`.
 """
 
 import importlib.util
@@ -46,10 +47,10 @@ from .trajectories import (
 )
 
 JUNCTION = "junction"
-_SAME_LENGTH_M = (
-    5.0  # lanes of an arm whose lengths differ by less go as far as one another
-)
-_SHORTEST_M = 8.0  # pieces of an arm shorter than this are no edges of their own
+# Lanes of an arm whose lengths differ by less go as far as one another.
+_SAME_LENGTH_M = 5.0
+# Pieces of an arm shorter than this are no edges of their own.
+_SHORTEST_M = 8.0
 _TURN_OF_DIRECTION = {
     "s": "straight",
     "l": "left",
@@ -62,18 +63,31 @@ _NETCONVERT_TIMEOUT_S = 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadNetwork:
-    """A junction as SUMO knows it."""
+    """A junction as SUMO knows it.
 
-    xml: str  # content of the .net.xml file
-    origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
-    n_entry_lanes: dict[str, int]  # by arm
-    ways: dict[
-        str, dict[str, dict[str, str]]
-    ]  # by arm, turn, exit arm: the edges of the way
+    Attributes
+    ----------
+    xml : str
+        Content of the .net.xml file.
+    origin_m : (2,) float
+        Its origin in the world frame, whose axes it has. [m]
+    n_entry_lanes : dict of str to int
+        By arm.
+    ways : dict of str to dict of str to dict of str to str
+        By arm, turn, exit arm: the edges of the way.
+    """
+
+    xml: str
+    origin_m: FloatArray
+    n_entry_lanes: dict[str, int]
+    ways: dict[str, dict[str, dict[str, str]]]
 
 
 def sumo_program(name: str) -> str:
-    """Path of one of SUMO's programs; raises MissingExtraError where SUMO is not installed."""
+    """Path of one of SUMO's programs.
+
+    Raises MissingExtraError where SUMO is not installed.
+    """
     try:
         import sumo
     except ImportError:
@@ -96,18 +110,19 @@ def missing_sumo() -> MissingExtraError:
 def build_network(
     scene: Scene, *, speed_limit_mps: float, approach_m: float
 ) -> RoadNetwork:
-    """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
+    """Network of a scene's junction, connected by netconvert.
 
-    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The
-    map's own lanes through the junction are used where it has some. Lights stand where
-    the scene has some; else priority is netconvert's. Raises InputError: no junction,
-    no lane leads in or out, or netconvert cannot read the lanes; MissingExtraError:
-    SUMO is not installed.
+    The lanes are written as plain XML. Lanes keep their lines; arms that end sooner
+    than `approach_m` go straight on. The map's own lanes through the junction are
+    used where it has some. Lights stand where the scene has some; else priority is
+    netconvert's. Raises InputError: no junction, no lane leads in or out, or
+    netconvert cannot read the lanes; MissingExtraError: SUMO is not installed.
     """
     program = sumo_program("netconvert")
     junction = build_junction(scene)
     origin: FloatArray = scene.outline_m.mean(axis=0)
     plain = _Plain(origin_m=origin, speed_mps=speed_limit_mps, approach_m=approach_m)
+    # Edges of each arm, into the junction and out of it.
     entry = {n: plain.add_arm(arm, is_in=True) for n, arm in junction.arms.items()}
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
     entry, leaving = (
@@ -120,6 +135,7 @@ def build_network(
             got = "no lane out of it"
         refuse(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
+    # Sites and things of the scene tell if there are lights.
     kinds = {site.kind for site in scene.sites} | {
         thing.class_name for thing in scene.instances
     }
@@ -144,9 +160,8 @@ class _Plain:
         self.nodes: list[str] = []
         self.edges: list[str] = []
         self.connections: list[str] = []
-        self.at_junction: dict[
-            tuple[bool, str], tuple[str, int]
-        ] = {}  # lane -> edge and index
+        # Lane -> edge and index
+        self.at_junction: dict[tuple[bool, str], tuple[str, int]] = {}
 
     def shape(self, points_m: FloatArray) -> str:
         """Points of the world frame, as SUMO writes them."""
@@ -155,7 +170,10 @@ class _Plain:
         )
 
     def add_arm(self, arm: Arm, *, is_in: bool) -> list[str]:
-        """Edges of an arm in driving order; where a lane begins or ends, a new edge does."""
+        """Add the edges of an arm, and return them in driving order.
+
+        Where a lane begins or ends, a new edge does.
+        """
         if is_in:
             lanes = arm.entry_lanes
         else:
@@ -168,14 +186,18 @@ class _Plain:
             lane.centreline_m[::-1] if is_in else lane.centreline_m for lane in lanes
         ]
         length_m = np.array([lane_length_m(lane) for lane in lanes])
+        # Distances at which lanes end, farthest last.
         cuts = [float(length_m.max())]
         for one in sorted(length_m.tolist(), reverse=True):
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
                 cuts.append(one)
         cuts = [0.0, *reversed(cuts)]
-        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        stem = f"{arm.name}-out"
+        if is_in:
+            stem = f"{arm.name}-in"
         inner = JUNCTION
         names = []
+        # One edge for each piece, outwards from the junction.
         for number, (near_m, far_m) in enumerate(pairwise(cuts)):
             is_last = number == len(cuts) - 2
             members = [
@@ -193,9 +215,10 @@ class _Plain:
                 outer, np.mean([points[-1] for _, points in members], axis=0), is_last
             )
             name = f"{stem}-edge-{number}"
-            self._add_edge(
-                name, members, (outer, inner) if is_in else (inner, outer), is_in
-            )
+            ends = (inner, outer)
+            if is_in:
+                ends = (outer, inner)
+            self._add_edge(name, members, ends, is_in)
             if number == 0:
                 for index, (lane, _) in enumerate(members):
                     self.at_junction[is_in, lane.id] = (name, index)
@@ -206,6 +229,7 @@ class _Plain:
         return names
 
     def _add_node(self, name: str, position_m: FloatArray, is_end: bool) -> None:
+        """Write a node in the coordinates of the network."""
         east, north = (position_m - self.origin_m).tolist()
         if is_end:
             kind = "dead_end"
@@ -222,43 +246,52 @@ class _Plain:
         ends: tuple[str, str],
         is_in: bool,
     ) -> None:
+        """Write an edge with its lanes, in driving direction."""
         lines = [points[::-1] if is_in else points for _, points in members]
         lanes = "".join(
             f'<lane index="{i}" width="{lane.width_m:.2f}" shape="{self.shape(line)}"/>'
             for i, ((lane, _), line) in enumerate(zip(members, lines, strict=True))
         )
+        # The edge itself lies midway between its outermost lanes.
         middle = 0.5 * (lines[0][[0, -1]] + lines[-1][[0, -1]])
+        begin, end = map(quoteattr, ends)
         self.edges.append(
-            "<edge"
-            f' id={quoteattr(name)} from={quoteattr(ends[0])} to={quoteattr(ends[1])} numLanes="{len(members)}"'
-            f' speed="{self.speed_mps:.3f}" shape="{self.shape(middle)}">{lanes}</edge>'
+            f"<edge id={quoteattr(name)} from={begin} to={end}"
+            f' numLanes="{len(members)}" speed="{self.speed_mps:.3f}"'
+            f' shape="{self.shape(middle)}">{lanes}</edge>'
         )
 
     def connect(self, junction: Junction) -> None:
         """Write the map's own lanes through the junction, where it has some."""
+        # Each pair of an entry lane and an exit lane of another arm.
         for arm in junction.arms.values():
             for entry in arm.entry_lanes:
                 for other in junction.arms.values():
-                    for leaving in other.exit_lanes if other is not arm else ():
+                    if other is arm:
+                        continue
+                    for leaving in other.exit_lanes:
                         lane = junction.connection(entry, leaving)
                         begin = self.at_junction.get((True, entry.id))
                         end = self.at_junction.get((False, leaving.id))
                         if lane is None or begin is None or end is None:
                             continue
-                        (from_edge, from_lane) = begin
-                        (to_edge, to_lane) = end
+                        from_edge, from_lane = begin
+                        to_edge, to_lane = end
+                        line = self.shape(lane.centreline_m)
                         self.connections.append(
-                            "<connection"
-                            f' from={quoteattr(from_edge)} to={quoteattr(to_edge)} fromLane="{from_lane}"'
-                            f' toLane="{to_lane}"'
-                            f' shape="{self.shape(lane.centreline_m)}"/>'
+                            f"<connection from={quoteattr(from_edge)}"
+                            f' to={quoteattr(to_edge)} fromLane="{from_lane}"'
+                            f' toLane="{to_lane}" shape="{line}"/>'
                         )
 
 
 def _piece(
     points: FloatArray, near_m: float, far_m: float, wanted_m: float
 ) -> FloatArray:
-    """The part of a line between two distances from its begin, straight on if it ends sooner."""
+    """Part of a line between two distances from its begin.
+
+    It goes straight on where the line ends sooner.
+    """
     along = along_m(points)
     inside = points[(along > near_m + 0.01) & (along < far_m - 0.01)]
     ends = points_at(points, np.array([near_m, far_m]))
@@ -276,12 +309,14 @@ def _straight_on(points: FloatArray, more_m: float) -> FloatArray:
 def _run_netconvert(
     program: str, plain: _Plain, scene: Scene, *, has_lights: bool
 ) -> str:
+    """Connect the plain files by netconvert; text of the network."""
     if has_lights:
         kind = "traffic_light"
     else:
         kind = "priority"
     outline = plain.shape(scene.outline_m)
     node = f'<node id="{JUNCTION}" x="0" y="0" type="{kind}" shape="{outline}"/>'
+    # Three plain files go in, one network comes out.
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for ending, root, lines in (
@@ -312,10 +347,14 @@ def _run_netconvert(
 def _find_ways(
     xml: str, entry: dict[str, list[str]], leaving: dict[str, list[str]], scene: Scene
 ) -> dict[str, dict[str, dict[str, str]]]:
-    """Ways through the junction by arm, turn and exit arm, from the connections of a network."""
+    """Ways through the junction by arm, turn and exit arm.
+
+    They are read from the connections of a network.
+    """
     arm_in = {edges[-1]: arm for arm, edges in entry.items()}
     arm_out = {edges[0]: arm for arm, edges in leaving.items()}
     ways: dict[str, dict[str, dict[str, str]]] = {}
+    # Each connection leads from an entry arm to an exit arm by a turn.
     for connection in re.findall(r"<connection ([^>]*)/>", xml):
         found = dict(re.findall(r'(\w+)="([^"]*)"', connection))
         arm = arm_in.get(found["from"])
@@ -353,10 +392,10 @@ class SimulatedWindows:
         to.
     """
 
-    trajectories: Trajectories  # vehicles near the junction, on the simulation's clock
-    impact_s: dict[Any, float]  # by group: when its runs end. [s]
-    n_departed: int  # vehicles that entered the network until the end
-    n_waiting: int  # those that found no room to
+    trajectories: Trajectories
+    impact_s: dict[Any, float]
+    n_departed: int
+    n_waiting: int
 
 
 def simulate_windows(
@@ -368,7 +407,7 @@ def simulate_windows(
     step_s: float,
     rng: np.random.Generator,
 ) -> SimulatedWindows:
-    """Drive traffic through a junction long enough to cut one window for each group of runs.
+    """Drive traffic long enough to cut a window for each group of runs.
 
     Parameters
     ----------
@@ -395,11 +434,13 @@ def simulate_windows(
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)
+    # Windows follow one another in random order, with random pauses.
     order = [keys[index] for index in rng.permutation(len(keys)).tolist()]
     pauses_s = rng.uniform(*demand.pause_s, size=len(order))
     now = round(demand.warm_up_s / step_s)
     windows = []
     impact_s = {}
+    # Each window is as long as the longest run of its group.
     for key, pause_s in zip(order, pauses_s.tolist(), strict=True):
         runs = groups[key]
         n_frames = max(len(run.time_s) for run in runs)
@@ -422,6 +463,7 @@ def simulate_windows(
     found = _run(
         job, network, write_routes(demand, network.ways, network.n_entry_lanes)
     )
+    # Samples become trajectories in the world frame.
     samples: FloatArray = found["samples"]
     known = {kind.actor.name: kind.actor for kind in demand.vehicles}
     bodies: tuple[Actor, ...] = tuple(known[name] for name in found["types"].tolist())
@@ -444,12 +486,14 @@ def simulate_windows(
 def _vut_drive(
     run: Run, network: RoadNetwork, *, last_step: int
 ) -> dict[str, Any] | None:
-    """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane.
+    """Drive of a run's VUT, step by step, as the child wants it.
 
-    It takes the way through the junction that leads most nearly where its path points.
+    None where it has no lane. It takes the way through the junction that leads most
+    nearly where its path points.
     """
     turns = network.ways.get(run.approach, {})
     first, last = run.vut_yaw_deg[[0, -1]].tolist()
+    # The way is the one that turns as the VUT's path does.
     turned_deg = (last - first + 180.0) % 360.0 - 180.0
     if abs(turned_deg) < 30.0:
         wanted = "straight"
@@ -461,6 +505,7 @@ def _vut_drive(
     leaving = next(iter(exits.values()), "")
     if not leaving:
         return None
+    # SUMO places vehicles by the middle of the front bumper.
     yaw = np.radians(run.vut_yaw_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
     front = (
@@ -476,7 +521,9 @@ def _vut_drive(
 
 
 def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, Any]:
+    """Run the child process on a job, and read its arrays."""
     child = Path(__file__).with_name("child.py")
+    # Job and results are files: the process shares nothing else.
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
@@ -519,12 +566,24 @@ SUMO = "sumo"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovingTraffic:
-    """Where vehicles that drive by come from."""
+    """Where vehicles that drive by come from.
 
-    name: str  # in reports
-    middle_m: FloatArray  # (2,): middle of the junction. World frame. [m]
-    demand: Demand  # what SUMO drives
-    network: RoadNetwork  # on which SUMO drives it, anew in each world
+    Attributes
+    ----------
+    name : str
+        In reports.
+    middle_m : (2,) float
+        Middle of the junction. World frame. [m]
+    demand : Demand
+        What SUMO drives.
+    network : RoadNetwork
+        On which SUMO drives it, anew in each world.
+    """
+
+    name: str
+    middle_m: FloatArray
+    demand: Demand
+    network: RoadNetwork
 
     def draw(
         self,
@@ -559,6 +618,7 @@ class MovingTraffic:
         MissingExtraError
             SUMO is not installed.
         """
+        # All groups drive in one simulation.
         members = {
             key: tuple(runs[index] for index in rows) for key, rows in groups.items()
         }
@@ -575,6 +635,7 @@ class MovingTraffic:
             for key, rows in groups.items()
             for last_s in {float(runs[row].time_s[-1]) for row in rows}
         }
+        # Runs that end at the same moment share a window.
         for (key, _), rows in together.items():
             longest = max((runs[row] for row in rows), key=lambda run: len(run.time_s))
             time_s = longest.time_s + found.impact_s[key]
@@ -608,14 +669,19 @@ def _driving_by(
     in_parked: Sequence[BoolArray],
     clearance_m: float,
 ) -> tuple[tuple[MovingActor, ...], int]:
-    """Vehicles of a window that drive by in a run, and how many are left out of it."""
+    """Vehicles of a window that drive by in a run.
+
+    The second value says how many are left out.
+    """
     n_frames = len(run.time_s)
+    # Vehicles that are in the frames of the run at all.
     near = [
         (body, bool(stands_in[-n_frames:].any()))
         for whole, stands_in in zip(window, in_parked, strict=True)
         if (body := last_frames(whole, n_frames)) is not None
     ]
     meets = meets_road_users(run, [body for body, _ in near], clearance_m=clearance_m)
+    # Who stands in something parked, or is in the way, is left out.
     bodies = tuple(
         body
         for (body, is_in_parked), is_met in zip(near, meets, strict=True)
@@ -625,14 +691,18 @@ def _driving_by(
 
 
 def load_traffic(source: str, scene: Scene) -> MovingTraffic:
-    """Vehicles that drive by, as a question names them: "sumo", or a .toml file of demand for it.
+    """Vehicles that drive by, as a question names them.
 
-    Raises InputError if it is not what it should be; MissingExtraError without SUMO.
+    The name is "sumo", or a .toml file of demand for it. Raises InputError if it is
+    not what it should be; MissingExtraError without SUMO.
     """
     path = Path(source)
     if source != SUMO and path.suffix.lower() != ".toml":
         raise InputError("traffic", source, f"{SUMO}, or a .toml file of demand for it")
-    demand = load_demand(None if source == SUMO else path)
+    if source == SUMO:
+        demand = load_demand()
+    else:
+        demand = load_demand(path)
     if importlib.util.find_spec("libsumo") is None:
         raise missing_sumo()
     network = build_network(

@@ -1,4 +1,4 @@
-"""Where vehicles are at what time, and windows of it: what drives by while a run lasts."""
+"""Trajectories of vehicles, and the windows that runs cut of them."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -13,9 +13,8 @@ from geometry.files import says
 from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
-_GAP_STEPS = (
-    1.5  # a vehicle that is away for longer than so many steps has left and come back
-)
+# A vehicle that is away for longer than so many steps has left and come back.
+_GAP_STEPS = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,15 +39,12 @@ class Trajectories:
         From when to when traffic is known. [s]
     """
 
-    bodies: tuple[Actor, ...]  # one per vehicle
-    # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
+    bodies: tuple[Actor, ...]
     row_start: IntArray
-    time_s: FloatArray  # (n_rows,): on any clock. [s]
-    position_m: FloatArray  # (n_rows, 2): middle of the footprint. World frame. [m]
-    # (n_rows,): without jumps of a full turn from one to the next. [deg]
+    time_s: FloatArray
+    position_m: FloatArray
     yaw_deg: FloatArray
-    step_s: float  # from sample to sample. [s]
-    # first_s, last_s: from when to when traffic is known. [s]
+    step_s: float
     first_s: float
     last_s: float
 
@@ -68,9 +64,10 @@ class Trajectories:
         return np.flatnonzero((begin <= last_s) & (end >= first_s))
 
     def at(self, vehicle: int, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position (n, 2) and yaw (n,) of a vehicle at any times (n,), between samples linearly.
+        """Position (n, 2) and yaw (n,) of a vehicle at times (n,).
 
-        Not a number before it comes, after it has left, and while it is away.
+        Between samples they are linear. Not a number before it comes, after it has
+        left, and while it is away.
         """
         rows = slice(int(self.row_start[vehicle]), int(self.row_start[vehicle + 1]))
         known_s = self.time_s[rows]
@@ -80,6 +77,7 @@ class Trajectories:
             np.interp(clipped, known_s, column)
             for column in (*self.position_m[rows].T, self.yaw_deg[rows])
         ]
+        # A vehicle is away where its neighbouring samples are far apart.
         after = np.clip(
             np.searchsorted(known_s, time_s - tolerance_s), 0, len(known_s) - 1
         )
@@ -122,6 +120,7 @@ def build_trajectories(
     span_s : (float, float)
         From when to when traffic is known. [s]
     """
+    # Sort by vehicle, then by time.
     order = np.lexsort((time_s, vehicle))
     vehicle = vehicle[order]
     time_s = time_s[order]
@@ -133,7 +132,9 @@ def build_trajectories(
         half_m = 0.5 * np.array([body.length_m for body in bodies])[vehicle]
     else:
         half_m = yaw
+    # From the front bumper back to the middle of the body.
     position = front_m - half_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    # Yaws of a vehicle go on without jumps of a full turn.
     unwrapped = yaw.copy()
     for first, end in pairwise(row_start.tolist()):
         unwrapped[first:end] = np.unwrap(yaw[first:end])
@@ -150,8 +151,10 @@ def build_trajectories(
 
 
 # ---------- windows
-REACH_M = 100.0  # vehicles farther than this from the middle of the junction are cut
-_TOGETHER_M = 1.0e-3  # bodies nearer than this stand in one another
+# Vehicles farther than this from the middle of the junction are cut.
+REACH_M = 100.0
+# Bodies nearer than this stand in one another.
+_TOGETHER_M = 1.0e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +185,8 @@ class TrafficCount:
         return text
 
 
-NO_TRAFFIC = TrafficCount()  # nobody drives by
+# Nobody drives by.
+NO_TRAFFIC = TrafficCount()
 
 
 def cut_window(
@@ -206,11 +210,13 @@ def cut_window(
         Frames in which a vehicle is farther away are cut; so is who is never near. [m]
     """
     bodies = []
+    # Frames out of reach are NaN; vehicles that are never near are left out.
     for vehicle in trajectories.between(float(time_s[0]), float(time_s[-1])).tolist():
         position, yaw = trajectories.at(vehicle, time_s)
         away = ~(np.hypot(*(position - middle_m).T) <= reach_m)
         if not away.all():
-            position[away], yaw[away] = np.nan, np.nan
+            position[away] = np.nan
+            yaw[away] = np.nan
             bodies.append(
                 MovingActor(
                     actor=trajectories.bodies[vehicle], position_m=position, yaw_deg=yaw
@@ -234,14 +240,16 @@ def last_frames(body: MovingActor, n_frames: int) -> MovingActor | None:
 def frames_in_parked(
     window: Sequence[MovingActor], parked: Sequence[PlacedActor]
 ) -> tuple[BoolArray, ...]:
-    """Frames in which each vehicle of a window, at least one, stands in something parked.
+    """Frames in which vehicles stand in something parked.
 
-    Raises ValueError where vehicles have different numbers of frames.
+    The window has at least one vehicle; each has (n_frames,) bool. Raises
+    ValueError where vehicles have different numbers of frames.
     """
     position = np.stack([body.position_m for body in window])
     yaw = np.stack([body.yaw_deg for body in window])
     reach_m = np.array([_reach_m(body.actor) for body in window])
     is_in = np.zeros(yaw.shape, dtype=bool)
+    # Circles around the bodies sort out most frames.
     for placed in parked:
         offset = position - placed.pose.position_m[:2]
         near = np.hypot(*np.moveaxis(offset, -1, 0)) <= reach_m[:, None] + _reach_m(
@@ -262,9 +270,10 @@ def frames_in_parked(
 def meets_road_users(
     run: Run, traffic: Sequence[MovingActor], *, clearance_m: float
 ) -> tuple[bool, ...]:
-    """Which vehicles come nearer than the clearance to the VUT or the VRU before the impact.
+    """True for vehicles that come too near to the VUT or the VRU.
 
-    In any frame of the run, or midway between two.
+    That is nearer than the clearance, before the impact. In any frame of the run,
+    or midway between two.
     """
     if not traffic:
         return ()
@@ -274,6 +283,7 @@ def meets_road_users(
     )
     reach_m = np.array([_reach_m(body.actor) for body in traffic])
     meets = np.zeros(len(traffic), dtype=bool)
+    # The VUT, then the VRU.
     for actor, own_m, own_yaw_deg in (
         (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
         (run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
@@ -297,7 +307,10 @@ def meets_road_users(
 def _twice(
     position_m: FloatArray, yaw_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Frames, and the moments midway between them: (..., n, 2), (..., n) -> (..., 2 n - 1, ..)."""
+    """Frames, and the moments midway between them.
+
+    Shapes are (..., n, 2) and (..., n) -> (..., 2 n - 1, 2) and (..., 2 n - 1).
+    """
     turn_deg = (np.diff(yaw_deg, axis=-1) + 180.0) % 360.0 - 180.0
     midway_m = 0.5 * (position_m[..., 1:, :] + position_m[..., :-1, :])
     return (
