@@ -34,7 +34,7 @@ from .frames import from_gltf_points, parse_crs, to_gltf_points
 from .notes import Note
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
-from .untrusted_files import NoFiles, check_gltf, refuse_bomb
+from .untrusted_files import check_gltf, mesh_resolver, refuse_bomb
 
 FORMAT, VERSION = "place-rsus scene", 1
 SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
@@ -164,8 +164,10 @@ def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ())
 
 def load_scene_folder(path: Path) -> Scene:
     """Read a scene that :func:`save_scene` has written, or the same as a .zip; or InputError."""
+    where = f"{path}/{SCENE_FILE}"
     with _as_folder(path) as folder:
-        table, where = _read_scene_file(folder, shown=path), f"{path}/{SCENE_FILE}"
+        with _named(path):
+            table = _read_scene_file(folder, shown=path)
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
     bodies = []
     for index, thing in enumerate(table.things):
@@ -183,12 +185,25 @@ def load_scene_folder(path: Path) -> Scene:
     fields = structs.asdict(table)
     for name in ("crosswalks", "things", "skipped"):  # these have other forms in a scene
         del fields[name]
-    return Scene(
-        **fields,
-        **join_bodies(bodies),
-        crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
-        notes=table.skipped,
-    )
+    with _named(path):
+        return Scene(
+            **fields,
+            **join_bodies(bodies),
+            crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
+            notes=table.skipped,
+        )
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Put a scene's file before the place of what is refused within, where it is not there yet."""
+    try:
+        yield
+    except InputError as error:
+        if error.where.startswith(str(path)):
+            raise
+        where = f"{path}/{SCENE_FILE}: {error.where}"
+        raise InputError(where, error.got, error.expected) from None
 
 
 def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
@@ -299,7 +314,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
         check_gltf(path)  # a header that claims more would be given memory
-        options = {"resolver": NoFiles(shown), "skip_materials": True, "process": False}
+        resolver = mesh_resolver(path, where=shown)
+        options = {"resolver": resolver, "skip_materials": True, "process": False}
         with open_file(path) as file:
             loaded = trimesh.load_scene(file, file_type="glb", **options)
         meshes = {

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geometry.files import is_about
+
 from ..parts import Part
 from . import options
 from .running import Call, unwritable
@@ -84,7 +86,7 @@ def solve(
             **asked,
         )
     except OSError as error:
-        if out is None:
+        if out is None or not is_about(error, out):
             raise
         raise unwritable(out, error) from None
     call.print(summary, lambda: solution_text(summary))

@@ -20,8 +20,6 @@ from ..files import Progress, check_file, load_data, open_file, read_text, silen
 from ..junction import build_junction
 from ..notes import Note
 from ..scene import (
-    MAX_COORDINATE_M,
-    MAX_LINE_POINTS,
     Instance,
     Lane,
     Scene,
@@ -31,6 +29,7 @@ from ..scene import (
     join_bodies,
 )
 from ..scene_checks import arms_that_end
+from ..sensors import load_limits
 from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
@@ -246,9 +245,11 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         position = transform(position, source.crs, source.source_crs)
     # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
     near = []
+    limits = load_limits()
     for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
         whole_m = lane.centreline_m[:, :2] - middle
-        line_m = whole_m[(np.abs(whole_m) <= MAX_COORDINATE_M).all(axis=1)][:MAX_LINE_POINTS]
+        is_near = (np.abs(whole_m) <= limits.coordinate_m).all(axis=1)
+        line_m = whole_m[is_near][: limits.line_points]
         if len(line_m) < 2 or not is_lane_width(lane.width_m):
             continue
         near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
