@@ -188,7 +188,7 @@ class Lane:
     # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
     # the start of another; or "assumed": straight on from beyond the map to the start of one
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: float  # full width, see :func:`is_lane_width`
+    width_m: Annotated[float, Meta(gt=0.0)]  # full width, see :func:`is_lane_width`
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
