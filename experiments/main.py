@@ -39,7 +39,14 @@ _SHELLS = ("bash", "zsh", "fish")
 _COMPLETE_VARIABLE = "_PLACE_RSUS_COMPLETE"
 
 
-@click.command(epilog=options.EXAMPLES["completion"])
+_COMPLETION_EXAMPLES = """\b
+Examples:
+  eval "$(place-rsus completion bash)"                      in ~/.bashrc
+  eval "$(place-rsus completion zsh)"                       in ~/.zshrc
+  place-rsus completion fish > ~/.config/fish/completions/place-rsus.fish"""
+
+
+@click.command(epilog=_COMPLETION_EXAMPLES)
 @click.argument("shell", type=click.Choice(_SHELLS))
 @click.pass_context
 def completion(context: click.Context, *, shell: str) -> None:

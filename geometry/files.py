@@ -242,14 +242,52 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
 
+class _RepeatedKeyError(ValueError):
+    """An object of a JSON text has a key twice."""
+
+
 def parse_json(text: str | bytes, where: str, what: str) -> Any:
-    """JSON as plain values. Raises InputError: it is none, or `what` it is nested too deep for."""
+    """JSON as plain values; the only reader of JSON that others have written.
+
+    An object with a key twice is refused: programs differ in which of the two values they take, so
+    that such a file says one thing to the program that checks it and another to the next one.
+
+    Parameters
+    ----------
+    text : str or bytes
+        The whole document; bytes are UTF-8.
+    where : str
+        The file, for messages.
+    what : str
+        What is expected, for the message about JSON that is nested too deep.
+
+    Raises
+    ------
+    InputError
+        The text is no JSON in UTF-8, is nested too deep, or has a key twice.
+    """
     try:
-        return json.loads(text)
+        if isinstance(text, bytes):
+            text = text.decode("utf-8-sig")
+        return json.loads(text, object_pairs_hook=_object_of)
     except RecursionError:
         raise InputError(where, Unquoted("JSON nested too deep"), what) from None
+    except _RepeatedKeyError as error:
+        raise InputError(where, Unquoted(error), "every key of an object once") from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
+
+
+def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of its keys and values. Raises _RepeatedKeyError: it has a key twice."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        for key, _ in pairs:
+            if key in seen:
+                raise _RepeatedKeyError(f"the key {json.dumps(key[:60])} twice")
+            seen.add(key)
+    return found
 
 
 def float_of(value: Any) -> float:

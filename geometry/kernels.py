@@ -1,63 +1,92 @@
-"""Numba kernels: the compiler for loops over numbers, and the cache of what it compiled before.
+"""Numba kernels: loops over numbers, compiled when they are first called.
 
-The code is cached in a folder of the user alone, where anything may happen to it: a file that is
-damaged or somebody else's, or a full disk costs the time to compile, and never more. Where the
-user's cache is no such folder, a private temporary one takes its place. Loading numba takes half a
-second: modules that hold kernels are imported by the function that calls them, when it is called.
+``numba.njit(cache=True)`` compiles a kernel that is called from Python. One that another kernel
+calls becomes part of that one's machine code, by ``numba.extending.overload``. Numba writes its
+cache into a folder of this process alone; from there all files of a kernel go into a single one in
+the user's cache, under a hash. What is damaged, stale or somebody else's is never run, and a full
+disk costs the time to compile, and no more.
+
+Loading numba takes half a second: the function that calls a kernel imports its module.
 """
 
+import atexit
 import hashlib
-import io
 import logging
 import os
-import pickle
+import shutil
+import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import cache
+from collections.abc import Callable
+from contextlib import ExitStack
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import msgspec
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core import event
+from numba.extending import overload
 
 from .clock import stand_still_s
 from .files import (
+    is_abandoned,
+    lock_while_alive,
     open_own,
     private_temporary_folder,
     trouble_with,
     user_cache_folder,
-    writable_by_others,
     write_atomically,
 )
 
 F = TypeVar("F", bound=Callable[..., Any])
+Files = dict[str, bytes]  # what numba cached of a kernel: content by path below its folder
 _log = logging.getLogger(__name__)
-_begun_s: list[float] = []  # compiling one function may begin with others that it calls
+_OPTIONS = {"nogil": True, "error_model": "numpy"}
+_HASH_SIZE = 32
+_SUFFIX = ".kernel"
+_RUNNING = "running-"  # begins the names of folders of single processes
 
 
 def kernel(function: F) -> F:
-    """Compile a function of numbers and arrays when it is first called; it then runs in any thread.
+    """Compile a function of numbers and arrays on its first call.
 
-    Kernels may call kernels of the same file, and of files ``*_kernels.py`` next to it. Division by
-    zero gives infinity or NaN, as in numpy. The machine code is cached for the next process.
+    It runs in any thread. Kernels may call kernels of the same file, and of files ``*_kernels.py``
+    next to it. Division by zero gives infinity or NaN, as in numpy. The machine code is cached for
+    the next process.
     """
-    numba.config.CACHE_DIR = str(compiled_folder())
-    compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-    compiled._cache = _Cached(function)
-    of_types = compiled.get_call_template
+    on_disk = _OnDisk(function)
 
-    def of_any_number(args: Sequence[Any], kws: dict[str, Any]) -> Any:
-        """Template that treats literal numbers in a call as any others: one compiled version."""
-        return of_types([numba.types.unliteral(arg) for arg in args], kws)
+    @wraps(function)
+    def call(*args: Any) -> Any:
+        compiled = on_disk.compiled or on_disk.load()
+        try:
+            result = compiled(*args)
+        except OSError as error:  # numba compiled it, but could not write what it cached
+            on_disk.tell_not_cached(error)
+            on_disk.compiled = numba.njit(**_OPTIONS)(function)
+            return on_disk.compiled(*args)
+        if _compiling.is_anything_new:
+            _compiling.is_anything_new = False
+            on_disk.save()
+        return result
 
-    compiled.get_call_template = of_any_number
-    return cast(F, compiled)
+    @overload(call, jit_options=_OPTIONS, strict=False)  # type: ignore[untyped-decorator]
+    def implement(*args: Any) -> Callable[..., Any]:
+        """Function that other kernels compile into themselves, where they call this one."""
+        return function
+
+    call.on_disk = on_disk  # type: ignore[attr-defined]
+    return cast(F, call)
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """True if machine code of a kernel is cached, for whatever types."""
-    return cast(bool, cast(Any, function)._cache.has_any)
+    """True if a kernel's machine code is cached, for whatever types."""
+    on_disk: _OnDisk = cast(Any, function).on_disk
+    try:
+        return on_disk.read() is not None
+    except (OSError, ValueError):
+        return False
 
 
 @cache
@@ -66,98 +95,180 @@ def compiled_folder() -> Path:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     folder = Path(chosen) if chosen else user_cache_folder() / "compiled"
     trouble = trouble_with(folder)
-    if not trouble and any(map(writable_by_others, folder.iterdir())):
-        trouble = "holds folders of other users"
     if trouble:
-        unusable, folder = folder, private_temporary_folder()
+        unusable = folder
+        folder = private_temporary_folder()
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
         _tell_once(f"compiled code is cached in {folder}: {unusable} {trouble}")
     return folder
 
 
-class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Files whose content is used only if it is what was written: damaged code would run."""
+# ---------- one file a kernel
+class _OnDisk:
+    """A kernel's machine code, and the file that holds it for the next process.
 
-    def _dump(self, content: Any) -> bytes:
-        data = cast(bytes, super()._dump(content))
-        return hashlib.blake2b(data).digest() + data
-
-    def _load_data(self, name: str) -> Any:
-        with open_own(Path(self._data_path(name))) as file:
-            return pickle.loads(_checked(file.read()))
-
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            with open_own(Path(self._index_path)) as file:
-                version, data = pickle.load(file), file.read()
-        except FileNotFoundError:
-            return {}
-        if version != self._version:
-            return {}
-        stamp, names = pickle.loads(_checked(data))
-        return cast(dict[Any, str], names) if stamp == self._source_stamp else {}
-
-    @contextmanager
-    def _open_for_write(self, path: str) -> Iterator[io.BytesIO]:
-        content = io.BytesIO()
-        yield content
-        write_atomically(Path(path), lambda file: file.write(content.getvalue()), is_private=True)
-
-
-def _checked(content: bytes) -> bytes:
-    size = hashlib.blake2b().digest_size
-    if hashlib.blake2b(content[size:]).digest() != content[:size]:
-        raise ValueError("not what was written")
-    return content[size:]
-
-
-class _Cached(FunctionCache):  # type: ignore[misc]
-    """A function's machine code on disk, or what it takes to do without."""
+    The file begins with a hash of the source code and one of the content, which are the files that
+    numba made, by name.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        beside = Path(function.__code__.co_filename).parent.glob("*_kernels.py")
-        stats = [(file.name, file.stat()) for file in sorted(beside)]  # they may call one another
-        stamps = [(name, found.st_mtime_ns, found.st_size) for name, found in stats]
-        self._cache_file: IndexDataCacheFile = _CheckedFile(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=(self._impl.locator.get_source_stamp(), *stamps),
-        )
+        self.compiled: Callable[..., Any] | None = None
+        self._function = function
+        self._source = Path(function.__code__.co_filename)
+        # Numba's files; None where there was no folder for them.
+        self._folder: Path | None = None
+        self._lock = threading.Lock()
 
     @property
-    def has_any(self) -> bool:
-        """True if there is code of any signature; a damaged index has none."""
-        try:
-            return bool(self._cache_file._load_index())
-        except Exception:  # damaged pickles raise anything
-            return False
+    def path(self) -> Path:
+        """The file, whose name tells apart kernels of the same name in other places."""
+        place = hashlib.blake2b(str(self._source).encode(), digest_size=8).hexdigest()
+        name = f"{self._source.stem}.{self._function.__qualname__}-{place}{_SUFFIX}"
+        return compiled_folder() / name
 
-    def load_overload(self, signature: Any, target_context: Any) -> Any:
-        """Code of a signature; None where there is none, or none that can be used."""
+    def load(self) -> Callable[..., Any]:
+        """The function for numba to compile, or to load from what was cached before."""
+        with self._lock:
+            if self.compiled is None:
+                self.compiled = self._build()
+            return self.compiled
+
+    def _build(self) -> Callable[..., Any]:
         try:
-            found = super().load_overload(signature, target_context)
-        except Exception as error:  # damaged pickles raise anything
+            self._folder = Path(tempfile.mkdtemp(dir=_running_folder(os.getpid())))
+            self._unpack(self._folder)
+        except OSError as error:
+            self.tell_not_cached(error)
+            compiled = numba.njit(**_OPTIONS)(self._function)
+        else:
+            with _settings:  # numba looks where to cache when it makes the function
+                usual = numba.config.CACHE_DIR
+                numba.config.CACHE_DIR = str(self._folder)
+                compiled = numba.njit(cache=True, **_OPTIONS)(self._function)
+                numba.config.CACHE_DIR = usual
+        return cast(Callable[..., Any], compiled)
+
+    def _unpack(self, folder: Path) -> None:
+        """Give numba the files that an earlier process cached, unless they are damaged."""
+        try:
+            found = self.read()
+        except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             _tell_once(f"cached machine code not used, made anew: {reason}")
-            with suppress(OSError):
-                self.flush()
-            found = None
-        if found is None:
-            _tell_once("compiling for this machine, once: some seconds")
-            _begun_s.append(time.monotonic())
-        return found
+            return
+        for name, content in (found or {}).items():
+            path = folder / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(content)
 
-    def save_overload(self, signature: Any, data: Any) -> None:
-        """Cache code, or say why not."""
-        began_s = _begun_s.pop()
-        if not _begun_s:  # the compiler, which works for one thread at a time, has no time limit
-            stand_still_s(time.monotonic() - began_s)
+    def read(self) -> Files | None:
+        """What numba cached; None if nothing, or of other source code.
+
+        Raises ValueError if the file is damaged, OSError if it cannot be read or others may have
+        written it.
+        """
         try:
-            super().save_overload(signature, data)
-        except Exception as error:  # a disk that is full, a folder that went, a damaged index
-            reason = getattr(error, "strerror", None) or error
-            _tell_once(f"machine code not cached: {compiled_folder()}: {reason}")
+            with open_own(self.path) as file:
+                stored = file.read()
+        except FileNotFoundError:
+            return None
+        sources = _hash_of_sources(self._source)
+        if stored[:_HASH_SIZE] != sources:
+            if len(stored) < 2 * _HASH_SIZE:
+                raise ValueError("not what was written")
+            return None
+        content = stored[2 * _HASH_SIZE :]
+        if _hash_of(content) != stored[_HASH_SIZE : 2 * _HASH_SIZE]:
+            raise ValueError("not what was written")
+        return msgspec.msgpack.decode(content, type=Files)
+
+    def save(self) -> None:
+        """Write what numba has cached by now, whole or not at all; or say why not."""
+        if self._folder is None:
+            return
+        try:
+            found = {
+                str(path.relative_to(self._folder)): path.read_bytes()
+                for path in self._folder.rglob("*.nb[ic]")
+            }
+            content = msgspec.msgpack.encode(found)
+            stored = _hash_of_sources(self._source) + _hash_of(content) + content
+            write_atomically(self.path, lambda file: file.write(stored), is_private=True)
+        except OSError as error:
+            self.tell_not_cached(error)
+
+    def tell_not_cached(self, error: OSError) -> None:
+        """Log that there is nothing for the next process, and why."""
+        _tell_once(f"machine code not cached: {compiled_folder()}: {error.strerror or error}")
+
+
+_settings = threading.Lock()
+
+
+def _hash_of(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=_HASH_SIZE).digest()
+
+
+@cache
+def _hash_of_sources(path: Path) -> bytes:
+    """Hash of a file and of the kernels next to it: they may call one another."""
+    digest = hashlib.blake2b(digest_size=_HASH_SIZE)
+    for source in (path, *sorted(path.parent.glob("*_kernels.py"))):
+        content = source.read_bytes()
+        digest.update(f"{source.name}\0{len(content)}\0".encode() + content)
+    return digest.digest()
+
+
+@cache
+def _running_folder(process_id: int) -> Path:
+    """Folder of this process alone, removed at its end, or by a later one if it was killed."""
+    for left in compiled_folder().glob(f"{_RUNNING}*"):
+        if is_abandoned(left):
+            shutil.rmtree(left, ignore_errors=True)
+    folder = Path(tempfile.mkdtemp(prefix=_RUNNING, dir=compiled_folder()))
+    held = ExitStack()
+    held.enter_context(lock_while_alive(folder))
+
+    def remove() -> None:
+        held.close()
+        if os.getpid() == process_id:  # else a copy of that process ends
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    return folder
+
+
+# ---------- what numba tells while it compiles
+class _Compiling(threading.local):
+    """What the calling thread has compiled."""
+
+    is_anything_new = False  # since a kernel was last saved
+    depth = 0  # compiling one function may begin with others that it calls
+    begun_s = 0.0
+
+
+_compiling = _Compiling()
+
+
+class _Listener(event.Listener):  # type: ignore[misc]
+    """Says that kernels are compiled, and stops the clock of time limits meanwhile."""
+
+    def on_start(self, found: event.Event) -> None:
+        """A function begins to be compiled."""
+        if _compiling.depth == 0:
+            _tell_once("compiling for this machine, once: some seconds")
+            _compiling.begun_s = time.monotonic()
+        _compiling.depth += 1
+
+    def on_end(self, found: event.Event) -> None:
+        """It was compiled; numba caches it next."""
+        _compiling.depth -= 1
+        _compiling.is_anything_new = True
+        if _compiling.depth == 0:
+            stand_still_s(time.monotonic() - _compiling.begun_s)
+
+
+event.register("numba:compile", _Listener())
 
 
 @cache

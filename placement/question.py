@@ -6,6 +6,7 @@ Imports nothing heavy.
 import math
 import re
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from inspect import Parameter, Signature, cleandoc
@@ -215,16 +216,46 @@ def load_question_values(path: Path) -> dict[str, Any]:
 
     Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
     """
+    return _read_values(load_toml(path), str(path))
+
+
+def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Values of a question file's table, by the names of the fields; or InputError."""
     known = {field.key: field for field in question_fields().values()}
     values = {}
-    for key, value in load_toml(path).items():
+    for key, value in table.items():
         if key not in known:
-            raise InputError(str(path), key, "one of " + ", ".join(known))
+            raise InputError(where, key, "one of " + ", ".join(known))
         field = known[key]
         if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
             value = str(value)
-        values[field.name] = _check_value(field, value, f"{path}: {key}")
+        values[field.name] = _check_value(field, value, f"{where}: {key}")
     return values
+
+
+_ENDLESS = "inf"  # JSON has no infinity
+
+
+def question_values(question: Question) -> dict[str, Any]:
+    """What a question gives beyond the defaults, by the keys of a question file, for JSON."""
+    values = {}
+    for field in question_fields().values():
+        value = getattr(question, field.name)
+        if value != field.default:
+            values[field.key] = _ENDLESS if value == math.inf else value
+    return values
+
+
+def read_question(values: Mapping[str, Any], where: str) -> Question:
+    """The question whose :func:`question_values` these are.
+
+    Raises InputError: a key is unknown, or a value cannot be.
+    """
+    table = dict(values)
+    for key, value in table.items():
+        if value == _ENDLESS:
+            table[key] = math.inf
+    return Question(**_read_values(table, where))
 
 
 def _check_value(field: QuestionField, value: Any, where: str) -> Any:

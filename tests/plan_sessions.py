@@ -6,9 +6,10 @@ import threading
 import pytest
 from small_results import build_small_grid
 
-from experiments.planner.plan import Plan
+from experiments.planner.plan_files import Plan
 from experiments.planner.session import Session
-from experiments.planner.tasks import Cancelled, TaskError, Tasks, Work
+from experiments.planner.tasks import Tasks, Work
+from experiments.planner.worker import Cancelled, TaskError
 from experiments.scene import cause_of
 from geometry.errors import InputError
 from placement import candidates as poses

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from geometry.arrays import BoolArray
+from geometry.arrays import BoolArray, FloatArray
 from placement.detection_table import pack_table
 from placement.optimiser import Floor, Limits, PlacementProblem
 from scenarios.aeb import AebRule
@@ -126,16 +126,21 @@ def random_sight(rng: np.random.Generator, axis: FrameAxis) -> BoolArray:
 
 
 def random_problem(rng: np.random.Generator) -> PlacementProblem:
-    """Up to 14 poses, 3 units and 6 runs, with any wishes; many cannot be met."""
+    """Up to 14 poses, 3 units and 7 runs, with any wishes; many cannot be met."""
     axis = random_axis(rng)
     n_poses = int(rng.choice([1, 2, 3, 4, 5, 6, 7, 8, 10, 14]))
     n_sites = int(rng.integers(1, n_poses + 1))
     site_index = rng.integers(n_sites, size=n_poses)
-    detected = rng.random((n_poses, axis.n_frames)) < rng.choice([0.25, 0.5, 0.8, 0.95])
+    seen_by_vut = random_sight(rng, axis) if rng.random() < 0.4 else None
+    detected = random_detections(rng, axis, n_poses, seen_by_vut)
     sample_index = rng.integers(0, rng.integers(2, 4), axis.n_runs)
-    is_sampled = rng.random() < 0.4 and (np.bincount(sample_index, weights=axis.weight) > 0.0).all()
+    weight_of_worlds = np.bincount(sample_index, weights=axis.weight)
+    is_sampled = rng.random() < 0.5 and bool((weight_of_worlds > 0.0).all())
+    tail = float(rng.choice([1.0, 0.5, 0.3, 0.1])) if is_sampled else 1.0
     n_failures = int(rng.choice([0, 0, 1, 2, 3]))
     floors = random_floors(rng, axis, n_failures)
+    goal = rng.choice(["best", "fewest", "cheapest"]).item() if floors else "best"
+    survive = n_failures if not floors and rng.random() < 0.5 else 0
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
         limits=random_limits(rng, site_index, n_sites),
@@ -148,43 +153,120 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
             track_memory_s=float(rng.choice([0.1, 0.2, 0.3, 0.5, np.inf])),
         ),
         floors=floors,
-        goal=rng.choice(["best", "fewest", "cheapest"]).item() if floors else "best",
-        survive=n_failures if not floors and rng.random() < 0.5 else 0,
+        goal=goal,
+        survive=survive,
         sample_index=sample_index if is_sampled else None,
-        tail=float(rng.choice([1.0, 0.5, 0.3, 0.1])) if is_sampled else 1.0,
-        seen_by_vut=random_sight(rng, axis) if rng.random() < 0.4 else None,
+        tail=tail,
+        seen_by_vut=seen_by_vut,
     )
 
 
+def random_detections(
+    rng: np.random.Generator,
+    axis: FrameAxis,
+    n_poses: int,
+    seen_by_vut: BoolArray | None,
+) -> BoolArray:
+    """What poses detect, (n_poses, n_frames): some add nothing, others less than another."""
+    share = rng.choice([0.25, 0.5, 0.8, 0.95])
+    detected = rng.random((n_poses, axis.n_frames)) < share
+    seen = np.zeros(axis.n_frames, dtype=bool) if seen_by_vut is None else seen_by_vut
+    if rng.random() < 0.5:
+        adds_nothing = rng.random(n_poses) < 0.4
+        detected[adds_nothing] &= seen
+    if n_poses > 1 and rng.random() < 0.5:
+        for pose in np.flatnonzero(rng.random(n_poses) < 0.4):
+            detected[pose] &= detected[rng.integers(n_poses)]
+    return detected
+
+
+def kinds_of(problem: PlacementProblem) -> frozenset[str]:
+    """Names of what makes a problem hard, by which the draw is counted."""
+    limits, axis = problem.limits, problem.table.axis
+    seen = problem.seen_by_vut
+    detected = problem.table.detected(list(range(problem.table.n_poses)))
+    if seen is not None:
+        detected = detected & ~seen
+    adds_nothing = bool((~detected.any(axis=1)).any())
+    has_levels = len(set(axis.run_ids)) < axis.n_runs
+    weight = axis.weight[axis.weight > 0.0]
+    is_tail = problem.tail < 1.0
+    is_forced_site = bool(limits.is_forced_site.any())
+    has_case_floor = any(floor.is_counted is not None for floor in problem.floors)
+    kinds = {
+        "tail": is_tail,
+        "pose adds nothing": adds_nothing,
+        "tail, pose adds nothing": is_tail and adds_nothing,
+        "tail, pose adds nothing to a car that sees": is_tail and adds_nothing and seen is not None,
+        "tiny weight": bool((weight < 1.0e-8).any()),
+        "levels": has_levels,
+        "car sees": seen is not None,
+        "single": problem.fusion == "single",
+        "money": limits.budget_eur is not None,
+        "forced pose": bool(limits.is_forced.any()),
+        "forced site": is_forced_site,
+        "rivals": len(limits.rivals) > 0,
+        "floor": bool(problem.floors),
+        "floor of a case": has_case_floor,
+        "survive": problem.survive > 0,
+        "sites fail": limits.failing == "site",
+        "fewest": problem.goal == "fewest",
+        "cheapest": problem.goal == "cheapest",
+    }
+    return frozenset(name for name, is_of_kind in kinds.items() if is_of_kind)
+
+
 def random_axis(rng: np.random.Generator) -> FrameAxis:
-    """Runs with deadlines and weights of any kind: whole, any, of many magnitudes, zero."""
+    """Runs with deadlines and weights of any kind: whole, any, tiny, zero; some in levels."""
     n_runs = int(rng.integers(1, 7))
     n_frames = rng.integers(1, 10, n_runs)
-    kind = rng.choice(["alike", "whole", "any", "magnitudes"])
-    weight = {
-        "alike": np.ones(n_runs),
-        "whole": rng.integers(1, 4, n_runs).astype(np.float64),
-        "any": rng.random(n_runs) + 0.01,
-        "magnitudes": 10.0 ** -rng.integers(0, 9, n_runs),
-    }[kind.item()]
-    weight[rng.random(n_runs) < rng.choice([0.0, 0.2, 0.5])] = 0.0
-    weight[rng.integers(n_runs)] += 1.0
     last_brake_s = rng.choice([-0.01, -0.125, -0.325, -0.5, -np.inf], n_runs)
     last_brake_s -= rng.random(n_runs) * rng.choice([0.0, 0.2])
     ends_s = rng.choice([0.0, 0.05], n_runs)
+    weight = random_weights(rng, n_runs)
+    time_s = [
+        np.arange(1 - count, 1) / 10.0 - end_s
+        for count, end_s in zip(n_frames, ends_s, strict=True)
+    ]
+    run_ids = list(map(str, range(n_runs)))
+    if rng.random() < 0.15:  # levels: a run again, with a later deadline
+        level = int(rng.integers(n_runs))
+        run_ids.append(run_ids[level])
+        time_s.append(time_s[level])
+        weight = np.append(weight, rng.choice([1.0, 0.25]) * weight[level])
+        later_s = min(last_brake_s[level] + 0.1, 0.0)
+        last_brake_s = np.append(last_brake_s, later_s)
+        n_runs += 1
+    run_start = np.cumsum([0, *(len(times) for times in time_s)])
     return FrameAxis(
-        run_ids=tuple(map(str, range(n_runs))),
+        run_ids=tuple(run_ids),
         cases=("CPNA-50",) * n_runs,
         approaches=("north",) * n_runs,
         weathers=("day",) * n_runs,
         vut_speed_kmh=np.full(n_runs, 30.0),
         weight=weight / weight.sum(),
         last_brake_time_s=last_brake_s,
-        run_start=np.cumsum([0, *n_frames]),
-        time_s=np.concatenate(
-            [np.arange(1 - n, 1) / 10.0 - end_s for n, end_s in zip(n_frames, ends_s, strict=True)]
-        ),
+        run_start=run_start,
+        time_s=np.concatenate(time_s),
     )
+
+
+def random_weights(rng: np.random.Generator, n_runs: int) -> FloatArray:
+    """Weights: alike, whole, any, of many magnitudes, near a tie, hardly any; some are 0."""
+    kind = rng.choice(["alike", "whole", "any", "magnitudes", "ties", "nothing"])
+    is_small = rng.random(n_runs) < 0.5
+    small = {"ties": rng.choice([1, 2, 3, 6], n_runs) * 0.4e-9, "nothing": 1.0e-300}
+    whole = rng.integers(1, 4, n_runs).astype(np.float64)
+    weight = {
+        "alike": np.ones(n_runs),
+        "any": rng.random(n_runs) + 0.01,
+        "magnitudes": 10.0 ** -rng.integers(0, 13, n_runs),
+    }.get(kind.item(), whole)
+    if kind.item() in small:
+        weight = np.where(is_small, small[kind.item()], weight)
+    weight[rng.random(n_runs) < rng.choice([0.0, 0.2, 0.5])] = 0.0
+    weight[rng.integers(n_runs)] += 1.0
+    return weight
 
 
 def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Limits:
@@ -203,7 +285,7 @@ def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Li
         budget_eur=unit * rng.integers(3, 12) if has_prices and rng.random() < 0.5 else None,
         is_forced=rng.random(n_poses) < 0.15 if has_wishes else None,
         is_forbidden=rng.random(n_poses) < 0.15 if has_wishes else None,
-        is_forced_site=rng.random(n_sites) < 0.15 if has_wishes else None,
+        is_forced_site=rng.random(n_sites) < 0.25 if has_wishes else None,
         rivals=np.array(rivals if has_wishes else [], dtype=np.int64).reshape(-1, 2),
         failing=rng.choice(["unit", "site"]).item(),
     )

@@ -797,24 +797,6 @@ def _calibrations() -> Mapping[str, tuple[str, Files]]:
 # ---------- problems, and what commands have written
 
 
-def _read_covering(path: Path) -> Any:
-    from placement.covering import load_instance, solve_covering
-
-    instance = load_instance(path)
-    if instance.n_columns * instance.n_rows <= 10_000:
-        solve_covering(instance, time_limit_s=0.5)
-    return instance
-
-
-def _coverings() -> Mapping[str, tuple[str, Files]]:
-    return {
-        "orlib": _one("a", "3 4\n1 2.5 3 4\n2\n1 2\n3\n2 3 4\n1\n4\n"),
-        "gecco": _one("a", "3 4\n1 3 1 2 3\n0 2 0 1\n2 1 3\n"),
-        "rail": _one("a", " 3 4\n 1 1 1\n 2 2 2 1\n 3 1 2\n 4 2 2 3\n"),
-        "sts": _one("a", "5 3\n1 2 3\n1 4 5\n2 3 4\n"),
-    }
-
-
 @cache
 def _certified() -> Files:
     """A small problem and its certificate."""
@@ -1136,11 +1118,6 @@ READERS: Mapping[str, Reader] = {
             "geometry.calibrations.read_opencv_camera",
         ),
         share=2,
-    ),
-    "covering instances": Reader(
-        read=_read_covering,
-        seeds=_coverings,
-        covers=("placement.covering.load_instance",),
     ),
     "placement problems": Reader(
         read=_read_problem,

@@ -1,5 +1,7 @@
 """A folder of results as an optimisation writes it: six runs, two units, no figures."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -91,17 +93,31 @@ def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
         patch.setattr(module, "build_setting", build)
 
 
-def write_small_results(folder: Path, setting: Setting, question: Question | None = None) -> None:
-    """Choose two cameras of a coarse grid, and write everything but the report and its figures."""
-
-    def write_blank_report(folder: Path, *given: object, **options: object) -> None:
-        (folder / "report.html").write_text("<p>no figures</p>")
-
+@contextmanager
+def small_world(setting: Setting) -> Iterator[pytest.MonkeyPatch]:
+    """Let placements choose among a coarse grid, on the runs of a setting."""
     with pytest.MonkeyPatch.context() as patch:
         lay_runs_of(patch, setting)
         patch.setattr(poses, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
-        patch.setattr(placement, "write_report", write_blank_report)
+        yield patch
+
+
+def write_small_results(
+    folder: Path,
+    setting: Setting,
+    question: Question | None = None,
+    *,
+    has_report: bool = False,
+) -> None:
+    """Choose two cameras of a coarse grid, and write everything, with or without the report."""
+
+    def write_blank_report(folder: Path, *given: object, **options: object) -> None:
+        (folder / "report.html").write_text("<p>no figures</p>")
+
+    with small_world(setting) as patch:
+        if not has_report:
+            patch.setattr(placement, "write_report", write_blank_report)
         placement.run_placement(
             question or Question(budget=2, time_limit_s=60.0),
             out=folder,

@@ -26,8 +26,10 @@ from placement.setting import Setting, build_setting
 
 from ..language import speaking
 from ..parts.section import with_palette
-from ..planner.plan import Plan, Variant
-from ..planner.session import MapFile, Session
+from ..planner.files import MapFile
+from ..planner.plan import Variant
+from ..planner.plan_files import Plan
+from ..planner.session import Session
 from ..planner.tasks import Work
 
 _PATIENCE_MS = 300_000

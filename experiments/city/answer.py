@@ -19,11 +19,11 @@ from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, refuse
-from geometry.files import read_bytes, read_table
+from geometry.files import parse_json, read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
 from placement.layout import Layout
-from placement.optimiser.timing import TOLERANCE
+from placement.optimiser.constants import TOLERANCE
 from placement.recordings.files import json_of
 
 from ..language import language, tr, trn
@@ -88,8 +88,9 @@ def load_summary(path: Path) -> "CityResult | None":
 
 def _load(path: Path, kind: type[_T]) -> _T | None:
     try:
-        return msgspec.json.decode(read_bytes(path), type=kind)
-    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError):
+        where = str(path)
+        return read_table(parse_json(read_bytes(path), where, "a record"), kind, where)
+    except (OSError, InputError):
         return None
 
 

@@ -30,9 +30,240 @@ _MAX_LISTED = 12
 _STAGGERED_M = 40.0  # a driver crosses both side roads in one go
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["city"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus city town.osm.pbf --budget-eur 400000 --out city
+  place-rsus city town.osm.pbf --budget 60 --within centre.geojson --out city
+  place-rsus city town.osm.pbf --budget-eur 400000 --out city \\
+      --junction-weights accidents.csv --snap 40
+  place-rsus city town.osm.pbf --budget 60 --units-per-year 20 --out city \\
+      --districts districts.geojson --min-district-apr 0.3
+  place-rsus city roads.osm houses.gpkg --budget 60 --signals-only --out city"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
 @click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
-@options.from_table("city")
+@options.option(
+    "--budget",
+    "budget_units",
+    type=click.IntRange(min=0),
+    metavar="N",
+    expected="a whole number of units, at least 0",
+    help="Most new units at all junctions together.",
+)
+@options.option(
+    "--budget-eur",
+    type=click.FloatRange(min=0.0),
+    metavar="EUR",
+    expected="euros, at least 0",
+    help="Most money to spend on units and sites.",
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="FOLDER",
+    help=("New folder, or one of the same city: junctions that are done are not done again."),
+)
+@options.option(
+    "--within",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    is_path=True,
+    help="Only junctions in these areas: GeoJSON, GeoPackage, Shapefile.",
+)
+@options.option(
+    "--junctions",
+    default="",
+    metavar="NAMES",
+    is_path=True,
+    help=(
+        'Only these, by id or name with semicolons between ("A / B; C / D"), or a '
+        "file with one a line."
+    ),
+)
+@options.option(
+    "--min-arms",
+    type=click.IntRange(min=1),
+    default=3,
+    metavar="N",
+    expected="a number of arms, at least 1",
+    help="Of a junction that counts.",
+)
+@options.option(
+    "--signals-only",
+    is_flag=True,
+    help="Only junctions with traffic lights.",
+)
+@options.option(
+    "--junction-weights",
+    "weights_file",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    is_path=True,
+    help=(
+        "Accidents or traffic: points (CSV with lat and lon, or x and y; GeoJSON, "
+        "GeoPackage), or a CSV with a column junction. proxy: estimated from class "
+        "and lanes of the roads and from traffic lights. Default: every junction "
+        "counts the same."
+    ),
+)
+@options.option(
+    "--weight-column",
+    default="",
+    metavar="NAME",
+    is_common=False,
+    needs="weights_file",
+    help="Of --junction-weights.",
+)
+@options.option(
+    "--counted-years",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="YEARS",
+    is_common=False,
+    needs="weights_file",
+    expected="a number of years, more than 0",
+    help=(
+        "In which the accidents of --junction-weights happened: the answer says how "
+        "many are prevented a year."
+    ),
+)
+@options.option(
+    "--snap",
+    "snap_m",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=50.0,
+    metavar="METRES",
+    is_common=False,
+    needs="weights_file",
+    expected="metres, more than 0",
+    help="A point counts at the nearest junction no farther away.",
+)
+@options.option(
+    "--districts",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    is_common=False,
+    is_path=True,
+    help="Areas in each of which --min-district-apr is reached.",
+)
+@options.option(
+    "--min-district-apr",
+    type=click.FloatRange(min=0.0, max=1.0),
+    default=0.0,
+    metavar="SHARE",
+    is_common=False,
+    needs="districts",
+    expected="a share of the accidents, 0 to 1",
+    help="Of the accidents of each district, by weight.",
+)
+@options.option(
+    "--areas",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    is_common=False,
+    is_path=True,
+    help=(
+        "Schools and the like, with columns min_apr (each junction there reaches it) "
+        "or weight (a factor on the weights there)."
+    ),
+)
+@options.option(
+    "--near",
+    "near_m",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    metavar="METRES",
+    is_common=False,
+    needs="areas",
+    expected="metres, at least 0",
+    help="Junctions no farther from an area of --areas count as in it.",
+)
+@options.option(
+    "--units-per-year",
+    type=click.IntRange(min=1),
+    metavar="N",
+    is_common=False,
+    expected="a number of units, at least 1",
+    help=("Mounted in a year at most: the result says in which year each junction is ready."),
+)
+@options.option(
+    "--years",
+    type=click.IntRange(min=1),
+    metavar="N",
+    is_common=False,
+    expected="a number of years, at least 1",
+    help=(
+        "That the money is for: with --units-per-year all is mounted in them, with "
+        "--counted-years the answer says how many accidents are prevented in them."
+    ),
+)
+@options.option(
+    "--keep",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="LAYOUT",
+    is_path=True,
+    help=(
+        "Existing units: a layout file of a junction's scene, or an earlier folder "
+        "of the city. Can be given again."
+    ),
+)
+@options.option(
+    "--coarse",
+    "is_coarse",
+    is_flag=True,
+    help=("Try a ninth of the poses: one height, every 30 degrees. Less memory, worse layouts."),
+)
+@options.option(
+    "--max-units",
+    type=click.IntRange(min=1),
+    default=6,
+    metavar="N",
+    is_common=False,
+    expected="a number of units, at least 1",
+    help="New units at one junction, at most.",
+)
+@options.option(
+    "--max-junction-seconds",
+    "max_junction_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=300.0,
+    metavar="SECONDS",
+    is_common=False,
+    expected="seconds, more than 0",
+    help="For each junction, all in all; --time-limit is the optimiser's part of it.",
+)
+@options.option(
+    "--radius",
+    "radius_m",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=80.0,
+    metavar="METRES",
+    is_common=False,
+    expected="metres, more than 0",
+    help="Around a junction; things farther away are left out.",
+)
+@options.option(
+    "--sites",
+    default="auto",
+    metavar="WHERE",
+    help=(
+        "map, kerb:15, or a CSV or GeoJSON file, as in `scene import`; auto: map, "
+        "but for low sign posts and poles of other junctions, and kerb:15 where none "
+        "is within 25 m."
+    ),
+)
+@options.option(
+    "--worker-memory",
+    default="1.5GiB",
+    metavar="SIZE",
+    is_common=False,
+    help=(
+        "Of each process on this machine; one that takes more is ended, and its "
+        "junction tried again."
+    ),
+)
 @partial(reading_options, staggered_m=_STAGGERED_M)
 @options.asking(
     *_MOUNTED,

@@ -15,7 +15,7 @@ from geometry.maps.source_map import SourceMap
 from geometry.scene import Scene
 from placement.city.fronts import JunctionFront
 from placement.layout import Layout
-from placement.optimiser.timing import TOLERANCE
+from placement.optimiser.constants import TOLERANCE
 
 from ..figures.axes import (
     BLUE,

@@ -23,9 +23,9 @@ from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
-from placement.cache import ALL_PACKAGES, Fingerprints, hash_of_files
 from placement.candidates import CandidateGrid, build_grid
 from placement.city.junction import JunctionWishes
+from placement.fingerprints import ALL_PACKAGES, Fingerprints, hash_of_files
 from placement.layout import Layout, layout_from_records
 from placement.question import Question, question_text, save_question
 from placement.setting import check_question

@@ -76,7 +76,7 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         ),
         Part(notes=[*map(said, result.assumed_prices)]),
         _said(f"{proof.words(result)}."),
-        Part(table=proof.table(result)),
+        Part(table=proof.table(result), notes=proof.conditions(result)),
         *_judged(result, others, parties | _announced(result.evaluation), note),
         *([_said(f"{further}.")] if further else []),
         _said(*answer.doubts(result)),

@@ -20,13 +20,37 @@ _ASKED = ("budget", "budget_cost", *options.fields_in(options.MOUNTED))
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", "traffic")
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["certify"])
-@options.from_table(
-    "certify",
-    n_blocks={"default": N_BLOCKS, "show_default": True},
-    n_judged={"default": N_JUDGED, "show_default": True},
+_EXAMPLES = """\b
+Examples:
+  place-rsus certify --budget 3 --detector response
+  place-rsus certify --budget 2 --samples 16 --blocks 4 --detector response
+  place-rsus certify --budget 3 --detector response --out results/certified
+  place-rsus verify results/certified"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
+@options.option(
+    "--blocks",
+    "n_blocks",
+    type=click.IntRange(min=2),
+    default=N_BLOCKS,
+    metavar="N",
+    expected="a whole number, at least 2",
+    help="Blocks of --samples worlds each; a layout and a bound is found in each.",
+)
+@options.option(
+    "--judge",
+    "n_judged",
+    type=click.IntRange(min=2),
+    default=N_JUDGED,
+    metavar="N",
+    expected="a whole number, at least 2",
+    help=(
+        "Fresh worlds to choose among these layouts in, and as many others to judge the best in."
+    ),
 )
 @options.folder_option("layout.json and certified.json")
+@options.sign_option
 @options.asking(*_ASKED, *_SOUGHT, *options.JUDGED, defaults={"samples": N_SAMPLES})
 def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.

@@ -95,7 +95,15 @@ def _examine_cache(folder: Path) -> dict[str, Any]:
     }
 
 
-@click.command(epilog=options.EXAMPLES["doctor"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus doctor
+  place-rsus doctor --json | jq .extras
+
+Exit codes: 0 all is well (extras may be missing), 1 something is not."""
+
+
+@click.command(epilog=_EXAMPLES)
 @options.json_option
 def doctor(*, as_json: bool) -> None:
     """Say what is installed here, what is missing, and what that costs."""

@@ -9,17 +9,25 @@ import click
 
 from ..results.numbers import grouped
 from . import options
-from .recording import evaluate_recording
+from .recording import evaluate_recording, recording_options
 from .running import Job, command_line
 
 if TYPE_CHECKING:
     from placement.layout import Layout
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["evaluate"])
+_EVALUATE_EXAMPLES = """\b
+Examples:
+  place-rsus evaluate --layout carlancap-12
+  place-rsus evaluate --layout results/latest/layout.json --out results/mine
+  place-rsus evaluate --recording ncap_data"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EVALUATE_EXAMPLES)
 @options.layout_option
-@options.from_table("recording")
+@recording_options
 @options.folder_option("a report")
+@options.sign_option
 @options.asking("no_look", *options.JUDGED)
 def evaluate(
     job: Job,
@@ -28,29 +36,63 @@ def evaluate(
     recording: Path | None,
     min_confidence: float,
     out: Path | None,
+    sign: Path | None,
 ) -> None:
     """Evaluate a layout by full perception and emergency braking, or recorded detections."""
     if recording is not None:
-        evaluate_recording(job, folder=recording, min_confidence=min_confidence, out=out)
+        asked = {"folder": recording, "min_confidence": min_confidence, "sign": sign}
+        evaluate_recording(job, out=out, **asked)
         return
+    asked_question = job.question
     job = job.begin()
     layout = job.layout(layout_names)
     from ..jobs import evaluation
 
     result = evaluation.run_evaluation(
-        job.question, layout=layout, out=out, command=command_line(), **job.means
+        job.question,
+        layout=layout,
+        out=out,
+        command=command_line(),
+        asked=asked_question,
+        sign=sign,
+        **job.means,
     )
     from .answers import evaluation_parts
 
     job.print_answer(result, lambda: evaluation_parts(result, out))
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["compare"])
+_COMPARE_EXAMPLES = """\b
+Examples:
+  place-rsus compare results/latest/layout.json carlancap-12
+  place-rsus compare a.json b.json c.json --report results/abc
+  place-rsus compare a.json b.json --samples 60     is the difference sure?"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_COMPARE_EXAMPLES)
 @click.argument("layouts", nargs=-1, metavar="LAYOUT...")
-@options.from_table("compare")
+@options.option(
+    "--layout",
+    "more_layouts",
+    multiple=True,
+    help="The same as an argument.",
+)
+@options.option(
+    "--report",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    help="Folder for a report; else none.",
+)
+@options.sign_option
 @options.asking("samples", "uncertainty", "traffic", "no_look", *options.JUDGED)
 def compare(
-    job: Job, *, layouts: tuple[str, ...], more_layouts: tuple[str, ...], out: Path | None
+    job: Job,
+    *,
+    layouts: tuple[str, ...],
+    more_layouts: tuple[str, ...],
+    out: Path | None,
+    sign: Path | None,
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
@@ -64,11 +106,18 @@ def compare(
     from placement.layout import find_layout
 
     found = _by_folder([find_layout(name, "LAYOUT") for name in names], names)
+    asked_question = job.question
     job = job.begin()
     from ..jobs import evaluation
 
     result = evaluation.run_comparison(
-        job.question, layouts=found, out=out, command=command_line(), **job.means
+        job.question,
+        layouts=found,
+        out=out,
+        command=command_line(),
+        asked=asked_question,
+        sign=sign,
+        **job.means,
     )
     from .answers import comparison_parts
 

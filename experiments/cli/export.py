@@ -16,10 +16,20 @@ if TYPE_CHECKING:
     from ..parts.sheet import SheetResult
 
 
-_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml, cpm and vam need a scene
+_NOTE = """opencv and ros leave LiDARs out; geojson, gpkg, kml and cpm need a scene
 that lies somewhere on earth.
 
 """
+
+
+_EXPORT_EXAMPLES = """\b
+Examples:
+  place-rsus export --layout carlancap-12 --format carla
+  place-rsus export --layout carlancap-12 --format geojson --out rsus.geojson
+  place-rsus export --layout a.json --scene city --format gpkg --out a.gpkg
+  place-rsus export --calibration tsai.xml --format ros
+  place-rsus export --run CPNC-50/east/40 --layout a.json \\
+      --format cpm-uper --out cpm.bin"""
 
 
 class _ExportCommand(click.Command):
@@ -41,12 +51,61 @@ class _ExportCommand(click.Command):
 
 @click.command(
     cls=_ExportCommand,
-    epilog=_NOTE + options.EXAMPLES["export"],
+    epilog=_NOTE + _EXPORT_EXAMPLES,
 )
 @options.layout_option
-@options.from_table("export", format_name={"type": FORMAT_NAMES})
+@options.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=("Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai."),
+)
+@options.option(
+    "--size",
+    type=click.IntRange(min=1),
+    nargs=2,
+    metavar="WIDTH HEIGHT",
+    needs="calibration",
+    expected="two numbers of pixels, at least 1",
+    help="With --calibration: of pictures, where the file does not tell.",
+)
+@options.option(
+    "--format",
+    "format_name",
+    type=click.Choice(FORMAT_NAMES),
+    required=True,
+    metavar="FORMAT",
+    help="One of those below.",
+)
 @options.scene_option
-@options.from_table("export-run")
+@options.option(
+    "--run",
+    "run_id",
+    default="",
+    metavar="RUN",
+    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
+)
+@options.option(
+    "--release",
+    metavar="V",
+    help="cpm, cpm-uper: of the dictionary, 2.1.1 or 2.4.1.",
+)
+@options.option(
+    "--views",
+    is_flag=True,
+    help="geojson, gpkg, kml: what each camera sees, as polygons.",
+)
+@options.option(
+    "--pictures",
+    is_flag=True,
+    needs="run_id",
+    help="mcap: what each camera sees, frame by frame.",
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write; else stdout.",
+)
 @options.quiet_option
 @click.pass_obj
 def export(
@@ -59,7 +118,6 @@ def export(
     scene: str,
     run_id: str,
     release: str | None,
-    vam_rate: float | None,
     views: bool,
     pictures: bool,
     out: Path | None,
@@ -83,19 +141,19 @@ def export(
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
-        needs_layout = bool(layout_names) or chosen.has_units
-        layout = load_one_layout(layout_names) if needs_layout else None
+        layout = load_one_layout(layout_names)
         compute = Compute(progress=progress)
         drawn = compute if pictures else None
-        asked = {"release": release, "vam_rate": vam_rate, "views": views or None}
+        asked = {"release": release, "views": views or None}
         content = export_layout(
-            *(layout, format_name),
+            layout,
+            format_name,
             scene_path=scene,
             run_id=run_id,
             compute=compute,
             options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
         )
-        missing = [] if chosen.has_lidars or layout is None else lidar_ids(layout)
+        missing = [] if chosen.has_lidars else lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)
@@ -120,9 +178,20 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
 # ---------- for whoever mounts the units
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["sheet"])
+_SHEET_EXAMPLES = """\b
+Examples:
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus sheet --layout mine.json --scene scene --out mounting.pdf --json"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_SHEET_EXAMPLES)
 @options.layout_option
-@options.from_table("sheet")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="PDF file to write.",
+)
 @options.asking(*options.JUDGED, has_cache=False)
 def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.

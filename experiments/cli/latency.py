@@ -18,9 +18,40 @@ if TYPE_CHECKING:
     from ..parts.latency import LatencyResult
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["latency"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus latency --layout carlancap-12
+  place-rsus latency --layout carlancap-12 --budget cpm-100ms --out mine
+  place-rsus latency --layout mine.json --budget mine.toml --json
+  place-rsus latency --layout carlancap-12 --vut-latency 0.02 --max 2"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
 @options.layout_option
-@options.from_table("latency")
+@options.option(
+    "--budget",
+    metavar="NAME|FILE",
+    help=(
+        "study (one number, 25 ms), cpm-100ms, cpm-50ms, or a .toml file with parts "
+        "of one's own; default: study."
+    ),
+)
+@options.option(
+    "--vut-latency",
+    "vut_latency_s",
+    type=click.FloatRange(min=0.0),
+    metavar="SECONDS",
+    expected="seconds, at least 0",
+    help=("Of the VUT's own sensors, which wait for no message; default: that of all others."),
+)
+@options.option(
+    "--max",
+    "max_latency_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="SECONDS",
+    expected="seconds, more than 0",
+    help="Longest latency shown; default: 0.5, or as far as the budget reaches.",
+)
 @options.folder_option("latency.csv and latency.png")
 @options.asking(
     *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False

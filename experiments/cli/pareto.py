@@ -34,8 +34,36 @@ def front_options(*asked: str) -> options.Decorator:
     )
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["pareto"])
-@options.from_table("pareto")
+_PARETO_EXAMPLES = """\b
+Examples:
+  place-rsus pareto --max 8                        what each further unit buys
+  place-rsus pareto --max 4 --all-stages           time to spare, too
+  place-rsus pareto --by cost --site-cost 2000     what more money buys
+  place-rsus pareto --keep carlancap-12 --max 3    what more units buy there
+  place-rsus pareto --max 5 --out results/pareto --json"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_PARETO_EXAMPLES)
+@options.option(
+    "--max",
+    "max_units",
+    type=click.IntRange(min=1),
+    default=8,
+    metavar="N",
+    expected="a whole number of units, at least 1",
+    help="Most units, beside those of --keep.",
+)
+@options.option(
+    "--by",
+    type=click.Choice(["units", "cost"]),
+    default="units",
+    help="What there is more and more of: units, or money for units and sites.",
+)
+@options.option(
+    "--all-stages",
+    is_flag=True,
+    help=("Optimise time to spare and cost, too, not only the APR with and without a failure."),
+)
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
@@ -86,9 +114,24 @@ def _with_head(
 _ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["retrofit"])
+_RETROFIT_EXAMPLES = """\b
+Examples:
+  place-rsus retrofit --layout carlancap-12
+  place-rsus retrofit --layout results/latest/layout.json --budget-cost 4000
+  place-rsus retrofit --layout mine.json --sensors carla-ncap-lidar
+  place-rsus retrofit --layout carlancap-12 --visit-cost 300 --json"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_RETROFIT_EXAMPLES)
 @options.layout_option
-@options.from_table("retrofit")
+@options.option(
+    "--visit-cost",
+    "visit_eur",
+    type=click.FloatRange(min=0.0),
+    metavar="EUR",
+    expected="euros, at least 0",
+    help=("Of a re-aim or a removal; default: people and a lift, by the project's assumptions."),
+)
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
 def retrofit(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:

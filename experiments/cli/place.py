@@ -5,22 +5,70 @@ from pathlib import Path
 import click
 
 from . import options
-from .recording import evaluate_recording
+from .recording import evaluate_recording, recording_options
 from .running import Job, command_line
+
+_EXAMPLES = """\b
+Examples:
+  place-rsus --budget 3                            the best three cameras
+  place-rsus --target 0.99 --least cost            the cheapest way to 99 %
+  place-rsus --budget 3 --within carlancap-12      three of the study's own
+  place-rsus --budget-cost 9000 --site-cost 2000   the best for the money
+  place-rsus --budget 2 --fusion single            each must confirm alone
+  place-rsus --budget 3 --cars see                 what units add to cars
+  place-rsus --budget 3 --json --quiet | jq .apr   for a machine
+  place-rsus --budget 3 --cases protocol-4.5.1 --weights case
+  place-rsus --budget 3 --cases CPNCO-50,CBNA --speeds 40-60
+  place-rsus --budget 3 --weather day,night,fog --detector response
+  place-rsus scenarios list                        what can be driven here
+  place-rsus evaluate --layout carlancap-12        the study's 12 cameras
+  place-rsus --budget 3 --recording ncap_data      the best recorded units
+  place-rsus compare results/latest/layout.json carlancap-12
+  place-rsus --scene city.osm --junction "A / B" --budget 3
+  place-rsus scene import city.osm -o scene        your own junction ..
+  place-rsus --scene scene --budget 3              .. and the best three there
+  place-rsus pareto --max 8                        what each further unit buys
+  place-rsus retrofit --layout carlancap-12        remove, re-aim or add
+  place-rsus sheet --layout results/latest/layout.json --out mounting.pdf
+  place-rsus verify results/latest                 check a certificate
+  place-rsus doctor                                what is installed here
+  place-rsus export --layout results/latest/layout.json --format carla
+
+Exit codes: 0 done, 1 `verify`, `scene check` or `doctor` found a fault, 2 the input is wrong or
+cannot be met (one line says what), 130 interrupted, 143 terminated."""
 
 
 @click.group(
     cls=options.SectionedGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog=options.EXAMPLES["place"],
+    epilog=_EXAMPLES,
 )
 @click.version_option(package_name="place-rsus")
-@options.from_table("place")
-@options.from_table("recording")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default="results/latest",
+    help=("Folder for report, layout, tables and figures; earlier results there are replaced."),
+)
+@options.option(
+    "--pdf",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    is_common=False,
+    help="Print the report there, too, by chromium or Chrome.",
+)
+@recording_options
+@options.sign_option
 @options.asking(*options.PLANNED, *options.JUDGED)
 def cli(
-    job: Job, *, recording: Path | None, min_confidence: float, out: Path, pdf: Path | None
+    job: Job,
+    *,
+    recording: Path | None,
+    min_confidence: float,
+    out: Path,
+    pdf: Path | None,
+    sign: Path | None,
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
@@ -44,6 +92,7 @@ def cli(
         )
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "chooses": True}
+        asked |= {"sign": sign}
         evaluate_recording(job, out=out if options.is_given("out") else None, **asked)
         return
     browser = None
@@ -53,6 +102,7 @@ def cli(
         from ..report.printing import find_browser
 
         browser = find_browser()
+    asked_question = job.question
     job = job.begin()
     from ..jobs import READY
     from ..side_process import side_process
@@ -62,7 +112,13 @@ def cli(
         from ..jobs import placement
 
         result = placement.run_placement(
-            job.question, out=out, command=command_line(), side=side, **job.means
+            job.question,
+            out=out,
+            command=command_line(),
+            side=side,
+            asked=asked_question,
+            sign=sign,
+            **job.means,
         )
     from .answers import placement_parts
 

@@ -17,11 +17,36 @@ if TYPE_CHECKING:
     from ..parts.recording import DetectedShareRecord, RecordedAprRecord, RecordedResult
 
 _WITH_RECORDING = frozenset(
-    ("recording", "min_confidence", "out", "as_json", "quiet", "question", "save_question_to")
+    ("recording", "min_confidence", "out", "sign", "as_json", "quiet")
+    + ("question", "save_question_to")
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
     + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
     + ("track_memory_s",)
 )
+
+recording_options = options.combined(
+    options.option(
+        "--recording",
+        type=click.Path(path_type=Path),
+        metavar="DIR",
+        section=options.SEEN,
+        is_common=False,
+        help=("Work on recorded detections in the study's folder format; --out gets summary.json."),
+    ),
+    options.option(
+        "--min-confidence",
+        type=click.FloatRange(min=0.0, max=1.0),
+        default=0.0,
+        show_default=True,
+        metavar="SHARE",
+        section=options.SEEN,
+        is_common=False,
+        needs="recording",
+        expected="a confidence, 0 to 1",
+        help="With --recording: detections below do not count.",
+    ),
+)
+"""Options ``--recording`` and ``--min-confidence``."""
 
 
 def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
@@ -44,7 +69,7 @@ def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
 
 def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     """The result of a recording for a terminal: the units that were chosen, if any, and all."""
-    from ..parts.proof import stage_table
+    from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 
     lines = sentences(tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs))
@@ -59,7 +84,8 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
             fusion=said(summary.fusion),
             chosen=chosen,
         )
-        best = Part(words=[words], table=stage_table(summary.stages))
+        conditions = stage_conditions(summary.stages)
+        best = Part(words=[words], table=stage_table(summary.stages), notes=conditions)
         lines = [answer_text([best], is_verbose=True), ""]
         all_units = say(
             "recording.all_units",

@@ -1,7 +1,6 @@
 """``place-rsus scenarios``: look at what is driven, without placing anything."""
 
 import math
-import sys
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -182,12 +181,27 @@ def _span(values: Sequence[float], form: str) -> str:
     return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
 
 
-@click.group(epilog=options.EXAMPLES["scenarios"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus scenarios list                     every case, on every approach
+  place-rsus scenarios list --cases study --json
+  place-rsus scenarios show CPNCO-50 --approach east --speed 40
+  place-rsus scenarios show CPTAfs-50 --approach north --speed 20 --out a.gif
+  place-rsus scenarios export CBNA --approach west --speed 60 --out a.xosc"""
+
+
+@click.group(epilog=_EXAMPLES)
 def scenarios() -> None:
     """What is driven at the junction: list it, look at it, export it."""
 
 
-@scenarios.command("list", cls=options.SectionedCommand, epilog=options.EXAMPLES["scenarios-list"])
+_LIST_EXAMPLES = """\b
+Examples:
+  place-rsus scenarios list --cases protocol-4.5.1 --approaches east,west
+  place-rsus scenarios list --cases CPNA --along-arms 0,20,40"""
+
+
+@scenarios.command("list", cls=options.SectionedCommand, epilog=_LIST_EXAMPLES)
 @options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
 @options.calling
 def list_scenarios(call: Call, *, question: Question) -> None:
@@ -222,9 +236,23 @@ def _driven_once() -> list[str]:
     return [*sentences(text, hanging=2), ""]
 
 
-@scenarios.command(epilog=options.EXAMPLES["scenarios-show"])
+_SHOW_EXAMPLES = """\b
+Examples:
+  place-rsus scenarios show CPNCO-50 --approach east --speed 40
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.gif
+  place-rsus scenarios show CBTAfo-50 --approach south --speed 15 --out a.mcap"""
+
+
+@scenarios.command(epilog=_SHOW_EXAMPLES)
 @options.one_run_options()
-@options.from_table("scenarios-show")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help=(
+        "Film strip (.png, .svg, .pdf), animation (.gif), or MCAP for Foxglove "
+        "(.mcap); default: a .png in results/scenarios."
+    ),
+)
 @options.quiet_option
 @click.pass_obj
 def show(
@@ -252,9 +280,60 @@ def show(
     tell(f"Written to {path}.")
 
 
-@scenarios.command("import", epilog=options.EXAMPLES["scenarios-import"])
+_IMPORT_EXAMPLES = """\b
+Examples:
+  place-rsus scenarios import fcd.xml --out near.toml
+  place-rsus scenarios import ped.csv veh.csv --rate 23.98 --out near.toml
+  place-rsus scenarios import a.csv --columns x=east,y=north --out near.toml
+  place-rsus --scene junction --cases near.toml --budget 3"""
+
+
+@scenarios.command("import", epilog=_IMPORT_EXAMPLES)
 @click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
-@options.from_table("scenarios-import")
+@options.option(
+    "--ttc",
+    "ttc_s",
+    type=float,
+    metavar="S",
+    help="Longest time to collision; default: 2.",
+)
+@options.option(
+    "--within",
+    "within_m",
+    type=float,
+    metavar="M",
+    help="Also pairs that come so near.",
+)
+@options.option(
+    "--rate",
+    "rate_hz",
+    type=float,
+    metavar="HZ",
+    help="Of CSV files that count frames.",
+)
+@options.option(
+    "--columns",
+    default="",
+    metavar="WHAT=NAME,..",
+    help="Of CSV files: id=..,time=..,x=..",
+)
+@options.option(
+    "--class",
+    "class_name",
+    default="",
+    metavar="CLASS",
+    help="Of CSV files without classes.",
+)
+@options.option(
+    "--name",
+    default="",
+    help="What names of cases begin with; default: the first FILE's.",
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write; else stdout.",
+)
 def take_recordings(
     *,
     paths: tuple[Path, ...],
@@ -303,9 +382,18 @@ def take_recordings(
     write_result(out, cases_text(found, name=name or paths[0].stem, source=source))
 
 
-@scenarios.command(epilog=options.EXAMPLES["scenarios-export"])
+_EXPORT_EXAMPLES = """\b
+Examples:
+  place-rsus scenarios export CPNA-25 --approach east --speed 10 --out a.xosc"""
+
+
+@scenarios.command(epilog=_EXPORT_EXAMPLES)
 @options.one_run_options()
-@options.from_table("scenarios-export")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write; else stdout.",
+)
 @click.pass_obj
 def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file.
@@ -322,55 +410,6 @@ def export(progress: StageProgress, *, question: Question, position: str, out: P
         roads = beside.name
         write_result(beside, to_opendrive(None, scene))
     write_result(out, to_openscenario(run, road_network=roads))
-
-
-@scenarios.command(
-    "check-esmini", cls=options.SectionedCommand, epilog=options.EXAMPLES["check-esmini"]
-)
-@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "study"})
-@options.from_table("check-esmini")
-@options.calling
-def check_esmini(call: Call, *, question: Question, program: str, out: Path | None) -> None:
-    """Drive runs in esmini, and compare when the bodies touch with the impact of each run.
-
-    Exit code 1 where they touch more than 0.02 s from it, or never. Without esmini, which is no
-    part of this program, nothing is checked: a line says so.
-    """
-    from geometry.scene_files import load_scene
-    from placement.compute import Compute
-    from placement.setting import drive
-
-    from ..export.esmini import describe, drive_in_esmini, find_esmini, summarise, worst_first
-
-    progress = call.progress
-    question = begin(progress, question, quiet=call.quiet)
-    found = find_esmini(program)
-    if found is None:
-        progress.stop()
-        tell("Nothing was checked: no esmini on the path; --esmini names the program.")
-        return
-    scene = load_scene(question.scene)
-    progress("lay the cases", 0, 0)
-    runs = drive(question, scene).runs
-    driven = drive_in_esmini(runs, scene, found, compute=Compute(progress=progress))
-    if out is not None:
-        asked = " ".join(["place-rsus", *sys.argv[1:]]).replace(str(program), "PROGRAM")
-        write_result(out, describe(driven, f"uv run {asked}"))
-
-    def words() -> str:
-        lines = [summarise(driven)]
-        for one in worst_first(driven)[:_MOST_TOLD]:
-            off = "never" if one.touch_s is None else f"{one.touch_s:+.3f} s"
-            lines.append(f"  {one.run_id}: {off}")
-        return "\n".join(lines) + "\n"
-
-    rows = [{"run": one.run_id, "touch_s": one.touch_s} for one in driven]
-    call.print(rows, words)
-    if not all(one.agrees for one in driven):
-        sys.exit(1)
-
-
-_MOST_TOLD = 10  # runs
 
 
 def _drive_one(

@@ -20,23 +20,19 @@ FORMAT_NAMES = (
     "kml",
     "dxf",
     "carla",
-    "carla-run",
     "opencv",
     "ros",
-    "openlabel",
     "cpm",
     "cpm-uper",
-    "vam",
-    "vam-uper",
     "mcap",
-    "usd",
     "opendrive",
 )
 """In the order of the help."""
 
 _SHARED = {
-    **{"csv": ("table", "CSV"), "parquet": ("table", "PARQUET")},
-    **{"cpm-uper": ("uper", "CPM"), "vam-uper": ("uper", "VAM")},
+    "csv": ("table", "CSV"),
+    "parquet": ("table", "PARQUET"),
+    "cpm-uper": ("uper", "FORMAT"),
 }
 
 
@@ -49,15 +45,13 @@ class ExportFormat:
     is_binary: bool = False  # it is not text and needs a file
     has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
-    drives_run: bool = False  # `write` needs a run, by itself, and not what units detect in it
-    has_units: bool = True  # else `write` takes the run and its scene, and no layout
     options: tuple[str, ...] = ()  # names of further arguments of `write`
     told: Callable[[bytes], str] | None = None  # a sentence about the content that was written
 
 
 def load_format(name: str) -> ExportFormat:
     """A format by its name, one of ``FORMAT_NAMES``."""
-    module, attribute = _SHARED.get(name, (name.replace("-", "_"), "FORMAT"))
+    module, attribute = _SHARED.get(name, (name, "FORMAT"))
     found: ExportFormat = getattr(import_module(f".{module}", __name__), attribute)
     return found
 

@@ -29,7 +29,7 @@ from .watched import WatchedRun
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
 _VERSION, _CPM = 2, 14  # ItsPduHeader
-PER_DEGREE = 1.0e7  # Latitude, Longitude
+_PER_DEGREE = 1.0e7  # Latitude, Longitude
 _RSU_CONTAINER, _SENSOR_CONTAINER, _OBJECT_CONTAINER = 2, 3, 5  # CpmContainerId
 _LIDAR, _MONOVIDEO = 2, 3  # SensorType
 _MAX_SENSORS = 128  # SensorInformationContainer
@@ -43,12 +43,11 @@ _COORDINATE_UNKNOWN, _SPEED_UNKNOWN, _CLASS_UNKNOWN = 4096, 127, 101  # confiden
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
 _STEP_S = 1.0e-3  # half of that over which a velocity is taken
-VRU_CLASSES = {  # by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
+_VRU_CLASSES = {  # by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
     "on foot": ("pedestrian", "ordinary-pedestrian", 1),
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
     "motorcycle": ("motorcyclist", "motorcycle", 2),
 }
-_ELLIPSE = "semiMajorConfidence", "semiMinorConfidence", "semiMajorOrientation"
 _PASSENGER_CAR = 5  # TrafficParticipantType
 
 
@@ -117,9 +116,9 @@ def build_stations(
             for units in stations.values()
         ]
     )
-    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * PER_DEGREE).astype(int)
+    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * _PER_DEGREE).astype(int)
     # Offsets count from the rounded position, or they would be a centimetre off.
-    origins_m = transform(lon_lat / PER_DEGREE, "EPSG:4326", scene.crs)
+    origins_m = transform(lon_lat / _PER_DEGREE, "EPSG:4326", scene.crs)
     adult_px_m = load_actors()["adult"].height_m / load_detector().min_box_height_px
     found = []
     for index, ((site, own), units) in enumerate(stations.items()):
@@ -140,8 +139,8 @@ def build_stations(
         ]
         sensors = _container(_SENSOR_CONTAINER, described)
         longitude, latitude = lon_lat[index].tolist()
-        altitude_cm = altitude_cm_at(scene, float(road_m[2]))
-        position = reference_position(latitude, longitude, altitude_cm, ellipse=_ELLIPSE)
+        altitude_cm = _altitude_cm_at(scene, float(road_m[2]))
+        position = _reference_position(latitude, longitude, altitude_cm)
         messages = [
             _message(index, time_ms, position, containers)
             for time_ms, containers in (
@@ -171,15 +170,16 @@ def _container(container_id: int, data: object) -> dict[str, Any]:
     return {"containerId": container_id, "containerData": data}
 
 
-def reference_position(
-    latitude: int, longitude: int, altitude_cm: int, *, ellipse: tuple[str, str, str]
-) -> dict[str, Any]:
-    """A place of unknown confidence, as JSON writes it; messages name its `ellipse` differently."""
-    unknown = _SEMI_AXIS_UNKNOWN, _SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN
+def _reference_position(latitude: int, longitude: int, altitude_cm: int) -> dict[str, Any]:
+    """A place of unknown confidence, as JSON writes it."""
     return {
         "latitude": latitude,
         "longitude": longitude,
-        "positionConfidenceEllipse": dict(zip(ellipse, unknown, strict=True)),
+        "positionConfidenceEllipse": {
+            "semiMajorConfidence": _SEMI_AXIS_UNKNOWN,
+            "semiMinorConfidence": _SEMI_AXIS_UNKNOWN,
+            "semiMajorOrientation": _HEADING_UNKNOWN,
+        },
         "altitude": {"altitudeValue": altitude_cm, "altitudeConfidence": "unavailable"},
     }
 
@@ -220,16 +220,16 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     motion, body = run.encounter.vru_motion, run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
     places_m = on_ground(motion.path.at(motion.distance_m(around_s))[0], run.terrain)
-    velocity = count_up(np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S), 100.0)
+    velocity = _count_up(np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S), 100.0)
     middle_m = on_ground(run.vru_position_m[frame], run.terrain)
     middle_m = middle_m + [0.0, 0.0, 0.5 * body.height_m]
-    offset = count_up(middle_m - origin_m, 100.0)
+    offset = _count_up(middle_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_COORDINATE or np.abs(velocity).max() > _MAX_VELOCITY:
         got = f"a road user {np.abs(offset).max() / 100.0:g} m away"
         refuse(where, got, f"at most {_MAX_COORDINATE / 100.0:g} m")
     kind: dict[str, Any] = {"vehicleSubClass": _PASSENGER_CAR}
-    if run.road_user in VRU_CLASSES:
-        name, *profiles = VRU_CLASSES[run.road_user]
+    if run.road_user in _VRU_CLASSES:
+        name, *profiles = _VRU_CLASSES[run.road_user]
         kind = {"vruSubClass": {name: profiles[RELEASES.index(release)]}}
     return {
         "objectId": 0,
@@ -247,13 +247,13 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     }
 
 
-def altitude_cm_at(scene: Scene, height_m: float) -> int:
+def _altitude_cm_at(scene: Scene, height_m: float) -> int:
     """Height above the ellipsoid of what is some metres above the scene's zero."""
     crs = parse_crs(scene.source_crs) if scene.source_crs else None
     is_ellipsoidal = crs is not None and len(crs.axis_info) == 3 and not crs.is_compound
     if scene.zero_height_m is None or not is_ellipsoidal:
         return _ALTITUDE_UNKNOWN
-    value = int(count_up(scene.zero_height_m + height_m, 100.0))
+    value = int(_count_up(scene.zero_height_m + height_m, 100.0))
     low, high = _ALTITUDES
     return min(max(value, low), high)
 
@@ -261,7 +261,7 @@ def altitude_cm_at(scene: Scene, height_m: float) -> int:
 def _radial_shape(
     unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str, release: str
 ) -> dict[str, object]:
-    offset = count_up(unit.pose.position_m - origin_m, 100.0)
+    offset = _count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
         refuse(
             where,
@@ -302,13 +302,13 @@ def _radial_shape(
     }
 
 
-def count_up(values: ArrayLike, per_one: float) -> IntArray:
+def _count_up(values: ArrayLike, per_one: float) -> IntArray:
     """Values in parts, `per_one` of them each, as ETSI counts: n is (n - 1, n] of them."""
     return np.ceil(per_one * np.asarray(values) - _SLACK).astype(np.int64)
 
 
 def _tenths(value: float) -> int:
-    return int(count_up(value, 10.0))
+    return int(_count_up(value, 10.0))
 
 
 FORMAT = ExportFormat(

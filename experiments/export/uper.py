@@ -8,9 +8,8 @@ from typing import Any
 
 from geometry.scene import Scene
 from placement.layout import Layout
-from scenarios.runs import Run
 
-from . import ExportFormat, load_extra, vam
+from . import ExportFormat, load_extra
 from .cpm import RELEASES, build_stations
 from .watched import WatchedRun
 
@@ -125,33 +124,11 @@ def to_cpm_uper(
     )
 
 
-CPM = ExportFormat(
+FORMAT = ExportFormat(
     write=to_cpm_uper,
     content="the same messages as bytes (UPER); extra: v2x",
     is_binary=True,
     shows_runs=True,
     options=("release",),
-    told=tell_load,
-)
-
-
-def to_vam_uper(
-    run: Run, scene: Scene, *, vam_rate: float | None = None, release: str = RELEASES[0]
-) -> bytes:
-    """Messages of :func:`.vam.build_messages` as records: see :func:`to_records`.
-
-    Raises MissingExtraError if asn1tools is not installed.
-    """
-    messages = vam.build_messages(run, scene, vam_rate=vam_rate, release=release)
-    return to_records((time_ms, to_bytes("VAM", one, release)) for time_ms, one in messages)
-
-
-VAM = ExportFormat(
-    write=to_vam_uper,
-    content="the same messages as bytes (UPER); extra: v2x",
-    is_binary=True,
-    drives_run=True,
-    has_units=False,
-    options=("release", "vam_rate"),
     told=tell_load,
 )

@@ -84,7 +84,7 @@ def watch_run(
 
 
 def export_layout(
-    layout: Layout | None,
+    layout: Layout,
     format_name: str,
     *,
     scene_path: str = "",
@@ -96,15 +96,11 @@ def export_layout(
 
     `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`: folder or .zip
     file of the layout's scene; empty: the study's junction. `run_id`: a run to show as the units
-    see it; empty: none. Formats of a run alone take no layout. Raises InputError: the layout does
-    not fit the scene, or the format needs a place on earth, shows no runs, or lacks an option.
+    see it; empty: none. Raises InputError: the layout does not fit the scene, or the format needs a
+    place on earth, shows no runs, or lacks an option.
     """
     chosen = load_format(format_name)
-    if chosen.drives_run and not run_id:
-        raise InputError("--run", run_id, f"a run: {format_name} shows nothing else")
-    if layout is not None and not chosen.has_units:
-        raise InputError("--layout", layout.name, f"none: {format_name} has no units")
-    if run_id and not (chosen.shows_runs or chosen.drives_run):
+    if run_id and not chosen.shows_runs:
         raise InputError("--run", run_id, f"none: {format_name} shows no runs")
     given = options or {}
     for name, value in given.items():
@@ -113,12 +109,7 @@ def export_layout(
             option = f"--{name.replace('_', '-')}"
             raise InputError(option, got, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
-    if layout is not None:
-        check_layout(layout, scene)
+    check_layout(layout, scene)
     if not run_id:
         return chosen.write(layout, scene, **given)
-    if layout is None:
-        return chosen.write(find_run(run_id, scene), scene, **given)
-    if chosen.drives_run:
-        return chosen.write(layout, scene, find_run(run_id, scene), **given)
     return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **given)

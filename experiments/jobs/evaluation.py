@@ -25,7 +25,14 @@ from ..parts.result import ComparisonResult, EvaluationResult, build_answer
 from ..parts.sampled_worlds import build_sampled_record
 from ..parts.units import PrivateGroundRecord, build_private_ground_record
 from ..progress import StageProgress
-from .placement import begin_job, judge_study_cases, write_results
+from ..results import folders
+from .placement import (
+    Answered,
+    begin_job,
+    build_asked_record,
+    judge_study_cases,
+    write_results,
+)
 
 
 def run_evaluation(
@@ -36,8 +43,14 @@ def run_evaluation(
     compute: Compute,
     command: str,
     progress: StageProgress,
+    asked: Question | None = None,
+    sign: Path | None = None,
 ) -> EvaluationResult:
-    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written."""
+    """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written.
+
+    `asked` is the question before its map was imported, `sign` the key that signs the folder.
+    """
+    folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
     with begin_job(question, scene, compute=compute, progress=progress, out=out) as job:
         (layout,) = _with_distinct_names([layout])
@@ -54,7 +67,11 @@ def run_evaluation(
             assumed_prices=bill.assumed,
             study_cases=None if out is None else judge_study_cases(job, evaluations),
         )
-        return write_results(job, out, result, evaluations, bill=bill, command=command)
+        answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
+        told = build_asked_record(asked or question, compute, command)
+        written = write_results(answered, out, asked=told, sign=sign)
+    assert isinstance(written, EvaluationResult)
+    return written
 
 
 def run_comparison(
@@ -65,11 +82,15 @@ def run_comparison(
     compute: Compute,
     command: str,
     progress: StageProgress,
+    asked: Question | None = None,
+    sign: Path | None = None,
 ) -> ComparisonResult:
     """Compare two layouts or more on the same runs; write a report if asked to.
 
-    With samples also in so many sampled worlds. Raises InputError as :func:`run_evaluation`.
+    With samples also in so many sampled worlds. `asked`, `sign` and errors are as those of
+    :func:`run_evaluation`.
     """
+    folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
     samples = question.n_samples
     drawn = load_drawn(question, scene, n_samples=samples)
@@ -108,7 +129,11 @@ def run_comparison(
             baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=sampled,
         )
-        return write_results(job, out, result, evaluations, bill=bill, command=command)
+        answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
+        told = build_asked_record(asked or question, compute, command)
+        written = write_results(answered, out, asked=told, sign=sign)
+    assert isinstance(written, ComparisonResult)
+    return written
 
 
 def build_evaluation_result(

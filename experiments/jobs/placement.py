@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 from msgspec.structs import replace as replace_fields
 
@@ -25,7 +24,7 @@ from placement.layout import Layout, find_baseline, layout_records
 from placement.optimiser import apr as apr_on_table
 from placement.optimiser.front import Front, front_below
 from placement.pipeline import Assembly, Placement, assemble, place
-from placement.question import AUTO, Question
+from placement.question import AUTO, Question, question_values
 from placement.refinement import Refinement, refine
 from placement.sampling.out_of_sample import STAGE as OUT_OF_SAMPLE
 from placement.sampling.out_of_sample import (
@@ -41,6 +40,7 @@ from placement.wishes import assumed_prices
 from ..export.geojson import to_geojson
 from ..export.json import to_json, to_json_text
 from ..export.table import to_csv
+from ..language import language
 from ..parts import alternatives, bill_of_materials
 from ..parts.baselines import build_baselines, compare_placement
 from ..parts.bill_of_materials import BillOfMaterials, bill_of_materials_csv, build_bill
@@ -48,6 +48,7 @@ from ..parts.comparison import EXPERT, GREEDY, HIGHEST
 from ..parts.explanation import build_explained_record, build_refinement_record
 from ..parts.front import FrontRecord, describe_front
 from ..parts.result import (
+    AskedRecord,
     PlacementResult,
     Result,
     build_placement_result,
@@ -71,7 +72,6 @@ MIN_FRESH_WORLDS = 60
 _LARGE_RUNS = 100
 """With fewer, it takes longer to start a second process than to answer and draw."""
 _WORLDS_TOGETHER = 10
-R = TypeVar("R", bound=Result)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +133,19 @@ class _Found:
     growth: Growth | None  # Where the number of worlds was to be found out
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answered:
+    """A result, and all that its files are written from."""
+
+    job: Job
+    result: Result  # without seconds, and without what was asked
+    evaluations: Mapping[str, Evaluation]  # by display name; the first one is the subject
+    bill: BillOfMaterials
+    placement: Placement | None = None  # of a layout that was searched for
+    candidates: Sequence[CandidatePose] = ()  # rows of the placement's table
+    recommended: Layout | None = None  # what the evaluator prefers
+
+
 def run_placement(
     question: Question,
     *,
@@ -141,13 +154,67 @@ def run_placement(
     command: str,
     progress: StageProgress,
     side: SideProcess | None = None,
+    asked: Question | None = None,
+    sign: Path | None = None,
 ) -> PlacementResult:
     """Find, prove, evaluate and compare a layout, and write everything to `out`.
 
-    `side` may have a second process, which was begun while this one was loading. Raises InputError
-    if a wish cannot be met, or `out` cannot be written.
+    Parameters
+    ----------
+    question : Question
+        With its map imported.
+    out : Path
+        Folder of the results.
+    compute : Compute
+        How to compute.
+    command : str
+        Command line that makes the result again, for the report.
+    progress : StageProgress
+        Is told the stages.
+    side : SideProcess, optional
+        A second process that was begun while this one was loading.
+    asked : Question, optional
+        As it was asked, before its map was imported; by default `question`.
+    sign : Path, optional
+        Key that signs the folder.
+
+    Returns
+    -------
+    result : PlacementResult
+        What ``summary.json`` holds.
+
+    Raises
+    ------
+    InputError
+        A wish cannot be met, or `out` cannot be written or signed.
     """
-    folders.expect_results(out, progress)
+    folders.expect_results(out, progress, sign=sign)
+    with answer_placement(
+        question, out=out, compute=compute, progress=progress, side=side
+    ) as answered:
+        result = write_results(
+            answered,
+            out,
+            asked=build_asked_record(asked or question, compute, command),
+            sign=sign,
+        )
+    assert isinstance(result, PlacementResult)  # as answer_placement makes it
+    return result
+
+
+@contextmanager
+def answer_placement(
+    question: Question,
+    *,
+    out: Path,
+    compute: Compute,
+    progress: StageProgress,
+    side: SideProcess | None = None,
+) -> Iterator[Answered]:
+    """Find, prove, evaluate and compare a layout; `out` is where its files will be written.
+
+    Raises InputError if a wish cannot be met.
+    """
     scene = load_scene(question.scene)
     grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
     question = replace(question, samples=grown.growth.taken) if grown else question
@@ -200,10 +267,11 @@ def run_placement(
             baselines=build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=_in_fresh_worlds(job, found, evaluations, fresh) if fresh else None,
         )
-        return write_results(
-            *(job, out, result, evaluations),
+        yield Answered(
+            job=job,
+            result=result,
+            evaluations=evaluations,
             bill=bill,
-            command=command,
             placement=placement,
             candidates=found.poses,
             recommended=recommended,
@@ -358,69 +426,116 @@ def judge_study_cases(job: Job, evaluations: Mapping[str, Evaluation]) -> StudyC
         return None
 
 
+def build_asked_record(question: Question, compute: Compute, command: str) -> AskedRecord:
+    """What was asked, as ``summary.json`` keeps it; the language is the one that is spoken."""
+    return AskedRecord(
+        command=command,
+        question=question_values(question),
+        seed=compute.seed,
+        rays=compute.rays,
+        language=language(),
+    )
+
+
 def write_results(
-    job: Job,
+    answered: Answered,
     folder: Path | None,
-    result: R,
-    evaluations: Mapping[str, Evaluation],
     *,
-    bill: BillOfMaterials,
-    command: str,
-    placement: Placement | None = None,
-    candidates: Sequence[CandidatePose] = (),
-    recommended: Layout | None = None,
-) -> R:
+    asked: AskedRecord,
+    sign: Path | None = None,
+) -> Result:
     """The result with its "seconds", all stages but the writing; in a folder, if asked for.
 
-    `folder` is replaced as a whole, or left as it was. The first evaluation is the subject;
-    `candidates` are the rows of the placement's table, `recommended` is what the evaluator prefers,
-    `command` makes the result again. Raises InputError if something cannot be written: it names the
-    folder where the answer is all the same.
+    `folder` is replaced as a whole, or left as it was; the key `sign` signs it. Raises InputError
+    if something cannot be written: it names the folder where the answer is all the same.
     """
-    setting, progress = job.setting, job.progress
+    progress = answered.job.progress
+    result = answered.result
     if folder is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
-    result = replace_fields(result, seconds=progress.seconds.copy())
-    begin_tasks(job.side, result, setting, evaluations)  # drawn while other files are written
-    subject = next(iter(evaluations.values()))
-    layout = replace(subject.layout, scene_name=setting.scene.name)
-    # The answer comes first: it is kept if anything that follows cannot be written.
-    answer = {
-        folders.LAYOUT_FILE: to_json(layout, setting.scene),
-        "layout.csv": to_csv(layout, setting.scene),
-        folders.MARKER: to_json_text(result),
-    }
-    if recommended is not None:
-        recommended = replace(recommended, scene_name=setting.scene.name)
-        answer[folders.RECOMMENDED_FILE] = to_json(recommended)
-    with _saved_elsewhere(folder, answer), folders.new_result_folder(folder) as new:
-        for name, text in answer.items():
-            write_atomically(new / name, text)
-        if setting.scene.crs:  # else nobody knows where on earth it lies
-            geojson = to_geojson(layout, setting.scene.crs, setting.scene)
-            write_atomically(new / "layout.geojson", geojson)
-        if placement is not None:
-            mounts = build_mounts(setting.scene, candidates)
-            document = build_certificate(
-                placement.problem,
-                placement.certificate,
-                pose_index=placement.pose_index,
-                units=layout_records(layout),
-                presolve=placement.presolve,
-                seconds=placement.seconds,
-                versions=result.versions,
-                mounts=mounts,
-            )
-            save_certificate(new, document, placement.problem, mounts)
-        write_atomically(new / bill_of_materials.FILE_NAME, bill_of_materials_csv(bill))
-        write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
-        write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
-        write_report(new, result, setting, evaluations, command=command, bill=bill, side=job.side)
+    # Rounded as in the end, so that the report can be made again from what the summary says.
+    seconds = {stage: round(value, 3) for stage, value in progress.seconds.items()}
+    result = replace_fields(result, seconds=seconds, asked=asked)
+    answer = answer_files(answered, result)
+    with (
+        _saved_elsewhere(folder, answer),
+        folders.new_result_folder(folder, sign=sign) as new,
+    ):
+        write_files(new, answered, result)
         result = replace_fields(result, seconds=progress.finish())
         write_atomically(new / folders.MARKER, to_json_text(result))
     progress.kept = f"the results are in {folder}"
     return result
+
+
+def answer_files(answered: Answered, result: Result) -> dict[str, str]:
+    """The answer as files, by name: what is kept if all else cannot be written."""
+    scene = answered.job.setting.scene
+    layout = _subject(answered)
+    files = {
+        folders.LAYOUT_FILE: to_json(layout, scene),
+        "layout.csv": to_csv(layout, scene),
+        folders.MARKER: to_json_text(result),
+    }
+    if answered.recommended is not None:
+        recommended = replace(answered.recommended, scene_name=scene.name)
+        files[folders.RECOMMENDED_FILE] = to_json(recommended)
+    return files
+
+
+def _subject(answered: Answered) -> Layout:
+    """The layout that the result is about, with the scene's name."""
+    subject = next(iter(answered.evaluations.values()))
+    return replace(subject.layout, scene_name=answered.job.setting.scene.name)
+
+
+def write_files(new: Path, answered: Answered, result: Result) -> None:
+    """Write all files of a result into a folder: the answer first, the report last.
+
+    `result` is that of `answered` with its seconds so far, and with what was asked, whose command
+    makes it again. Raises OSError if one cannot be written.
+    """
+    job = answered.job
+    setting = job.setting
+    evaluations = answered.evaluations
+    placement = answered.placement
+    asked = result.asked
+    assert asked is not None  # who writes a folder says what was asked
+    # Drawn while other files are written.
+    begin_tasks(job.side, result, setting, evaluations)
+    for name, text in answer_files(answered, result).items():
+        write_atomically(new / name, text)
+    layout = _subject(answered)
+    if setting.scene.crs:  # else nobody knows where on earth it lies
+        geojson = to_geojson(layout, setting.scene.crs, setting.scene)
+        write_atomically(new / "layout.geojson", geojson)
+    if placement is not None:
+        mounts = build_mounts(setting.scene, answered.candidates)
+        document = build_certificate(
+            placement.problem,
+            placement.certificate,
+            pose_index=placement.pose_index,
+            units=layout_records(layout),
+            presolve=placement.presolve,
+            seconds=placement.seconds,
+            versions=result.versions,
+            mounts=mounts,
+        )
+        save_certificate(new, document, placement.problem, mounts)
+    bill_text = bill_of_materials_csv(answered.bill)
+    write_atomically(new / bill_of_materials.FILE_NAME, bill_text)
+    write_atomically(new / folders.APR_FILE, csv_text(apr_table(evaluations)))
+    write_atomically(new / folders.RUNS_FILE, runs_table(evaluations).to_parquet())
+    write_report(
+        new,
+        result,
+        setting,
+        evaluations,
+        command=asked.command,
+        bill=answered.bill,
+        side=job.side,
+    )
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""``place-rsus solve``: read an instance, solve it, prove the answer, tell what was found."""
+"""``place-rsus solve``: read a problem, solve it, prove the answer, tell what was found."""
 
 import time
 from dataclasses import replace
@@ -8,40 +8,25 @@ from typing import cast
 import numpy as np
 
 from geometry.errors import InputError
-from geometry.files import open_file
-from placement.covering import load_instance, save_instance, solve_covering
-from placement.optimiser import Effort, Floor, PlacementProblem, apr, cost_eur, solve_placement
-from placement.optimiser.timing import SolverName
+from placement.optimiser import (
+    Effort,
+    Floor,
+    Limits,
+    PlacementProblem,
+    apr,
+    cost_eur,
+    solve_placement,
+)
+from placement.optimiser.constants import SolverName
 from placement.verification.instances import load_problem
 
-from ..progress import WRITING, StageProgress
+from ..progress import StageProgress
 from ..results.record import Record, StageRecord, build_stage_records
 
 HIGHS = "HIGHS"
 _SEARCHES = ("auto", "exact", "relax", "greedy")
-
-
-class CoveringResult(Record, frozen=True, kw_only=True):
-    """A covering instance solved; columns are numbered as in the file."""
-
-    file: str
-    problem: str
-    budget: int | None
-    budget_cost: float | None
-    target: float | None
-    objective: float
-    bound: float
-    gap: float
-    chosen: tuple[int, ...]
-    numbered_from: int
-    seconds: float
-    is_proven: bool
-    solver: str
-    cost: float
-    covered: int
-    coverable: int
-    columns: int
-    rows: int
+_TARGETS = ("target", "--target")
+"""Names of the floor that the command line's target takes the place of."""
 
 
 class PlacementSolution(Record, frozen=True, kw_only=True):
@@ -51,6 +36,8 @@ class PlacementSolution(Record, frozen=True, kw_only=True):
     problem: str
     goal: str
     fusion: str
+    question: tuple[str, ...]
+    replaced: tuple[str, ...]
     objective: float
     bound: float
     gap: float
@@ -67,70 +54,7 @@ class PlacementSolution(Record, frozen=True, kw_only=True):
     presolve_effect: str
 
 
-def is_placement_problem(path: Path) -> bool:
-    """True for an archive, ``.npz``; covering problems are text. What cannot be read is none."""
-    try:
-        with open_file(path) as file:
-            return file.read(2) == b"PK"
-    except (InputError, OSError):  # what is wrong with it is said by what reads it
-        return False
-
-
 def run_solve(
-    path: Path,
-    *,
-    format_name: str | None,
-    budget_units: int | None,
-    budget_cost: float | None,
-    target: float | None,
-    solver: str,
-    time_limit_s: float,
-    gap: float,
-    out: Path | None,
-    progress: StageProgress,
-) -> CoveringResult:
-    """Read a covering instance and solve it; it is written to `out` as OR-Library's if asked to.
-
-    With a budget it is a maximal covering problem, else `target` is the share of the rows to cover:
-    None for all. Raises InputError if there is no instance or answer, OSError if `out` fails.
-    """
-    if solver.upper() not in ("AUTO", HIGHS):
-        raise InputError("--solver", solver, f"auto or {HIGHS} for covering problems")
-    progress("read", 0, 0)
-    instance = load_instance(path, format_name=format_name)
-    if out is not None:
-        progress(WRITING, 0, 0)
-        save_instance(out, instance)
-        progress.kept = f"{out} was written"
-    progress("solve", 0, 0)
-    asked = {"budget_cost": budget_cost, "target": target}
-    solution = solve_covering(
-        instance, budget_units=budget_units, time_limit_s=time_limit_s, gap=gap, **asked
-    )
-    has_budget = budget_units is not None or budget_cost is not None
-    return CoveringResult(
-        file=path.name,
-        problem="maximal covering" if has_budget else "set covering",
-        budget=budget_units,
-        budget_cost=budget_cost,
-        target=target,
-        objective=solution.objective,
-        bound=solution.bound,
-        gap=solution.gap,
-        chosen=tuple((solution.chosen + instance.numbered_from).tolist()),
-        numbered_from=instance.numbered_from,
-        seconds=round(solution.seconds, 4),
-        is_proven=solution.is_proven,
-        solver=solution.solver,
-        cost=float(instance.cost[solution.chosen].sum()),
-        covered=instance.n_covered(solution.chosen),
-        coverable=instance.n_covered(),
-        columns=instance.n_columns,
-        rows=instance.n_rows,
-    )
-
-
-def run_solve_windows(
     path: Path,
     *,
     budget_units: int | None,
@@ -144,11 +68,12 @@ def run_solve_windows(
 ) -> PlacementSolution:
     """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
 
-    Budgets, target (infinity: all that can be avoided) and memory of tracks are in place of the
-    file's own. Raises InputError if the file is damaged, or the question has no answer.
+    Budget, target (infinity: all that can be avoided) or memory of tracks are in place of the
+    file's own; all its other demands hold. Raises InputError if the file is damaged, or the
+    question has no answer.
     """
     progress("read", 0, 0)
-    problem = load_problem(path)
+    own = problem = load_problem(path)
     if track_memory_s is not None:
         try:
             rule = replace(problem.rule, track_memory_s=track_memory_s)
@@ -171,6 +96,8 @@ def run_solve_windows(
         problem="placement",
         goal=problem.goal,
         fusion=problem.fusion,
+        question=question_words(problem),
+        replaced=_replaced_words(own, problem),
         objective=first.objective,
         bound=first.bound,
         gap=first.gap,
@@ -194,16 +121,81 @@ def _asked(
     budget_cost: float | None,
     target: float | None,
 ) -> PlacementProblem:
-    """The problem with the question of the command line in place of its own."""
-    if budget_units is not None or budget_cost is not None:
-        limits = replace(problem.limits, budget_units=budget_units, budget_eur=budget_cost)
-        problem = replace(problem, limits=limits, goal="best", floors=())
+    """The problem with the command line's budget or target in place of its own.
+
+    All else stays as the file asks it, but the number of units, where a target is reached with the
+    fewest of them.
+    """
+    limits = problem.limits
+    if budget_units is not None:
+        limits = replace(limits, budget_units=budget_units)
+    if budget_cost is not None:
+        limits = replace(limits, budget_eur=budget_cost)
+    problem = replace(problem, limits=limits)
     if target is None:
         return problem
-    usable = np.flatnonzero(~problem.limits.is_forbidden).tolist()
+    usable = np.flatnonzero(~limits.is_forbidden).tolist()
     share = min(apr(problem, usable), 1.0) if target == np.inf else target
     if not 0.0 <= share <= 1.0:
         raise InputError("--target", target, "max, or a share of the runs, 0 to 1")
-    limits = replace(problem.limits, budget_units=None, budget_eur=None)
-    floor = Floor(name="--target", share=share)
-    return replace(problem, limits=limits, goal="fewest", floors=(floor,))
+    own = [floor for floor in problem.floors if floor.name in _TARGETS]
+    n_failures = max((floor.n_failures for floor in own), default=0)
+    floor = Floor(name="--target", share=share, n_failures=n_failures)
+    others = [floor for floor in problem.floors if floor.name not in _TARGETS]
+    if problem.goal == "cheapest":
+        return replace(problem, floors=(*others, floor))
+    limits = replace(limits, budget_units=None)
+    return replace(problem, limits=limits, goal="fewest", floors=(*others, floor))
+
+
+def question_words(problem: PlacementProblem) -> tuple[str, ...]:
+    """What a problem asks, a phrase for each demand."""
+    goals = {"best": "the best layout", "fewest": "the fewest units", "cheapest": "the least cost"}
+    words = [goals[problem.goal]]
+    if problem.survive:
+        failure = _failure_words(problem, problem.survive)
+        words.append(f"first the highest APR that is left when {failure}")
+    words += _limit_words(problem.limits)
+    n_runs = problem.table.axis.n_runs
+    for floor in problem.floors:
+        least = f"{floor.name}: an APR of at least {100.0 * floor.share:.6g} %"
+        if floor.is_counted is not None:
+            least += f" in {int(floor.is_counted.sum())} of {n_runs} runs"
+        if floor.n_failures:
+            least += f", also when {_failure_words(problem, floor.n_failures)}"
+        words.append(least)
+    if problem.sample_index is not None:
+        n_worlds = int(problem.sample_index.max()) + 1
+        counted = "the mean" if problem.tail == 1.0 else f"the worst {100.0 * problem.tail:g} %"
+        words.append(f"APR: {counted} of {n_worlds} sampled worlds")
+    return tuple(words)
+
+
+def _failure_words(problem: PlacementProblem, n_failures: int) -> str:
+    part = problem.limits.failing
+    return f"any {part} fails" if n_failures == 1 else f"any {n_failures} {part}s fail"
+
+
+def _limit_words(limits: Limits) -> list[str]:
+    words = []
+    if limits.budget_units is not None:
+        noun = "unit" if limits.budget_units == 1 else "units"
+        words.append(f"at most {limits.budget_units} {noun}")
+    if limits.budget_eur is not None:
+        words.append(f"at most {limits.budget_eur:,.2f} EUR")
+    counts = {
+        "units that are there already": limits.is_forced.sum(),
+        "poses that may not be used": limits.is_forbidden.sum(),
+        "sites that must carry a unit": limits.is_forced_site.sum(),
+        "pairs of sites too near to each other": len(limits.rivals),
+    }
+    return words + [f"{int(count)} {noun}" for noun, count in counts.items() if count]
+
+
+def _replaced_words(own: PlacementProblem, asked: PlacementProblem) -> tuple[str, ...]:
+    """Demands of the file that the command line has taken the place of."""
+    kept = question_words(asked)
+    replaced = [words for words in question_words(own) if words not in kept]
+    if own.rule != asked.rule:
+        replaced.append(f"tracks that live for {own.rule.track_memory_s:g} s")
+    return tuple(replaced)

@@ -7,7 +7,7 @@ says it, too. What cannot be compared with anything is named.
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -28,6 +28,7 @@ from placement.detection_table import plain_axis
 from placement.evaluation import mix
 from placement.layout import Layout, layout_records, load_layout
 from placement.optimiser import Failing, Objective, PlacementProblem, PresolveStatistics
+from placement.question import Question, read_question
 from placement.verification.certificates import (
     CERTIFICATE_FILE,
     StoredCertificate,
@@ -54,7 +55,9 @@ from ..results.folders import (
     read_manifest,
 )
 from ..results.record import Record, StageRecord, to_plain
+from ..results.signatures import signature_fault
 from ..results.tables import ALL, GROUP_COLUMNS, plain_cell
+from .anew import agree, compare_anew
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,6 +67,7 @@ _COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "inst
 _CSV, _GEOJSON = "layout.csv", "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
 _HEADLINE = "headline"
+_EVALUATED = ("place-rsus/evaluation/2", "place-rsus/comparison/2")
 _MIXED = {_HEADLINE: ("rsu_all", "vut_and_rsus")}
 """Parties whose ratios are those of two others by the share of cars that see."""
 
@@ -97,6 +101,8 @@ class VerificationResult(Record, frozen=True, kw_only=True):
     stages: tuple[VerifiedStageRecord, ...]
     solver: str
     not_checked: tuple[str, ...]
+    is_deep: bool  # the result was made anew, and every file compared
+    is_signed: bool  # by the key that was given
     seconds: dict[str, float]
 
 
@@ -106,25 +112,96 @@ class FolderChecks:
 
     checks: list[CheckRecord] = field(default_factory=list)
     not_checked: list[str] = field(default_factory=list)
+    is_deep: bool = False  # the result is made anew afterwards, and every file compared
+
+    def leave(self, what: str, *, deep: bool = False) -> None:
+        """Something that is not checked here; not said where ``--deep`` is on and checks it."""
+        if not (deep and self.is_deep):
+            self.not_checked.append(what)
 
     def add(self, name: str, wrong: str, right: str) -> None:
         """A check: what is wrong in words, or nothing; and what to say if all is right."""
         self.checks.append(CheckRecord(name=name, passed=not wrong, detail=wrong or right))
 
 
+def asked_question(folder: Path) -> Question | None:
+    """The question that a result answers; None where its summary does not say, or is none.
+
+    Raises InputError: the question in ``summary.json`` cannot be one.
+    """
+    path = folder / MARKER
+    if not path.is_file():
+        return None
+    asked = _load_object(path).get("asked")
+    if not isinstance(asked, dict) or not isinstance(asked.get("question"), dict):
+        return None
+    return read_question(asked["question"], f"{path}: asked")
+
+
 def run_verification(
-    folder: Path, *, scene: str = "", progress: StageProgress
+    folder: Path,
+    *,
+    scene: str = "",
+    question: Question | None = None,
+    key: Path | None = None,
+    progress: StageProgress,
 ) -> VerificationResult:
     """Check a result folder: certificate, instance and layout, and every other file.
 
-    `scene` says where the scene is; empty: the study's junction, if the folder says so. Raises
-    InputError if a file is missing, damaged or no such file at all.
+    Parameters
+    ----------
+    folder : Path
+        Of a placement, an evaluation, a comparison, a recording, or of ``certify``.
+    scene : str
+        Where the scene is; empty: the study's junction, if the folder says so.
+    question : Question, optional
+        What was asked, with its map imported: the result is made anew from it, and every file is
+        compared with what is written then.
+    key : Path, optional
+        File with the public key that must have signed the folder.
+    progress : StageProgress
+        Is told the stages.
+
+    Returns
+    -------
+    result : VerificationResult
+        Every check, and what was not checked.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged or no such file at all, or the result cannot be made anew.
     """
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
+    if not (folder / MANIFEST).exists():
+        got = Unquoted(f"no {MANIFEST}")
+        raise InputError(str(folder), got, "a folder of results, as place-rsus has written it")
     progress("read", 0, 0)
-    if (folder / certified.JSON_NAME).exists() and not (folder / CERTIFICATE_FILE).exists():
-        return _verify_certified(folder, progress)
+    found = FolderChecks(is_deep=question is not None)
+    is_signed = False
+    if key is not None:
+        fault = signature_fault(folder, folder / MANIFEST, key)
+        is_signed = not fault
+        found.add("signature", fault, f"{MANIFEST} is signed by {key.name}")
+    check = None if (folder / CERTIFICATE_FILE).exists() else _check_without_proof(folder)
+    if check is not None:
+        if question is not None:
+            got = Unquoted(f"{folder}, which is no placement")
+            raise InputError("--deep", got, "a placement: run the command again, and compare")
+        check(folder, found)
+        _leave_maker(key, found)
+        return VerificationResult(
+            folder=str(folder),
+            is_verified=all(check.passed for check in found.checks),
+            checks=tuple(found.checks),
+            stages=(),
+            solver="",
+            not_checked=tuple(found.not_checked),
+            is_deep=False,
+            is_signed=is_signed,
+            seconds=progress.finish(),
+        )
     stored = load_certificate(folder / CERTIFICATE_FILE)
     problem, mounts = load_stored_problem(folder / INSTANCE_FILE)
     summary, layout = _load_summary(folder / MARKER), None
@@ -141,9 +218,23 @@ def run_verification(
         on_stage=lambda stage: progress(stage, 0, 0),
     )
     progress("compare files", 0, 0)
-    found = FolderChecks()
+    found.leave(
+        "whether the detection table is right: the evaluator's disagreement with it is in the "
+        "report",
+        deep=True,
+    )
+    for one in proof.proofs:
+        if one.claims_optimum and one.reason == stored.solver:
+            found.leave(f"that no layout is better in {one.name}: this rests on {stored.solver}")
     known = _check_scene(scene, mounts, layout, problem.table.pose_ids, found)
     _check_files(folder, stored, problem, layout, summary, known, found)
+    if question is not None:
+        compare_anew(folder, question, found.add, progress)
+        found.leave(
+            "seconds, versions of programs, and whether the models of detection and braking are "
+            "like the world"
+        )
+    _leave_maker(key, found)
     proofs = {one.name: one._asdict() for one in proof.proofs}
     return VerificationResult(
         folder=str(folder),
@@ -159,21 +250,57 @@ def run_verification(
             for stage in stored.stages
         ),
         solver=stored.solver,
-        not_checked=(
-            "whether the detection table is right: the evaluator's disagreement with it is in "
-            "the report",
-            *(
-                f"that no layout is better in {one.name}: this rests on {stored.solver}"
-                for one in proof.proofs
-                if one.claims_optimum and one.reason == stored.solver
-            ),
-            *found.not_checked,
-        ),
+        not_checked=tuple(found.not_checked),
+        is_deep=question is not None,
+        is_signed=is_signed,
         seconds=progress.finish(),
     )
 
 
-def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResult:
+def _leave_maker(key: Path | None, found: FolderChecks) -> None:
+    """Say that nothing tells who made a folder, unless a key was given."""
+    if key is None:
+        found.leave(
+            f"who has made the folder: whoever changes files together with {MANIFEST} and all "
+            "that agrees with them is not found out; --key checks a signature"
+        )
+
+
+def _check_without_proof(folder: Path) -> Callable[[Path, FolderChecks], None] | None:
+    """How a folder is checked that has no certificate; None if it should have one."""
+    if (folder / certified.JSON_NAME).exists():
+        return _check_certified
+    if not (folder / MARKER).is_file():
+        return None
+    summary = _load_object(folder / MARKER)
+    if summary.get("schema") in _EVALUATED:
+        return _check_evaluated
+    if "recording" in summary and summary.get("stages") is None:
+        return _check_recorded
+    return None
+
+
+def _check_evaluated(folder: Path, found: FolderChecks) -> None:
+    """A folder of ``evaluate`` or ``compare``: ratios from the runs, and the layout's files."""
+    names = _check_manifest(folder, found)
+    result = load_result(folder)
+    _check_ratios(result, found)
+    compared = _check_exports(folder, result.layout, None, names, found)
+    found.leave(
+        f"detections, confirmations, margins and outcomes in {RUNS_FILE}, and all else in {MARKER}"
+    )
+    others = names - compared - _COMPARED
+    if others:
+        found.leave(f"what {', '.join(sorted(others))} say")
+
+
+def _check_recorded(folder: Path, found: FolderChecks) -> None:
+    """A folder of a recording whose units were judged: there is nothing but a summary."""
+    _check_manifest(folder, found)
+    found.leave(f"what {MARKER} says: the recording is not at hand")
+
+
+def _check_certified(folder: Path, found: FolderChecks) -> None:
     """A folder of ``certify``: its numbers anew from bounds and APRs, and its layout's sites."""
     path = folder / certified.JSON_NAME
     stored = read_table(_load_object(path), certified.CertifiedResult, str(path))
@@ -181,22 +308,12 @@ def _verify_certified(folder: Path, progress: StageProgress) -> VerificationResu
     sites = tuple(unit.site_id for unit in layout.units)
     with located(f"{path}: "):
         numbers = certified.recompute(stored)
-    wrong = {
-        "numbers": numbers,
-        "layout file": [] if sites == stored.units else ["it shows units at other sites"],
-    }
-    unknown = "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
-    return VerificationResult(
-        folder=str(folder),
-        is_verified=not any(wrong.values()),
-        checks=tuple(
-            CheckRecord(name=name, passed=not said, detail="; ".join(said) or "they agree")
-            for name, said in wrong.items()
-        ),
-        stages=(),
-        solver="",
-        not_checked=(unknown,),
-        seconds=progress.finish(),
+    found.add("numbers", "; ".join(numbers), "they agree")
+    elsewhere = "" if sites == stored.units else "it shows units at other sites"
+    found.add("layout file", elsewhere, "they agree")
+    _check_manifest(folder, found)
+    found.leave(
+        "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
     )
 
 
@@ -233,7 +350,7 @@ def _check_scene(
     """Compare the scene that is said with the one at hand; returns it if it is the same one."""
     if mounts is None:
         if layout is not None:
-            found.not_checked.append(
+            found.leave(
                 "positions, directions and sensor models of the units, and the scene: "
                 f"{INSTANCE_FILE} does not say what its poses are"
             )
@@ -242,11 +359,11 @@ def _check_scene(
     wrong = "" if shown == name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
     found.add("scene", wrong, name)
     if not source and name != STUDY:
-        found.not_checked.append(
-            f"whether {name} is the scene that it is said to be: --scene tells where it is"
-        )
+        found.leave(f"whether {name} is the scene that it is said to be: --scene tells where it is")
         return None
     scene = load_scene(source) if source else load_study_scene()
+    # A map's scene is called after its file, which may have another name by now.
+    scene = replace(scene, name=name)
     digest = scene_hash(scene)
     if digest != mounts.scene_sha256:
         text = f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have changed"
@@ -273,7 +390,7 @@ def _check_files(
     """
     others = _check_manifest(folder, found)
     if summary is None:
-        found.not_checked.append(f"what the optimisation said: there is no {MARKER}")
+        found.leave(f"what the optimisation said: there is no {MARKER}")
     else:
         _check_summary(summary, stored, problem, layout, found)
     if layout is not None:
@@ -286,23 +403,17 @@ def _check_files(
             _check_ratios(result, found)
         missing = [name for name in _EXPECTED if name not in others]
         if missing:
-            found.not_checked.append(f"{', '.join(missing)}: not there")
+            found.leave(f"{', '.join(missing)}: not there", deep=True)
         others -= _check_exports(folder, layout, scene, others, found)
     others -= _COMPARED
     if others:
-        found.not_checked.append(f"what {', '.join(sorted(others))} say")
-    found.not_checked.append(
-        f"who has made the folder: whoever changes files together with {MANIFEST} and all that "
-        "agrees with them is not found out"
-    )
+        found.leave(f"what {', '.join(sorted(others))} say", deep=True)
 
 
 def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
     """Every file against its hash; returns the names of the files that are there."""
     listed, changes = read_manifest(folder), changed_files(folder)
-    if not (folder / MANIFEST).exists():
-        found.not_checked.append(f"whether files were changed or lost: there is no {MANIFEST}")
-    elif not changes:
+    if not changes:
         found.add("files", "", f"{len(listed)} files, each as {MANIFEST} lists it")
     else:
         for name, change in changes.items():
@@ -363,7 +474,7 @@ def _check_summary(
             {key: unit[key] for key in unit if key in known} if isinstance(unit, dict) else unit
             for unit, known in zip(told["layout"], keys, strict=True)
         ]
-    wrong = [key for key, value in expected.items() if not _agree(told.get(key), value)]
+    wrong = [key for key, value in expected.items() if not agree(told.get(key), value)]
     for key in wrong:
         words = f"{summary.get(key, Unquoted('nothing'))}, not {expected[key]}"
         if isinstance(expected[key], list | dict):
@@ -371,37 +482,21 @@ def _check_summary(
         found.add(f"{MARKER}: {key}", f"{words} as the certificate has it", "")
     if not wrong:
         found.add(MARKER, "", f"{', '.join(expected)}: as the certificate has them")
-    found.not_checked.append(
+    found.leave(
         "solver, presolved sizes, versions of programs and seconds: certificate.json and "
-        f"{MARKER} agree, but nothing else tells"
+        f"{MARKER} agree, but nothing else tells",
+        deep=True,
     )
     evaluated = {"evaluation", "baseline", "greedy", "schema"} if layout is not None else {"schema"}
     rest = [key for key in summary if key not in {*expected, *evaluated} and summary[key]]
     if rest:
-        found.not_checked.append(f"in {MARKER}: {', '.join(rest)}")
-
-
-def _agree(got: object, expected: object) -> bool:
-    """Two plain values are equal; numbers up to rounding, an infinite one is None."""
-    if isinstance(expected, Mapping):
-        is_alike = isinstance(got, Mapping) and got.keys() == expected.keys()
-        return is_alike and all(_agree(got[key], expected[key]) for key in expected)  # type: ignore[index]
-    if isinstance(expected, list):
-        if not isinstance(got, list) or len(got) != len(expected):
-            return False
-        return all(_agree(one, other) for one, other in zip(got, expected, strict=True))
-    if isinstance(expected, float):
-        if not math.isfinite(expected):
-            return got is None
-        is_number = isinstance(got, int | float) and not isinstance(got, bool)
-        return is_number and abs(got - expected) <= _TOLERANCE * max(1.0, abs(expected))  # type: ignore[operator]
-    return type(got) is type(expected) and got == expected
+        found.leave(f"in {MARKER}: {', '.join(rest)}", deep=True)
 
 
 def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks) -> None:
     """Runs of the evaluator are those of the problem."""
     if problem.sample_index is not None:
-        found.not_checked.append(f"runs in {RUNS_FILE}: the problem has those of sampled worlds")
+        found.leave(f"runs in {RUNS_FILE}: the problem has those of sampled worlds", deep=True)
         return
     axis = plain_axis(problem.table.axis)
     row_of = {name: row for row, name in enumerate(axis.run_ids)}
@@ -423,9 +518,10 @@ def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderCh
     ]
     text = f"another {', '.join(wrong)} than the problem has" if wrong else ""
     found.add(RUNS_FILE, text, f"{axis.n_runs} runs and their weights, as in the problem")
-    found.not_checked.append(
+    found.leave(
         f"detections, confirmations, margins and outcomes in {RUNS_FILE}: `place-rsus evaluate "
-        f"--layout {LAYOUT_FILE}` makes them anew"
+        f"--layout {LAYOUT_FILE}` makes them anew",
+        deep=True,
     )
 
 
@@ -440,7 +536,7 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
         group = [str(row[name]) for name in GROUP_COLUMNS]
         ratio, n_runs, n_avoided = outcomes[row["layout"], row["party"]].in_group(group)
         got = None if math.isnan(row["apr"]) else float(row["apr"])
-        if not _agree(got, ratio) or (n_runs, n_avoided) != (row["n_runs"], row["n_avoided"]):
+        if not agree(got, ratio) or (n_runs, n_avoided) != (row["n_runs"], row["n_avoided"]):
             words = ", ".join([row["layout"], row["party"], *(one for one in group if one != ALL)])
             wrong = f"{words}: {got}, not {ratio}"
             break
@@ -479,7 +575,7 @@ def _wrong_ratios(
             expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
             if seeing and expected is not None and seeing[0] is not None:
                 expected = mix(expected, seeing[0], cars)
-            if not _agree(ratio, expected):
+            if not agree(ratio, expected):
                 yield f"{name}, {party}, {word}: {ratio}, not {expected}"
 
 

@@ -73,9 +73,10 @@ def run_certify(
     compute: Compute,
     command: str,
     progress: StageProgress,
+    sign: Path | None = None,
 ) -> CertifiedResult:
     """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
-    expect_files(out, progress)
+    expect_files(out, progress, sign=sign)
     growth = None
     if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
         growth = grow(question, first=APART, compute=compute).growth
@@ -106,6 +107,8 @@ def run_certify(
         out,
         progress,
         lambda done: {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(done)},
+        has_manifest=True,
+        sign=sign,
     )
 
 

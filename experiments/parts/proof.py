@@ -71,7 +71,13 @@ def section(result: PlacementResult) -> Section:
         names = ", ".join(is_open)
         proof = tr("Not in full: proven are all objectives but {names}.", names=names)
     note = say("proof.solver", solver=said(result.solver) or NOTHING)
-    return Section("proof", tr("How good is it, and is that proven?"), [proof, table(result), note])
+    blocks: list[Block] = [proof, table(result), *conditions(result), note]
+    return Section("proof", tr("How good is it, and is that proven?"), blocks)
+
+
+def conditions(result: PlacementResult) -> list[str]:
+    """What the table's rows after the first open one depend on, in a sentence; or none."""
+    return _conditions(_stages(result))
 
 
 def table(result: PlacementResult) -> Table:
@@ -90,16 +96,43 @@ def _stages(result: PlacementResult) -> list[tuple[str, StageRecord]]:
 
 def stage_table(stages: Sequence[StageRecord]) -> Table:
     """A row per stage of any certificate."""
-    return _table([(said(Objective(stage.name).label), stage) for stage in stages])
+    return _table(_labelled(stages))
+
+
+def stage_conditions(stages: Sequence[StageRecord]) -> list[str]:
+    """What the rows of :func:`stage_table` after the first open one depend on; or nothing."""
+    return _conditions(_labelled(stages))
+
+
+def _labelled(stages: Sequence[StageRecord]) -> list[tuple[str, StageRecord]]:
+    return [(said(Objective(stage.name).label), stage) for stage in stages]
 
 
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
+    n_certain = _n_certain(stages)
     return Table(
         caption=tr("Objectives in order: each is optimised without giving up any before it"),
         columns=listed("objectives"),
-        rows=[[label, *_stage_row(stage)] for label, stage in stages],
+        rows=[
+            [label, *_stage_row(stage, is_certain=number < n_certain)]
+            for number, (label, stage) in enumerate(stages)
+        ],
         numeric=range(1, 5),
     )
+
+
+def _n_certain(stages: Sequence[tuple[str, StageRecord]]) -> int:
+    """Stages up to the first open one: the bounds of those after it depend on what that holds."""
+    is_open = [stage.gap != 0.0 for _, stage in stages]
+    return is_open.index(True) + 1 if True in is_open else len(stages)
+
+
+def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
+    n_certain = _n_certain(stages)
+    if n_certain == len(stages):
+        return []
+    name = stages[n_certain - 1][0]
+    return [say("proof.conditional", name=name)]
 
 
 def _label(name: str, result: PlacementResult) -> str:
@@ -108,7 +141,9 @@ def _label(name: str, result: PlacementResult) -> str:
     return said(label.replace(" unit", " pole") if result.failing == "site" else label)
 
 
-def _stage_row(stage: StageRecord) -> list[str]:
+def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
+    """Value, bound, gap and seconds; of what is not certain, only whether it is proven."""
+
     def shown(value: float | None) -> str:
         if value is None or not math.isfinite(value):
             return NOTHING
@@ -116,13 +151,13 @@ def _stage_row(stage: StageRecord) -> list[str]:
             return localized(f"{value:,.2f}".removesuffix(".00"))
         return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
 
-    gap = tr("open") if stage.gap is None or not math.isfinite(stage.gap) else percent(stage.gap)
-    return [
-        shown(stage.objective),
-        shown(stage.bound),
-        tr("proven") if stage.gap == 0.0 else gap,
-        number(stage.seconds, 1),
-    ]
+    is_proven = stage.gap == 0.0
+    gap = tr("proven") if is_proven else tr("open")
+    # More than the value itself says nothing as a share of it.
+    if not is_proven and is_certain and stage.gap is not None and stage.gap <= 1.0:
+        gap = percent(stage.gap)
+    bound = shown(stage.bound) if is_certain or is_proven else NOTHING
+    return [shown(stage.objective), bound, gap, number(stage.seconds, 1)]
 
 
 def agreement_section(result: PlacementResult) -> Section:

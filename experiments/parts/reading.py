@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, read_bytes, read_table
+from geometry.files import MAX_TEXT_BYTES, parse_json, read_bytes, read_table
 from geometry.untrusted_files import open_parquet
 from placement.layout import Layout, load_layout
 
@@ -67,7 +66,7 @@ def load_result(folder: Path | str) -> StoredResult:
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder of results")
-    summary = _load_summary(folder / MARKER)
+    summary = read_summary(folder / MARKER)
     layout = load_layout(folder / LAYOUT_FILE)
     ids, expected = [unit.id for unit in layout.units], [unit.id for unit in summary.layout]
     if ids != expected:
@@ -81,14 +80,12 @@ def load_result(folder: Path | str) -> StoredResult:
     return StoredResult(folder=folder, summary=summary, layout=layout, runs=runs, apr=apr)
 
 
-def _load_summary(path: Path) -> Result:
-    data = read_bytes(path)
+def read_summary(path: Path) -> Result:
+    """A ``summary.json``; InputError if it is none of this version."""
     try:
-        summary = msgspec.json.decode(data.decode("utf-8"))
-    except RecursionError:
-        raise InputError(str(path), Unquoted("JSON nested too deep"), _A_WHOLE) from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
+        summary = parse_json(read_bytes(path), str(path), _A_WHOLE)
+    except InputError as error:
+        raise InputError(str(path), error.got, _A_WHOLE) from None
     if not isinstance(summary, dict):
         raise InputError(str(path), Unquoted("no object"), "an object with a schema")
     return read_table(summary, KINDS[check_schema(summary, str(path))], str(path))

@@ -243,6 +243,7 @@ def run_recording(
     chooses: bool = False,
     out: Path | None,
     progress: StageProgress,
+    sign: Path | None = None,
 ) -> RecordedResult:
     """Judge the units of a recording, or choose the best and prove it; written if asked to.
 
@@ -254,13 +255,14 @@ def run_recording(
     # By default as the study reads a recording: no track dies.
     endless = math.inf if question.track_memory_s is None else question.track_memory_s
     rule = build_rule(replace_field(question, track_memory_s=endless))
-    expect_results(out, progress)
+    expect_results(out, progress, sign=sign)
     progress("read recording", 0, 0)
     recording = read_recording(folder)
     progress("evaluate", 0, 0)
     everything = evaluate_recording(recording, rule, min_confidence=min_confidence)
     if not chooses:
-        return _finish(_build_result(recording, everything, rule), out, progress)
+        result = _build_result(recording, everything, rule)
+        return _finish(result, out, progress, sign=sign)
     n_units = len(recording.units)
     budget_units, fusion = question.budget, question.fusion
     if budget_units is None:
@@ -307,7 +309,11 @@ def run_recording(
         seconds=progress.seconds,
         versions=result.versions,
     )
-    return _finish(result, out, progress, lambda new: save_certificate(new, document, problem))
+
+    def write_certificate(new: Path) -> None:
+        save_certificate(new, document, problem)
+
+    return _finish(result, out, progress, write_certificate, sign=sign)
 
 
 def _finish(
@@ -315,11 +321,14 @@ def _finish(
     out: Path | None,
     progress: StageProgress,
     write_more: Callable[[Path], None] | None = None,
+    *,
+    sign: Path | None = None,
 ) -> RecordedResult:
+    """The result with its "seconds", written and signed if asked to."""
     if out is None:
         return replace(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
-    with new_result_folder(out) as new:
+    with new_result_folder(out, sign=sign) as new:
         if write_more is not None:
             write_more(new)
         result = replace(result, seconds=progress.finish())

@@ -48,6 +48,19 @@ from .study_cases import StudyCases
 from .units import PrivateGroundRecord
 
 
+class AskedRecord(Record, frozen=True, kw_only=True):
+    """What was asked: enough for `place-rsus verify --deep` to make the result anew."""
+
+    command: Annotated[str, says("The command line, as a shell takes it.")]
+    question: Annotated[
+        dict[str, str | int | float | bool],
+        says("What differs from the defaults, by the keys of a question file."),
+    ]
+    seed: Annotated[int, says("Of all that is left to chance.", ge=0)]
+    rays: Annotated[str, says("Library that casts rays: --rays.")]
+    language: Annotated[str, says("Of the report.")]
+
+
 class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     """Head of all three: a layout by the evaluator, and what was driven.
 
@@ -93,6 +106,9 @@ class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
     seconds: Annotated[dict[str, Annotated[float, Meta(ge=0)]], says("Of each step, in seconds.")]
     versions: Annotated[dict[str, str], says("Of the programs that the numbers depend on.")]
+    asked: Annotated[
+        AskedRecord | None, says("What was asked; null where no folder was written.")
+    ] = None
 
 
 class HighestRecord(Record, frozen=True, kw_only=True):

@@ -25,9 +25,70 @@ if TYPE_CHECKING:
     from .fit import FitResult
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["dataset"])
+_DATASET_EXAMPLES = """\b
+Examples:
+  place-rsus dataset --layout carlancap-12 --cases CPNC-50,CBNA \\
+      --out ncap_data
+  place-rsus dataset --layout results/latest/layout.json --every 10 \\
+      --weather day,night,rain --lidar none --format coco --out training
+  place-rsus evaluate --recording ncap_data      reads it back"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_DATASET_EXAMPLES)
 @options.layout_option
-@options.from_table("dataset")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="FOLDER",
+    help="New folder, or one of the same dataset: what is there is not drawn again.",
+)
+@options.option(
+    "--format",
+    type=click.Choice(["carlancap", "coco"]),
+    default="carlancap",
+    help="carlancap: the study's folders; coco: pictures and coco.json.",
+)
+@options.option(
+    "--units",
+    default="",
+    metavar="NAMES",
+    help=("Cameras of the layout, with commas between; VUT is the car's. Default: all."),
+)
+@options.option(
+    "--every",
+    type=click.IntRange(min=1),
+    default=1,
+    metavar="N",
+    expected="a number of frames, at least 1",
+    help=("A picture of every Nth frame of a run; labels and motion are of all frames."),
+)
+@options.option(
+    "--lidar",
+    default="carla-ncap-lidar",
+    metavar="MODEL",
+    help="Scans next to each camera; none for none.",
+)
+@options.option(
+    "--masks",
+    is_flag=True,
+    help="Also a picture of each frame's things, a colour each.",
+)
+@options.option(
+    "--depth",
+    is_flag=True,
+    help="Also depths: 16 bits, centimetres, 0 where nothing is.",
+)
+@options.option(
+    "--vehicles",
+    is_flag=True,
+    help="Also labels of vehicles, in frames with pictures.",
+)
+@options.option(
+    "--vary",
+    is_flag=True,
+    help="Other clothes, paints and facades in each run, by seed; for training.",
+)
 @options.asking(*options.PICTURED, has_cache=False)
 def dataset(job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
@@ -66,9 +127,64 @@ def detector() -> None:
     """Response tables of detectors: what a detector finds, by height, cover, class and light."""
 
 
-@detector.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["fit"])
+_FIT_EXAMPLES = """\b
+Examples:
+  place-rsus detector fit --detector cnn --layout carlancap-12 --out cnn
+  place-rsus detector fit --detector net.onnx --layout carlancap-12 \\
+      --weather day,night,rain --out mine
+  place-rsus detector fit --recording ncap_data --out mine
+  place-rsus detector fit --labels coco.json --results found.json --out mine
+  place-rsus detector fit --labels gt.txt --results det.txt --frame-rate 7 \\
+      --out mine
+  place-rsus --budget 3 --detector mine/response.toml      plans with it"""
+
+
+@detector.command(cls=options.SectionedCommand, epilog=_FIT_EXAMPLES)
 @options.layout_option
-@options.from_table("fit")
+@options.option(
+    "--pictures",
+    type=click.IntRange(min=50),
+    default=1000,
+    metavar="N",
+    needs="layout_names",
+    expected="a number of pictures, at least 50",
+    help="With --detector: how many are rendered and looked at, about a second each.",
+)
+@options.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Fit to labels and detections: the study's folder, or one of MOT challenge.",
+)
+@options.option(
+    "--labels",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=("Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML .."),
+)
+@options.option(
+    "--results",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help=(".. and to what a detector found: COCO's list of results; MOT challenge, KITTI."),
+)
+@options.option(
+    "--frame-rate",
+    "frame_rate_hz",
+    type=click.FloatRange(min=1.0, max=1000.0),
+    metavar="HZ",
+    needs="labels",
+    expected="frames per second, 1 to 1000",
+    help="With --labels: of the recording; default: 10. The table holds for 10 Hz.",
+)
+@options.option(
+    "--min-confidence",
+    type=click.FloatRange(min=0.0, max=1.0),
+    default=0.5,
+    metavar="SHARE",
+    expected="a confidence, 0 to 1",
+    help="Detections below do not count.",
+)
 @options.folder_option("response.toml, fit.json and calibration.png")
 @options.asking(*options.PICTURED, has_cache=False)
 def fit(job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any) -> None:
@@ -181,9 +297,59 @@ def _rate(interval: "Interval") -> str:
     return f"{interval.value:.3g} (95 %: {interval.low:.3g} to {interval.high:.3g})"
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["render"])
+_RENDER_EXAMPLES = """\b
+Examples:
+  place-rsus render --layout carlancap-12 --run CPNC-50/east/40 \\
+      --frame -13 --unit RSU3
+  place-rsus render --layout carlancap-12 --run CBNA/east/60/rain \\
+      --frame -1 --unit VUT
+  place-rsus render --layout results/latest/layout.json \\
+      --run CPNC-50/east/55/night --frame -20 --unit RSU1 --out night.jpg
+  place-rsus render --layout carlancap-12 --run CBLA/west/50 \\
+      --frame -11 --unit VUT-LIDAR"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_RENDER_EXAMPLES)
 @options.layout_option
-@options.from_table("render")
+@options.option(
+    "--run",
+    "run_id",
+    required=True,
+    metavar="RUN",
+    help=(
+        "case/approach/speed or case/approach/speed/weather; away from the junction "
+        "the position stands behind the approach: CPLA-50/east-15/40."
+    ),
+)
+@options.option(
+    "--frame",
+    type=click.IntRange(min=-1000000000, max=1000000000),
+    required=True,
+    metavar="N",
+    expected="a frame of the run, such as 40, or -1 for the last",
+    help="Of the run, from 0; negative: from the end, -1 is at the impact.",
+)
+@options.option(
+    "--unit",
+    "unit_id",
+    required=True,
+    metavar="UNIT",
+    help="One of the layout's, VUT or VUT-LIDAR.",
+)
+@options.option(
+    "--weather",
+    metavar="WEATHER",
+    help="day, night, rain or fog; default: that of the run.",
+)
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help=(
+        "File to write, .png or .jpg; -instances.png and -depth.png are written next "
+        "to it; of a LiDAR .ply, or .bin with float32 x, y, z, intensity; default: "
+        "in results/renders."
+    ),
+)
 @options.scene_option
 @options.quiet_option
 @options.compute_options()

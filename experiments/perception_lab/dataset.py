@@ -20,7 +20,13 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, refuse
-from geometry.files import is_abandoned, read_table, read_text, write_atomically
+from geometry.files import (
+    is_abandoned,
+    parse_json,
+    read_table,
+    read_text,
+    write_atomically,
+)
 from geometry.lidar import LidarModel
 from geometry.poses import Pose
 from geometry.sensors import CameraModel, to_calibrated
@@ -416,7 +422,7 @@ def _annotation(
 def _add_vehicles(out: Path) -> None:
     """Label vehicles in ``coco.json``, once, as the text files next to the pictures have them."""
     form, path = load_format(), out / _COCO_FILE
-    coco = json.loads(read_text(path, "JSON"))
+    coco = parse_json(read_text(path, "JSON"), str(path), "labels of pictures")
     number = len(_COCO_CLASSES) + 1
     if any(category["id"] == number for category in coco["categories"]):
         return

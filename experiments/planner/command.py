@@ -21,21 +21,89 @@ from ..progress import Interrupted, StageProgress, tell
 if TYPE_CHECKING:
     from geometry.scene import Scene
 
-    from .plan import Plan
+    from .files import MapFile
+    from .plan_files import Plan
     from .server import RunningServer
-    from .session import MapFile
 
 _ASKED = (
     *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
-    *("solver", "time_limit_s", "gap"),
+    "solver",
+    "time_limit_s",
+    "gap",
     *options.JUDGED,
 )
 _LOCAL = "127.0.0.1"
 
 
-@click.command(cls=options.SectionedCommand, epilog=options.EXAMPLES["plan"])
+_EXAMPLES = """\b
+Examples:
+  place-rsus plan
+  place-rsus plan --layout carlancap-12 --cases study
+  place-rsus plan --scene scene --layout mine.json --save plan.json
+  place-rsus plan --scene city.osm --port 8042 --no-open"""
+
+
+@click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
 @options.layout_option
-@options.from_table("plan")
+@options.option(
+    "--port",
+    type=click.IntRange(min=0, max=65535),
+    default=0,
+    metavar="N",
+    expected="a port, 0 to 65535",
+    help="Of the page; default: one that is free.",
+)
+@options.option(
+    "--open/--no-open",
+    "opens",
+    default=True,
+    help="Open the page in the browser.",
+)
+@options.option(
+    "--keep-open",
+    is_flag=True,
+    help="Go on after the page is closed; else all ends some seconds later.",
+)
+@options.option(
+    "--save",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help=("Keep the plan in this file, whenever it rests; opened again if it is there."),
+)
+@options.option(
+    "--host",
+    default="127.0.0.1",
+    is_common=False,
+    help="Address to listen at; another one lets others in, see --i-know.",
+)
+@options.option(
+    "--i-know",
+    is_flag=True,
+    is_common=False,
+    needs="host",
+    help=("With --host: whoever has the page's address can change the plan and send files."),
+)
+@options.option(
+    "--tiles",
+    default="",
+    metavar="ADDRESS",
+    help=(
+        "Tiles of a map or of aerial pictures behind the plan, such as "
+        "https://HOST/{z}/{x}/{y}.png: the browser asks HOST for them, and nothing "
+        "else. Default: none, and no request leaves the machine."
+    ),
+)
+@options.option(
+    "--tiles-attribution",
+    default="",
+    metavar="TEXT",
+    is_common=False,
+    needs="tiles",
+    help=(
+        "Whose tiles they are, as their server asks; it stands on the plan. Default: "
+        "the host's name."
+    ),
+)
 @options.question_options(*_ASKED)
 @options.language_option
 @options.quiet_option
@@ -70,8 +138,9 @@ def plan(
         )
     asked = question
     tile_server = None
-    if tiles:  # refused before anything is read
-        from .numbers import read_tile_server
+    # Refused before anything is read
+    if tiles:
+        from .tiles import read_tile_server
 
         tile_server = read_tile_server(tiles, tiles_attribution)
     question = begin(progress, question, quiet=quiet)
@@ -91,16 +160,26 @@ def plan(
         check_target(save)
     if 0.0 < read_cars(question.cars) < 1.0:
         raise InputError("--cars", question.cars, "blind or see: the page tells each run once")
-    scene, map_file = load_scene(question.scene), _map_file(asked)
+    scene = load_scene(question.scene)
+    map_file = _map_file(asked)
     begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
     setting = with_sight(build_setting(question, scene, compute=compute), compute=compute)
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
+
+        def make_session() -> Session:
+            return Session(
+                work,
+                setting,
+                begun=begun,
+                save=save,
+                map_file=map_file,
+                tiles=tile_server,
+            )
+
         server = RunningServer(
-            lambda: Session(
-                work, setting, begun=begun, save=save, map_file=map_file, tiles=tile_server
-            ),
+            make_session,
             host=host,
             port=port,
             keeps_open=keep_open,
@@ -113,47 +192,79 @@ def _serve_page(server: "RunningServer", *, opens: bool, folder: Path) -> None:
     """Serve until the page is closed or by Ctrl-C; a page that leads to it is in the folder."""
     server.start()
     try:
-        ends = tr("Ctrl-C ends it.") if server.keeps_open else say("plan.ends_closed")
+        ends = say("plan.ends_closed")
+        if server.keeps_open:
+            ends = tr("Ctrl-C ends it.")
         tell(tr("The page is at {address}", address=server.address) + f"\n{ends}")
         if server.host != _LOCAL:
             tell(say("plan.not_alone", host=server.host), err=True)
         if opens:
             webbrowser.open(_redirect(server.address, folder))
         server.wait()
-        ended = "plan.closed", "plan.closed_saved"
+        is_closed = True
     except Interrupted as interrupted:
         if interrupted.signum != signal.SIGINT:
             raise
-        ended = "plan.ended", "plan.ended_saved"
+        is_closed = False
     finally:
         problem = server.stop()
     if problem:
         tell(f"place-rsus: {problem}", err=True)
-    saved = [] if server.session is None else server.session.saved_files()
-    tell(say(ended[bool(saved)], files=tr(" and ").join(saved)))
+    saved: list[str] = []
+    if server.session is not None:
+        saved = server.session.saved_files()
+    tell(_last_words(saved, is_closed=is_closed))
+
+
+def _last_words(saved: Sequence[str], *, is_closed: bool) -> str:
+    """Why it has ended, and where the plans are; `is_closed`: the page was, else by Ctrl-C."""
+    files = tr(" and ").join(saved)
+    if is_closed and saved:
+        return say("plan.closed_saved", files=files)
+    if is_closed:
+        return say("plan.closed", files=files)
+    if saved:
+        return say("plan.ended_saved", files=files)
+    return say("plan.ended", files=files)
 
 
 def _map_file(question: Question) -> "MapFile | None":
     """The map that a question's scene is cut out of, with its options; None: it names a scene."""
     from geometry.scene_files import has_scene
 
-    from .session import MapFile
+    from .files import MapFile
 
     path = Path(question.scene)
     if not path.is_file() or has_scene(path):
         return None
-    given = map_options(question)
-    options = {key: given[key] for key in given.keys() & {"sites", "keeps_left"}}
+    known = ("sites", "keeps_left")
+    options = {key: value for key, value in map_options(question).items() if key in known}
     return MapFile(path=path, name=path.name, options=options)
 
 
 def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
-    """The first plan: the saved one, then layouts that it does not have yet."""
+    """The first plan: the saved one, then layouts that it does not have yet.
+
+    Parameters
+    ----------
+    layout_names : sequence of str
+        Of ``--layout``.
+    save : Path, optional
+        Of ``--save``; it may not exist yet.
+    scene : Scene
+        In which all must be mountable.
+
+    Raises
+    ------
+    InputError
+        One cannot be read, or not be mounted in this scene.
+    """
     from geometry.files import read_bytes
     from placement.layout import check_layout, find_layout
 
     from .numbers import key_of
-    from .plan import MAX_PLAN_BYTES, MAX_UNITS, Plan, Variant, check_count, check_plan, read_plan
+    from .plan import MAX_UNITS, Variant, check_count
+    from .plan_files import MAX_PLAN_BYTES, Plan, check_plan, read_plan
 
     begun = Plan(variants=())
     if save is not None and save.exists():

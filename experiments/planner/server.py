@@ -10,8 +10,6 @@ import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from functools import cache
-from importlib.resources import files
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,14 +17,16 @@ from urllib.parse import unquote
 
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 
-from ..language import mark, said, tr, words_of
-from ..report.page import page_environment
+from ..language import mark, said, tr
 from ..scene import CAUSES
 from ..scene.pictures import junction_chooser
-from .numbers import evaluate_command, layout_text
-from .plan import MAX_IMAGE_BYTES, MAX_PLAN_BYTES, build_background, read_plan
-from .session import MAX_MAP_BYTES, MapFile, Session
-from .tasks import Cancelled, TaskError
+from .background import MAX_IMAGE_BYTES, Background, build_background
+from .files import MAX_MAP_BYTES, MapFile
+from .numbers import evaluate_command
+from .page_files import page_files, page_html
+from .plan_files import MAX_PLAN_BYTES, layout_text, read_plan
+from .session import Session
+from .worker import Cancelled, TaskError
 
 try:
     import uvicorn
@@ -45,11 +45,20 @@ except ModuleNotFoundError as error:
 _MAX_MESSAGE_BYTES = 64_000
 _MAX_NAME_BYTES = 500
 _STOPPED = mark("it was stopped")
-_WIDEST_PX = 640  # of a picture that is drawn while a camera is turned
-_EACH = ("problem", "notice", "view")  # messages of which not only the newest counts
-_MAX_WAITING = 2000  # messages for a browser that does not read
-_CLOSED_CODES = (1000, 1001, 1005)  # the page was closed or is loaded again; others: it was lost
-_PATIENCE_S = 2.0  # until a server has ended
+# Of a picture that is drawn while a camera is turned
+_WIDEST_PX = 640
+# Messages of which not only the newest counts
+_EACH = ("problem", "notice", "view")
+# Messages for a browser that does not read
+_MAX_WAITING = 2000
+# The page was closed or is loaded again
+_CLOSED_CODES = (1000, 1001, 1005)
+# As all other codes: the connection to the page was lost
+_LOST_CODE = 1006
+_LOCAL = "127.0.0.1"
+_ALL_INTERFACES = ("0.0.0.0", "::")
+# Until a server has ended
+_PATIENCE_S = 2.0
 LINGER_S = 8.0
 """After the last page was closed: it may be loaded again."""
 LINGER_LOST_S = 180.0
@@ -76,86 +85,85 @@ _GUARDED = {
 
 
 def allowed_hosts(host: str, port: int) -> frozenset[str] | None:
-    """Values of the header Host that are answered; None: any, where all interfaces listen."""
-    if host in ("0.0.0.0", "::"):
+    """Values of the header Host that are answered.
+
+    A page from elsewhere may let its own name lead to this address (DNS rebinding); its
+    requests have that name in them.
+
+    Parameters
+    ----------
+    host : str
+        Address at which is listened.
+    port : int
+        And its port.
+
+    Returns
+    -------
+    frozenset of str or None
+        None: any, where all interfaces listen.
+    """
+    if host in _ALL_INTERFACES:
         return None
-    names = {host, "127.0.0.1", "localhost"} if host == "127.0.0.1" else {host}
+    names = {host}
+    if host == _LOCAL:
+        names.add("localhost")
     return frozenset(f"{name}:{port}" for name in names)
 
 
 class Guard:
-    """Answers only who has the token, by this very address, from a page of this very server."""
+    """Answers only who has the token, by this very address, from a page of this very server.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        Gets the requests that are answered.
+    token : str
+        With which the path of every address begins.
+    hosts : frozenset of str, optional
+        As of :func:`allowed_hosts`.
+    """
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] | None) -> None:
-        self._app, self._token, self._hosts = app, token, hosts
+        self._app = app
+        self._token = token
+        self._hosts = hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
-        problem = "" if scope["type"] == "lifespan" else self._problem(scope)
+        problem = ""
+        if scope["type"] != "lifespan":
+            problem = self._problem(scope)
         if not problem:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008, "reason": problem})
         else:
-            await Response(f"{problem}\n", 403, media_type="text/plain")(scope, receive, send)
+            refusal = Response(f"{problem}\n", 403, media_type="text/plain")
+            await refusal(scope, receive, send)
 
     def _problem(self, scope: Scope) -> str:
+        """Why a request is refused; empty: it is answered."""
         headers = Headers(scope=scope)
-        host, origin = headers.get("host", ""), headers.get("origin", "")
+        host = headers.get("host", "")
+        origin = headers.get("origin", "")
+        # Another name that leads to this address: see :func:`allowed_hosts`.
         if self._hosts is not None and host not in self._hosts:
             return tr("another host")
+        # Pages from elsewhere can send requests here, but not without their origin.
         is_read = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
         if (origin or not is_read) and origin != f"http://{host}":
             return tr("another origin")
-        token = scope["path"].split("/")[1] if scope["path"].startswith("/") else ""
+        # Who has the address that was printed has the token.
+        token = ""
+        if scope["path"].startswith("/"):
+            token = scope["path"].split("/")[1]
         if not secrets.compare_digest(token.encode(), self._token.encode()):
             return tr("no such page; the address is the one that place-rsus plan has printed")
         return ""
 
 
-_SAID = re.compile(r'\btr(?:n\(("(?:[^"\\]|\\.)*"), |\()("(?:[^"\\]|\\.)*")')
-
-
-@cache
-def page_messages() -> list[tuple[str, str]]:
-    """What the page's scripts say by ``tr``, or by ``trn`` for one and for many (else "")."""
-    scripts = (text.decode() for name, (text, _) in page_files().items() if name.endswith(".js"))
-    said = (found.groups('""') for script in scripts for found in _SAID.finditer(script))
-    return sorted({(json.loads(one), json.loads(many)) for one, many in said})
-
-
-def page_html() -> str:
-    """The page in the language that is spoken, with all that its scripts say."""
-    source = (files("experiments.planner") / "page" / "index.html.j2").read_text(encoding="utf-8")
-    page: str = page_environment().from_string(source).render(own_words=words_of(page_messages()))
-    return page
-
-
-@cache
-def page_files() -> dict[str, tuple[bytes, str]]:
-    """Files of the page by name: content and media type; ``shared.js`` has the report's scripts."""
-    page = files("experiments.planner") / "page"
-    kinds = {".css": "text/css", ".js": "text/javascript"}
-    found = {
-        item.name: (item.read_bytes(), kinds[Path(item.name).suffix])
-        for item in page.iterdir()
-        if Path(item.name).suffix in kinds
-    }
-    report = files("experiments.report") / "templates"
-    scripts = ("words.js", "run_numbers.js", "plan_drawing.js")
-    shared = [(report / name).read_bytes() for name in scripts]
-    exported = b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
-    exported += b"wedgeCorners, points, unpackBits, stretches, seconds, say, inWords };\n"
-    of_maps = files("experiments.scene")
-    script = (of_maps / "junction_map.js").read_bytes() + b"\nexport { openJunctionMap };\n"
-    found["junction_map.js"] = (script, kinds[".js"])
-    found["junction_map.css"] = ((of_maps / "junction_map.css").read_bytes(), kinds[".css"])
-    found["shared.js"] = (b"\n".join([*shared, exported]), "text/javascript")
-    return found
-
-
 class Pages:
-    """Answers to addresses below the token."""
+    """Answers to addresses below the token: each method is one of :meth:`routes`."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -185,7 +193,10 @@ class Pages:
     def _answer(
         self, make: Callable[[Request], Awaitable[Response]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """An answer, or the sentence that says why there is none."""
+        """A route's answer, or the sentence that says why there is none.
+
+        Status 400: the request cannot be met. 409: it was stopped.
+        """
 
         async def answer(request: Request) -> Response:
             response: Response
@@ -202,17 +213,26 @@ class Pages:
         return answer
 
     async def _page(self, request: Request) -> Response:
+        policy = _STRICT
         tiles = self._session.tiles
-        policy = _STRICT.replace(_IMAGES, f"{_IMAGES} {tiles.origin}") if tiles else _STRICT
+        # The only other server that the page may ask
+        if tiles is not None:
+            policy = _STRICT.replace(_IMAGES, f"{_IMAGES} {tiles.origin}")
         return Response(page_html(), media_type="text/html", headers={_POLICY: policy})
 
     async def _file(self, request: Request) -> Response:
         found = page_files().get(request.path_params["name"])
         if found is None:
             return Response(tr("no such file") + "\n", 404, media_type="text/plain")
-        return Response(found[0], media_type=found[1])
+        content, media_type = found
+        return Response(content, media_type=media_type)
 
     async def _live(self, socket: WebSocket) -> None:
+        """Talk to a browser until it leaves: messages to it, requests of it.
+
+        Each request is answered by "heard" with its number, so that the page knows which of its
+        changes the newest state has.
+        """
         await socket.accept()
         waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
         is_lost = asyncio.Event()
@@ -225,27 +245,35 @@ class Pages:
 
         sender = asyncio.create_task(_send_all(socket, waiting, is_lost))
         self._session.join(listen)
-        code = 1006
+        code = _LOST_CODE
         try:
             for number in count(1):
                 text = await socket.receive_text()
                 try:
-                    if len(text) > _MAX_MESSAGE_BYTES:
-                        refuse("message", f"{len(text)} bytes", "fewer")
-                    self._session.handle(text.encode())
+                    self._handle(text)
                 except InputError as error:
                     listen({"type": "problem", "text": said(str(error))})
                 listen({"type": "heard", "number": number})
         except WebSocketDisconnect as ended:
             code = ended.code
-        except (RuntimeError, KeyError):  # it is closed already, or bytes came in place of text
+        except (
+            RuntimeError,
+            KeyError,
+        ):  # it is closed already, or bytes came in place of text
             pass
         finally:
-            self._session.leave(listen, is_lost=code not in _CLOSED_CODES)
+            self._session.browsers.leave(listen, is_lost=code not in _CLOSED_CODES)
             sender.cancel()
 
+    def _handle(self, text: str) -> None:
+        """Carry out a request of a browser; InputError: that cannot be done."""
+        if len(text) > _MAX_MESSAGE_BYTES:
+            refuse("message", f"{len(text)} bytes", "fewer")
+        self._session.handle(text.encode())
+
     async def _layout(self, request: Request) -> Response:
-        text = layout_text(self._session.history.state, self._session.setting.scene)
+        shown = self._session.shown
+        text = layout_text(shown.state, shown.setting.scene)
         return _download(text.encode(), "layout.json", "application/json")
 
     async def _plan(self, request: Request) -> Response:
@@ -261,47 +289,58 @@ class Pages:
         return Response(page, media_type="text/html", headers={_POLICY: _INLINE})
 
     async def _private(self, request: Request) -> Response:
-        return JSONResponse(await self._session.private_view(request.query_params.get("unit", "")))
+        unit_id = request.query_params.get("unit", "")
+        return JSONResponse(await self._session.views.private_places(unit_id))
 
     async def _background(self, request: Request) -> Response:
-        """The image below the plan; by POST another one, or with an empty body none."""
-        session = self._session
-        name = unquote(request.headers.get("x-file-name", ""))[:200]
-        if request.method == "POST" and name:  # it says itself, or a world file, where it lies
-            path = await self._received(request, _plain_name(name, Path(name).suffix))
-            world, crs = (request.headers.get(f"x-{key}", "")[:500] for key in ("world", "crs"))
-            if world:
-                path.with_suffix(".wld").write_text("\n".join(world.split()))
-            try:
-                session.lay_background(await session.call("lay_raster", str(path), crs))
-            except TaskError as error:
-                raise TaskError(str(error).replace(str(path), name)) from None
-            finally:
-                _remove(path)
-            return JSONResponse({})
+        """The image below the plan; by POST another one, or with an empty body none.
+
+        An image with a file name is a raster that says where it lies; one without is sent with
+        two points that lay it.
+        """
         if request.method == "POST":
-            content = await _body(request, MAX_IMAGE_BYTES)
-            points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
-            session.lay_background(build_background(content, points, "image") if content else None)
+            name = _file_name(request)
+            if name:
+                laid: Background | None = await self._received_raster(request, name)
+            else:
+                laid = await _received_image(request)
+            self._session.lay_background(laid)
             return JSONResponse({})
-        background = session.workspace.background
+        background = self._session.shown.workspace.background
         if background is None:
             return Response(tr("no image") + "\n", 404, media_type="text/plain")
         return Response(background.image, media_type=background.media_type)
+
+    async def _received_raster(self, request: Request, name: str) -> Background:
+        """An image that says itself, or by a world file, where it lies. InputError, TaskError."""
+        path = await self._received(request, _plain_name(name, Path(name).suffix))
+        world = request.headers.get("x-world", "")[:500]
+        crs = request.headers.get("x-crs", "")[:500]
+        if world:
+            path.with_suffix(".wld").write_text("\n".join(world.split()))
+        try:
+            background: Background = await self._session.call("lay_raster", str(path), crs)
+        except TaskError as error:
+            raise TaskError(str(error).replace(str(path), name)) from None
+        finally:
+            _remove(path)
+        return background
 
     async def _explain(self, request: Request) -> Response:
         return JSONResponse(await self._of_run("explain", request))
 
     async def _seen(self, request: Request) -> Response:
-        """What a camera sees while it is aimed, small; or a problem, which is no fault of the page.
+        """What a camera sees while it is aimed, small.
 
-        When it is answered, another one may be wanted, or the unit or the run be gone.
+        A problem is an answer like others, and no fault of the page: when it is answered, another
+        picture may be wanted, or the unit or the run be gone.
         """
         values = request.query_params
-        width_px = min(max(_whole_number(values, "width", _WIDEST_PX), 1), _WIDEST_PX)
+        wanted_px = _whole_number(values, "width", _WIDEST_PX)
+        width_px = min(max(wanted_px, 1), _WIDEST_PX)
         frame = _whole_number(values, "frame", -1)
         try:
-            found = await self._session.camera_picture(
+            found = await self._session.views.camera_picture(
                 values.get("unit", ""),
                 run_id=values.get("run", ""),
                 frame=frame,
@@ -317,33 +356,37 @@ class Pages:
     async def _picture(self, request: Request) -> Response:
         values = request.query_params
         frame = _whole_number(values, "frame", -1)
-        asked = self._session.layout(), values.get("unit", ""), values.get("run", ""), frame
-        picture = await self._session.call("picture", *asked)
+        layout = self._session.layout()
+        unit_id = values.get("unit", "")
+        run_id = values.get("run", "")
+        picture = await self._session.call("picture", layout, unit_id, run_id, frame)
         return Response(picture, media_type="image/jpeg")
 
     async def _report(self, request: Request) -> Response:
-        asked = self._session.layout(), evaluate_command(self._session.work.question)
-        content = await self._session.call("report", *asked, is_long=True)
+        layout = self._session.layout()
+        command = evaluate_command(self._session.shown.workspace.work.question)
+        content = await self._session.call("report", layout, command, is_long=True)
         return _download(content, "report.zip", "application/zip")
 
     async def _sheet(self, request: Request) -> Response:
-        content = await self._session.call("sheet", self._session.layout(), is_long=True)
+        layout = self._session.layout()
+        content = await self._session.call("sheet", layout, is_long=True)
         return _download(content, "mounting.pdf", "application/pdf")
 
     async def _open(self, request: Request) -> Response:
-        """Open a layout or a plan, or survey a map or a scene, by the suffix of its name."""
-        name = unquote(request.headers.get("x-file-name", ""))[:200]
-        lower = name.lower()
-        if lower.endswith(".json"):
+        """Open a layout or a plan, or survey a map or a scene, by the suffix of its name.
+
+        Raises InputError or TaskError if it cannot be read; nothing is left of it then.
+        """
+        name = _file_name(request)
+        if name.lower().endswith(".json"):
             plan = read_plan(await _body(request, MAX_PLAN_BYTES), name)
             self._session.open_plan(plan, Path(name).stem)
             return JSONResponse({"opened": [variant.name for variant in plan.variants]})
-        suffix = next((end for end in _MAP_SUFFIXES if lower.endswith(end)), None)
-        if suffix is None:
-            known = ", ".join(_MAP_SUFFIXES)
-            raise InputError("file", name, f"a name that ends in .json, {known}")
+        suffix = _map_suffix(name)
         path = await self._received(request, _plain_name(name, suffix))
         before = self._session.map_file
+        # What cannot be read is not stored; messages name the file as its sender does.
         try:
             file = await self._session.open_file(MapFile(path=path, name=name))
         except BaseException as error:
@@ -351,42 +394,54 @@ class Pages:
             if isinstance(error, TaskError):
                 raise TaskError(str(error).replace(str(path), name)) from None
             raise
-        if before is not None and before.path.parent.parent == self._session.work.scratch:
-            _remove(before.path)  # one at a time is stored
+        scratch = self._session.shown.workspace.work.scratch
+        if before is not None and before.path.parent.parent == scratch:
+            # One at a time is stored
+            _remove(before.path)
         return _to_choose_from(file)
 
     async def _junctions(self, request: Request) -> Response:
         """Junctions of the map that the scene is of, or that was sent last."""
         file = self._map_file()
-        return _to_choose_from(await self._session.open_file(file) if not file.found else file)
+        if not file.found:
+            file = await self._session.open_file(file)
+        return _to_choose_from(file)
 
     def _map_file(self) -> MapFile:
+        """The map that the scene is of, or that was sent last; InputError: there is none."""
         if self._session.map_file is None:
             refuse("map", "none", "one that was dropped on the page before")
         return self._session.map_file
 
     async def _import(self, request: Request) -> Response:
         """Go on at a junction of the map that was sent last, or in that scene."""
-        sent, session = self._map_file(), self._session
+        sent = self._map_file()
+        session = self._session
         junction = (await _body(request, _MAX_NAME_BYTES)).decode("utf-8", errors="replace")
         try:
             if sent.found.get("isScene"):
                 await session.open_scene(str(sent.path))
-                session.map_file = None  # the session's file from here on
+                # The session's file from here on
+                session.map_file = None
             else:
                 names = {one["id"]: one["name"] for one in sent.found.get("junctions", ())}
                 if junction not in names:
                     raise InputError("junction", junction, f"one of {sent.name}")
-                path = str(session.work.scratch / f"scene-{next(self._numbers)}")
+                path = str(session.shown.workspace.work.scratch / f"scene-{next(self._numbers)}")
                 await session.open_scene(path, names[junction], of=sent, junction=junction)
         except TaskError as error:
-            plain = tr(CAUSES[error.cause]) if error.cause in CAUSES else str(error)
+            plain = str(error)
+            if error.cause in CAUSES:
+                plain = tr(CAUSES[error.cause])
             raise TaskError(plain.replace(str(sent.path), sent.name)) from None
-        return JSONResponse({"scene": session.workspace.title})
+        return JSONResponse({"scene": session.shown.workspace.title})
 
     async def _received(self, request: Request, name: str) -> Path:
-        """A file of the session with the map that is sent, in a folder of its own."""
-        path = self._session.work.scratch / f"received-{next(self._numbers)}" / name
+        """Store a file that is sent, in a folder of its own in the session's folder.
+
+        Raises InputError if it is too large; nothing is left of it then.
+        """
+        path = self._session.shown.workspace.work.scratch / f"received-{next(self._numbers)}" / name
         path.parent.mkdir()
         try:
             with path.open("wb") as file:
@@ -400,12 +455,43 @@ class Pages:
 
 def _to_choose_from(file: MapFile) -> JSONResponse:
     """What is in a file: a scene, or the junctions of a map with the page to choose one."""
-    brief = {key: file.found[key] for key in ("name", "isScene", "junctions")}
-    chooser = {} if file.found["isScene"] else {"chooser": junction_chooser(file.found)}
-    return JSONResponse({"map": file.name, **brief, **chooser})
+    found = file.found
+    record = {
+        "map": file.name,
+        "name": found["name"],
+        "isScene": found["isScene"],
+        "junctions": found["junctions"],
+    }
+    if not found["isScene"]:
+        record["chooser"] = junction_chooser(found)
+    return JSONResponse(record)
+
+
+def _file_name(request: Request) -> str:
+    """Name of the file that a request sends, as its sender has it; empty: none is said."""
+    return unquote(request.headers.get("x-file-name", ""))[:200]
+
+
+def _map_suffix(name: str) -> str:
+    """Suffix of a file with a map or a scene; InputError: it has another one."""
+    for suffix in _MAP_SUFFIXES:
+        if name.lower().endswith(suffix):
+            return suffix
+    known = ", ".join(_MAP_SUFFIXES)
+    raise InputError("file", name, f"a name that ends in .json, {known}")
+
+
+async def _received_image(request: Request) -> Background | None:
+    """An image with two points that lay it; None of an empty body. Raises InputError."""
+    content = await _body(request, MAX_IMAGE_BYTES)
+    points = request.headers.get("x-points", "")[:2000].encode("latin-1", "replace")
+    if not content:
+        return None
+    return build_background(content, points, "image")
 
 
 def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
+    """A number of a request's query; InputError: it is none."""
     try:
         return int(values.get(name, str(default))[:9])
     except ValueError:
@@ -413,7 +499,7 @@ def _whole_number(values: Mapping[str, str], name: str, default: int) -> int:
 
 
 async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """The body of a request in parts; InputError if there is more of it."""
+    """The body of a request in parts; InputError if there is more of it than there may be."""
     n_bytes = 0
     async for chunk in request.stream():
         n_bytes += len(chunk)
@@ -423,10 +509,12 @@ async def _chunks(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
 
 
 async def _body(request: Request, max_bytes: int) -> bytes:
+    """The whole body of a request; InputError if there is more of it."""
     return b"".join([chunk async for chunk in _chunks(request, max_bytes)])
 
 
 def _remove(received: Path) -> None:
+    """Remove a file that was sent, with its folder."""
     shutil.rmtree(received.parent, ignore_errors=True)
 
 
@@ -445,27 +533,44 @@ def _plain_name(name: str, suffix: str) -> str:
 async def _send_all(
     socket: WebSocket, waiting: asyncio.Queue[dict[str, Any]], is_lost: asyncio.Event
 ) -> None:
-    """Send what waits; of several numbers or states that wait only the newest."""
+    """Send what waits, until the browser is lost.
+
+    Of several messages of a kind that wait, such as numbers, only the newest is sent; but all
+    of those in ``_EACH``.
+    """
     while True:
         messages = [await waiting.get()]
         while not waiting.empty():
             messages.append(waiting.get_nowait())
+        # Later messages of a kind take the place of earlier ones.
         newest = {message["type"]: index for index, message in enumerate(messages)}
         for index, message in enumerate(messages):
             if message["type"] in _EACH or newest[message["type"]] == index:
-                await socket.send_text(json.dumps(message, separators=(",", ":"), allow_nan=False))
+                text = json.dumps(message, separators=(",", ":"), allow_nan=False)
+                await socket.send_text(text)
         if is_lost.is_set():
             await socket.close(1013)
             return
 
 
 def _download(content: bytes, name: str, kind: str) -> Response:
+    """Contents of a file that the browser saves."""
     disposition = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(content, media_type=kind, headers=disposition)
 
 
 def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> ASGIApp:
-    """The application of a session; every address begins with the token."""
+    """The application of a session.
+
+    Parameters
+    ----------
+    session : Session
+        Is started and stopped with it.
+    token : str
+        With which every address begins.
+    hosts : frozenset of str or None
+        As of :func:`allowed_hosts`.
+    """
 
     @asynccontextmanager
     async def life(app: Starlette) -> Any:
@@ -473,19 +578,40 @@ def build_app(session: Session, *, token: str, hosts: frozenset[str] | None) -> 
         yield
         session.stop()
 
-    inner = Starlette(routes=[Mount(f"/{token}", routes=Pages(session).routes())], lifespan=life)
+    pages = Mount(f"/{token}", routes=Pages(session).routes())
+    inner = Starlette(routes=[pages], lifespan=life)
     return Guard(inner, token=token, hosts=hosts)
 
 
 class RunningServer:
     """A server in a thread of its own: the main thread waits, and is free to be interrupted.
 
-    Unless it `keeps_open`, it ends by itself some seconds after the last page was closed. Its
-    `address` is that of the page, with its token.
+    Its `address` is that of the page, with its token.
+
+    Parameters
+    ----------
+    make_session : callable
+        Makes the session, in the thread of the event loop.
+    host : str
+        Address to listen at.
+    port : int
+        0: one that is free.
+    keeps_open : bool
+        Go on after the last page was closed; else it ends some seconds later.
+
+    Raises
+    ------
+    InputError
+        The port is taken, or none.
     """
 
     def __init__(
-        self, make_session: Callable[[], Session], *, host: str, port: int, keeps_open: bool = True
+        self,
+        make_session: Callable[[], Session],
+        *,
+        host: str,
+        port: int,
+        keeps_open: bool = True,
     ) -> None:
         self.keeps_open = keeps_open
         try:
@@ -496,7 +622,9 @@ class RunningServer:
         self.port: int = self._socket.getsockname()[1]
         self.host = host
         self.token = secrets.token_urlsafe(24)
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        shown = host
+        if host in _ALL_INTERFACES:
+            shown = _LOCAL
         self.address = f"http://{shown}:{self.port}/{self.token}/"
         self._make_session = make_session
         self.session: Session | None = None
@@ -506,7 +634,11 @@ class RunningServer:
         self._error: BaseException | None = None
 
     def start(self) -> None:
-        """Serve from here on."""
+        """Serve from here on.
+
+        Returns when the address is answered. Raises what the session or the server cannot begin
+        with.
+        """
         self._thread.start()
         self._is_up.wait()
         if self._error is not None:
@@ -524,15 +656,25 @@ class RunningServer:
             self._thread.join(0.5)
 
     def stop(self) -> str:
-        """End it and every process that it has started; what could not be saved, in words."""
+        """End the server and every process that it has started; from any thread.
+
+        Returns
+        -------
+        str
+            Why the plan could not be saved, as a sentence; empty: nothing went wrong.
+        """
         if self._server is not None:
-            self._server.should_exit = self._server.force_exit = True
+            # At once: connections to browsers would stay open for ever.
+            self._server.should_exit = True
+            self._server.force_exit = True
         if self.session is not None:
             self.session.stop()
         self._thread.join(_PATIENCE_S)
         with suppress(OSError):
             self._socket.close()
-        return "" if self.session is None else self.session.save_plan()
+        if self.session is None:
+            return ""
+        return self.session.save_plan()
 
     def _run(self) -> None:
         try:
@@ -555,17 +697,26 @@ class RunningServer:
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
-        self._is_up.set()  # the socket takes connections already
+        # The socket takes connections already
+        self._is_up.set()
         watching = asyncio.create_task(self._end_when_alone(self.session, self._server))
         await self._server.serve(sockets=[self._socket])
         watching.cancel()
 
     async def _end_when_alone(self, session: Session, server: uvicorn.Server) -> None:
+        """End some seconds after the last page was closed.
+
+        A page that is loaded again comes back within these; one whose connection was lost tries
+        for minutes.
+        """
         while not self.keeps_open:
             await asyncio.sleep(0.5)
-            if session.left_at_s is None:  # nobody came yet, or somebody is here
+            # Nobody came yet, or somebody is here
+            if session.browsers.left_at_s is None:
                 continue
-            waits_s = LINGER_LOST_S if session.is_lost else LINGER_S
-            if time.monotonic() - session.left_at_s > waits_s:
+            waits_s = LINGER_S
+            if session.browsers.is_lost:
+                waits_s = LINGER_LOST_S
+            if time.monotonic() - session.browsers.left_at_s > waits_s:
                 server.should_exit = True
                 return

@@ -31,6 +31,7 @@ from geometry.files import (
 )
 
 from ..progress import WRITING, StageProgress, signals_held
+from .signatures import SIGNATURE, check_signing_key, write_signature
 
 _R = TypeVar("_R", bound=msgspec.Struct)
 
@@ -47,8 +48,17 @@ _OF_FILE_MANAGERS = {".DS_Store", "Thumbs.db", "desktop.ini"}  # they come by th
 
 def write_manifest(folder: Path) -> None:
     """List all files of a folder with their hashes in its ``SHA256SUMS``."""
-    lines = [f"{sha256(path)}  {name}\n" for name, path in _files(folder).items()]
+    lines = [f"{sha256(path)}  {name}\n" for name, path in listed_files(folder).items()]
     write_atomically(folder / MANIFEST, "".join(lines))
+
+
+def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
+    """List of files that are not written yet, as :func:`write_manifest` writes it."""
+    lines = []
+    for name, content in sorted(contents.items()):
+        data = content.encode() if isinstance(content, str) else content
+        lines.append(f"{hashlib.sha256(data).hexdigest()}  {name}\n")
+    return "".join(lines)
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
@@ -57,18 +67,21 @@ def read_manifest(folder: Path) -> dict[str, str]:
     if not path.exists():
         return {}
     lines = read_text(path, "a list of SHA-256 hashes and names").splitlines()
-    hashes = {}
+    hashes: dict[str, str] = {}
     for number, line in enumerate(lines, start=1):
         digest, gap, name = line.partition("  ")
+        where = f"{path}: line {number}"
         if not gap or not name or len(digest) != 64 or set(digest) - set("0123456789abcdef"):
-            raise InputError(f"{path}: line {number}", line, "a SHA-256 hash, two spaces, a name")
+            raise InputError(where, line, "a SHA-256 hash, two spaces, a name")
+        if name in hashes:
+            raise InputError(where, name, "every file once")
         hashes[name] = digest
     return hashes
 
 
 def changed_files(folder: Path) -> dict[str, str]:
     """Files not as ``SHA256SUMS`` lists them, each "missing", "changed" or "not listed" there."""
-    listed, found = read_manifest(folder), _files(folder)
+    listed, found = read_manifest(folder), listed_files(folder)
     changes = {name: "missing" for name in listed if name not in found}
     for name, path in found.items():
         if name not in listed:
@@ -84,12 +97,13 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
-def _files(folder: Path) -> dict[str, Path]:
+def listed_files(folder: Path) -> dict[str, Path]:
     """Files in a folder and those below it, by relative name; empty folders count as well."""
+    not_listed = {MANIFEST, SIGNATURE, *_OF_FILE_MANAGERS}
     return {
         path.relative_to(folder).as_posix(): path
         for path in sorted(folder.rglob("*"))
-        if path.name not in {MANIFEST, *_OF_FILE_MANAGERS} and not _is_filled_folder(path)
+        if path.name not in not_listed and not _is_filled_folder(path)
     }
 
 
@@ -124,9 +138,10 @@ def _try_to_write(folder: Path, existing: Path) -> None:
 
 
 @contextmanager
-def new_result_folder(folder: Path) -> Iterator[Path]:
+def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Path]:
     """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
 
+    `sign` is the key that signs the list of its files, see :mod:`.signatures`.
     If the block raises, `folder` stays as it was; what was written is kept next to it if
     ``summary.json`` is among it, unless the user ends the program. Raises InputError as
     :func:`check_result_folder`, or if writing failed: it names the folder that is kept.
@@ -141,6 +156,8 @@ def new_result_folder(folder: Path) -> Iterator[Path]:
         with lock_while_alive(temporary):
             yield temporary
             write_manifest(temporary)
+            if sign is not None:
+                write_signature(temporary, temporary / MANIFEST, sign)
             _put_in_place(temporary, folder, real)
     except BaseException as error:
         if isinstance(error, Exception) and (temporary / MARKER).exists():
@@ -251,8 +268,15 @@ def remove_abandoned(parent: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def expect_results(out: Path | None, progress: StageProgress) -> None:
-    """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to."""
+def expect_results(out: Path | None, progress: StageProgress, *, sign: Path | None = None) -> None:
+    """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to.
+
+    Raises InputError: it cannot be written, or the key `sign` cannot sign it.
+    """
+    if sign is not None and out is None:
+        raise InputError("--sign", str(sign), "--out as well, a folder to sign")
+    if sign is not None:
+        check_signing_key(sign)
     if out is not None:
         check_result_folder(out)
         progress.kept = f"nothing was written to {out}"
@@ -289,8 +313,15 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
         raise unwritable(folder, error) from None
 
 
-def expect_files(out: Path | None, progress: StageProgress) -> None:
-    """Check a folder before a job whose result :func:`save_files` puts there, if asked to."""
+def expect_files(out: Path | None, progress: StageProgress, *, sign: Path | None = None) -> None:
+    """Check a folder before a job whose result :func:`save_files` puts there, if asked to.
+
+    Raises InputError: it cannot be written, or the key `sign` cannot sign its files.
+    """
+    if sign is not None and out is None:
+        raise InputError("--sign", str(sign), "--out as well, a folder to sign")
+    if sign is not None:
+        check_signing_key(sign)
     if out is not None:
         check_folder(out)
         progress.kept = f"nothing was written to {out}"
@@ -301,12 +332,25 @@ def save_files(
     out: Path | None,
     progress: StageProgress,
     files: Callable[[_R], Mapping[str, str | bytes]],
+    *,
+    has_manifest: bool = False,
+    sign: Path | None = None,
 ) -> _R:
-    """The result with its "seconds"; `files` of it are added to `out`, if asked to."""
+    """The result with its "seconds"; `files` of it are added to `out`, if asked to.
+
+    With a manifest they are listed in ``SHA256SUMS``, which the key `sign` signs.
+    """
     if out is not None:
         progress(WRITING, 0, 0)
     result = msgspec.structs.replace(result, seconds=progress.finish())
     if out is not None:
-        write_files(out, files(result))
+        contents = dict(files(result))
+        if has_manifest:
+            contents[MANIFEST] = _manifest_of(contents)
+        write_files(out, contents)
+        if has_manifest:
+            (out / SIGNATURE).unlink(missing_ok=True)  # it was of earlier files
+        if sign is not None:
+            write_signature(out, out / MANIFEST, sign)
         progress.kept = f"the results are in {out}"
     return result

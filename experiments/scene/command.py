@@ -23,6 +23,16 @@ if TYPE_CHECKING:
 _MAX_LISTED = 20
 
 
+def _offset(text: str) -> tuple[float, float]:
+    """Two numbers of ``--offset``, metres."""
+    return read_point(text, "--offset")
+
+
+def _at(text: str) -> tuple[float, float]:
+    """Two numbers of ``--at``, in the coordinates of the file."""
+    return read_point(text, "--at")
+
+
 def reading_options(command: Callable[..., Any], *, staggered_m: float = 0.0) -> Callable[..., Any]:
     """Add the options about facts that files do not state; the command gets one `reading`."""
 
@@ -38,9 +48,76 @@ def reading_options(command: Callable[..., Any], *, staggered_m: float = 0.0) ->
         )
         return command(*args, reading=reading, **values)
 
-    offset = {"type": lambda text: read_point(text, "--offset")}
-    staggered = {"default": staggered_m}
-    return options.from_table("reading", offset_m=offset, staggered_m=staggered)(with_reading)
+    add = options.combined(
+        options.option(
+            "--unit",
+            type=click.Choice(["m", "km", "cm", "mm", "ft", "in"]),
+            is_common=False,
+            help="Of meshes whose format does not say (OBJ, PLY, STL).",
+        ),
+        options.option(
+            "--up",
+            type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
+            is_common=False,
+            help="Axis of meshes that points up, where the format does not say.",
+        ),
+        options.option(
+            "--class",
+            "class_name",
+            type=click.Choice(["building", "wall", "vegetation"]),
+            default="building",
+            is_common=False,
+            help="Of meshes, point clouds and footprints that do not say.",
+        ),
+        options.option(
+            "--driving-side",
+            type=click.Choice(["map", "left", "right"]),
+            default="map",
+            is_common=False,
+            help="On which traffic keeps; map: as it says or shows.",
+        ),
+        options.option(
+            "--crs",
+            default="",
+            metavar="CRS",
+            is_common=False,
+            help="Of files that do not say: EPSG:25832.",
+        ),
+        options.option(
+            "--layer",
+            default="",
+            metavar="NAME",
+            is_common=False,
+            help="Of a GeoPackage.",
+        ),
+        options.option(
+            "--staggered",
+            "staggered_m",
+            type=click.FloatRange(min=0.0, max=60.0),
+            default=staggered_m,
+            metavar="METRES",
+            is_common=False,
+            expected="metres, 0 to 60",
+            help=(
+                "Two side roads that meet a road of OpenStreetMap from either side, "
+                "no farther apart, are one junction. All roads that meet within 25 m "
+                "are."
+            ),
+        ),
+        options.option(
+            "--offset",
+            "offset_m",
+            type=_offset,
+            metavar="X,Y",
+            is_common=False,
+            expected="two numbers: X,Y",
+            help=(
+                "Metres by which buildings, meshes and clouds are moved, into the "
+                "coordinates of the map with the roads."
+            ),
+        ),
+    )
+    return add(with_reading)
 
 
 @click.group()
@@ -52,9 +129,78 @@ def scene() -> None:
     """
 
 
-@scene.command("import", epilog=options.EXAMPLES["scene-import"])
+_IMPORT_EXAMPLES = """\b
+Examples:
+  place-rsus scene import city.osm -o scene
+  place-rsus scene import city.osm --junction "Mill Lane / High St" -o scene
+  place-rsus scene import town.xodr --junction 189 -o scene.zip
+  place-rsus scene import city.osm.pbf --at 13.4412,52.4771 -o scene
+  place-rsus scene import roads.xodr houses.gml --sites poles.csv -o scene
+  place-rsus scene import roads.xodr scan.laz --class vegetation -o scene
+  place-rsus scene import town05 -o scene          the study's junction
+  place-rsus --scene scene --budget 3              and then"""
+
+
+@scene.command("import", epilog=_IMPORT_EXAMPLES)
 @click.argument("files", nargs=-1, metavar="FILE...")
-@options.from_table("scene-import", at={"type": lambda text: read_point(text, "--at")})
+@options.option(
+    "--junction",
+    default="",
+    metavar="ID",
+    help='Id, name ("A Street / B Street") or part of it.',
+)
+@options.option(
+    "--at",
+    type=_at,
+    metavar="X,Y",
+    expected="two numbers: X,Y",
+    help=(
+        "A point near the junction, in the file's own coordinates: longitude,latitude or metres."
+    ),
+)
+@options.option(
+    "--radius",
+    "radius_m",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=80.0,
+    metavar="METRES",
+    expected="metres, more than 0",
+    help="Of what is kept around the junction.",
+)
+@options.option(
+    "--sites",
+    default="auto",
+    metavar="WHERE",
+    help=(
+        "map: its lamps, signals and poles; kerb:15: every 15 m along the kerbs; a "
+        "CSV or GeoJSON file; auto: map, but for low sign posts and poles of other "
+        "junctions, and kerb:15 where none is within 25 m."
+    ),
+)
+@options.option(
+    "--ground",
+    "ground_m",
+    type=float,
+    help="Height of the road in city models and meshes.",
+)
+@options.option(
+    "--terrain",
+    type=click.Path(path_type=Path),
+    metavar="DEM",
+    help=("Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps."),
+)
+@options.option(
+    "--name",
+    default="",
+    metavar="NAME",
+    help="Of the scene.",
+)
+@options.option(
+    "--bbox",
+    default="",
+    metavar="W,S,E,N",
+    help="Fetch OpenStreetMap there instead of a file (extra: online).",
+)
 @reading_options
 @options.option(
     "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
@@ -79,10 +225,31 @@ def import_(call: Call, /, *, files: tuple[str, ...], bbox: str, out: Path, **cu
     call.print(summary, lambda: scene_text(summary))
 
 
-@scene.command(epilog=options.EXAMPLES["scene-show"])
+_SHOW_EXAMPLES = """\b
+Examples:
+  place-rsus scene show                            the study's junction
+  place-rsus scene show scene --out pictures
+  place-rsus scene show city.osm --sort signals    all junctions of a map
+  place-rsus scene show city.osm --out pictures    .. drawn with their names
+  place-rsus scene show city.osm --json --quiet | jq .junctions"""
+
+
+@scene.command(epilog=_SHOW_EXAMPLES)
 @click.argument("paths", nargs=-1, metavar="[SCENE | FILE...]")
 @reading_options
-@options.from_table("scene-show")
+@options.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help=(
+        "Folder for plan.png and view.png; of a map for junctions.html, to choose one; else none."
+    ),
+)
+@options.option(
+    "--sort",
+    type=click.Choice(["arms", "lanes", "signals", "crossings", "name"]),
+    default="arms",
+    help="Of the junctions of a map: the most first, or by name.",
+)
 @options.calling
 def show(
     call: Call, *, paths: tuple[str, ...], reading: "ReadingOptions", out: Path | None, sort: str
@@ -95,7 +262,15 @@ def show(
     call.print(summary, lambda: scene_text(summary))
 
 
-@scene.command(epilog=options.EXAMPLES["scene-check"])
+_CHECK_EXAMPLES = """\b
+Examples:
+  place-rsus scene check scene
+  place-rsus scene check scene.zip --json --quiet | jq .findings
+
+Exit codes: 0 no errors (there may be warnings), 1 errors, 2 the input is wrong."""
+
+
+@scene.command(epilog=_CHECK_EXAMPLES)
 @click.argument("path", metavar="[SCENE]", default="")
 @options.calling
 def check(call: Call, *, path: str) -> None:

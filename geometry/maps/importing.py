@@ -1,6 +1,5 @@
 """Import map files as a scene: read them, choose the junction, cut it out, decide on sites."""
 
-import json
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +15,15 @@ import shapely
 
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..files import Progress, check_file, load_data, open_file, read_text, silent
+from ..files import (
+    Progress,
+    check_file,
+    load_data,
+    open_file,
+    parse_json,
+    read_text,
+    silent,
+)
 from ..junction import build_junction
 from ..notes import Note
 from ..scene import (
@@ -359,8 +366,8 @@ def _is_city_json(path: Path) -> bool:
     if b'"CityJSON"' in head or b'"FeatureCollection"' in head or b'"Feature"' in head:
         return b'"CityJSON"' in head
     try:
-        document = json.loads(read_text(path, "JSON"))
-    except (ValueError, RecursionError):
+        document = parse_json(read_text(path, "JSON"), str(path), "a map")
+    except InputError:
         return False  # the reader of GeoJSON says what is wrong
     return isinstance(document, dict) and document.get("type") == "CityJSON"
 

@@ -16,10 +16,10 @@ from geometry.clock import now_s
 from geometry.errors import InputError
 
 from ..layout import Certificate, Stage
+from ..optimiser.constants import COST_TOLERANCE_EUR, TOLERANCE
 from ..optimiser.model import run_solver, solver_text
 from ..optimiser.problem import Objective
 from ..optimiser.solve import build_stage
-from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE
 from .fronts import Options
 
 # ---------- the multiple-choice knapsack

@@ -13,12 +13,12 @@ from geometry.errors import InputError, Unquoted
 from ..detection_table import DetectionTable
 from ..optimiser import Effort, Limits, PlacementProblem, presolve
 from ..optimiser.bitsets import BestSet, best_with_each, set_values
+from ..optimiser.constants import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 from ..optimiser.front import pareto_front
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import ReducedProblem
 from ..optimiser.problem import Objective, PlacementValue, improves
 from ..optimiser.proof import Search
-from ..optimiser.timing import COST_TOLERANCE_EUR, TOLERANCE, deadline_in
 
 # ---------- one junction
 _WORTH = ("apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s")

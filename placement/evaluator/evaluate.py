@@ -23,11 +23,12 @@ from scenarios.paths import MPS_PER_KMH
 from scenarios.runs import FrameAxis, Run, find_onsets
 from scenarios.scores import Levels
 
-from ..cache import CachedArrays, Fingerprints
+from ..cache import CachedArrays
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread, threads
 from ..detectors import Evidence, is_matched, load_min_iou
 from ..evaluation import Evaluation, Verdict, earliest_arrival_s
+from ..fingerprints import Fingerprints
 from ..layout import Layout
 from ..setting import Radio, Setting
 from .surroundings import (

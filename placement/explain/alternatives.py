@@ -17,9 +17,9 @@ from ..detection_table import is_mixed
 from ..evaluation import Evaluation, apr_one_failed, headline_apr, mix
 from ..layout import Layout
 from ..optimiser import Effort, PlacementProblem, Solution, presolve, run_margins_s, solve_placement
+from ..optimiser.constants import TOLERANCE
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
-from ..optimiser.timing import TOLERANCE
 
 STAGE = "other priorities"
 TIME_LIMIT_S = 10.0  # most time for each alternative: it is mentioned in passing

@@ -10,12 +10,12 @@ from geometry.errors import InputError
 
 from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
 from ..optimiser.bitsets import set_values
+from ..optimiser.constants import SOLVER_TOLERANCE, Deadline
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
 from ..optimiser.presolve import presolve_freely
 from ..optimiser.problem import Goal, Measure, Objective, Requirement
 from ..optimiser.proof import Search, Stages
 from ..optimiser.solve import check_limits, check_reach
-from ..optimiser.timing import SOLVER_TOLERANCE, Deadline
 
 # ---------- greedy choice
 _MAX_ADDED = 12  # values with failed units take too long to compute for more

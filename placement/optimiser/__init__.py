@@ -1,7 +1,7 @@
 """From a detection table to the best poses, proven: four rungs, each where the one before ends.
 
-``problem`` and ``allowed_sets`` say what is asked and what a set of poses is worth, ``timing`` how
-hard to try, ``bitsets`` what many sets are worth. 1. ``presolve`` drops what does not matter,
+``problem`` and ``allowed_sets`` say what is asked and what a set of poses is worth, ``constants``
+how hard to try, ``bitsets`` what many sets are worth. 1. ``presolve`` drops what does not matter,
 ``greedy`` finds good sets. 2. ``bounds``: the Lagrangian bound, polished by OSQP. 3. ``walk``: all
 sets that may be as good; ``pairs``, where worlds are sampled. 4. ``model``: HiGHS. ``proof`` takes
 the objectives in order, ``solve`` calls it all, ``front`` says what more units or more money buy.
@@ -12,6 +12,7 @@ from .allowed_sets import Failing as Failing
 from .allowed_sets import Limits as Limits
 from .allowed_sets import cost_eur as cost_eur
 from .allowed_sets import is_allowed as is_allowed
+from .constants import Effort as Effort
 from .greedy import solve_greedy as solve_greedy
 from .presolve import PresolveStatistics as PresolveStatistics
 from .presolve import ReducedProblem as ReducedProblem
@@ -35,4 +36,3 @@ from .solve import UnmetError as UnmetError
 from .solve import solve_placement as solve_placement
 from .solve import solve_sturdily as solve_sturdily
 from .solve import sturdy_problem as sturdy_problem
-from .timing import Effort as Effort

@@ -9,7 +9,7 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, check_one_of, refuse
 
-from .timing import COST_TOLERANCE_EUR, ROUNDING
+from .constants import COST_TOLERANCE_EUR, ROUNDING
 
 CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
 

@@ -12,7 +12,6 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .problem import Chains, WordArray
-from .timing import COST_TOLERANCE_EUR
 
 ByteArray = NDArray[np.uint8]
 
@@ -136,7 +135,7 @@ def find_dominated(
     # Poses that may be dropped.
     for pose in range(begin, len(words), step):
         own, n_blockers, n_needed = site[pose], 0, 0
-        affordable = price[pose] + COST_TOLERANCE_EUR
+        affordable = price[pose]  # to the last digit: dominators are dominated in turn
         at_site[:] = 0
         dominated[pose] = capacity[own] <= 0 or max_units <= 0
         # Words in which the pose sees anything.

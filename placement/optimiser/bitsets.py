@@ -10,9 +10,9 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
 from .allowed_sets import cost_eur, costs_eur
+from .constants import FAR_APART, FEW_PARTNERS, TIES_OF_TIES, TOLERANCE, share_out
 from .presolve import ReducedProblem, unpack_words
 from .problem import Measure, Objective, WordArray
-from .timing import FEW_PARTNERS, TOLERANCE, share_out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +74,70 @@ class BestSet:
         row = values.best_row()
         if self.values is None or values[row].exceeds(self.values):
             self.units, self.values = sets[row], values[row]
+
+
+class Contenders:
+    """Sets that may be best, or tie with the best, and what each is worth.
+
+    Ties are not transitive: of three sets the second may tie with the first and be better
+    in a later stage, and the third with the second, but not with the first. So no set is
+    given up for another one before all are known.
+    """
+
+    def __init__(self, objectives: tuple[Objective, ...]) -> None:
+        self.objectives = objectives
+        self._sets: list[IntArray] = []
+        self._gains: list[FloatArray] = []
+        self._most = np.full(2, -np.inf)  # of what is lacking, and in the first stage
+        self._slack = TIES_OF_TIES * _tolerances(objectives)
+
+    def add(self, sets: IntArray, values: SetValues) -> None:
+        """Compare further sets, (n_sets, n_units)."""
+        gains = values.gains
+        for column in range(2):
+            if not len(gains):
+                return
+            most = float(gains[:, column].max())
+            if column == 0 and most > self._most[0] + self._slack[0]:
+                self._most[1] = -np.inf  # of sets that lack more
+            self._most[column] = max(self._most[column], most)
+            near = gains[:, column] >= self._most[column] - self._slack[column]
+            sets = sets[near]
+            gains = gains[near]
+        self._sets.append(sets)
+        self._gains.append(gains)
+
+    def best(self) -> IntArray | None:
+        """The first set that no other one exceeds; None if there is none."""
+        gains = self._all_gains()
+        if not len(gains):
+            return None
+        row = SetValues(self.objectives, gains).best_row()
+        for sets in self._sets:
+            if row < len(sets):
+                return np.asarray(sets[row])
+            row -= len(sets)
+        raise AssertionError("a row of none of the sets")
+
+    def limits(self, values: SetValues) -> dict[Objective, float]:
+        """What no set exceeds that ties with one of some `values` in all stages before.
+
+        By objective, in its own unit.
+        """
+        gains = self._all_gains()
+        limits = {}
+        for column, tolerance in enumerate(_tolerances(self.objectives)):
+            of_values = float(values.gains[column])
+            most = max(float(gains[:, column].max(initial=-np.inf)), of_values)
+            if column > 0:
+                objective = self.objectives[column - 1]
+                limits[objective] = -most if objective.is_minimised else most
+            gains = gains[gains[:, column] >= of_values - tolerance]
+        return limits
+
+    def _all_gains(self) -> FloatArray:
+        none = np.empty((0, 1 + len(self.objectives)))
+        return np.concatenate([none, *self._gains])
 
 
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
@@ -208,11 +272,11 @@ def _values(
 
 
 def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
-    """Sum of what sets lack to the floors."""
+    """Sum of what sets lack to the floors; a set that lacks anything ties with no other."""
     lacking: FloatArray | float = 0.0
     for floor in reduced.floors:
         short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
-        lacking = lacking + np.maximum(short, 0.0)
+        lacking = lacking + np.where(short > 0.0, short + FAR_APART, 0.0)
     return lacking
 
 

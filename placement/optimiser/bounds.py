@@ -26,13 +26,13 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import Choice, build_choice
 from .bitsets import union_apr, unions_of
+from .constants import NEVER, Deadline, share_out
 from .greedy import forced_units
 from .presolve import ReducedProblem, distinct_rows, transposed, unpack_words
 from .problem import Objective, WordArray
-from .timing import NEVER, Deadline, share_out
 
 
 class Rows(NamedTuple):
@@ -108,11 +108,11 @@ def find_root(
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
     seen = np.bitwise_count(reduced.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
-    price = timing.PRICE_START * rows.weight
+    price = constants.PRICE_START * rows.weight
     best: Root | None = None
-    for number in range(timing.ASK_ROUNDS):
-        scale = max(float(seen.max(initial=0.0)), timing.TINY)
-        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, timing.SHARE_DIGITS))
+    for number in range(constants.ASK_ROUNDS):
+        scale = max(float(seen.max(initial=0.0)), constants.TINY)
+        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, constants.SHARE_DIGITS))
         index, row = distinct_rows(coverers)
         of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
@@ -126,16 +126,16 @@ def find_root(
             share=np.zeros(reduced.n_poses),
             choice=choice,
         )
-        steps = timing.LATER_STEPS if number else timing.FIRST_STEPS
+        steps = constants.LATER_STEPS if number else constants.FIRST_STEPS
         root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
-        is_settled = best is not None and root.limit > best.limit * (1.0 - timing.SETTLED)
+        is_settled = best is not None and root.limit > best.limit * (1.0 - constants.SETTLED)
         if best is None or root.limit < best.limit:
             best = root
         if (is_settled and number > 2) or deadline.is_over:
             break
-        total = np.maximum(root.weight[row], timing.TINY)
+        total = np.maximum(root.weight[row], constants.TINY)
         price = root.price[row] * (rows.weight / total)
-        used = np.flatnonzero(root.share > timing.SMALL_SHARE)
+        used = np.flatnonzero(root.share > constants.SMALL_SHARE)
         of_used = unpack_words(reduced.words[used], reduced.n_frames)
         seen = seen + np.minimum(root.share[used] @ of_used, 1.0)
     assert best is not None
@@ -197,11 +197,11 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
     from .walk_kernels import tighten_prices
 
     choice, price, share = root.choice, root.price.copy(), np.zeros(len(root.covers))
-    covers, s = root.covers.view(np.uint8), timing
+    covers, s = root.covers.view(np.uint8), constants
     how = np.array([s.STEP_LENGTH, s.STEP_CUT, s.DEFLECTION, s.MEMORY, s.PATIENCE])
     limit = tighten_prices(covers, choice, root.weight, reward, price, n_steps, how, share)
-    share *= choice.n_units / max(float(share.sum()), timing.TINY)
-    limit = (root.reached + limit) * (1.0 + timing.ROUNDING)
+    share *= choice.n_units / max(float(share.sum()), constants.TINY)
+    limit = (root.reached + limit) * (1.0 + constants.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
 
 
@@ -210,11 +210,11 @@ def failure_limit(
 ) -> float:
     """No set that is worth `least` keeps more when units fail, nor is worth more without."""
     limit, n_units = root.limit, root.choice.n_units
-    for amount in timing.FAILURE_PRICES if n_failures else ():
+    for amount in constants.FAILURE_PRICES if n_failures else ():
         if deadline.is_over:
             break
         reward = reward_of(n_units, n_failures) + amount * reward_of(n_units, 0)
-        trial = tightened(root, reward, n_steps=timing.FIRST_STEPS)
+        trial = tightened(root, reward, n_steps=constants.FIRST_STEPS)
         limit = min(limit, trial.limit + amount * (root.reached - least))
     return limit
 
@@ -231,7 +231,7 @@ def relax(
     if not len(reduced.weight) or n_units < 1:
         return 0.0, None
     rows = run_rows(reduced) if worth is Objective.APR else margin_rows(reduced)
-    if len(rows.chain) * reduced.n_poses > timing.MAX_CELLS:
+    if len(rows.chain) * reduced.n_poses > constants.MAX_CELLS:
         return np.inf, None
     root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
     limit = root.limit
@@ -245,7 +245,7 @@ def rounded_down(reduced: ReducedProblem, limit: float) -> float:
     """An upper bound of the APR; where all runs weigh the same, a whole number of them."""
     step = reduced.measure.step
     if step:
-        limit = float(np.floor(limit / step + timing.SOLVER_TOLERANCE)) * step
+        limit = float(np.floor(limit / step + constants.SOLVER_TOLERANCE)) * step
     return min(limit, reduced.measure.limit)
 
 
@@ -265,20 +265,20 @@ def polished(root: Root) -> Root:
         return root
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
-    n_core = min(timing.CORE_POSES, int(timing.CORE_BITS / max(float(n_bits.mean()), 1.0)))
-    of_share = np.flatnonzero(share > timing.SMALL_SHARE)
+    n_core = min(constants.CORE_POSES, int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0)))
+    of_share = np.flatnonzero(share > constants.SMALL_SHARE)
     core = np.union1d(_worthiest(root.gains(), n_core), of_share)
-    for _ in range(timing.POLISH_ROUNDS):
+    for _ in range(constants.POLISH_ROUNDS):
         price, of_core = _relaxed(best, core, share[core])
         share = np.zeros(len(root.covers))
         share[core] = of_core
         before = best
-        for way in timing.POLISH_WAY:
+        for way in constants.POLISH_WAY:
             between = (1.0 - way) * before.price + way * price
             trial = tightened(replace(best, price=between), reward, n_steps=0)
             if trial.limit < best.limit:
                 best = replace(trial, share=share)
-        if best.limit > before.limit * (1.0 - timing.SETTLED):
+        if best.limit > before.limit * (1.0 - constants.SETTLED):
             break
         for of_root in (best.price, price):
             core = np.union1d(core, _worthiest(root.gains(of_root), n_core // 4))
@@ -320,7 +320,7 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
     most = np.concatenate([np.zeros(n_rows), *upper, is_open, np.ones(n_rows)])
     least = np.full(len(most), -np.inf)
     least[-(n_core + n_rows) :] = 0.0
-    quadratic = np.concatenate([np.full(n_core, timing.OSQP_REGULARISATION), np.zeros(n_rows)])
+    quadratic = np.concatenate([np.full(n_core, constants.OSQP_REGULARISATION), np.zeros(n_rows)])
     solver = osqp.OSQP()
     solver.setup(
         sparse.diags(quadratic, format="csc"),
@@ -329,11 +329,11 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
         least,
         most,
         verbose=False,
-        eps_abs=timing.OSQP_TOLERANCE,
-        eps_rel=timing.OSQP_TOLERANCE,
-        rho=timing.OSQP_PENALTY,
-        alpha=timing.OSQP_OVERRELAXATION,
-        max_iter=timing.POLISH_STEPS,
+        eps_abs=constants.OSQP_TOLERANCE,
+        eps_rel=constants.OSQP_TOLERANCE,
+        rho=constants.OSQP_PENALTY,
+        alpha=constants.OSQP_OVERRELAXATION,
+        max_iter=constants.POLISH_STEPS,
     )
     duals = np.zeros(len(most))
     duals[:n_rows] = scale * root.price

@@ -11,6 +11,7 @@ from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted, refuse
 
 from .allowed_sets import CENTS, Limits, whole_cents
+from .constants import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 from .front import (
     FIRST_STAGES,
     Front,
@@ -39,7 +40,6 @@ from .solve import (
     check_reach,
     units_of,
 )
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _MAX_LEVELS = 20_000
 

@@ -15,6 +15,7 @@ from geometry.errors import InputError, check_one_of, refuse
 
 from ..layout import Certificate, Stage
 from .bitsets import union_apr
+from .constants import COST_TOLERANCE_EUR, TOLERANCE, Effort, deadline_in
 from .presolve import PresolveStatistics, ReducedProblem, presolve
 from .problem import (
     VALUE_OBJECTIVES,
@@ -32,7 +33,6 @@ from .solve import (
     is_large,
     solve_placement,
 )
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, Effort, deadline_in
 
 StageChoice = Literal["first", "all"]
 FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
@@ -157,7 +157,7 @@ def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objecti
         Objective.APR_ONE_FAILED: one_failed_limit(reduced),
     }
     if stages == "all":
-        if not reduced.measure.is_mean:
+        if not reduced.measure.tells_runs_apart:
             return None
         most = Search(reduced).limit
         for objective in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN):

@@ -11,7 +11,7 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import are_allowed, fitting, is_allowed
 from .bitsets import (
     BestSet,
@@ -21,9 +21,9 @@ from .bitsets import (
     set_values,
     shares_with_each,
 )
+from .constants import NEVER, TOLERANCE, Deadline
 from .presolve import ReducedProblem, presolve
 from .problem import PlacementProblem
-from .timing import NEVER, TOLERANCE, Deadline
 
 
 def solve_greedy(
@@ -116,11 +116,11 @@ def search_from_many_starts(
     than units in a row that brought nothing, or at the deadline, but completes the first start.
     None if no set within the limits was found; the result may lack something to the floors.
     """
-    rng = np.random.default_rng(timing.SEED)
+    rng = np.random.default_rng(constants.SEED)
     forced, best, idle = forced_units(reduced), BestSet(), 0
     begin = [*starts, forced]
     weight: FloatArray | None = None
-    for number in range(len(begin) + timing.N_RESTARTS):
+    for number in range(len(begin) + constants.N_RESTARTS):
         n_units = reduced.limits.max_units if best.units is None else len(best.units)
         is_first = number < len(begin)
         if (not is_first and idle > n_units) or (number and deadline.is_over):
@@ -128,9 +128,9 @@ def search_from_many_starts(
         if not is_first and weight is None:
             if chance is None:
                 alone = shares_with_each(reduced, forced) ** 2
-                weight = alone / max(float(alone.sum()), timing.TINY) + timing.ROUNDING
+                weight = alone / max(float(alone.sum()), constants.TINY) + constants.ROUNDING
             else:
-                weight = chance() + timing.ROUNDING
+                weight = chance() + constants.ROUNDING
         if is_first or weight is None:
             units = begin[number]
         elif number % 2 or best.units is None:

@@ -8,7 +8,6 @@ alone, and from below by nothing but what must be avoided: their largest values 
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,14 +18,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
+from geometry.clock import now_s
 
-from . import timing
+from . import constants
 from .allowed_sets import Limits
 from .bitsets import union_margins_s, unions_of
 from .bounds import Rows, margin_rows, run_rows
+from .constants import COST_TOLERANCE_EUR, TOLERANCE
 from .presolve import ReducedProblem
 from .problem import Measure, Objective, Requirement, WordArray
-from .timing import COST_TOLERANCE_EUR, TOLERANCE
 
 if TYPE_CHECKING:
     import cvxpy as cp
@@ -48,21 +48,33 @@ def solver_text() -> str:
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
-    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap."""
+    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap.
+
+    The time is that of compiling the problem for the solver, too.
+    """
     import cvxpy as cp
 
+    nothing = Answer(is_found=False, is_finished=False, bound=np.inf)
+    begun_s = now_s()
     with warnings.catch_warnings():
         # cvxpy calls a solution inaccurate when the time was up.
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         try:
-            problem.solve(
-                solver="HIGHS",
-                time_limit=min(max(time_limit_s, 0.0), timing.LONGEST_S),
-                mip_rel_gap=gap,
-                mip_abs_gap=0.0,
+            data, chain, inverse = problem.get_problem_data("HIGHS")
+            left_s = time_limit_s - (now_s() - begun_s)  # compiling takes longer than stating
+            if left_s <= 0.0:
+                return nothing
+            options = {
+                "time_limit": min(left_s, constants.LONGEST_S),
+                "mip_rel_gap": gap,
+                "mip_abs_gap": 0.0,
+            }
+            solution = chain.solve_via_data(
+                problem, data, warm_start=False, verbose=False, solver_opts=options
             )
+            problem.unpack_results(solution, chain, inverse)
         except cp.SolverError:  # nothing is known then, and nothing is lost
-            return Answer(is_found=False, is_finished=False, bound=np.inf)
+            return nothing
     if problem.status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):  # all is bounded
         return Answer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
@@ -194,7 +206,7 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
-        return [(row / unit) @ a >= requirement.least / unit - timing.HELD_SLACK * TOLERANCE]
+        return [(row / unit) @ a >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -202,9 +214,11 @@ def requirement_constraints(
         return [a[np.unique(link[can])] == 1.0]
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
-        return [(weight[can] / unit) @ a[link[can]] >= requirement.least / unit - timing.HELD_SLACK]
+        return [
+            (weight[can] / unit) @ a[link[can]] >= requirement.least / unit - constants.HELD_SLACK
+        ]
     expression, constraints = _tail_share(a, requirement.measure, link)
-    return [*constraints, expression >= requirement.least - timing.HELD_SLACK * TOLERANCE]
+    return [*constraints, expression >= requirement.least - constants.HELD_SLACK * TOLERANCE]
 
 
 def _tail_share(
@@ -289,12 +303,12 @@ def solve_window_model(
 
     For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
     is the same. What must hold after failures is left to cuts. The bound is in the objective's own
-    unit. Where stating the model has taken half of the time, nothing is found: the solver is handed
-    it in as long again.
+    unit. Where stating the model and compiling it, which takes longer, would take half of the time,
+    nothing is found.
     """
     import cvxpy as cp
 
-    begun_s = time.monotonic()
+    begun_s = now_s()
     limits = reduced.limits
     x = cp.Variable(reduced.n_poses, boolean=True)
     o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
@@ -323,14 +337,16 @@ def solve_window_model(
         elif objective in (Objective.APR, Objective.MEAN_MARGIN):
             rows = run_rows(reduced) if objective is Objective.APR else margin_rows(reduced)
             weights = link_weights(reduced, rows)
-            unit = max(float(weights.sum()), TOLERANCE) / timing.SOLVER_SUM
+            unit = max(float(weights.sum()), TOLERANCE) / constants.SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
         constraints += cut_constraints(x, cuts, limits)
     problem = cp.Problem(cp.Maximize(goal), constraints)
     sign = -1.0 if objective is not None and objective.is_minimised else 1.0
-    spent_s = time.monotonic() - begun_s
-    if spent_s > timing.TIME_SHARES["model stated"] * time_limit_s:
+    spent_s = now_s() - begun_s
+    if (1.0 + constants.COMPILED_TO_STATED) * spent_s > constants.TIME_SHARES[
+        "model stated"
+    ] * time_limit_s:
         return MilpResult(units=None, bound=sign * np.inf, is_finished=False)
     answer = run_solver(problem, time_limit_s=time_limit_s - spent_s)
     return MilpResult(

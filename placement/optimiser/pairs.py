@@ -25,20 +25,20 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import may_grow
 from .bitsets import shares_with_each, union_apr, unions_of
 from .bounds import Rows, byte_table, coverers_of, is_covered_by, run_rows
+from .constants import Deadline
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import WordArray
-from .timing import Deadline
 from .walk import Tied, TieSearch, group_by_class, in_threads, lost_by_chain
 
 
 def goes_by_pairs(reduced: ReducedProblem) -> bool:
     """True if worlds are sampled, and sets so small that pairs are gone through."""
     limits = reduced.limits
-    is_small = 2 <= limits.max_units <= timing.MAX_PAIR_UNITS
+    is_small = 2 <= limits.max_units <= constants.MAX_PAIR_UNITS
     return len(reduced.measure.sample_weight) > 1 and is_small and not limits.is_forced.any()
 
 
@@ -60,13 +60,13 @@ def walk_by_pairs(
         search = TieSearch(
             *(reduced, units),
             walk_from=lambda need, _: walk.again(need),
-            near=timing.NEAR_IN_WORLDS * value,
+            near=constants.NEAR_IN_WORLDS * value,
             on_better=on_better,
         )
         return search.find(deadline)
     value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
     of_all = replace(reduced, measure=replace(reduced.measure, tail=1.0))
-    walk = PairWalk(of_all, need=value * (1.0 + timing.NEAR))
+    walk = PairWalk(of_all, need=value * (1.0 + constants.NEAR))
     for block in walk.blocks(deadline):
         if len(block):
             walk.raise_needs(float(union_apr(of_all, unions_of(of_all, block)).max()))
@@ -127,7 +127,7 @@ class PairWalk:
     @property
     def may_lose(self) -> float:
         """Weight of runs that a set may lose."""
-        return self.total - self.need + timing.ROUNDING * max(self.total, 1.0)
+        return self.total - self.need + constants.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that reach the need, many at a time, until the deadline.
@@ -169,15 +169,15 @@ class PairWalk:
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
         pairs = pairs[fits]
-        for n_rows in (timing.HARD_ROWS, len(rows.chain)):  # hard runs say most, and are few
+        for n_rows in (constants.HARD_ROWS, len(rows.chain)):  # hard runs say most, and are few
             pairs = self._losing_little(self.classes, union, rows.of(slice(n_rows)), pairs)
-        hard = rows.of(slice(timing.HARD_ROWS))
+        hard = rows.of(slice(constants.HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
         members = self.member[self.start[one] : self.start[one] + self.size[one]]
         found = [np.empty((0, 3), dtype=np.int64)]
         for member in members:
             left = pairs
-            if len(left) > timing.FEW_PAIRS:  # the class is too wide: its poses see much less
+            if len(left) > constants.FEW_PAIRS:  # the class is too wide: its poses see much less
                 left = self._beside_member(int(member), left)
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
@@ -191,9 +191,9 @@ class PairWalk:
         union = self.poses.words[member]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
-        for n_rows in (timing.HARD_ROWS, len(rows.chain)):
+        for n_rows in (constants.HARD_ROWS, len(rows.chain)):
             some = rows.of(slice(n_rows))
-            if len(pairs) > timing.FEW_PAIRS:
+            if len(pairs) > constants.FEW_PAIRS:
                 pairs = self._losing_little(self.poses, union, some, pairs)
         return pairs
 
@@ -245,7 +245,7 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.
-    order = np.argsort(-rows.weight * (1.0 - share) ** timing.TOGETHER, kind="stable")
+    order = np.argsort(-rows.weight * (1.0 - share) ** constants.TOGETHER, kind="stable")
     return rows.of(order), alone[order]
 
 
@@ -275,15 +275,15 @@ def _classes(
     bits = unpack_words(avoided, len(site_index)).T
     for site in np.unique(site_index[usable]):
         here = np.flatnonzero(usable & (site_index == site))
-        for alike in np.array_split(here, -(-len(here) // timing.MAX_LIKE_POSES)):
+        for alike in np.array_split(here, -(-len(here) // constants.MAX_LIKE_POSES)):
             of_poses = bits[alike] * np.sqrt(weight)
             number: IntArray = np.zeros(len(alike), dtype=np.int64)
-            if len(alike) > timing.CLASS_POSES:
+            if len(alike) > constants.CLASS_POSES:
                 size = (of_poses**2).sum(axis=1)
                 apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
                 apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
                 tree = linkage(apart, "ward")
-                of_tree = fcluster(tree, -(-len(alike) // timing.CLASS_POSES), "maxclust")
+                of_tree = fcluster(tree, -(-len(alike) // constants.CLASS_POSES), "maxclust")
                 number = np.unique(of_tree, return_inverse=True)[1]
             class_of[alike] = n_classes + number
             n_classes += int(number.max()) + 1

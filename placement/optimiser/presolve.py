@@ -10,8 +10,10 @@ the reduced problem: a *tail*. A window whose tails are all seen is *live*. As a
 fewer tails, one that is not seen ends all windows of the run up to some number.
 """
 
+from collections.abc import Set
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from enum import StrEnum
 from itertools import pairwise
 from typing import Annotated
 
@@ -22,6 +24,7 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.files import says
 
 from .allowed_sets import Limits
+from .constants import COST_TOLERANCE_EUR, WORKERS, share_out
 from .problem import (
     Chains,
     Goal,
@@ -35,7 +38,6 @@ from .problem import (
     tails_behind,
     timely_windows_end,
 )
-from .timing import COST_TOLERANCE_EUR, WORKERS, share_out
 
 PackedArray = WordArray | NDArray[np.uint8]
 
@@ -180,62 +182,132 @@ def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
     return np.unpackbits(packed, axis=-1, count=n_bits, bitorder="little").view(np.bool_)
 
 
+class Rule(StrEnum):
+    """Something that presolve does; ``docs/method.md`` says why each loses nothing."""
+
+    UNUSABLE_POSES = "unusable poses"
+    NEEDLESS_POSES = "needless poses"
+    DOMINATED_POSES = "dominated poses"
+    UNSEEN_WINDOWS = "unseen windows"
+    EQUAL_FRAMES = "equal frames"
+    NEEDLESS_TAILS = "needless tails"
+    DOMINATED_WINDOWS = "dominated windows"
+
+
+ALL_RULES = frozenset(Rule)
+OF_ANY_QUESTION = ALL_RULES - {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
+"""Rules that also hold when limits and mounted poses change after presolve."""
+
+
 def presolve(
-    problem: PlacementProblem, *, workers: int = WORKERS, drops_dominated: bool = True
+    problem: PlacementProblem,
+    *,
+    workers: int = WORKERS,
+    rules: Set[Rule] = ALL_RULES,
 ) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
-    At least one best set of poses of the full problem is left. Repeated until no pose drops out:
+    Runs without weight and windows that end too late count in no value and are always
+    left out. The other `rules` are repeated until no pose drops out:
 
-    * Runs without weight, windows that end too late, windows with a frame or a tail that nobody
-      sees, and frames of no window and no tail cannot change any value.
+    * Unusable poses are forbidden, stand where a site has no room, or cost more than
+      the budget.
+    * Needless poses, see :func:`find_needless`; unusable ones are taken to be out.
+    * Dominated poses, see :func:`find_dominated_poses`; the same.
+    * Unseen windows have a frame or a tail that nobody sees: they are never live.
     * Frames that the same poses see are one frame, and so are tails.
     * A tail is needless where the next one of its run is seen by no other poses.
-    * A window is dominated if an earlier window of its run needs no other frames and no tail that
-      it does not need, too, or ensures.
-    * Poses that the money does not suffice for, and dominated ones, see :func:`is_dominated`:
-      unless `drops_dominated` is False, or only the worst worlds count. There the smallest margin
-      may fall when more is seen: a run that is avoided in another world, too, adds nothing to
-      their APR, but its margin counts.
+    * A window is dominated if an earlier window of its run needs no other frames and
+      no tail that it does not need, too, or ensures.
     """
-    windows = _Windows(problem, workers)
-    limits = problem.limits
-    usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
-    price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
-    if limits.budget_eur is not None:
-        usable &= price <= limits.budget_eur + COST_TOLERANCE_EUR
-    # What sees nothing would drop out below, but making the problem anew takes long.
-    is_kept = windows.sees_any() | limits.is_forced_site[limits.site_index]
-    if usable.any():
-        is_kept[np.flatnonzero(usable)[np.argmin(price[usable])]] = True
-    usable = (usable & is_kept) | limits.is_forced
-    drops_dominated &= windows.measure.is_mean
+    windows = _Windows(problem, workers, rules)
+    usable = np.ones(problem.table.n_poses, dtype=bool)
+    if Rule.UNUSABLE_POSES in rules:
+        usable = _is_usable(problem.limits)
+    if Rule.NEEDLESS_POSES in rules:
+        # They would drop out below, but making the problem anew takes long.
+        usable[usable] = ~_is_left_out(
+            ~windows.sees_any()[usable], problem.limits.of_poses(np.flatnonzero(usable))
+        )
+    usable |= problem.limits.is_forced
     while True:
         poses = np.flatnonzero(usable)
         reduced = windows.reduce(poses)
-        is_wished = reduced.limits.is_forced
-        is_wished = is_wished | limits.is_forced_site[reduced.limits.site_index]
-        is_needless = ~_have_bits(reduced.words, ~reduced.base) & ~is_wished
-        if drops_dominated:
-            left = np.flatnonzero(~is_needless)
-            is_needless[left] = is_dominated(
-                reduced.words[left] if is_needless.any() else reduced.words,
-                reduced.limits.of_poses(left),
-                max_units=limits.max_units,
-                workers=workers,
-            )
-        if len(poses):  # a layout has a unit, even where none avoids anything: the cheapest then
-            is_needless[np.argmin(price[poses])] = False
-        if not is_needless.any():
+        is_dropped = np.zeros(len(poses), dtype=bool)
+        if Rule.NEEDLESS_POSES in rules:
+            is_dropped = find_needless(reduced)
+        if Rule.DOMINATED_POSES in rules:
+            is_dropped |= find_dominated_poses(reduced, ~is_dropped)
+        if not is_dropped.any():
             columns = transposed(reduced.words, reduced.n_frames, workers=workers)
             return replace(reduced, columns=columns).for_problem(problem)
-        usable[poses[is_needless]] = False
+        usable[poses[is_dropped]] = False
+
+
+def _is_usable(limits: Limits) -> BoolArray:
+    """Poses that some layout may have, as far as each is looked at alone, (n_poses,)."""
+    usable: BoolArray = limits.site_capacity[limits.site_index] > 0
+    usable = usable & ~limits.is_forbidden
+    if limits.budget_eur is not None:
+        usable &= _prices_alone(limits) <= limits.budget_eur + COST_TOLERANCE_EUR
+    return usable
+
+
+def _prices_alone(limits: Limits) -> FloatArray:
+    """Price of each pose with its site, (n_poses,), in euros."""
+    return limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
+
+
+def find_needless(reduced: ReducedProblem) -> BoolArray:
+    """Needless poses that may be left out together, (n_poses,).
+
+    A pose is needless if it sees nothing that counts but what the VUT sees as well.
+    Without it, a layout avoids the same runs with the same margins, whichever units
+    fail, has fewer units and costs no more. Two demands keep some of them: forced poses
+    and poses at forced sites stay; and as a layout has at least one unit, the cheapest
+    of the others stays for the layout that is worth what the VUT is worth alone.
+    """
+    return _is_left_out(~_have_bits(reduced.words, ~reduced.base), reduced.limits)
+
+
+def _is_left_out(is_needless: BoolArray, limits: Limits) -> BoolArray:
+    """Poses that go of those that are needless, (n_poses,)."""
+    is_asked_for = limits.is_forced | limits.is_forced_site[limits.site_index]
+    is_left_out = is_needless & ~is_asked_for
+    candidates = np.flatnonzero(is_left_out)
+    if len(candidates):
+        cheapest = np.argmin(_prices_alone(limits)[candidates])
+        is_left_out[candidates[cheapest]] = False
+    return is_left_out
+
+
+def find_dominated_poses(reduced: ReducedProblem, is_left: BoolArray) -> BoolArray:
+    """Poses of those that are left that others can take the place of, (n_poses,).
+
+    None where more may be avoided at the same APR, see
+    :attr:`~placement.optimiser.problem.Measure.tells_runs_apart`: the smallest margin
+    may fall when more is seen, as a run that adds nothing to the APR has its margin
+    counted.
+    """
+    dominated = np.zeros(reduced.n_poses, dtype=bool)
+    limits = reduced.limits
+    if not reduced.measure.tells_runs_apart or limits.max_units < 1:
+        return dominated
+    left = np.flatnonzero(is_left)
+    dominated[left] = is_dominated(
+        reduced.words if is_left.all() else reduced.words[left],
+        limits.of_poses(left),
+        max_units=limits.max_units,
+        workers=reduced.workers,
+    )
+    return dominated
 
 
 def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
-    """A problem reduced for whatever limits, floors and goals come up.
+    """A problem reduced for whatever limits, floors, goals and mounted poses come up.
 
-    Only poses that detect nothing that counts drop out, unless they are forced.
+    All poses stay: where only the worst worlds count, or where a unit must be added, one
+    that detects nothing may be the best.
     """
     limits = problem.limits
     free = Limits(
@@ -247,13 +319,16 @@ def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
         is_forced=limits.is_forced,
         is_forced_site=limits.is_forced_site,
     )
-    return presolve(replace(problem, limits=free, floors=(), goal="best", survive=0))
+    asked = replace(problem, limits=free, floors=(), goal="best", survive=0)
+    return presolve(asked, rules=OF_ANY_QUESTION)
 
 
 def is_dominated(
     words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
     """Poses without which some best set remains, whatever the stage.
+
+    All poses are usable, and each run more that is avoided is worth more than a tie.
 
     `words`, (n_poses, n_words), is what each sees; no set has more than `max_units` units. They may
     be dropped all together, (n_poses,).
@@ -301,10 +376,10 @@ def is_dominated(
 class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
-    def __init__(self, problem: PlacementProblem, workers: int) -> None:
+    def __init__(self, problem: PlacementProblem, workers: int, rules: Set[Rule]) -> None:
         from .bit_kernels import join_ranges
 
-        self.problem, self.workers = problem, workers
+        self.problem, self.workers, self.rules = problem, workers, rules
         self.measure = problem.measure()
         axis, rule = problem.table.axis, problem.rule
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
@@ -368,15 +443,22 @@ class _Windows:
 
         problem, axis = self.problem, self.problem.table.axis
         mask = self._mask(poses)
-        first, frame = distinct_rows(self.columns, mask)
+        if Rule.EQUAL_FRAMES in self.rules:
+            first, frame = distinct_rows(self.columns, mask)
+        else:
+            first = frame = np.arange(len(self.columns))
         frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
         last_lost = np.full(axis.n_runs, -1)
-        is_lost = ~is_seen[tail_frame]
-        np.maximum.at(last_lost, self.tail_run[is_lost], self.tail_end[is_lost])
-        alive = is_seen[frames].all(axis=1) & (self.end > last_lost[self.run])
-        needed = (self.tail_end > last_lost[self.tail_run]) & ~self._is_needless(mask)
+        alive = np.ones(len(self.end), dtype=bool)
+        if Rule.UNSEEN_WINDOWS in self.rules:
+            is_lost = ~is_seen[tail_frame]
+            np.maximum.at(last_lost, self.tail_run[is_lost], self.tail_end[is_lost])
+            alive = is_seen[frames].all(axis=1) & (self.end > last_lost[self.run])
+        needed = self.tail_end > last_lost[self.tail_run]
+        if Rule.NEEDLESS_TAILS in self.rules:
+            needed &= ~self._is_needless(mask)
         needed &= np.isin(self.tail_run, self.run[alive])
         windows, tails = np.flatnonzero(alive), np.flatnonzero(needed)
         end, tail_frame = self.end[windows], tail_frame[tails]
@@ -386,9 +468,10 @@ class _Windows:
         sets = _as_sets(frames[windows])
         # Frames grow from run to run: so do the ends of windows.
         n_links = np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
-        is_kept = np.empty(len(sets), dtype=bool)
-        tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
-        thin_out(sets, begin, tail_frame, tail_begin, n_links, is_kept)
+        is_kept = np.ones(len(sets), dtype=bool)
+        if Rule.DOMINATED_WINDOWS in self.rules:
+            tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
+            thin_out(sets, begin, tail_frame, tail_begin, n_links, is_kept)
         windows, sets, of_run = windows[is_kept], sets[is_kept], of_run[is_kept]
         order = _once_in_each_run(of_tail, tail_frame, n_links)
         tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]

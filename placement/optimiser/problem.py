@@ -17,7 +17,14 @@ from scenarios.runs import FrameAxis, live_confirmation_times_s
 
 from ..detection_table import DetectionTable
 from .allowed_sets import Limits, cost_eur, is_allowed
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, common_step
+from .constants import (
+    COST_TOLERANCE_EUR,
+    FAR_APART,
+    TIES_OF_TIES,
+    TOLERANCE,
+    are_sums_apart,
+    common_step,
+)
 
 Goal = Literal["best", "fewest", "cheapest"]
 
@@ -156,6 +163,28 @@ class Measure:
     def limit(self) -> float:
         """Ratio where all runs that can be avoided are."""
         return float(self.of(np.ones(len(self.weight), dtype=bool)))
+
+    @property
+    def tells_runs_apart(self) -> bool:
+        """True if a set that avoids more runs never ties with one that avoids fewer.
+
+        The mean over all runs does, if each weighs more than two ties are apart.
+        """
+        return self.is_mean and bool((self.weight > FAR_APART).all())
+
+    def least_tied(self, value: float) -> float:
+        """The least that a set is worth which ties with the one found, worth `value`.
+
+        The one found may be a tie worse than what it was held against, so that it is two
+        ties less; `value` itself where ties are equal: where the sums of weights are too
+        far apart, or a set that loses any run is worth less.
+        """
+        least = value - TIES_OF_TIES * TOLERANCE
+        if not self.is_mean or not len(self.weight):
+            return least
+        loses_one = float(self.weight.sum() - self.weight.min())
+        is_exact = least > loses_one or are_sums_apart(self.weight)
+        return value if is_exact else least
 
     @property
     def step(self) -> float:
@@ -424,7 +453,8 @@ class Requirement:
         weight = self.measure.weight[self.measure.weight > 0.0]
         if self.sums_margins or not self.measure.is_mean or not len(weight):
             return False
-        return bool(self.least > weight.sum() - weight.min() / 2.0)
+        has_ties = weight.min() <= FAR_APART
+        return bool(not has_ties and self.least > weight.sum() - weight.min() / 2.0)
 
     def counts_run(self, margin_s: FloatArray) -> BoolArray:
         """Which runs count, being avoided with so much margin."""

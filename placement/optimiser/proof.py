@@ -9,9 +9,10 @@ import numpy as np
 
 from geometry.arrays import FloatArray, IntArray
 
-from . import timing
+from . import constants
 from .allowed_sets import Limits, are_allowed, is_allowed, price_step_eur
 from .bitsets import (
+    Contenders,
     SetValues,
     left_after_failures,
     set_values,
@@ -20,13 +21,28 @@ from .bitsets import (
     unions_of,
 )
 from .bounds import Root, failure_limit, find_root, relax, relaxation_text, run_rows
+from .constants import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
 from .greedy import extend_greedily, improve, search_from_many_starts
-from .model import Cut, first_cuts, solve_window_model, solver_text, violated_cuts
+from .model import (
+    Cut,
+    first_cuts,
+    solve_window_model,
+    solver_text,
+    violated_cuts,
+)
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
 from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
-from .timing import COST_TOLERANCE_EUR, NEVER, TOLERANCE, Deadline, Effort, settle
-from .walk import SetWalk, Tied, TieSearch, best_of_few, best_of_tied, can_walk, least_apr
+from .walk import (
+    SetWalk,
+    Tied,
+    TieSearch,
+    best_of_few,
+    best_of_tied,
+    can_walk,
+    find_of_size,
+    least_apr,
+)
 
 
 class Search:
@@ -45,6 +61,7 @@ class Search:
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         nothing = np.full(1 + len(reduced.objectives), -np.inf)
         self.row = SetValues(reduced.objectives, nothing)
+        self._held: dict[Objective, float] = {}  # values in stages that are settled
         self._cuts: dict[tuple[object, ...], list[Cut]] = {}
         self._root: Root | None = None
 
@@ -90,7 +107,8 @@ class Search:
         """No set of an APR has a larger mean margin: no more seconds are there to share out."""
         largest_s = float(self.margin_limit_s.max(initial=0.0))
         total_s = float(self.reduced.weight @ np.maximum(self.margin_limit_s, 0.0))
-        return min(largest_s, total_s / apr) if apr > 0.0 else largest_s
+        least = self.reduced.measure.least_tied(apr)
+        return min(largest_s, total_s / least) if least > 0.0 else largest_s
 
     def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
         """Find a good set, from some to begin with; there may be none that reaches the floors.
@@ -125,8 +143,29 @@ class Search:
     def keep(self, units: IntArray) -> None:
         """Take a set if it is better than the best so far."""
         row = set_values(self.reduced, units[None, :])[0]
-        if self.units is None or row.exceeds(self.row):
-            self.units, self.row = units, row
+        if self.units is None or (row.exceeds(self.row) and self._ties_where_held(row)):
+            self.take(units)
+
+    def take(self, units: IntArray) -> None:
+        """Take a set in place of the best so far."""
+        self.units = units
+        self.row = set_values(self.reduced, units[None, :])[0]
+
+    def hold(self, objective: Objective) -> None:
+        """From here on, take only sets that tie with the best one of now in a stage."""
+        if objective in self.reduced.objectives:
+            self._held[objective] = float(self.row.of(objective))
+
+    def _ties_where_held(self, row: SetValues) -> bool:
+        """True if a set is no more than a tie worse in the stages that are settled.
+
+        Ties add up otherwise, from set to set.
+        """
+        return all(
+            objective.excess(value, float(row.of(objective))) <= objective.tolerance
+            for objective, value in self._held.items()
+            if objective in self.reduced.objectives
+        )
 
     def offer(self, units: IntArray) -> None:
         """Take a set after completing and improving it, if it is better then."""
@@ -154,11 +193,19 @@ class Search:
         demands = (*problem.floors, *requirements)
         is_minimised = objective is not None and objective.is_minimised
         bound = -np.inf if is_minimised else np.inf
-        cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
-        fits = problem.n_poses * problem.n_frames <= timing.MAX_CELLS
+        cuts: list[Cut] | None = None
+        n_cells = problem.n_poses * problem.n_frames
+        fits = n_cells <= constants.MAX_CELLS
         while self.is_exact and fits and not self.deadline.is_over:
-            self.proofs[solver_text()] = None
             left_s = self.deadline.left_s()
+            if (
+                n_cells > left_s * constants.CELLS_PER_SECOND
+            ):  # the model would take longer to be stated
+                break
+            self.proofs[solver_text()] = None
+            if cuts is None:  # finding the first ones takes long, too
+                cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+                left_s = self.deadline.left_s()
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
@@ -195,6 +242,8 @@ class Stages:
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
+        # Where it is complete: all sets that may be best or tie, valued on a problem.
+        self.contenders: tuple[ReducedProblem, Contenders] | None = None
         # By the failures to be survived: no set exceeds it; infinite where nothing is known.
         self.walk_limit: defaultdict[int, float] = defaultdict(lambda: np.inf)
 
@@ -210,7 +259,16 @@ class Stages:
             Objective.SMALLEST_MARGIN: self.bound_smallest_margin_s,
             Objective.MEAN_MARGIN: self.bound_mean_margin_s,
         }
-        return [(objective, find_bound[objective]) for objective in self.problem.objectives]
+
+        def settled(objective: Objective) -> Callable[[], float]:
+            def find() -> float:
+                bound = find_bound[objective]()
+                self.search.hold(objective)
+                return bound
+
+            return find
+
+        return [(objective, settled(objective)) for objective in self.problem.objectives]
 
     def bound_units(self) -> float:
         """No layout that reaches the floors has fewer units; from here on none has more."""
@@ -220,11 +278,36 @@ class Stages:
             n_units = len(self._units())
             if n_units > 1 and not self._one_unit_does():
                 bound = 2.0
-            if n_units > bound:
-                found = search.look_for(Objective.UNITS, ()) - timing.SOLVER_TOLERANCE
+            bound = float(self._fewest_by_walks(int(bound)))
+            if len(self._units()) > bound:
+                found = search.look_for(Objective.UNITS, ()) - constants.SOLVER_TOLERANCE
                 bound = max(bound, np.ceil(found))
         n_units = len(self._units())
         return self._restricted(float(n_units), bound, budget_units=n_units)
+
+    def _fewest_by_walks(self, fewest: int) -> int:
+        """No layout that reaches the floors has fewer units; `fewest` is such a bound.
+
+        All sets of ever more units are walked through, until some reach the floors, which is the
+        best set then, or the time is up.
+        """
+        search = self.search
+        reduced = search.reduced
+        if not (search.is_exact and reduced.floors and len(reduced.weight)):
+            return fewest
+        deadline = search.deadline.of("walk")
+        fewest = max(fewest, int(reduced.limits.is_forced.sum()))
+        most = min(len(self._units()) - 1, constants.MAX_WALK_UNITS)
+        while fewest <= most and not deadline.is_over:
+            search.proofs["branch and bound"] = None
+            units, is_finished = find_of_size(reduced, fewest, deadline=deadline)
+            if units is not None:
+                search.keep(units)
+                break
+            if not is_finished:
+                break
+            fewest += 1
+        return fewest
 
     def bound_first_cost_eur(self) -> float:
         """No layout that reaches the floors costs less; from here on none costs more."""
@@ -245,13 +328,15 @@ class Stages:
 
     def bound_apr_survived(self) -> float:
         """No layout keeps a higher APR when its worst units fail."""
-        return self._bound_failed(self.problem.survive, self.search.reduced.measure.limit)
+        limit = self.search.reduced.measure.limit
+        return self._bound_failed(Objective.APR_SURVIVED, self.problem.survive, limit)
 
     def bound_apr(self) -> float:
         """No layout has a higher APR."""
         search = self.search
         rungs: list[Callable[[], float]] = [
-            lambda: search.value.apr if self._is_complete() or self._walk(0) else np.inf,
+            lambda: self._complete_limit(Objective.APR) if self._is_complete() else np.inf,
+            lambda: search.value.apr if self._walk(0) else np.inf,
             lambda: self.walk_limit[0],
             lambda: self._relaxed(search.reduced, Objective.APR),
             lambda: search.look_for(Objective.APR, self.held),
@@ -260,14 +345,14 @@ class Stages:
             if self._is_settled(search.value.apr, self.apr_limit):
                 break
             self.apr_limit = self._settle(search.value.apr, bound(), self.apr_limit)
-        self.held.append(self._demand(search.value.apr))
+        self.held.append(self._demand(self._least_apr()))
         return self.apr_limit
 
     def bound_apr_one_failed(self) -> float:
         """No layout that holds the APR keeps a higher one when one unit fails."""
         if self.search.reduced.limits.max_units == 1:
             return self.search.apr_of_vut
-        return self._bound_failed(1, self.search.value.apr)
+        return self._bound_failed(Objective.APR_ONE_FAILED, 1, self.search.value.apr)
 
     def bound_smallest_margin_s(self) -> float:
         """No layout that holds the stages before has a larger smallest margin."""
@@ -275,21 +360,21 @@ class Stages:
         limit = self._smallest_margin_limit_s()
         if not self._is_settled(search.value.smallest_margin_s, limit):
             limit = self._largest_margin_s(limit)
-        demand = self._demand(search.value.apr, min_margin_s=search.value.smallest_margin_s)
-        self.held.append(demand)
+        least_s = search.value.smallest_margin_s - TOLERANCE
+        self.held.append(self._demand(self._least_apr(), min_margin_s=least_s))
         return limit
 
     def _largest_margin_s(self, limit: float) -> float:
         """By halving: the largest margin at which it is not proven that no layout has it."""
         search = self.search
         if self._is_complete():
-            return search.value.smallest_margin_s
+            return self._complete_limit(Objective.SMALLEST_MARGIN)
         margins = search.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
         low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
         high, probe = len(candidates), low
         while low < high:
-            demand = self._demand(search.value.apr, min_margin_s=float(candidates[probe]))
+            demand = self._demand(self._least_apr(), min_margin_s=float(candidates[probe]))
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
@@ -308,25 +393,26 @@ class Stages:
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         if self._is_complete():
-            return search.value.mean_margin_s
-        if search.value.apr == 0.0:  # what is avoided at least is not known: sums bound no mean
+            return self._complete_limit(Objective.MEAN_MARGIN)
+        least_apr = self._least_apr()
+        if least_apr <= 0.0:  # what is avoided at least is not known: sums bound no mean
             return limit
         total_s = self._relaxed(search.reduced, Objective.MEAN_MARGIN)
-        limit = min(limit, total_s / search.value.apr)
+        limit = min(limit, total_s / least_apr)
         if self._is_settled(search.value.mean_margin_s, limit):
             return limit
         bound = search.look_for(Objective.MEAN_MARGIN, self.held)
-        return settle(search.value.mean_margin_s, bound / search.value.apr, limit)
+        return settle(search.value.mean_margin_s, bound / least_apr, limit)
 
     def bound_cost_eur(self) -> float:
         """No layout that holds the stages before costs less."""
         search = self.search
         cost, least = search.value.cost_eur, self._cheapest_unit_eur()
-        if cost <= least + COST_TOLERANCE_EUR or self._is_complete():
+        if cost <= least + COST_TOLERANCE_EUR:
             return cost
-        union = unions_of(search.reduced, self._units()[None, :])
-        is_avoided = union_margins_s(search.reduced, union)[0] > -np.inf
-        total_s = search.value.mean_margin_s * float(search.reduced.weight @ is_avoided)
+        if self._is_complete():
+            return self._complete_limit(Objective.COST)
+        total_s = self._least_total_s()
         mean = self._demand(total_s, sums_margins=True)
         bound = search.look_for(Objective.COST, [*self.held, mean])
         return max(least, self._settled_from_below(search.value.cost_eur, bound))
@@ -345,17 +431,20 @@ class Stages:
             search.start([self._units()], chance=share)
         return limit
 
-    def _bound_failed(self, n_failures: int, limit: float) -> float:
+    def _bound_failed(self, objective: Objective, n_failures: int, limit: float) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
-            if self._is_complete() or self._walk(n_failures):
+            if self._is_complete():
+                limit = self._complete_limit(objective)
+            elif self._walk(n_failures):
                 limit = self._left(n_failures)
             elif self.walk_limit[n_failures] < limit:
                 limit = self.walk_limit[n_failures]
             else:
                 limit = self._bound_failed_by_models(n_failures, limit)
-        self.held.append(self._demand(self._left(n_failures), n_failures=n_failures))
+        least = self.search.reduced.measure.least_tied(self._left(n_failures))
+        self.held.append(self._demand(least, n_failures=n_failures))
         return limit
 
     def _bound_failed_by_models(self, n_failures: int, limit: float) -> float:
@@ -381,7 +470,7 @@ class Stages:
                 limit = all_runs - float(reduced.weight.min())
         while self._left(n_failures) < limit - TOLERANCE:
             before = self._left(n_failures)
-            demand = self._demand(before + timing.STEP_UP, n_failures=n_failures)
+            demand = self._demand(before + constants.STEP_UP, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 return before
             if self._left(n_failures) <= before + TOLERANCE:
@@ -408,7 +497,7 @@ class Stages:
 
     def _settled_from_below(self, cost: float, bound: float) -> float:
         """Lower bound of a cost; the solver's own has an error."""
-        error = timing.SOLVER_TOLERANCE * max(1.0, cost)
+        error = constants.SOLVER_TOLERANCE * max(1.0, cost)
         step = price_step_eur(self.search.reduced.limits)
         return cost if bound >= cost - max(COST_TOLERANCE_EUR, step - error) else bound
 
@@ -418,8 +507,47 @@ class Stages:
             return 0.0
         order = np.argsort(-search.margin_limit_s)
         share = np.cumsum(search.reduced.weight[order])
-        enough = np.argmax(share >= search.value.apr - TOLERANCE)
+        enough = np.argmax(share >= self._least_apr() - TOLERANCE)
         return float(search.margin_limit_s[order[enough]])
+
+    def _least_apr(self) -> float:
+        """No set that ties with the best one so far has a lower APR."""
+        return self.search.reduced.measure.least_tied(self.search.value.apr)
+
+    def _least_total_s(self) -> float:
+        """No set that ties with the best one so far has a smaller sum of margins."""
+        reduced = self.search.reduced
+        union = unions_of(reduced, self._units()[None, :])
+        is_avoided = union_margins_s(reduced, union)[0] > -np.inf
+        share = float(reduced.weight @ is_avoided)
+        least_s = self.search.value.mean_margin_s - constants.TIES_OF_TIES * TOLERANCE
+        if not reduced.measure.is_mean:  # others may avoid less where it does not count
+            share = self.search.value.apr
+        return max(least_s, 0.0) * max(reduced.measure.least_tied(share), 0.0)
+
+    def _complete_limit(self, objective: Objective) -> float:
+        """What no set exceeds that ties in all stages before, where all were compared."""
+        assert self.contenders is not None
+        reduced, contenders = self.contenders
+        values = set_values(reduced, self._units()[None, :])[0]
+        return contenders.limits(values)[objective]
+
+    def _compared(self, reduced: ReducedProblem, contenders: Contenders) -> bool:
+        """Take the best of all sets that were compared; False if there is none."""
+        best = contenders.best()
+        if best is None:
+            return False
+        search = self.search
+        search.keep(best)
+        self.contenders = reduced, contenders
+        values = search.row
+        limits = contenders.limits(values)
+        if any(
+            one.excess(limit, float(values.of(one))) > one.tolerance
+            for one, limit in limits.items()
+        ):
+            search.take(best)
+        return True
 
     def _avoids_nothing(self) -> bool:
         """True if it is proven that no layout that holds the stages before avoids anything.
@@ -427,7 +555,7 @@ class Stages:
         Where only the worst worlds count, an APR of 0 does not say so: others may avoid something.
         """
         reduced = self.search.reduced
-        is_none = reduced.measure.is_mean and self.apr_limit == 0.0
+        is_none = reduced.measure.tells_runs_apart and self.apr_limit == 0.0
         return is_none or not len(reduced.weight)
 
     def _cheapest_unit_eur(self) -> float:
@@ -451,13 +579,13 @@ class Stages:
             if self.effort.is_exact:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
-                most = timing.MAX_SETS_OF_MONEY if has_money else timing.MAX_FEW_SETS
-                most = min(most, int(deadline.left_s() * timing.FEW_SETS_PER_SECOND))
-                units, self.is_complete = best_of_few(
+                most = constants.MAX_SETS_OF_MONEY if has_money else constants.MAX_FEW_SETS
+                most = min(most, int(deadline.left_s() * constants.FEW_SETS_PER_SECOND))
+                contenders, is_complete = best_of_few(
                     search.reduced, max_sets=most, deadline=deadline
                 )
-                if units is not None:
-                    search.keep(units)
+                has_any = contenders is not None and self._compared(search.reduced, contenders)
+                self.is_complete = is_complete and has_any
             if self.is_complete:
                 search.proofs["exhaustive enumeration"] = None
         return self.is_complete
@@ -487,10 +615,8 @@ class Stages:
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
-            best = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
-            if best is not None:
-                search.keep(best)
-            self.is_complete = True
+            contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+            self.is_complete = self._compared(reduced, contenders)
         return tied.is_finished
 
     def _find_tied(self, n_failures: int) -> Tied:
@@ -499,7 +625,7 @@ class Stages:
         reduced, root = search.reduced, search.root
         held = None
         if n_failures:
-            held = least_apr(reduced) if self.problem.survive else search.value.apr
+            held = least_apr(reduced) if self.problem.survive else self._least_apr()
 
         def walk_from(need: float, left: float) -> SetWalk:
             return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
@@ -509,7 +635,7 @@ class Stages:
             self._units(),
             walk_from=walk_from,
             limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
-            ahead=timing.NEAR * self._left(n_failures) if n_failures else 0.0,
+            ahead=constants.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
             least_apr=held,
             on_better=self._improved,

@@ -11,21 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geometry.arrays import IntArray
+from geometry.arrays import FloatArray, IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
 
 from ..detection_table import DetectionTable
 from ..layout import Certificate, Stage, relative_gap
-from . import timing
+from . import constants
 from .allowed_sets import Limits, cost_eur
-from .bitsets import left_after_failures, union_margins_s
+from .bitsets import left_after_failures, shares_with_each, union_margins_s
 from .bounds import find_root, polished, relaxation_text, rounded_down, run_rows
-from .greedy import to_full
-from .presolve import PresolveStatistics, ReducedProblem, presolve
+from .constants import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
+from .greedy import forced_units, to_full
+from .presolve import ALL_RULES, PresolveStatistics, ReducedProblem, Rule, presolve
 from .problem import Floor, Objective, PlacementProblem, apr, objective_values
 from .proof import Search, Stages
-from .timing import COST_TOLERANCE_EUR, TOLERANCE, Deadline, Effort, deadline_in
 
 _log = logging.getLogger(__name__)
 
@@ -115,7 +115,7 @@ def _rounded_down(share: float) -> str:
 
 def is_large(problem: PlacementProblem) -> bool:
     """True if a problem is better not solved as a whole."""
-    return problem.table.n_poses * problem.table.axis.n_frames > timing.MAX_BITS
+    return problem.table.n_poses * problem.table.axis.n_frames > constants.MAX_BITS
 
 
 def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
@@ -261,25 +261,39 @@ def _solve_large(
     n_stages: int | None,
     on_stage: Callable[[str], None] | None,
 ) -> Solution:
-    """The best among promising poses, bounded by the relaxation of all."""
+    """The best among promising poses, bounded by the relaxation of all.
+
+    What cannot be met is said of all poses only: where no layout of the pool meets the demands, the
+    pool grows until it has all poses, which are then solved as a whole.
+    """
     if on_stage is not None:
         on_stage("all poses")
-    every = presolve(problem, workers=effort.workers, drops_dominated=False)
+    every = presolve(problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES})
+    check_reach(problem, every)
     most = Search(every)
-    apr, chosen = every.measure.limit, np.arange(0)
+    apr = every.measure.limit
+    gains = np.zeros(every.n_poses)
     if len(every.weight):
         end, n_units = deadline.of("relaxation"), every.limits.max_units
         root = polished(find_root(every, run_rows(every), n_units=n_units, deadline=end))
         apr = min(rounded_down(every, root.limit), apr)
-        chosen = np.argsort(-root.gains(), kind="stable")[: timing.POOL_POSES]
-    pool = np.union1d(every.pose_index[chosen], np.flatnonzero(problem.limits.is_forced))
-    usable = (problem.limits.site_capacity[problem.limits.site_index] > 0)[pool]
-    pool = pool[usable & ~problem.limits.is_forbidden[pool]]
-    pool = pool if len(pool) else every.pose_index
-    part = of_pool(problem, pool)
-    reduced = presolve(part, workers=effort.workers)
-    effort = replace(effort.until(deadline), solver="greedy")
-    found = solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
+        gains = root.gains()
+    n_pool = constants.POOL_POSES
+    found = None
+    while found is None:
+        pool = every.pose_index[_promising_poses(every, gains, n_pool)]
+        try:
+            found = _solve_pool(problem, pool, effort, deadline, n_stages, on_stage)
+        except UnmetError as error:
+            if len(pool) == every.n_poses:  # what cannot be met is left to proofs
+                left = effort.until(deadline)
+                whole = presolve(problem, workers=effort.workers)
+                return solve_placement(
+                    problem, whole, effort=left, n_stages=n_stages, on_stage=on_stage
+                )
+            if deadline.is_over:
+                raise _unmet_by_pool(error, pool, every) from None
+        n_pool *= constants.POOL_GROWTH
     value = {stage.name: stage.objective for stage in found.certificate.stages}
     avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
     bounds = _loose_bounds(most, apr, avoided)
@@ -297,6 +311,51 @@ def _solve_large(
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
+
+
+def _promising_poses(every: ReducedProblem, gains: FloatArray, n_pool: int) -> IntArray:
+    """Poses among which a layout of a large table is looked for, ascending.
+
+    The `n_pool` that gain most by the relaxation's prices, (n_poses,), the forced ones, and what
+    each demand needs by itself: the best poses and the cheapest one at every forced site, and those
+    that avoid most of what a floor counts.
+    """
+    limits = every.limits
+    wanted = [np.argsort(-gains, kind="stable")[:n_pool], np.flatnonzero(limits.is_forced)]
+    forced_sites = np.flatnonzero(limits.is_forced_site)
+    n_each = -(-n_pool // max(len(forced_sites), 1))
+    for site in forced_sites:
+        there = np.flatnonzero(limits.site_index == site)
+        wanted.append(there[np.argsort(-gains[there], kind="stable")[:n_each]])
+        wanted.append(there[np.argsort(limits.unit_cost_eur[there], kind="stable")[:1]])
+    n_each = -(-n_pool // max(len(every.floors), 1))
+    for floor in every.floors:
+        share = shares_with_each(every, forced_units(every), floor.measure)
+        wanted.append(np.argsort(-share, kind="stable")[:n_each])
+    return np.unique(np.concatenate(wanted))
+
+
+def _solve_pool(
+    problem: PlacementProblem,
+    pool: IntArray,
+    effort: Effort,
+    deadline: Deadline,
+    n_stages: int | None,
+    on_stage: Callable[[str], None] | None,
+) -> Solution:
+    """The best among some poses, by search; raises UnmetError if none of their sets will do."""
+    part = of_pool(problem, pool)
+    check_limits(part.limits, part.table.pose_ids)
+    reduced = presolve(part, workers=effort.workers)
+    effort = replace(effort.until(deadline), solver="greedy")
+    return solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
+
+
+def _unmet_by_pool(error: UnmetError, pool: IntArray, every: ReducedProblem) -> UnmetError:
+    """What is refused when the time is up before all poses were looked at."""
+    looked_at = f"{len(pool)} of {every.n_poses} poses"
+    expected = f"more time than the limit: among {looked_at} no layout was found that meets it"
+    return UnmetError(error.where, error.got, expected)
 
 
 def _loose_bounds(every: Search, apr: float, avoided: float) -> dict[Objective, float]:

@@ -19,6 +19,7 @@ fail is asked for in the walk, too.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
@@ -27,21 +28,21 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.clock import now_s
 
-from . import timing
+from . import constants
 from .allowed_sets import Limits, are_allowed, may_grow
 from .bitsets import (
-    BestSet,
+    Contenders,
     left_after_failures,
     set_values,
     shares_with_each,
     union_apr,
     unions_of,
 )
-from .bounds import Root, rounded_down
+from .bounds import Root, find_root, rounded_down, run_rows
+from .constants import NEVER, TIES_OF_TIES, TOLERANCE, Deadline, deadline_in
 from .greedy import forced_units
 from .presolve import ReducedProblem, transposed, unpack_words
 from .problem import Objective
-from .timing import NEVER, TOLERANCE, Deadline, deadline_in
 
 if TYPE_CHECKING:
     from .walk_kernels import Classes, Walk
@@ -63,7 +64,9 @@ def can_walk(reduced: ReducedProblem) -> bool:
         and (not reduced.floors or least_apr(reduced) is not None)
         and not reduced.objectives[0].is_minimised
         and len(reduced.weight) > 0
-        and max(2, n_forced + 1) <= limits.max_units <= min(timing.MAX_WALK_UNITS, reduced.n_poses)
+        and max(2, n_forced + 1)
+        <= limits.max_units
+        <= min(constants.MAX_WALK_UNITS, reduced.n_poses)
         and not (n_forced and reduced.survive)
     )
 
@@ -79,29 +82,31 @@ def least_apr(reduced: ReducedProblem) -> float | None:
 
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
-) -> tuple[IntArray | None, bool]:
-    """Best of all allowed sets, of any size, where they are few.
+) -> tuple[Contenders | None, bool]:
+    """The best of all allowed sets, of any size, and what ties, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether all sets
-    were gone through. The units are None if no set was.
+    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether
+    all sets were gone through. None if no set was.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
         return None, False
-    best, least = BestSet(), -np.inf
+    contenders = Contenders(reduced.objectives)
+    least = -np.inf
     is_by_apr = reduced.objectives[0] is Objective.APR and not reduced.floors
     for sets in sizes:
-        for begin in range(0, len(sets), timing.BLOCK_SETS):
+        for begin in range(0, len(sets), constants.BLOCK_SETS):
             if deadline.is_over:
-                return best.units, False
-            part = sets[begin : begin + timing.BLOCK_SETS]
+                return contenders, False
+            part = sets[begin : begin + constants.BLOCK_SETS]
             if is_by_apr:  # all else takes longer, and matters for few
                 share = union_apr(reduced, unions_of(reduced, part))
-                least = max(least, float(share.max()) - TOLERANCE)
+                near = float(share.max()) - TIES_OF_TIES * TOLERANCE
+                least = max(least, near)
                 part = part[share >= least]
             if len(part):
-                best.offer(part, set_values(reduced, part))
-    return best.units, True
+                contenders.add(part, set_values(reduced, part))
+    return contenders, True
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
@@ -118,7 +123,7 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
             sizes.append(np.sort(sets, axis=1))
         if n_units == limits.max_units or not len(grown):
             break
-        most = max(timing.MANY_SETS, min(timing.MAX_GROWN_SETS, 100 * max_sets))
+        most = max(constants.MANY_SETS, min(constants.MAX_GROWN_SETS, 100 * max_sets))
         if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.
@@ -181,7 +186,7 @@ class SetWalk:
     def raise_needs(self, need: float, left: float = 0.0) -> None:
         """Ask for more from here on."""
         self.losses.may_lose[:] = [self.total - need, self.total - left]
-        self.losses.may_lose[:] += timing.ROUNDING * max(self.total, 1.0)
+        self.losses.may_lose[:] += constants.ROUNDING * max(self.total, 1.0)
 
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
@@ -220,11 +225,11 @@ class SetWalk:
         """The nodes near the root, one after the other; tasks that are done are taken again."""
         from .walk_kernels import AT_STOP, DONE, grow
 
-        stop = max(min(timing.STOP_DEPTH, self.n_units - 2), 1)
+        stop = max(min(constants.STOP_DEPTH, self.n_units - 2), 1)
         scout = _Task(self)
         while True:
             state = grow(
-                self.covers, scout.walk, self.n_failures, stop, timing.WALK_WORK, scout.out
+                self.covers, scout.walk, self.n_failures, stop, constants.WALK_WORK, scout.out
             )
             if state == DONE:
                 return
@@ -246,7 +251,7 @@ class _Task:
         self.waiting: list[IntArray] = []  # to be spelled out
         self.losses = owner.losses._replace(order=owner.losses.order.copy())
         n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
-        self.out = np.empty((timing.OUT_SETS, n_units), dtype=np.int64)
+        self.out = np.empty((constants.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
             may_lose=owner.losses.may_lose,
@@ -282,12 +287,14 @@ class _Task:
 
         owner = self.owner
         found: list[IntArray] = []
-        stop = deadline_in(timing.SPELL_S)
+        stop = deadline_in(constants.SPELL_S)
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
         if not self.waiting and not self.is_walked:
             self.walk.where[2] = 0
-            state = grow(owner.covers, self.walk, owner.n_failures, -1, timing.WALK_WORK, self.out)
+            state = grow(
+                owner.covers, self.walk, owner.n_failures, -1, constants.WALK_WORK, self.out
+            )
             self.is_walked = state == DONE
             self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
         self.is_done = self.is_walked and not self.waiting
@@ -306,6 +313,57 @@ class _Task:
             )
             found.append(sets[:n_found])
         return found
+
+
+def find_of_size(
+    reduced: ReducedProblem, n_units: int, *, deadline: Deadline
+) -> tuple[IntArray | None, bool]:
+    """A set of exactly so many units within the limits that reaches the floors, (n_units,).
+
+    None if none was found; the flag says whether all sets were gone through. There is at least one
+    floor, and no set has fewer units than there are forced poses.
+
+    The walk is one for the hardest floor; what it asks for is necessary: the APR as a mean over all
+    worlds, and what is left when units fail, though sites may. What it meets is looked at exactly.
+    """
+    forced = forced_units(reduced)
+    if n_units <= len(forced):
+        return _first_that_will_do(reduced, forced[None, :]), True
+    floor = max(reduced.floors, key=lambda one: one.least / max(one.measure.limit, constants.TINY))
+    counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
+    rows = run_rows(counted)
+    rows = rows.of(rows.weight > 0.0)
+    root = find_root(counted, rows, n_units=n_units, deadline=deadline)
+    if root.limit < floor.least - TOLERANCE:
+        return None, True
+    has_failures = floor.n_failures < n_units and not len(forced)
+    walk = SetWalk(
+        counted,
+        root,
+        need=floor.least - TOLERANCE,
+        n_failures=floor.n_failures if has_failures else 0,
+        left=floor.least - TOLERANCE if has_failures else 0.0,
+    )
+    for block in walk.blocks(deadline):
+        units = _first_that_will_do(reduced, block)
+        if units is not None:
+            return units, False
+    return None, walk.is_finished
+
+
+def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
+    """The first of some sets, (n_sets, n_units), within the limits that reaches the floors."""
+    if not sets.size:
+        return None
+    for begin in range(0, len(sets), constants.BLOCK_SETS):
+        part = sets[begin : begin + constants.BLOCK_SETS]
+        part = part[are_allowed(reduced.limits, part)]
+        if not len(part):
+            continue
+        will_do = np.flatnonzero(set_values(reduced, part).lacking == 0.0)
+        if len(will_do):
+            return np.sort(part[will_do[0]])
+    return None
 
 
 def widest_poses(
@@ -440,7 +498,7 @@ class TieSearch:
         It takes much less to prove that nothing is better by a step, where values are so far apart,
         or by a little, than to meet all ties.
         """
-        step = (1.0 - timing.SOLVER_TOLERANCE) * self.reduced.measure.step
+        step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
         is_near = self.ahead > 0.0
         ahead = self.ahead if is_near else step
         if deadline.is_over:
@@ -472,7 +530,7 @@ class TieSearch:
             if not self._walk(deadline, near):
                 break
             limit = self.best + near
-            if timing.ALL_TIMES_NEAR * (now_s() - began_s) < deadline.left_s():
+            if constants.ALL_TIMES_NEAR * (now_s() - began_s) < deadline.left_s():
                 break
             near /= 2.0
         return limit
@@ -480,6 +538,11 @@ class TieSearch:
     def _tied(self, limit: float, is_proven: bool, sets: IntArray | None = None) -> Tied:
         limit = self.best if is_proven else max(limit, self.best)
         return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
+
+    @property
+    def _least(self) -> float:
+        """The least that ties with a set which is found, itself a tie worse than the best."""
+        return self.best - TIES_OF_TIES * TOLERANCE
 
     def _value_of(self, sets: IntArray) -> FloatArray:
         return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
@@ -490,8 +553,7 @@ class TieSearch:
 
     def _walk(self, deadline: Deadline, ahead: float, *, is_proven: bool = False) -> bool:
         """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
-        need, left = self._needs(self.best + ahead)
-        walk = self.walk_from(need, left)
+        walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
         if not ahead:
             n_units = self.reduced.limits.max_units
             self.tied, self.has_all = [np.empty((0, n_units), dtype=np.int64)], True
@@ -500,18 +562,23 @@ class TieSearch:
             if len(block) and value.max() > self.best + TOLERANCE:
                 better = self.on_better(block[value.argmax()])
                 of_better = float(self._value_of(np.sort(better)[None, :])[0])
+                before = self.best
                 self.best = max(float(value.max()), of_better)
-                walk.raise_needs(*self._needs(self.best + ahead))
-                self.tied, self.has_all = self.tied[:1], True
+                need = self.best + ahead if ahead else self._least
+                walk.raise_needs(*self._needs(need))
+                if before < self._least:  # none of those before ties any more
+                    self.tied, self.has_all = self.tied[:1], True
+            elif len(block):
+                self.best = max(self.best, float(value.max()))
             if ahead or not self.has_all:
                 continue
-            self.tied.append(block[value >= self.best - TOLERANCE])
-            self.has_all = sum(map(len, self.tied)) <= timing.MAX_TIED
+            self.tied.append(block[value >= self._least])
+            self.has_all = sum(map(len, self.tied)) <= constants.MAX_TIED
             if not self.has_all:
                 if is_proven:
                     return False
-                step = (1.0 - timing.SOLVER_TOLERANCE) * self.reduced.measure.step
-                walk.raise_needs(*self._needs(self.best + max(step, timing.STEP_UP)))
+                step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
+                walk.raise_needs(*self._needs(self.best + max(step, constants.STEP_UP)))
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
@@ -524,17 +591,18 @@ class TieSearch:
 
 def best_of_tied(
     reduced: ReducedProblem, sets: IntArray, *, n_failures: int, value: float
-) -> IntArray | None:
-    """Best of tied sets and of their parts that tie with them; None if there is none.
+) -> Contenders:
+    """Tied sets and their parts that tie with them, within the limits.
 
     A part is as good in the first stages only if a whole set is.
     """
-    best = BestSet()
+    contenders = Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:
-        for start in range(0, len(sets), timing.BLOCK_SETS):
-            part = sets[start : start + timing.BLOCK_SETS]
+        for start in range(0, len(sets), constants.BLOCK_SETS):
+            part = sets[start : start + constants.BLOCK_SETS]
             part = part[are_allowed(reduced.limits, part)]
-            best.offer(part, set_values(reduced, part))
+            if len(part):
+                contenders.add(part, set_values(reduced, part))
         fewer = sets.shape[1] - 1
         if not fewer:
             break
@@ -542,5 +610,5 @@ def best_of_tied(
         smaller = np.concatenate([sets[:, list(place)] for place in places])
         smaller = np.unique(np.sort(smaller, axis=1), axis=0)
         left = left_after_failures(reduced, reduced.measure, n_failures, smaller)
-        sets = smaller[left >= value - TOLERANCE]
-    return best.units
+        sets = smaller[left >= value - TIES_OF_TIES * TOLERANCE]
+    return contenders

@@ -191,7 +191,7 @@ def tighten_prices(
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
     `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the numbers
-    of :mod:`placement.optimiser.timing` that the first line unpacks. Returns the bound; `price`
+    of :mod:`placement.optimiser.constants` that the first line unpacks. Returns the bound; `price`
     becomes what proves it, and `share` how often each pose was picked of late.
     """
     length, cut, deflection, memory, patience = timing

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-import msgspec
-
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted, check_one_of
 from geometry.files import (
     load_data,
+    parse_json,
     parse_number,
     read_bytes,
     read_table,
@@ -116,9 +115,7 @@ def entries_of(folder: Path, expected: str) -> list[Path]:
 
 def json_of(path: Path, **limits: int) -> Any:
     """Content of a JSON file; `limits` are those of :func:`geometry.files.read_bytes`."""
-    damage = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-    with reading(path, "a JSON file", *damage):
-        return msgspec.json.decode(read_bytes(path, **limits))
+    return parse_json(read_bytes(path, **limits), str(path), "a JSON file")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, located, refuse
-from geometry.files import open_file, read_data, reading, write_atomically
+from geometry.files import open_file, parse_json, read_data, reading, write_atomically
 from geometry.scene import Scene
 from geometry.sensors import LENS_FIELDS, CameraModel
 from geometry.untrusted_files import is_text, unpacked_bytes
@@ -225,9 +225,10 @@ def _fields_of(sensor: Sensor) -> dict[str, object]:
 
 def _read_sensor(text: str) -> Sensor:
     try:
-        given = json.loads(text)
-        kind, name = given.pop("kind"), given.pop("name")
-    except (ValueError, RecursionError, LookupError, AttributeError, TypeError):
+        given = parse_json(text, "sensors", "a sensor model")
+        kind = given.pop("kind")
+        name = given.pop("name")
+    except (InputError, LookupError, AttributeError, TypeError):
         kind = name = None
     if kind not in SENSOR_KINDS or not isinstance(name, str):
         raise InputError("sensors", text, "JSON of a sensor model with its kind and name")
@@ -457,6 +458,10 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
         if "kind" not in archive.files:
             refuse(f"{path}: kind", "nothing", f"a text such as {KIND}")
         assert archive.zip is not None  # it is open
+        names = archive.zip.namelist()
+        if len(set(names)) < len(names):
+            # Programs differ in which of the two they read.
+            refuse(str(path), "an array twice", "every array once")
         n_bytes = unpacked_bytes(archive.zip, str(path))
         what, room = f"{n_bytes:,} bytes when unpacked", _UNPACKED_BYTES * n_bytes
         check_fits(str(path), what, room, "fewer poses or frames")

@@ -15,11 +15,12 @@ from geometry.scene import Scene
 from geometry.weather import pick_weather
 from scenarios.runs import FrameAxis, Run
 
-from ..cache import CachedArrays, Fingerprints, load_arrays, save_arrays, tell_unused
+from ..cache import CachedArrays, load_arrays, save_arrays, tell_unused
 from ..candidates import CandidatePose
 from ..compute import DEFAULT_COMPUTE, Compute, one_blas_thread, threads
 from ..detection_table import DetectionTable
 from ..detectors import PlanningDetector
+from ..fingerprints import Fingerprints
 from ..setting import Setting
 from .casting import SharedScene, World, build_world
 from .sensing import build_sensing, cast_for

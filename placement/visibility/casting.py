@@ -397,7 +397,15 @@ def _hidden_by_scene(
     near_m: float,
 ) -> BoolArray:
     """Points hidden by what stands there in all runs, (n, n_points); `foreseen`: more views."""
-    from .ray_kernels import N_AROUND, N_UP, fill_rays, find_unclear_points, mark_nearest
+    from .ray_kernels import (
+        N_AROUND,
+        N_UP,
+        Rays,
+        Views,
+        fill_rays,
+        find_unclear_points,
+        mark_nearest,
+    )
 
     shared = world.shared
     places = shared.places
@@ -412,10 +420,13 @@ def _hidden_by_scene(
         far_m = farthest_m + 2.0 * world.radius_m + 1.0
         nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
         mark_nearest(nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m)
-        bodies = (places.axes_m, places.middle_m, places.radius_m, eye_m)
-        find_unclear_points(nearest, *bodies, index, unclear)
-        starts, vectors = (np.empty((np.count_nonzero(unclear), 3), np.float32) for _ in range(2))
-        fill_rays(places.axes_m, index, unclear, eye_m, near_m, _OFF_SURFACE_M, starts, vectors)
+        views = Views(places.axes_m, places.middle_m, places.radius_m)
+        find_unclear_points(nearest, views, eye_m, index, unclear)
+        room = (np.count_nonzero(unclear), 3)
+        starts = np.empty(room, np.float32)
+        vectors = np.empty(room, np.float32)
+        rays = Rays(near_m, _OFF_SURFACE_M, starts, vectors)
+        fill_rays(places.axes_m, index, unclear, eye_m, rays)
         unclear[unclear] = shared.caster.is_blocked(starts, vectors)
         return unclear
 
@@ -428,17 +439,22 @@ def _find_between(
     world: World, eye_m: FloatArray, bodies: Bodies, view_index: IntArray, group: IntArray
 ) -> tuple[IntArray, IntArray]:
     """Rows and bodies (n_pairs,): body m of group `group[n]` may hide points of view n."""
-    from .ray_kernels import find_bodies_between
+    from .ray_kernels import Occluders, Views, find_bodies_between
 
     if not len(bodies.kind):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     boxes = np.array([_box_m(actor.shapes[0]) for actor in bodies.actors])[bodies.kind]
     pairs = np.empty((int(np.diff(bodies.first)[group].sum()), 2), dtype=np.int32)
-    n_pairs = find_bodies_between(
-        *(world.views.middle_m, world.views.radius_m, eye_m, view_index, group),
-        *(bodies.members, bodies.first, bodies.position_m, bodies.rotation, boxes),
-        pairs,
+    seen = world.views
+    views = Views(seen.axes_m, seen.middle_m, seen.radius_m)
+    occluders = Occluders(
+        members=bodies.members,
+        first=bodies.first,
+        position=bodies.position_m,
+        rotation=bodies.rotation,
+        boxes=boxes,
     )
+    n_pairs = find_bodies_between(views, eye_m, view_index, group, occluders, pairs)
     row, body = pairs[:n_pairs].T.astype(np.int64)
     return row, body
 
@@ -459,7 +475,7 @@ def _add_hidden_by_bodies(
     Body `body_index[n]` is there while view `view_index[n]` is looked at, whose points have row
     `row_index[n]`.
     """
-    from .ray_kernels import find_rays_at_body
+    from .ray_kernels import OneKind, Rays, find_rays_at_body
 
     for kind, (actor, caster) in enumerate(zip(bodies.actors, bodies.casters, strict=True)):
         of_kind = np.flatnonzero(bodies.kind[body_index] == kind)
@@ -467,15 +483,19 @@ def _add_hidden_by_bodies(
         low_m, high_m = _box_m(actor.shapes[0])
         for start in range(0, len(of_kind), _ROWS_TOGETHER):
             chosen = of_kind[start : start + _ROWS_TOGETHER]
-            row, body = row_index[chosen], body_index[chosen]
+            row = row_index[chosen]
+            body = body_index[chosen]
             blocked = np.zeros((len(chosen), hidden.shape[1]), dtype=bool)
-            starts, vectors = (np.empty((blocked.size, 3), np.float32) for _ in range(2))
+            starts = np.empty((blocked.size, 3), np.float32)
+            vectors = np.empty((blocked.size, 3), np.float32)
             n_rays = find_rays_at_body(
-                *(world.views.axes_m, view_index[chosen], hidden[row], eye_m),
-                *(bodies.position_m[body], bodies.rotation[body], low_m, high_m),
-                near_m,
-                _OFF_SURFACE_M,
-                *(starts, vectors, blocked),
+                world.views.axes_m,
+                view_index[chosen],
+                hidden[row],
+                eye_m,
+                OneKind(bodies.position_m[body], bodies.rotation[body], low_m, high_m),
+                Rays(near_m, _OFF_SURFACE_M, starts, vectors),
+                blocked,
             )
             blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
             shown, first = np.unique(row, return_index=True)

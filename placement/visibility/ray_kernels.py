@@ -7,11 +7,12 @@ its least and greatest azimuth and elevation: a cell never knows too little, and
 nothing nearer than a point, the ray to that point would meet nothing.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
@@ -25,6 +26,42 @@ _SLACK_M = 1.0e-3  # for rays in single precision
 _SLACK_SIN = 1.0e-5
 _MOST_CUTS = 64
 _BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
+
+
+class Views(NamedTuple):
+    """Bodies to be looked at; one view is one body at one place."""
+
+    points: Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
+    middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
+    radius: FloatArray  # (n_views,): of that sphere. [m]
+
+
+class Occluders(NamedTuple):
+    """Bodies that stand or drive in the way, in groups; each has a frame of its own."""
+
+    members: IntArray  # (m,): bodies, group by group
+    first: IntArray  # (n_groups + 1,): where each group begins in `members`
+    position: FloatArray  # (n_bodies, 3): of each. [m]
+    rotation: FloatArray  # (n_bodies, 3, 3): from its frame into the world's
+    boxes: FloatArray  # (n_bodies, 2, 3): lowest and highest coordinates in its frame. [m]
+
+
+class OneKind(NamedTuple):
+    """Bodies of one shape, a row for each view that one of them may hide."""
+
+    position: FloatArray  # (n, 3). [m]
+    rotation: FloatArray  # (n, 3, 3): from the body's frame into the world's
+    lowest: FloatArray  # (3,): of the box around the shape, in its frame. [m]
+    highest: FloatArray  # (3,). [m]
+
+
+class Rays(NamedTuple):
+    """Rays to points of bodies, and room for them."""
+
+    near_m: float  # from the eye to where they start
+    off_surface_m: float  # before the point, where they end
+    starts: Array  # (n, 3), single precision. [m]
+    vectors: Array  # (n, 3): from start to end, single precision. [m]
 
 
 @kernel
@@ -202,31 +239,31 @@ def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far:
 
 @kernel
 def find_unclear_points(
-    nearest: Array,
-    points: Array,
-    middle: Array,
-    radius: Array,
-    eye: Array,
-    views: Array,
-    unclear: Array,
+    nearest: Array, views: Views, eye: FloatArray, view_index: IntArray, unclear: BoolArray
 ) -> None:
     """Set `unclear` (n, n_points) where something may stand before a point of a view.
 
-    `points` (n_views, 3, n_points), `middle` (n_views, 3), `radius` (n_views,): each body's points,
-    and a sphere around them; `views` (n,): which of them are asked for.
+    `nearest` (n_up, n_around) are cells of :func:`mark_nearest`, `eye` (3,) is where they are seen
+    from; `view_index` (n,): which views are asked for.
     """
-    ex, ey, ez = eye[0], eye[1], eye[2]
+    points = views.points
+    middle = views.middle
+    ex = eye[0]
+    ey = eye[1]
+    ez = eye[2]
     blocks = np.empty((N_UP // _BLOCK, N_AROUND // _BLOCK), np.float32)
     blocks[:] = np.inf
     for up in range(N_UP):  # all cells: the nearest thing of each block of them
         for column in range(N_AROUND):
             block = blocks[up // _BLOCK, column // _BLOCK]
             blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
-    for row in range(len(views)):  # views: first as a whole, by the sphere around them
-        view = views[row]
-        x, y, z = middle[view, 0] - ex, middle[view, 1] - ey, middle[view, 2] - ez
+    for row in range(len(view_index)):  # views: first as a whole, by the sphere around them
+        view = view_index[row]
+        x = middle[view, 0] - ex
+        y = middle[view, 1] - ey
+        z = middle[view, 2] - ez
         distance = np.sqrt(x * x + y * y + z * z)
-        wide = radius[view] + _SLACK_M
+        wide = views.radius[view] + _SLACK_M
         if distance > wide:
             window = _window(x, y, z, wide, nearest.shape)
             far = np.float32(distance + wide)
@@ -240,7 +277,8 @@ def find_unclear_points(
             if distance == 0.0:
                 unclear[row, point] = True
                 continue
-            up, column = cell_up(z / distance, N_UP), cell_around(x, y, N_AROUND)
+            up = cell_up(z / distance, N_UP)
+            column = cell_around(x, y, N_AROUND)
             unclear[row, point] = nearest[up, column] <= distance
 
 
@@ -283,81 +321,87 @@ def shorten(
 
 @kernel
 def fill_rays(
-    points: Array,
-    views: Array,
-    asked: Array,
-    eye: Array,
-    near_m: float,
-    off_surface_m: float,
-    starts: Array,
-    vectors: Array,
+    points: Array, view_index: IntArray, asked: BoolArray, eye: FloatArray, rays: Rays
 ) -> None:
-    """Rays from the eye to the points asked for (n, n_points), row by row, in single precision.
+    """Fill in rays from the eye (3,) to the points asked for (n, n_points), row by row.
 
-    They start `near_m` from the eye and end `off_surface_m` before the point.
+    Row n is about view `view_index[n]` of `points` (n_views, 3, n_points).
     """
-    near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
-    ex, ey, ez = np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
+    near = np.float32(rays.near_m)
+    cut = np.float32(rays.near_m + rays.off_surface_m)
+    ex = np.float32(eye[0])
+    ey = np.float32(eye[1])
+    ez = np.float32(eye[2])
     ray = 0
-    for row in range(len(views)):  # views, and the points of each that are asked for
-        view = views[row]
+    for row in range(len(view_index)):  # views, and the points of each that are asked for
+        view = view_index[row]
         for point in range(points.shape[2]):
             if not asked[row, point]:
                 continue
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
-            shorten((ex, ey, ez), (x, y, z), near, cut, starts[ray], vectors[ray])
+            shorten((ex, ey, ez), (x, y, z), near, cut, rays.starts[ray], rays.vectors[ray])
             ray += 1
 
 
 @kernel
 def find_bodies_between(
-    middle: Array,
-    radius: Array,
-    eye: Array,
-    views: Array,
-    obstruction: Array,
-    bodies: Array,
-    first: Array,
-    position: Array,
-    rotation: Array,
-    boxes: Array,
+    views: Views,
+    eye: FloatArray,
+    view_index: IntArray,
+    group_index: IntArray,
+    bodies: Occluders,
     pairs: Array,
 ) -> int:
     """Pairs (row, body) of views and bodies that may hide something of them; their number.
 
-    Row n is view `views[n]`, of points around `middle` (n_views, 3) as far as `radius` (n_views,);
-    in it stand the bodies from `first[g]` to `first[g + 1]` of `bodies`, g being `obstruction[n]`:
-    each at its `position` (n_bodies, 3), with its `rotation` (n_bodies, 3, 3), within its
-    `boxes` (n_bodies, 2, 3) in its own frame. The way to the middle passes all others at a
-    greater distance than any way to a point has from it.
+    Row n is view `view_index[n]`; in it there are the bodies of group `group_index[n]`. Pairs go to
+    `pairs` (n_pairs, 2). The way to the middle of the view passes all other bodies at a greater
+    distance than any way to a point has from it.
     """
+    position = bodies.position
+    n_bodies = len(bodies.boxes)
     n_pairs = 0
-    centre, reach, eyes = np.empty_like(position), np.empty(len(boxes)), np.empty_like(position)
-    for body in range(len(boxes)):  # each body's middle, its reach, and the eye in its frame
-        low, high, r, reach2 = boxes[body, 0], boxes[body, 1], rotation[body], 0.0
+    centre = np.empty_like(position)  # middle of each body's box, in the world's frame
+    reach = np.empty(n_bodies)  # of that box from its middle
+    eyes = np.empty_like(position)  # the eye in each body's frame
+    for body in range(n_bodies):
+        low = bodies.boxes[body, 0]
+        high = bodies.boxes[body, 1]
+        r = bodies.rotation[body]
+        reach2 = 0.0
         for i in range(3):
-            centre[body, i], eyes[body, i] = position[body, i], 0.0
+            centre[body, i] = position[body, i]
+            eyes[body, i] = 0.0
             reach2 += 0.25 * (high[i] - low[i]) ** 2
             for j in range(3):
                 centre[body, i] += 0.5 * r[i, j] * (low[j] + high[j])
                 eyes[body, i] += r[j, i] * (eye[j] - position[body, j])
         reach[body] = np.sqrt(reach2)
-    for row in range(len(views)):  # views, and the bodies of the group of each
-        view, group = views[row], obstruction[row]
-        mx, my, mz = middle[view, 0] - eye[0], middle[view, 1] - eye[1], middle[view, 2] - eye[2]
+    for row in range(len(view_index)):  # views, and the bodies of the group of each
+        view = view_index[row]
+        group = group_index[row]
+        wide = views.radius[view]
+        mx = views.middle[view, 0] - eye[0]
+        my = views.middle[view, 1] - eye[1]
+        mz = views.middle[view, 2] - eye[2]
         length2 = max(mx * mx + my * my + mz * mz, 1.0e-12)
-        for place in range(first[group], first[group + 1]):
-            body = bodies[place]
-            cx, cy = centre[body, 0] - eye[0], centre[body, 1] - eye[1]
+        for place in range(bodies.first[group], bodies.first[group + 1]):
+            body = bodies.members[place]
+            cx = centre[body, 0] - eye[0]
+            cy = centre[body, 1] - eye[1]
             cz = centre[body, 2] - eye[2]
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
             away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
-            if away2 > (reach[body] + radius[view]) ** 2:
+            if away2 > (reach[body] + wide) ** 2:
                 continue
-            r, low, high, wide = rotation[body], boxes[body, 0], boxes[body, 1], radius[view]
-            ex, ey, ez = eyes[body, 0], eyes[body, 1], eyes[body, 2]
+            r = bodies.rotation[body]
+            low = bodies.boxes[body, 0]
+            high = bodies.boxes[body, 1]
+            ex = eyes[body, 0]
+            ey = eyes[body, 1]
+            ez = eyes[body, 2]
             target = (
                 ex + r[0, 0] * mx + r[1, 0] * my + r[2, 0] * mz,
                 ey + r[0, 1] * mx + r[1, 1] * my + r[2, 1] * mz,
@@ -367,7 +411,8 @@ def find_bodies_between(
             most = (high[0] + wide, high[1] + wide, high[2] + wide)
             if misses((ex, ey, ez), target, least, most):
                 continue
-            pairs[n_pairs, 0], pairs[n_pairs, 1] = row, body
+            pairs[n_pairs, 0] = row
+            pairs[n_pairs, 1] = body
             n_pairs += 1
     return n_pairs
 
@@ -386,45 +431,45 @@ def _into_body(rotation: Array, x: float, y: float, z: float) -> Point:
 @kernel
 def find_rays_at_body(
     points: Array,
-    views: Array,
-    hidden: Array,
-    eye: Array,
-    position: Array,
-    rotation: Array,
-    lowest: Array,
-    highest: Array,
-    near_m: float,
-    off_surface_m: float,
-    starts: Array,
-    vectors: Array,
-    asked: Array,
+    view_index: IntArray,
+    hidden: BoolArray,
+    eye: FloatArray,
+    bodies: OneKind,
+    rays: Rays,
+    asked: BoolArray,
 ) -> int:
     """Rays to points of some views that meet the box around a body, in the body's frame.
 
-    Row n asks for the points of view `views[n]` that are not `hidden[n]`, while the body is at
-    `position[n]` (3,), with `rotation[n]` (3, 3); its box reaches from `lowest` (3,) to
-    `highest` (3,) in its own frame. Sets `asked` (n, n_points) and returns the number of rays;
-    `starts` and `vectors` have room for all points of all rows.
+    Row n asks for the points of view `view_index[n]`, of `points` (n_views, 3, n_points), that are
+    not `hidden[n]`, while a body is at `bodies.position[n]`. Sets `asked` (n, n_points) and returns
+    the number of rays; there must be room for all points of all rows.
     """
-    near, cut = np.float32(near_m), np.float32(near_m + off_surface_m)
-    least, most = (lowest[0], lowest[1], lowest[2]), (highest[0], highest[1], highest[2])
+    near = np.float32(rays.near_m)
+    cut = np.float32(rays.near_m + rays.off_surface_m)
+    least = (bodies.lowest[0], bodies.lowest[1], bodies.lowest[2])
+    most = (bodies.highest[0], bodies.highest[1], bodies.highest[2])
     ray = 0
-    for row in range(len(views)):  # views with a body each; the eye goes into the body's frame
-        view = views[row]
-        r = rotation[row]
-        px, py, pz = position[row, 0], position[row, 1], position[row, 2]
+    for row in range(len(view_index)):  # views with a body each; the eye goes into its frame
+        view = view_index[row]
+        r = bodies.rotation[row]
+        px = bodies.position[row, 0]
+        py = bodies.position[row, 1]
+        pz = bodies.position[row, 2]
         origin = _into_body(r, eye[0] - px, eye[1] - py, eye[2] - pz)
-        start = np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2])
+        start = (np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]))
         for point in range(points.shape[2]):  # points that nothing hides yet
             if hidden[row, point]:
                 continue
-            x, y, z = points[view, 0, point], points[view, 1, point], points[view, 2, point]
+            x = points[view, 0, point]
+            y = points[view, 1, point]
+            z = points[view, 2, point]
             target = _into_body(r, x - px, y - py, z - pz)
             if misses(origin, target, least, most):
                 continue
             asked[row, point] = True
-            vx, vy = np.float32(target[0]) - start[0], np.float32(target[1]) - start[1]
-            way = (vx, vy, np.float32(target[2]) - start[2])
-            shorten(start, way, near, cut, starts[ray], vectors[ray])
+            vx = np.float32(target[0]) - start[0]
+            vy = np.float32(target[1]) - start[1]
+            vz = np.float32(target[2]) - start[2]
+            shorten(start, (vx, vy, vz), near, cut, rays.starts[ray], rays.vectors[ray])
             ray += 1
     return ray

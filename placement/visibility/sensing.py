@@ -188,7 +188,7 @@ def _may_detect(
         else:
             least_px.setdefault(detector.min_box_height_px, []).append(candidate)
     for height_px, listed in least_px.items():
-        from .point_kernels import find_views
+        from .point_kernels import Cameras, find_views
 
         candidates = [candidate for candidate in listed if not _has_lens(candidate)]
         for candidate in filter(_has_lens, listed):
@@ -199,8 +199,7 @@ def _may_detect(
             views.middle_m,
             views.radius_m,
             eye.astype(np.float32),
-            _lenses(candidates, turned_rad=turned_rad),
-            len(candidates),
+            Cameras(_lenses(candidates, turned_rad=turned_rad), len(candidates)),
             height_px * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
             may_detect,
         )
@@ -278,45 +277,49 @@ def _box(
     """Boxes in some of the candidates, all of them cameras, and all with a lens or all without."""
     views, sight = sensing.world.views, sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
+    from .point_kernels import BodyPoints, Cameras, Found, Least, Seen, box_bodies
+
     n = len(chosen) * len(sight.view_index)
-    plain, part = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
-    plain_px, part_px = np.empty((n, 4), np.float32), np.empty((n, 8), np.float32)
-    inside_share = np.empty(n)
-    seen = (sight.view_index, sight.is_visible, sight.is_whole)
-    found = (plain, plain_px, part, part_px, inside_share)
-    bodies = (views.axes_m, views.hull_m, views.middle_m, views.radius_m)
+    found = Found(
+        plain=np.empty((n, 2), np.int32),
+        plain_px=np.empty((n, 4), np.float32),
+        part=np.empty((n, 2), np.int32),
+        part_px=np.empty((n, 8), np.float32),
+        inside_share=np.empty(n),
+    )
+    seen = Seen(sight.view_index, sight.is_visible, sight.is_whole)
+    bodies = BodyPoints(views.axes_m, views.hull_m, views.middle_m, views.radius_m)
+    min_height_px = sensing.detector.min_box_height_px
     if through_lenses:
         from .lens_kernels import box_through_lenses, pack_lens
 
         cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
         turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
-        n_plain, n_part = box_through_lenses(
-            *(bodies, sensing.eye_m, seen),
-            np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)]),
-            (_MIN_DEPTH_M, sensing.detector.min_box_height_px),
-            found,
-        )
+        lenses = np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)])
+        least = Least(_MIN_DEPTH_M, min_height_px)
+        n_plain, n_part = box_through_lenses(bodies, sensing.eye_m, seen, lenses, least, found)
     else:
-        from .point_kernels import box_bodies
-
-        n_plain, n_part = box_bodies(
-            *(bodies, sensing.eye_m.astype(np.float32), seen),
-            (_lenses(chosen), len(chosen)),
-            (np.float32(_MIN_DEPTH_M), sensing.detector.min_box_height_px),
-            found,
-        )
+        pinholes = Cameras(_lenses(chosen), len(chosen))
+        least = Least(np.float32(_MIN_DEPTH_M), min_height_px)
+        eye = sensing.eye_m.astype(np.float32)
+        n_plain, n_part = box_bodies(bodies, eye, seen, pinholes, least, found)
     # Copies: what was set aside for the most that there could be is given back.
     return _Boxes(
-        plain=np.column_stack([rows[plain[:n_plain, 0]], plain[:n_plain, 1]]),
-        part=np.column_stack([rows[part[:n_part, 0]], part[:n_part, 1]]),
-        plain_px=plain_px[:n_plain].astype(np.float64),
-        visible_px=part_px[:n_part, :4].astype(np.float64),
-        amodal_px=part_px[:n_part, 4:].astype(np.float64),
-        inside_share=inside_share[:n_part].copy(),
+        plain=_with_rows(found.plain[:n_plain], rows),
+        part=_with_rows(found.part[:n_part], rows),
+        plain_px=found.plain_px[:n_plain].astype(np.float64),
+        visible_px=found.part_px[:n_part, :4].astype(np.float64),
+        amodal_px=found.part_px[:n_part, 4:].astype(np.float64),
+        inside_share=found.inside_share[:n_part].copy(),
     )
 
 
-def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.float32]:
+def _with_rows(pairs: IntArray, rows: IntArray) -> IntArray:
+    """Pairs (n, 2) of a candidate and an entry, from those of a camera and an entry."""
+    return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
+
+
+def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.void]:
     """Cameras for ``point_kernels.box_bodies``, with images as large as if turned a little, too."""
     from .point_kernels import pack_lenses
 
@@ -358,7 +361,7 @@ def _detect_echoes(
     Each visible point stands for the part of the surface around it: its solid angle, seen from the
     LiDAR, times the density of beams in that direction is the number of beams that hit it.
     """
-    from .point_kernels import count_echoes
+    from .point_kernels import Echoes, LidarView, count_echoes
 
     world, sight, vru_class = sensing.world, sensing.sight, sensing.vru_class
     views = world.views
@@ -402,15 +405,21 @@ def _detect_echoes(
     found = np.zeros((len(candidates), *sensing.contrast.shape), dtype=bool)
     poses = [candidate.pose for candidate in candidates]
     bodies = sensing.middle_m, sensing.distance_m, sensing.half_angle_rad
+    half_across_rad = math.radians(0.5 * lidar.horizontal_fov_deg)
+    half_up_rad = math.radians(0.5 * lidar.vertical_fov_deg)
     count_echoes(
         np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
         np.stack([_in_cone(one, *bodies) for one in candidates]),
-        np.concatenate([[0], np.cumsum(counts)]),
-        np.ascontiguousarray(offsets / distance[:, None]),
-        np.ascontiguousarray(expected),
-        needed[vru_class],
-        math.cos(math.radians(0.5 * lidar.horizontal_fov_deg)) - _SLACK_LIMIT,
-        math.sin(math.radians(0.5 * lidar.vertical_fov_deg)) + _SLACK_LIMIT,
+        Echoes(
+            first=np.concatenate([[0], np.cumsum(counts)]),
+            directions=np.ascontiguousarray(offsets / distance[:, None]),
+            expected=np.ascontiguousarray(expected),
+            needed=needed[vru_class],
+        ),
+        LidarView(
+            cos_across=math.cos(half_across_rad) - _SLACK_LIMIT,
+            sin_up=math.sin(half_up_rad) + _SLACK_LIMIT,
+        ),
         found,
     )
     table = sensing.detector.lidar

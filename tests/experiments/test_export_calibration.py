@@ -1,6 +1,5 @@
-"""Calibrations, read back by OpenCV, PyYAML and vcd, against geometry.sensors' own projection."""
+"""Calibrations, read back by OpenCV and PyYAML, against geometry.sensors' own projection."""
 
-import json
 from dataclasses import replace
 
 import cv2
@@ -11,19 +10,17 @@ from export_layouts import awkward_layout, large_layout, level_layout
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from vcd import core, scl
 
 from experiments.export.calibration import calibrations
 from experiments.export.opencv import to_opencv
-from experiments.export.openlabel import to_openlabel
 from experiments.export.ros import camera_names, to_ros
 from geometry.errors import InputError
-from geometry.poses import camera_rotation, to_world
+from geometry.poses import to_world
 from geometry.sensors import CameraModel, project_points
 from placement.layout import Layout
 
 HALF_PIXEL = 0.5
-"""Here the middle of the first pixel is (0.5, 0.5); in OpenCV, ROS and OpenLABEL (0, 0)."""
+"""Here the middle of the first pixel is (0.5, 0.5); in OpenCV and ROS (0, 0)."""
 
 BUILDS = [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 
@@ -178,67 +175,6 @@ def test_yaml_texts_come_back(value):
     unit = replace(level_layout(0.0).units[0], id=value)
     text = to_ros(Layout(name="names", units=(unit,)))
     assert yaml.safe_load(text)["unit"] == value
-
-
-def openlabel_project(root, name, points_m):
-    """Pixels by the definitions of the standard: pose_wrt_parent takes child to parent."""
-    pose = root["coordinate_systems"][name]["pose_wrt_parent"]
-    turn = Rotation.from_quat(pose["quaternion"])
-    own = turn.inv().apply(points_m - np.array(pose["translation"]))
-    intrinsics = root["streams"][name]["stream_properties"]["intrinsics_pinhole"]
-    matrix = np.array(intrinsics["camera_matrix"]).reshape(3, 4)
-    projected = np.column_stack([own, np.ones(len(own))]) @ matrix.T
-    return projected[:, :2] / projected[:, 2:]
-
-
-@pytest.mark.parametrize("build", BUILDS)
-def test_openlabel_streams_project_as_the_camera_model_does(build):
-    layout = build()
-    root = json.loads(to_openlabel(layout))["openlabel"]
-    assert root["metadata"] == {"schema_version": "1.0.0", "name": layout.name}
-    systems = root["coordinate_systems"]
-    assert systems["world"]["children"] == [unit.id for unit in layout.units]
-    assert list(root["streams"]) == systems["world"]["children"]
-    for unit in layout.units:
-        assert systems[unit.id]["parent"] == "world"
-        stream = root["streams"][unit.id]
-        if not isinstance(unit.sensor, CameraModel):
-            assert stream["type"] == "lidar"
-            ahead = Rotation.from_quat(systems[unit.id]["pose_wrt_parent"]["quaternion"]).apply(
-                [1.0, 0.0, 0.0]
-            )
-            axis = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)[:, 2]
-            np.testing.assert_allclose(ahead, axis, atol=1e-12)
-            continue
-        assert stream["type"] == "camera"
-        points_m = points_before(unit)
-        found = openlabel_project(root, unit.id, points_m)
-        np.testing.assert_allclose(found, expected_px(unit, points_m), atol=1e-6)
-
-
-def test_a_unit_called_world_is_not_the_world():
-    layout = level_layout(30.0)
-    layout = Layout(name="w", units=(replace(layout.units[0], id="world"),))
-    systems = json.loads(to_openlabel(layout))["openlabel"]["coordinate_systems"]
-    assert systems["world"]["parent"] == "world_cs"
-    assert systems["world_cs"]["parent"] == ""
-
-
-@pytest.mark.parametrize("build", BUILDS)
-def test_vcd_reads_openlabel_by_its_schema_and_projects_alike(build, tmp_path):
-    layout = build()
-    path = tmp_path / "layout.json"
-    path.write_text(to_openlabel(layout), encoding="utf-8")
-    document = core.OpenLABEL()
-    document.load_from_file(str(path), validation=True)
-    scene = scl.Scene(document)
-    for unit in cameras_of(layout)[:20]:
-        points_m = points_before(unit)
-        transform, is_static = scene.get_transform("world", unit.id)
-        assert is_static
-        own = transform @ np.column_stack([points_m, np.ones(len(points_m))]).T
-        found, _ = scene.get_camera(unit.id, compute_remaps=False).project_points3d(own)
-        np.testing.assert_allclose(found[:2].T, expected_px(unit, points_m), atol=1e-6)
 
 
 def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):

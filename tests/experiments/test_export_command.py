@@ -17,9 +17,7 @@ from experiments.export.json import to_json
 from experiments.progress import StageProgress
 from geometry.errors import InputError
 
-BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]  # of layouts
-OF_RUNS = ["carla-run", "vam", "vam-uper"]  # test_carla_run.py, test_vam.py
-OF_LAYOUTS = [name for name in FORMAT_NAMES if name not in OF_RUNS]
+BINARY = ["parquet", "gpkg", "cpm-uper", "mcap"]
 TOLD = {"cpm-uper": "10 messages of "}  # what is said of a file that was written
 
 
@@ -41,16 +39,15 @@ def call(*arguments):
 def test_every_format_is_described():
     modules = Path(experiments.export.__file__).parent.glob("*.py")
     written = [module for module in modules if " = ExportFormat(" in module.read_text()]
-    several = {"uper": ["cpm-uper", "vam-uper"], "table": ["csv", "parquet"]}
-    names = [several.get(one.stem, [one.stem.replace("_", "-")]) for one in written]
+    several = {"uper": ["cpm-uper"], "table": ["csv", "parquet"]}
+    names = [several.get(one.stem, [one.stem]) for one in written]
     assert sorted(FORMAT_NAMES) == sorted(itertools.chain(*names))
     help_text = call("--help").output
     assert all(f"\n    {name} " in help_text for name in FORMAT_NAMES)
-    assert [name for name in OF_LAYOUTS if load_format(name).is_binary] == BINARY
-    assert [name for name in FORMAT_NAMES if load_format(name).drives_run] == OF_RUNS
+    assert [name for name in FORMAT_NAMES if load_format(name).is_binary] == BINARY
 
 
-@pytest.mark.parametrize("name", OF_LAYOUTS)
+@pytest.mark.parametrize("name", FORMAT_NAMES)
 @pytest.mark.parametrize(
     "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 )
@@ -70,7 +67,7 @@ def test_notes_tell_the_truth(name, build):
         assert note.write(layout, placeless_scene())
 
 
-@pytest.mark.parametrize("name", OF_LAYOUTS)
+@pytest.mark.parametrize("name", FORMAT_NAMES)
 def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
     out = tmp_path / f"out.{name}"
     given = ["--layout", layout_path, "--format", name]
@@ -126,6 +123,6 @@ def test_a_format_says_what_it_does_not_show(name, given, message, layout_path):
 @pytest.mark.long
 def test_five_hundred_units_and_runs_take_less_than_five_megabytes():
     measured = measure_exports()
-    assert {name for name, *_ in measured} == set(OF_LAYOUTS)
+    assert {name for name, *_ in measured} == set(FORMAT_NAMES)
     for name, *_, megabytes in measured:
         assert 0.0 < float(megabytes) < 5.0 or name in ("parquet", "cpm-uper"), name

@@ -37,7 +37,7 @@ from experiments.language import (
 from experiments.parts import latency as latency_part
 from experiments.parts import section, sheet
 from experiments.parts.alternatives import doubt_sentences
-from experiments.planner.server import page_html, page_messages
+from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
 from geometry.files import load_data
 from geometry.frames import to_geographic
@@ -399,7 +399,11 @@ def test_what_the_planner_refuses_is_known():
             if called in ("InputError", "refuse"):
                 texts |= {*map(words_of, node.args)}
             elif isinstance(node, ast.Assign):
-                named = getattr(node.targets[0], "id", "") in ("expected", "got")
+                named = getattr(node.targets[0], "id", "") in (
+                    "expected",
+                    "got",
+                    "_EXPECTED",
+                )
                 texts |= {words_of(node.value)} if named else set()
     texts -= {None}
     options = {"--port", "--cars", "a free port", "blind or see: the page tells each run once"}

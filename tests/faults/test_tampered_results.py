@@ -1,35 +1,50 @@
-"""Results that somebody has changed: each change is found, or is named as what nothing tells.
+"""Results that somebody has changed: ``verify`` finds it, or names it, and ``--deep`` finds it.
 
 After every change the list of hashes is made anew, and with it what else the change would give
 away, so that the files agree as well as whoever changed them could make them agree.
 """
 
+import base64
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 from _pytest.mark import ParameterSet
-from small_results import build_small_setting, write_small_results
+from small_results import (
+    build_small_baseline,
+    build_small_setting,
+    small_world,
+    write_small_results,
+)
 
 from experiments.export.geojson import to_geojson
 from experiments.export.table import to_csv
+from experiments.jobs import anew, evaluation, placement
+from experiments.jobs.placement import answer_placement, write_files
 from experiments.jobs.verify import VerificationResult, run_verification
+from experiments.parts.reading import read_summary
 from experiments.progress import StageProgress
 from experiments.results.folders import MANIFEST, write_manifest
 from geometry.errors import InputError
 from geometry.scene_files import save_scene
 from geometry.study_scene import load_study_scene
+from placement.compute import Compute
 from placement.layout import load_layout
 from placement.question import Question
 from placement.verification.certificates import instance_of
 from placement.verification.instances import StoredProblem, load_stored_problem, save_problem
 
+ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
 Change = Callable[[Path], None]
 Document = dict[str, Any]
 
@@ -37,10 +52,53 @@ Document = dict[str, Any]
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("placed") / "results"
-    write_small_results(
-        folder, build_small_setting(), Question(budget=2, give_up=0.0, time_limit_s=60.0)
-    )
+    write_small_results(folder, build_small_setting(), ASKED, has_report=True)
     return folder
+
+
+@pytest.fixture(scope="module")
+def made_anew(written, tmp_path_factory):
+    """What ``--deep`` computes, and the files that it writes: once for all changes."""
+    folder = tmp_path_factory.mktemp("anew") / "anew"
+    stored = read_summary(written / "summary.json")
+    with (
+        small_world(build_small_setting()),
+        answer_placement(
+            ASKED, out=folder, compute=Compute(workers=2), progress=StageProgress()
+        ) as answered,
+    ):
+        folder.mkdir()
+        seconds = {
+            stage: value
+            for stage, value in stored.seconds.items()
+            if stage not in ("write results", "total")
+        }
+        write_files(folder, answered, msgspec.structs.replace(stored, seconds=seconds))
+        yield answered, folder
+
+
+@pytest.fixture
+def deep(made_anew, monkeypatch):
+    """Lets ``--deep`` find what was computed before."""
+    answered, files = made_anew
+
+    def write(folder: Path, *given: object) -> None:
+        shutil.copytree(files, folder, dirs_exist_ok=True)
+
+    monkeypatch.setattr(anew, "answer_placement", lambda *given, **more: nullcontext(answered))
+    monkeypatch.setattr(anew, "write_files", write)
+
+
+def deeply_failed(folder: Path) -> list[str]:
+    """Names of the checks of ``--deep`` that fail."""
+    failures: list[str] = []
+
+    def add(name: str, wrong: str, right: str) -> None:
+        if wrong:
+            failures.append(name)
+
+    anew.compare_anew(folder, ASKED, add, StageProgress())
+    return failures
 
 
 @pytest.fixture
@@ -50,6 +108,10 @@ def results(written, tmp_path):
 
 def verified(folder: Path, scene: str = "") -> VerificationResult:
     return run_verification(folder, scene=scene, progress=StageProgress())
+
+
+def verified_deeply(folder: Path) -> VerificationResult:
+    return run_verification(folder, question=ASKED, progress=StageProgress())
 
 
 def failed(found: VerificationResult) -> list[str]:
@@ -236,6 +298,62 @@ def another_bit(stored: StoredProblem, row: int) -> StoredProblem:
     return stored._replace(problem=replace(stored.problem, table=replace(table, packed=packed)))
 
 
+def all_of_all(folder: Path) -> None:
+    """Everybody avoids every run, in all files alike: the headline says 100 %."""
+    runs(lambda table: table.__setitem__("is_avoided", True))(folder)
+    ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
+    ratios.loc[ratios["apr"] != "", "apr"] = "1.0"
+    ratios["n_avoided"] = ratios["n_runs"]
+    ratios.to_csv(folder / "apr.csv", index=False, lineterminator="\n")
+
+    def tell(document: Document) -> None:
+        for one in (document, document["baseline"], document["greedy"]):
+            for party, ratios in one["evaluation"].items():
+                for told in ratios.values() if party == "units" else [ratios]:
+                    if isinstance(told, dict) and "all" in told:
+                        told["all"] = 1.0
+                        for key in ("by_case", "by_position"):
+                            told[key] = dict.fromkeys(told.get(key) or {}, 1.0)
+
+    summary(tell)(folder)
+
+
+def twice(name: str, key: str) -> Change:
+    """A key of a JSON file stands there twice, first with another value."""
+
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace("{", '{"' + key + '": [],', 1))
+
+    return change
+
+
+def flipped(name: str) -> Change:
+    """A bit in the middle of a file is another one."""
+
+    def change(folder: Path) -> None:
+        data = bytearray((folder / name).read_bytes())
+        data[len(data) // 2] ^= 1
+        (folder / name).write_bytes(data)
+
+    return change
+
+
+def another_picture(folder: Path) -> None:
+    """The first picture in the report is another one."""
+    text = (folder / "report.html").read_text()
+    first = re.search(r"data:image/png;base64,([A-Za-z0-9+/=]+)", text)
+    assert first is not None
+    blank = base64.b64encode((folder / "plan.png").read_bytes()[:200]).decode()
+    (folder / "report.html").write_text(text.replace(first[1], blank, 1))
+
+
+def highest(document: Document) -> None:
+    """A highest APR that nobody found, with a proof."""
+    stages = [dict(stage) for stage in document["stages"][:2]]
+    document["highest"] = {"given_up": 0.01, "stages": stages, "compared": None}
+
+
 def all_of_one(folder: Path) -> None:
     """The evaluator's outcomes of a party, and every ratio that follows from them."""
     name = json.loads((folder / "summary.json").read_text())["name"]
@@ -411,6 +529,212 @@ FOUND: dict[str, tuple[Change, str]] = {
 }
 
 
+# What the files agree about, so that ``verify`` alone cannot know: how the name of a check of
+# ``--deep`` begins that must fail.
+DEEP: dict[str, tuple[Change, str]] = {
+    "all runs avoided, everywhere": (all_of_all, "anew: runs.parquet"),
+    "outcomes and all that follows": (all_of_one, "anew: runs.parquet"),
+    "margins": (runs(lambda t: t.__setitem__("margin_s", 9.0)), "anew: runs.parquet"),
+    "when a run is confirmed": (
+        runs(lambda t: t.__setitem__("confirmation_time_s", 0.1)),
+        "anew: runs.parquet",
+    ),
+    "how much is detected": (
+        runs(lambda t: t.__setitem__("detected_share", 1.0)),
+        "anew: runs.parquet",
+    ),
+    "impact speeds": (runs(lambda t: t.__setitem__("impact_speed_kmh", 1.0)), "anew: runs.parquet"),
+    # The instance.
+    "a bit of a pose that is not used": (instance(another_bit), "anew: certificate.json"),
+    "another solver, twice": (both(lambda d: d.update(solver="x")), "anew: certificate.json"),
+    # The bill.
+    "a price in the bill": (replaced("bill_of_materials.csv", "1500", "1"), "anew: bill"),
+    "a line of the bill less": (without_row_of("bill_of_materials.csv"), "anew: bill"),
+    "a line of the bill more": (appended("bill_of_materials.csv", "x\n"), "anew: bill"),
+    "no bill": (missing("bill_of_materials.csv"), "anew: bill"),
+    "costs of sites": (summary(lambda d: d.update(sites_eur=1.0)), "anew: summary.json"),
+    "costs of sites that are assumed": (
+        summary(lambda d: d.update(assumed_prices=["none"])),
+        "anew: summary.json",
+    ),
+    # Numbers of the summary that no other file has.
+    "a highest APR": (summary(highest), "anew: summary.json"),
+    "errors of mounting": (summary(lambda d: d.update(mounting=None)), "anew: summary.json"),
+    "the next unit": (summary(lambda d: d.update(next_unit=None)), "anew: summary.json"),
+    "random layouts": (
+        summary(lambda d: d["baselines"].update(random=None)),
+        "anew: summary.json",
+    ),
+    "an expert's layout": (
+        summary(lambda d: d["baselines"].update(expert=None)),
+        "anew: summary.json",
+    ),
+    "smaller layouts": (summary(lambda d: d.update(front=None)), "anew: summary.json"),
+    "what explains it": (
+        summary(lambda d: d["explained"].update(runs_without_weight=7)),
+        "anew: summary.json",
+    ),
+    "by road user": (summary(lambda d: d.update(road_users=None)), "anew: summary.json"),
+    "how many disagree": (
+        summary(lambda d: d.update(surrogate_disagreement=0.9)),
+        "anew: summary.json",
+    ),
+    "what is left out": (
+        summary(lambda d: d.update(driven=["everything"])),
+        "anew: summary.json",
+    ),
+    "another detector": (summary(lambda d: d.update(detector="x")), "anew: summary.json"),
+    "another weather": (summary(lambda d: d.update(weathers=["fog"])), "anew: summary.json"),
+    # What people read.
+    "a word in the report": (appended("report.html", "<p>x"), "anew: report.html"),
+    "a number in the report": (replaced("report.html", " %", "9 %"), "anew: report.html"),
+    "a picture in the report": (another_picture, "anew: report.html"),
+    "no report": (missing("report.html"), "anew: report.html"),
+    "an empty report": (
+        lambda folder: (folder / "report.html").write_text("") and None,
+        "anew: report.html",
+    ),
+    "another plan": (flipped("plan.png"), "anew: plan.png"),
+    "no plan": (missing("plan.png"), "anew: plan.png"),
+    "no layout.csv": (missing("layout.csv"), "anew: layout.csv"),
+    "no layout.geojson": (missing("layout.geojson"), "anew: layout.geojson"),
+    "another file": (lambda folder: (folder / "a.txt").write_text("x") and None, "anew: a.txt"),
+    "a recommendation": (
+        lambda folder: shutil.copy(folder / "layout.json", folder / "recommended.json") and None,
+        "anew: recommended.json",
+    ),
+}
+
+# What ``verify`` refuses to read at all: how its one line begins behind the name of the file.
+REFUSED: dict[str, tuple[Change, str]] = {
+    "no list of hashes": (missing(MANIFEST), "got no SHA256SUMS; expected a folder of results"),
+    "a certificate with stages twice": (
+        twice("certificate.json", "stages"),
+        'certificate.json: got the key "stages" twice; expected every key of an object once',
+    ),
+    "a summary with stages twice": (
+        twice("summary.json", "stages"),
+        'summary.json: got the key "stages" twice',
+    ),
+    "a layout with units twice": (
+        twice("layout.json", "layout"),
+        'layout.json: got the key "layout" twice',
+    ),
+    "half an instance": (
+        lambda folder: (folder / "instance.npz").write_bytes(b"PK") and None,
+        "instance.npz: got ",
+    ),
+    "no certificate": (missing("certificate.json"), "certificate.json: got No such file"),
+    "no instance": (missing("instance.npz"), "instance.npz: got No such file"),
+    "no layout": (missing("layout.json"), "layout.json: got No such file"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_in_one_way_only_is_refused(results, name):
+    change, expected = REFUSED[name]
+    change(results)
+    if (results / MANIFEST).exists():
+        write_manifest(results)
+    with pytest.raises(InputError, match=re.escape(expected)):
+        verified(results)
+
+
+def test_a_file_that_is_listed_twice_is_refused(results):
+    lines = (results / MANIFEST).read_text()
+    (results / MANIFEST).write_text(lines + f"{'0' * 64}  report.html\n")
+    with pytest.raises(InputError, match=re.escape("got 'report.html'; expected every")):
+        verified(results)
+
+
+@pytest.mark.parametrize("name", DEEP)
+def test_what_the_files_agree_about_is_found_when_it_is_made_anew(results, deep, name):
+    change, expected = DEEP[name]
+    change(results)
+    write_manifest(results)
+    assert any(one.startswith(expected) for one in deeply_failed(results)), deeply_failed(results)
+
+
+def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep):
+    found = verified_deeply(results)
+    assert failed(found) == []
+    assert found.is_verified
+    left = " ".join(found.not_checked)
+    assert "report.html" not in left
+    assert "runs.parquet" not in left
+    assert "seconds, versions of programs" in left
+
+
+@pytest.mark.parametrize("name", ["report.html", "runs.parquet", "certificate.json"])
+def test_without_new_hashes_whatever_is_changed_is_found_by_its_hash(results, name):
+    change = flipped(name) if name != "certificate.json" else appended(name, "\n")
+    change(results)
+    assert f"file {name}" in failed(verified(results))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [*DEEP, *(name for name in FOUND if name not in DEEP)])
+def test_without_new_hashes_every_change_is_found(results, name):
+    change, _ = DEEP.get(name) or FOUND[name]
+    change(results)
+    try:
+        found = verified(results)
+    except InputError:
+        return
+    assert any(one.startswith("file ") for one in failed(found))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", DEEP)
+def test_verify_alone_names_what_only_deep_finds(results, deep, name):
+    change, expected = DEEP[name]
+    change(results)
+    write_manifest(results)
+    found = verified_deeply(results)
+    assert not found.is_verified
+    assert any(one.startswith(expected) for one in failed(found))
+
+
+def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
+    """Whatever is changed differs; times and versions do not count, what was asked is used."""
+    document = json.loads((written / "summary.json").read_text())
+    assert anew.differences(document, json.loads(json.dumps(document))) == []
+    n_changed = 0
+    for holder, key in leaves(document):
+        before = holder[key]
+        holder[key] = "other" if before != "other" else None
+        changed = json.dumps(document)
+        holder[key] = before
+        assert anew.differences(json.loads(changed), document) != [], key
+        n_changed += 1
+    assert n_changed > 500
+
+
+def leaves(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Every value in a document that holds no others, by what holds it and its key there."""
+    items = node.items() if isinstance(node, dict) else enumerate(node)
+    for key, value in items:
+        if key in ("seconds", "versions"):
+            continue
+        if isinstance(value, dict | list):
+            yield from leaves(value)
+        else:
+            yield node, key
+
+
+def test_numbers_are_equal_up_to_rounding_and_texts_exactly():
+    assert anew.differences({"a": [1.0, 2]}, {"a": [1.0 + 1e-12, 2]}) == []
+    assert anew.differences({"a": [1.0, 2]}, {"a": [1.0, 3]}) == ["a[1]"]
+    assert anew.differences({"a": 1.0}, {"a": 1.0, "b": None}) == ["b"]
+    assert anew.differences({"a": {"seconds": 1.0}}, {"a": {"seconds": 2.0}}) == []
+    assert anew.told(["a", "b", "c", "d"]) == "made anew it differs in a, b, c and 1 more"
+
+
+def test_another_layout_is_told_and_nothing_else_compared(results, deep):
+    edit(results / "summary.json", lambda d: d["layout"].pop())
+    assert deeply_failed(results) == ["anew: layout.json"]
+
+
 def test_what_nobody_has_changed_is_verified(results):
     found = verified(results)
     assert failed(found) == []
@@ -453,11 +777,7 @@ def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):
     assert details["file more.txt"] == "not listed, says SHA256SUMS"
 
 
-def test_without_a_list_of_hashes_it_is_said_that_nothing_tells(results):
-    (results / MANIFEST).unlink()
-    found = verified(results)
-    assert found.is_verified
-    assert f"whether files were changed or lost: there is no {MANIFEST}" in found.not_checked
+def test_a_list_of_hashes_that_is_none_is_refused(results):
     (results / MANIFEST).write_text("no list\n")
     with pytest.raises(InputError, match="SHA-256 hash, two spaces, a name"):
         verified(results)
@@ -482,3 +802,43 @@ def test_another_scene_is_told_and_the_one_it_was_made_in_is_taken(results, tmp_
     save_scene(tmp_path / "scene", load_study_scene())  # rounded to millimetres: another one
     assert failed(verified(results, str(tmp_path / "scene"))) == ["scene as it stands"]
     assert failed(verified(results, "town05")) == []
+
+
+# ---------- results without a proof
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A comparison of the study's first units with its first one, without figures."""
+    folder = tmp_path_factory.mktemp("compared") / "results"
+    study = build_small_baseline(load_study_scene())
+    layouts = [study, replace(study, name="one", units=study.units[:1])]
+    with small_world(build_small_setting()) as patch:
+        patch.setattr(placement, "write_report", lambda *given, **options: None)
+        patch.setattr(evaluation, "compare_layout", lambda *given, **options: None)
+        patch.setattr(evaluation, "begin_job", partial(_begin_small_job, build_small_setting()))
+        evaluation.run_comparison(
+            Question(),
+            layouts=layouts,
+            out=folder,
+            compute=Compute(workers=2),
+            command="place-rsus",
+            progress=StageProgress(),
+        )
+    return folder
+
+
+def _begin_small_job(setting: Any, *given: Any, **options: Any) -> Any:
+    return placement.begin_job(*given, setting=setting, **options)
+
+
+def test_a_comparison_is_verified_as_far_as_its_files_tell(compared, tmp_path):
+    found = verified(compared)
+    assert failed(found) == []
+    assert "summary.json: ratios" in {check.name for check in found.checks}
+    assert any(line.startswith("detections, confirmations") for line in found.not_checked)
+    results = Path(shutil.copytree(compared, tmp_path / "results"))
+    edit(results / "summary.json", lambda d: d["evaluation"]["rsu_all"].update(all=0.123))
+    assert set(failed(verified(results))) == {"file summary.json", "summary.json: ratios"}
+    with pytest.raises(InputError, match="expected a placement: run the command again"):
+        verified_deeply(results)

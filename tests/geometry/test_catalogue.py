@@ -14,7 +14,8 @@ from geometry.catalogue import (
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady
 from geometry.sensors import CameraModel
-from placement.cache import Fingerprints, from_bytes, to_bytes
+from placement.fingerprints import Fingerprints
+from placement.packing import from_bytes, to_bytes
 
 
 @pytest.mark.parametrize(

@@ -32,17 +32,15 @@ EXCEPTIONS = {
     "placement/detectors/network.py": {"InferenceSession"},
     # Into memory, or a folder of this program's own.
     "experiments/export/gpkg.py": {"write_dataframe", "read_bytes"},
-    "experiments/study/judges.py": {"load", "read_text", "savez", "write_text"},
-    "experiments/study/judging_apart.py": {"load", "read_text"},
     "experiments/export/table.py": {"to_parquet"},
     "experiments/jobs/placement.py": {"to_parquet"},
     "experiments/city/answer.py": {"to_parquet"},
     "experiments/figures/film.py": {"savefig"},
     "experiments/parts/sheet.py": {"savefig"},
     "experiments/parts/section.py": {"open"},
-    "experiments/planner/tasks.py": {"ZipFile", "open", "read_text"},
-    "experiments/planner/server.py": {"open", "read_bytes", "read_text", "write_text"},
-    "experiments/export/esmini.py": {"read_text", "write_text"},
+    "experiments/planner/tasks.py": {"ZipFile", "read_text"},
+    "experiments/planner/aerial_images.py": {"open"},
+    "experiments/planner/server.py": {"open", "write_text"},
     "experiments/report/printing.py": {"read_bytes"},
     "placement/sampling/moving/child.py": {"read_text", "savez"},
     # Folders that are put in place as a whole.
@@ -52,16 +50,18 @@ EXCEPTIONS = {
     "geometry/actors.py": {"open", "load"},
     "experiments/export/uper.py": {"read_text"},
     "experiments/language.py": {"open"},
-    "experiments/export/carla_run.py": {"read_text"},
-    "experiments/export/carla_player.py": {"write_text"},  # a program that goes elsewhere
     "experiments/city/pages.py": {"read_text"},
     "experiments/results/tables.py": {"read_text"},
     "geometry/body_shapes.py": {"savez_compressed"},
     "placement/detectors/built_in.py": {"read_text"},
-    "placement/cache.py": {"load", "read_bytes"},
+    "geometry/kernels.py": {"read_bytes", "write_bytes"},
+    "placement/cache.py": {"load"},
+    "placement/fingerprints.py": {"read_bytes"},
     "experiments/side_process.py": {"read_text"},
     "placement/memory.py": {"read_text"},
     "experiments/planner/command.py": {"open"},  # the browser
+    "experiments/planner/page_files.py": {"read_bytes", "read_text"},
+    "experiments/planner/session.py": {"open"},  # a scene, by a worker
 }
 TOOLS = (
     "experiments/bench/",

@@ -1,20 +1,15 @@
 import logging
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from geometry.arrays import FloatArray
-from placement import cache
-from placement.cache import (
-    MAX_ARRAYS,
-    MAX_FILES,
-    CachedArrays,
-    Fingerprints,
-    cached_value,
-    to_bytes,
-)
+from placement import cache, fingerprints
+from placement.cache import MAX_ARRAYS, MAX_FILES, CachedArrays, cached_value
+from placement.fingerprints import Fingerprints
+from placement.packing import from_bytes, to_bytes
 
 FINGERPRINT = "0123456789abcdef" * 2
 ROWS = {"a": np.array([True, False, True]), "b": np.arange(3.0)}
@@ -251,17 +246,17 @@ def test_a_value_from_something_else_or_other_code_is_made_anew(tmp_path, monkey
     keep(tmp_path, make, made_from=("a", 2))
     keep(tmp_path, make, packages=("scenarios", "geometry"))
     assert make.times == 3
-    monkeypatch.setattr(cache, "hash_of_files", lambda package: b"edited")
+    monkeypatch.setattr(fingerprints, "hash_of_files", lambda package: b"edited")
     keep(tmp_path, make)
     assert make.times == 4
 
 
 def test_the_hash_of_a_package_is_that_of_its_code_and_data(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr(fingerprints, "files", lambda package: tmp_path / package)
     for name in ("code.py", "data/facts.toml", "__pycache__/code.pyc"):
         (tmp_path / "pack" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "pack" / name).write_text("1", encoding="utf-8")
-    hash_now = cache.hash_of_files.__wrapped__
+    hash_now = fingerprints.hash_of_files.__wrapped__
     hashes = [hash_now("pack")]
     for name in ("code.py", "data/facts.toml"):
         (tmp_path / "pack" / name).write_text("2", encoding="utf-8")
@@ -313,3 +308,68 @@ def test_of_many_values_the_oldest_are_removed(tmp_path, monkeypatch):
     for number in range(5):
         keep(tmp_path, a_thing, made_from=(number,))
     assert len(list(tmp_path.iterdir())) == 3
+
+
+# Values as bytes and back
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whole:
+    left: Pair
+    right: Pair | Thing | None
+    rest: tuple[Any, ...] = ()
+
+
+class Point(NamedTuple):
+    x: float
+    y: int
+
+
+def test_parts_that_were_shared_are_shared_again():
+    pair = a_thing()
+    whole = Whole(left=pair, right=pair, rest=(pair.part[0], (1, None, "a", 2.5, True)))
+    found = from_bytes(to_bytes(whole), Whole)
+    assert found.left is found.right
+    assert found.rest[0] is found.left.part[0]
+    assert found.rest[1] == (1, None, "a", 2.5, True)
+
+
+def test_named_tuples_and_plain_ones_come_back_as_they_were():
+    value = (Point(x=1.0, y=2), (3, (4.0,)))
+    found = from_bytes(to_bytes(value), tuple[Point, tuple[int, tuple[float]]])
+    assert found == value
+    assert type(found[0]) is Point
+
+
+def test_only_classes_that_are_expected_are_made():
+    whole = Whole(left=a_thing(), right=None, rest=(Point(x=1.0, y=2),))
+    with pytest.raises(ValueError, match=r"of another kind: .*Point"):
+        from_bytes(to_bytes(whole), Whole)
+    assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == (Point(x=1.0, y=2),)
+
+
+@pytest.mark.parametrize(
+    "hint",
+    [Thing, tuple[Pair, ...], tuple[Pair, Pair], int, None],
+    ids=["class", "tuple", "pair", "number", "nothing"],
+)
+def test_a_value_of_another_hint_is_an_error(hint):
+    with pytest.raises(ValueError, match="of another kind"):
+        from_bytes(to_bytes(a_thing()), hint)
+
+
+@pytest.mark.parametrize(
+    "value", [object(), [1], {"a": 1}, np.array(["a"])], ids=["object", "list", "mapping", "words"]
+)
+def test_a_value_that_cannot_be_cached_is_an_error_of_the_program(value):
+    with pytest.raises(TypeError, match=r"cannot be cached|not of numbers"):
+        to_bytes(Thing(name="a", part=value))
+
+
+def test_nothing_is_unpickled(monkeypatch):
+    def refuse(*args, **options):
+        raise AssertionError("a pickle")
+
+    monkeypatch.setattr("pickle.loads", refuse)
+    monkeypatch.setattr("pickle.load", refuse)
+    assert from_bytes(to_bytes(a_thing()), Pair).name == "made"

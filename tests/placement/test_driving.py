@@ -10,9 +10,9 @@ import placement.setting
 from experiments.cli.scenarios import list_rows, scenario_table
 from geometry.errors import InputError
 from geometry.study_scene import load_study_scene
-from placement.cache import Fingerprints
 from placement.compute import Compute
 from placement.detectors import load_planning_detector
+from placement.fingerprints import Fingerprints
 from placement.question import Question
 from placement.setting import (
     Radio,

@@ -1,14 +1,12 @@
-"""Pages of drawn pictures, photographs, and how much drawn people look like people.
+"""Drawn pictures on a page, and photographs before the shipped network.
 
-``python -m experiments.perception_lab.training.pictures sheet`` puts forty of them on one
-page. ``.. photographs FOLDER`` shows photographs to the shipped network. ``.. judge`` shows many to
-a detector that was trained on photographs by others, the people detector of OpenCV, which is no
-dependency of the program: it comes with ``uv run --no-default-groups --group judge python -m ..``.
+``python -m experiments.perception_lab.training.pictures sheet`` puts forty pictures on one page.
+``.. photographs FOLDER`` shows photographs to the shipped network.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.resources import files
-from itertools import count, islice, pairwise, product
+from itertools import count, islice, product
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.image_boxes import box_height_px, iou
 from placement.detectors import load_detector, load_min_iou
-from placement.detectors.fitting import poisson, wilson
 from placement.detectors.network import NetworkDetector
 from placement.question import Question
 from placement.recordings.files import read_lines
 from placement.setting import Setting, build_setting
 
-from ...results.numbers import percent
 from ...results.tables import page_of
 from .crops import (
     TRAINED,
@@ -43,20 +38,11 @@ from .crops import (
 _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
 _TRAINING = "python -m experiments.perception_lab.training"
-_LEAST_SEEN = 0.95  # share: what is hidden more is not judged
+_LEAST_SEEN = 0.95  # share: what is hidden more is not on the page
 _LEAST_SPREAD = 8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
 _MOST_DARK = 100  # of these one after the other
 _TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 30, 8, 40
 _SHEET_HEIGHTS_PX = (40.0, 160.0)
-_JUDGED_HEIGHTS_PX = (48.0, 250.0)
-_JUDGED_PX = (640, 480)
-_EDGES_PX = (48.0, 64.0, 96.0, 128.0, 250.0)
-_ASPECT = 0.41  # width of people's boxes by their height
-_BODY_SHARE = 0.75  # of the detector's window is the height of the person in it
-_SCALE = 2  # pictures are shown enlarged: the window is 128 px high
-
-Judge = Callable[[NDArray[np.uint8]], FloatArray]
-"""Boxes (n, 4) of people in a picture (h, w, 3), RGB."""
 
 
 def _rows(
@@ -178,122 +164,6 @@ def _stands_out(row: Mapping[str, Any]) -> bool:
     return float(row["rgb"][top:bottom, left:right].mean(axis=2).std()) >= _LEAST_SPREAD
 
 
-def load_people_detector() -> Judge:
-    """OpenCV's detector of upright people.
-
-    Raises InputError: there is no OpenCV, or version 5, which has no such detector any more.
-
-    References
-    ----------
-    .. [1] N. Dalal, B. Triggs, "Histograms of oriented gradients for human detection", 2005: people
-       96 px high in windows of 64 x 128 px, from photographs.
-    """
-    need = "opencv-python-headless below 5: uv run --no-default-groups --group judge .."
-    try:
-        import cv2
-    except ModuleNotFoundError:
-        raise InputError("judge", "no OpenCV", need) from None
-    library: Any = cv2  # another version may be installed than its types are of
-    if not hasattr(library, "HOGDescriptor"):
-        raise InputError("judge", f"OpenCV {cv2.__version__}", need)
-    hog = library.HOGDescriptor()
-    hog.setSVMDetector(library.HOGDescriptor_getDefaultPeopleDetector())
-
-    def find(rgb: NDArray[np.uint8]) -> FloatArray:
-        bgr = np.ascontiguousarray(rgb[..., ::-1])
-        large = cv2.resize(bgr, None, fx=_SCALE, fy=_SCALE, interpolation=cv2.INTER_LINEAR)
-        found, _ = hog.detectMultiScale(large, winStride=(8, 8), padding=(16, 16), scale=1.1)
-        corner = np.asarray(found, dtype=np.float64).reshape(-1, 4) / _SCALE
-        middle, height = corner[:, :2] + 0.5 * corner[:, 2:], _BODY_SHARE * corner[:, 3]
-        return _boxes(middle, height)
-
-    return find
-
-
-def _boxes(middle_px: FloatArray, height_px: FloatArray) -> FloatArray:
-    """Boxes (n, 4) of people around points (n, 2).
-
-    References
-    ----------
-    .. [1] P. Dollar et al., "Pedestrian detection: an evaluation of the state of the art", 2012:
-       labels and detections are given the same aspect, 0.41, for legs and arms move.
-    """
-    half = 0.5 * np.column_stack([_ASPECT * height_px, height_px])
-    return np.concatenate([middle_px - half, middle_px + half], axis=1)
-
-
-def judge_pictures(
-    settings: Sequence[Setting], judge: Judge, *, n_pictures: int, kind: str, seed: int
-) -> tuple[FloatArray, NDArray[np.int64], BoolArray, int]:
-    """Heights (n,) of people in pictures, weather, who is found, and all false alarms.
-
-    Each picture has one road user of a kind of ``TRAINED`` who is hardly hidden.
-    """
-    framing = Framing(
-        height_px=_JUDGED_HEIGHTS_PX,
-        crop_px=_JUDGED_PX,
-        empty_share=0.0,
-        vut_share=0.4,
-        kinds=(kind,),
-        varied=1.0,
-    )
-    rows_of_all = _rows(settings, framing, (seed, TRAINED.index(kind)), {})
-    rows, found, n_alarms = [], [], 0
-    for _, row in islice(rows_of_all, n_pictures):
-        box = row["box_px"][None]
-        label = _boxes(0.5 * (box[:, :2] + box[:, 2:]), box_height_px(box))
-        boxes = judge(row.pop("rgb"))
-        overlap = iou(label, boxes)
-        found.append(bool((overlap > 0.5).any()))
-        n_alarms += int((overlap <= 0.0).sum())
-        rows.append(row)
-    height = box_height_px([row["box_px"] for row in rows])
-    return height, np.array([row["weather"] for row in rows]), np.array(found), n_alarms
-
-
-def judge_text(
-    settings: Sequence[Setting],
-    judge: Judge,
-    *,
-    n_pictures: Sequence[int],
-    seed: int,
-    tell: Callable[[str], None],
-) -> str:
-    """Recall by height and weather, and false alarms, as Markdown; `n_pictures` by class."""
-    rows = []
-    for kind, word, n in zip(TRAINED, _WORDS, n_pictures, strict=True):
-        if not n:
-            continue
-        tell(f"{n} pictures of kind {kind}")
-        height, weather, found, n_alarms = judge_pictures(
-            settings, judge, n_pictures=n, kind=kind, seed=seed
-        )
-        rate = poisson(n_alarms, n)
-        alarms = f"{rate.value:.2f} ({rate.low:.2f} to {rate.high:.2f})"
-        rows.append(_line(word, found, alarms))
-        for low, high in pairwise(_EDGES_PX):
-            mask = (height >= low) & (height < high)
-            rows.append(_line(f"{word}, {low:g} to {high:g} px", found[mask]))
-        rows += [
-            _line(f"{word}, {name}", found[weather == number])
-            for number, name in enumerate(WEATHERS)
-        ]
-    return page_of(
-        files(__package__) / "pictures_judged.md.j2",
-        size_px=_JUDGED_PX,
-        least=percent(_LEAST_SEEN),
-        names=[setting.scene.name for setting in settings],
-        seed=seed,
-        rows=rows,
-    )
-
-
-def _line(name: str, found: BoolArray, alarms: str = "") -> tuple[str, ...]:
-    share = wilson(int(found.sum()), len(found))
-    interval = f"{percent(share.low)} to {percent(share.high)}"
-    return name, f"{len(found)}", percent(share.value), interval, alarms
-
-
 _KITTI_OBJECT = ("type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom") + (
     *("height", "width", "length", "x", "y", "z", "yaw", "score"),
 )
@@ -368,7 +238,7 @@ _MAPS = click.option(
 
 @click.group()
 def main() -> None:
-    """Look at drawn pictures, or have them judged."""
+    """Look at drawn pictures, or show photographs to a network."""
 
 
 @main.command()
@@ -388,24 +258,6 @@ def sheet(*, maps: tuple[str, ...], crops: Path | None, seed: int, out: Path) ->
         draw_looks(_settings(maps), seed=seed) if crops is None else stored_looks(crops, seed=seed)
     )
     draw_sheet(looks, tell=_tell).save(out, quality=90)
-
-
-@main.command(name="judge")
-@_MAPS
-@click.option("--adults", default=500, show_default=True)
-@click.option("--children", default=100, show_default=True)
-@click.option("--cyclists", default=100, show_default=True)
-@click.option("--seed", default=0, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), required=True)
-def judge_command(
-    *, maps: tuple[str, ...], adults: int, children: int, cyclists: int, seed: int, out: Path
-) -> None:
-    """Let OpenCV's people detector find road users in pictures."""
-    judge = load_people_detector()
-    text = judge_text(
-        _settings(maps), judge, n_pictures=(adults, children, cyclists), seed=seed, tell=_tell
-    )
-    out.write_text(text, encoding="utf-8")
 
 
 @main.command()

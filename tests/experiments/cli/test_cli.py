@@ -140,14 +140,12 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         (
             "export --layout carlancap-12",
             "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, dxf, "
-            "carla, carla-run, opencv, ros, openlabel, cpm, cpm-uper, vam, vam-uper, mcap, usd, "
-            "opendrive",
+            "carla, opencv, ros, cpm, cpm-uper, mcap, opendrive",
         ),
         (
             "export --layout carlancap-12 --format xml",
             "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, dxf, "
-            "carla, carla-run, opencv, ros, openlabel, cpm, cpm-uper, vam, vam-uper, mcap, usd, "
-            "opendrive",
+            "carla, opencv, ros, cpm, cpm-uper, mcap, opendrive",
         ),
         (
             "evaluate --layout carlancap-13",

@@ -2,20 +2,46 @@
 
 import re
 
+import click
 import pytest
 
-from experiments.cli.options import OPTIONS, SECTIONS, help_of, option_of
+from experiments.cli.options import (
+    QUESTION_OPTIONS,
+    SECTIONS,
+    help_of,
+    option_name,
+    option_of,
+    question_options,
+)
 from placement.question import question_fields
 
 
-def test_each_field_has_exactly_one_entry_in_the_same_order():
-    assert list(OPTIONS) == list(question_fields())
-    for shown in OPTIONS.values():
-        assert shown["section"] in SECTIONS
-        assert {shown.get("needs"), shown.get("excludes")} - {None} <= set(OPTIONS)
+@pytest.fixture(scope="module")
+def options():
+    @click.command()
+    @question_options(*QUESTION_OPTIONS, has_file=False)
+    def ask(*, question):
+        pass
+
+    return {param.name: param for param in ask.params}
 
 
-@pytest.mark.parametrize("name", OPTIONS)
+def test_each_field_has_exactly_one_entry_in_the_same_order(options):
+    assert list(QUESTION_OPTIONS) == list(options) == list(question_fields())
+    for shown in options.values():
+        assert shown.section in SECTIONS
+        assert {shown.needs, shown.excludes} - {""} <= set(options)
+
+
+def test_each_option_has_the_name_default_and_words_of_its_field(options):
+    for name, field in question_fields().items():
+        shown = options[name]
+        assert option_name(shown) == option_of(field)
+        assert shown.default == field.default
+        assert shown.help == help_of(field)
+
+
+@pytest.mark.parametrize("name", QUESTION_OPTIONS)
 def test_help_names_options_in_place_of_fields(name):
     known = question_fields()
     text = help_of(known[name])

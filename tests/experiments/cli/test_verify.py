@@ -7,15 +7,28 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import lanelet_text
 import numpy as np
+import opendrive_text
 import pytest
+from osm_text import LAT_DEG, LON_DEG, OsmText
+from osm_text import crossing as crossing_streets
 from small_results import lay_runs_of
 
 from experiments.jobs import placement
 from experiments.progress import StageProgress
+from experiments.results.record import to_plain
+from geometry.errors import InputError
+from geometry.scene_files import load_scene, pack_scene, save_scene
+from geometry.study_scene import load_study_scene
 from placement.compute import Compute
 from placement.question import Question
-from placement.verification.instances import load_problem, save_problem
+from placement.verification.instances import (
+    load_problem,
+    load_stored_problem,
+    save_problem,
+    scene_hash,
+)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +65,8 @@ def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80 + len(str(results))
     checks = [line for line in out.splitlines() if line.startswith("  OK ")]
-    assert out.splitlines()[-1] == f"{len(checks)} checks: all OK."
+    left_out = "Not checked: verdicts, bill, report (--deep), who made it (--key)."
+    assert out.splitlines()[-1] == f"{len(checks)} checks: all OK. {left_out}"
     assert "FAILED" not in out
     for words in ("instance: SHA-256", "apr: recomputed", "layout file: it shows the same 2 units"):
         assert f"  OK     {words}" in out
@@ -92,7 +106,7 @@ def test_what_was_changed_fails_with_exit_code_1(run, results):
     assert "  FAILED layout file: it does not show the certificate's units" in out
     assert "  FAILED file layout.json: changed, says SHA256SUMS" in out
     assert "  FAILED layout.csv: another layout than layout.json" in out
-    assert out.splitlines()[-1].endswith(" checks: 5 FAILED.")
+    assert " checks: 5 FAILED. Not checked: " in out.splitlines()[-1]
     code, out, err = run("verify", results, "--quiet", "--json")
     assert (code, err) == (1, "")
     assert not json.loads(out)["is_verified"]
@@ -146,6 +160,115 @@ def test_a_folder_that_is_none_is_refused(run, tmp_path):
         code, out, err = run("verify", folder)
         assert (code, out) == (2, "")
         assert err.endswith(f"{folder}: got no folder; expected a folder with results\n")
+
+
+def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, results):
+    edit(results / "summary.json", lambda d: d.pop("asked"))
+    code, out, err = run("verify", results, "--deep", "--quiet")
+    assert (code, out) == (2, "")
+    assert "--deep: got " in err
+    assert "which does not say what was asked; expected a placement of this version" in err
+
+
+def test_a_network_that_a_folder_names_is_not_run(run, results):
+    edit(results / "summary.json", lambda d: d["asked"]["question"].update(detector="x.onnx"))
+    code, out, err = run("verify", results, "--deep", "--quiet")
+    assert (code, out) == (2, "")
+    assert "summary.json: asked: detector: got 'x.onnx'; expected no network, which is" in err
+
+
+# ---------- the scene that a result was made with
+FOUR = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+
+
+def street_map(folder):
+    osm = OsmText()
+    crossing_streets(osm, bearings=FOUR, highway="residential", lanes="2")
+    return osm.write(folder)
+
+
+def road_map(folder):
+    (folder / "roads.xodr").write_text(opendrive_text.document(opendrive_text.crossing()))
+    return folder / "roads.xodr"
+
+
+def lane_map(folder):
+    (folder / "lanes.osm").write_text(lanelet_text.lanelet2(lanelet_text.crossing()))
+    return folder / "lanes.osm"
+
+
+def scene_folder(folder):
+    (folder / "scene").mkdir()
+    save_scene(folder / "scene", load_study_scene())
+    return folder / "scene"
+
+
+def scene_archive(folder):
+    pack_scene(scene_folder(folder), folder / "scene.zip")
+    return folder / "scene.zip"
+
+
+SCENES = {
+    "a map": (street_map, []),
+    "a junction of a map by its streets": (street_map, ["--junction", "Street 2 / Street 0"]),
+    "a junction of a map at a point": (street_map, ["--at", f"{LON_DEG},{LAT_DEG}"]),
+    "a map with sites of its own": (street_map, ["--sites", "kerb:30"]),
+    "a map of a country that keeps left": (street_map, ["--driving-side", "left"]),
+    "OpenDRIVE": (road_map, []),
+    "Lanelet2": (lane_map, []),
+    "a folder": (scene_folder, []),
+    "an archive": (scene_archive, []),
+}
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_the_scene_is_read_as_the_job_read_it(kind, run, results, tmp_path, monkeypatch):
+    """Also where the map has moved since, and without its options being said again."""
+    build, options = SCENES[kind]
+    solved = []
+
+    def stop(question, **given):
+        solved.append(load_scene(question.scene))
+        told = placement.build_asked_record(given["asked"], given["compute"], given["command"])
+        edit(results / "summary.json", lambda d: d.update(asked=to_plain(told)))
+        raise InputError("here", "the question", "nothing more")
+
+    monkeypatch.setattr("experiments.scene.run._pictures", lambda scene: {})
+    monkeypatch.setattr(placement, "run_placement", stop)
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    source = build(tmp_path)
+    assert run("--scene", source, *options, "--budget", "2", "--quiet")[0] == 2
+    problem, mounts = load_stored_problem(results / "instance.npz")
+    (scene,) = solved
+    stored = replace(mounts, scene_sha256=scene_hash(scene), scene_name=scene.name)
+    save_problem(results / "instance.npz", problem, stored)
+    (tmp_path / "elsewhere").mkdir()
+    moved = source.rename(tmp_path / "elsewhere" / f"moved-{source.name}")
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "other cache"))
+    _, out, _ = run("verify", results, "--scene", moved, "--quiet", "--json")
+    details = {one["name"]: one["detail"] for one in json.loads(out)["checks"]}
+    found = details["scene as it stands"]
+    # The poses are the study's, and not at the sites of this scene: that is told of the right one.
+    assert "may have changed" not in found
+    assert "is not where the others of" in found or found.endswith("poses are at its sites")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", SCENES)
+def test_a_result_of_any_scene_is_verified_with_it(kind, run, tmp_path, monkeypatch):
+    build, options = SCENES[kind]
+    monkeypatch.setattr("experiments.scene.run._pictures", lambda scene: {})
+    monkeypatch.setattr(placement, "write_report", lambda *given, **options: None)
+    monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
+    source = build(tmp_path)
+    few = ["--cases", "CBLA,CPLA-25", "--speeds", "50", "--yaw-step", "90", "--heights", "6"]
+    code, _, err = run(
+        *("--scene", source, *options, "--budget", "1", *few, "--out", tmp_path / "r", "--quiet")
+    )
+    assert code == 0, err
+    code, out, err = run("verify", tmp_path / "r", "--scene", source, "--quiet")
+    assert (code, err) == (0, ""), out
+    assert "  OK     scene as it stands: SHA-256 " in out
 
 
 def test_help_names_the_exit_codes_and_imports_nothing_heavy(run):

@@ -1,18 +1,11 @@
 """What formats carry of a lens, and what they say where they cannot."""
 
-import json
-
 import numpy as np
 import pytest
-from carla_recordings import SCENE
 
 from experiments.export.calibration import calibrations
 from experiments.export.carla import to_carla
-from experiments.export.carla_run import build_scenario
 from experiments.export.opencv import to_opencv
-from experiments.export.openlabel import to_openlabel
-from experiments.export.usd import to_usd
-from experiments.export.watched import find_run
 from geometry.catalogue import read_sensor
 from geometry.errors import InputError
 from geometry.lenses import BrownConrady
@@ -40,29 +33,16 @@ def layout_with(**fields):
 @pytest.mark.parametrize(
     "lens", [{"model": "fisheye", "k1": -0.02}, {"model": "tsai", "kappa": 0.1}]
 )
-def test_formats_without_lenses_refuse_them_in_one_line(lens):
+def test_carla_refuses_a_lens_in_one_line(lens):
     layout = layout_with(lens=lens)
     what = "got north, whose lens, principal point or roll it cannot carry; expected ideal pinholes"
     with pytest.raises(InputError, match=f"carla: {what}"):
         to_carla(layout)
-    with pytest.raises(InputError, match=f"usd: {what}"):
-        to_usd(layout, None)
-    with pytest.raises(InputError, match=f"carla-run: {what}"):
-        build_scenario(layout, SCENE, find_run("CPNC-50/east/40", SCENE))
-    with pytest.raises(InputError, match="openlabel: got north, whose lens is of another kind"):
-        to_openlabel(layout)
 
 
 def test_tsais_lens_is_refused_by_opencv():
     with pytest.raises(InputError, match="north: lens: got Tsai's radial term"):
         to_opencv(layout_with(lens={"model": "tsai", "kappa": 0.1}))
-
-
-def test_openlabel_has_the_five_terms_of_brown_and_conrady():
-    layout = layout_with(lens={"model": "brown-conrady", "k1": -0.1, "p2": 0.01, "k3": 0.002})
-    stream = json.loads(to_openlabel(layout))["openlabel"]["streams"]["north"]
-    pinhole = stream["stream_properties"]["intrinsics_pinhole"]
-    assert pinhole["distortion_coeffs"] == [-0.1, 0.0, 0.0, 0.01, 0.002]
 
 
 def test_a_calibration_has_principal_point_aspect_and_roll():

@@ -185,7 +185,7 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, writte
         ("vut", run.vut_position_m, run.vut_yaw_deg),
         ("vru", run.vru_position_m, run.vru_yaw_deg),
     ):
-        # Further vertices of turns are on the way, too: test_esmini.py.
+        # Further vertices of turns are on the way, too.
         times_s = tracks[name][:, 0] + run.time_s[0]
         is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
         track = tracks[name][is_frame]

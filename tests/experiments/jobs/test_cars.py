@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_results import build_small_baseline, build_small_grid, lay_runs_of
 
-from experiments.cli.options import cache_folder
+from experiments.cli.running import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.evaluation import run_comparison

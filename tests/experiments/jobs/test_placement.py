@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_results import lay_runs_of
 
-from experiments.cli.options import cache_folder
+from experiments.cli.running import cache_folder
 from experiments.export.json import to_json_text
 from experiments.export.watched import export_layout
 from experiments.jobs import placement

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from placement.detection_table import pack_table
-from placement.optimiser import Limits, PlacementProblem, apr
+from placement.optimiser import Floor, Limits, PlacementProblem, apr
 from placement.verification.instances import save_problem
 from scenarios.aeb import AebRule
 
@@ -54,6 +54,8 @@ def test_another_question_may_be_asked(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
     assert solve(run, tmp_path / "one.npz", "--budget", 2)["chosen_names"] == ["west", "east"]
     assert solve(run, tmp_path / "one.npz", "--budget-cost", 5)["chosen_names"] == ["west"]
+    both = solve(run, tmp_path / "one.npz", "--budget-cost", 20)
+    assert both["chosen_names"] == ["east"]  # the file's one unit holds
     summary = solve(run, tmp_path / "one.npz", "--target", "max")
     assert summary["goal"] == "fewest"
     assert (summary["objective"], summary["chosen"]) == (2.0, [0, 1])
@@ -79,13 +81,6 @@ def test_the_table_is_printed(run, problem, tmp_path):
     assert "east" in out
 
 
-def test_placement_problems_are_not_written_again(run, problem, tmp_path):
-    save_problem(tmp_path / "one.npz", problem)
-    code, _, err = run("solve", tmp_path / "one.npz", "--out", tmp_path / "two.npz")
-    assert code == 2
-    assert "expected it with covering problems only" in err
-
-
 def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
     seen = problem.table.detected(slice(None))
     seen[0, 5] = False  # west loses sight 0.2 s before the last moment
@@ -108,3 +103,123 @@ def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
         assert code == 2
         assert "--track-memory: got " in err
         assert "expected seconds, at least " in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("--budget", 3, "--target", "max"),
+            "--target: got it beside --budget; expected one of --budget, --budget-cost, --target",
+        ),
+        (("--budget", 0), "--budget: got '0'; expected a whole number of units, at least 1"),
+        (
+            ("--target", "most"),
+            "--target: got 'most'; expected max, or a share of the runs, 0 to 1",
+        ),
+        (("--time-limit", 0), "--time-limit: got '0'; expected seconds, more than 0"),
+        (("--solver", "nonesuch"), "--solver: got 'nonesuch'; expected one of auto, exact, relax"),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(run, problem, tmp_path, arguments, message):
+    save_problem(tmp_path / "one.npz", problem)
+    code, out, err = run("solve", tmp_path / "one.npz", *arguments, "--quiet")
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith(f"place-rsus: {message}")
+
+
+def test_a_file_without_a_placement_problem_is_refused_in_one_line(run, tmp_path):
+    path = tmp_path / "scp41.txt"
+    path.write_text("3 4\n1 2 3 4\n")
+    for file in (path, tmp_path / "none"):
+        code, out, err = run("solve", file, "--quiet")
+        assert (code, out) == (2, "")
+        (line,) = err.splitlines()
+        assert line.startswith(f"place-rsus: {file}: got ")
+
+
+@pytest.fixture
+def demanding(problem):
+    """A quarter of the runs at least, also when a unit fails; with two units there is more."""
+    floors = (
+        Floor(name="target", share=0.2),
+        Floor(name="min_case_apr in A", share=1.0, is_counted=np.array([False, True, False])),
+    )
+    return replace(problem, floors=floors, survive=1)
+
+
+def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(run, demanding, tmp_path):
+    save_problem(tmp_path / "one.npz", demanding)
+    own = solve(run, tmp_path / "one.npz")
+    assert own["chosen_names"] == ["west"]
+    assert own["replaced"] == []
+    two = solve(run, tmp_path / "one.npz", "--budget", 2)
+    assert two["replaced"] == ["at most 1 unit"]
+    assert two["question"] == [
+        "the best layout",
+        "first the highest APR that is left when any unit fails",
+        "at most 2 units",
+        "target: an APR of at least 20 %",
+        "min_case_apr in A: an APR of at least 100 % in 1 of 3 runs",
+    ]
+    cheap = solve(run, tmp_path / "one.npz", "--budget-cost", 100)
+    assert cheap["chosen_names"] == ["west"]
+    assert cheap["replaced"] == []
+    assert "at most 1 unit" in cheap["question"]
+
+
+def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(run, demanding, tmp_path):
+    floors = (Floor(name="target", share=0.7),)
+    save_problem(
+        tmp_path / "one.npz",
+        replace(demanding, floors=floors, limits=replace(demanding.limits, budget_units=2)),
+    )
+    code, out, err = run("solve", tmp_path / "one.npz", "--budget", 1, "--quiet")
+    assert (code, out) == (2, "")
+    assert err == (
+        "place-rsus: --target: got 0.7; expected at most 0.5, what the best set found reaches\n"
+    )
+
+
+def test_a_target_takes_the_place_of_the_files_own_and_of_its_number_of_units(
+    run, demanding, tmp_path
+):
+    save_problem(tmp_path / "one.npz", demanding)
+    summary = solve(run, tmp_path / "one.npz", "--target", 0.7)
+    assert summary["replaced"] == [
+        "the best layout",
+        "at most 1 unit",
+        "target: an APR of at least 20 %",
+    ]
+    assert summary["question"][-2:] == [
+        "min_case_apr in A: an APR of at least 100 % in 1 of 3 runs",
+        "--target: an APR of at least 70 %",
+    ]
+    assert summary["chosen_names"] == ["west", "east"]
+
+
+@pytest.mark.parametrize("solver", ["auto", "greedy"])
+def test_every_solver_reaches_the_files_floors_or_refuses(run, demanding, tmp_path, solver):
+    save_problem(tmp_path / "one.npz", demanding)
+    summary = solve(run, tmp_path / "one.npz", "--solver", solver)
+    assert summary["chosen_names"] == ["west"]  # east is worth more, and misses a floor
+    beyond = replace(demanding, floors=(*demanding.floors, Floor(name="more", share=0.7)))
+    save_problem(tmp_path / "two.npz", beyond)
+    code, out, err = run("solve", tmp_path / "two.npz", "--solver", solver, "--quiet")
+    assert (code, out) == (2, "")
+    assert err.startswith("place-rsus: more: got 0.7; expected ")
+    assert err.count("\n") == 1
+
+
+def test_the_first_lines_say_what_is_asked_and_what_was_replaced(run, demanding, tmp_path):
+    save_problem(tmp_path / "one.npz", demanding)
+    code, out, _ = run("solve", tmp_path / "one.npz", "--budget", 2, "--quiet")
+    assert code == 0
+    words = " ".join(out.split())
+    assert words.startswith(
+        "one.npz: best layout asked: the best layout; first the highest APR that is left when "
+        "any unit fails; at most 2 units; target: an APR of at least 20 %; min_case_apr in A: an "
+        "APR of at least 100 % in 1 of 3 runs; fusion any in place of the file's own: "
+        "at most 1 unit "
+    )

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli.options import cache_folder
+from experiments.cli.running import cache_folder
 from experiments.export.json import to_json_text
 from experiments.jobs import placement
 from experiments.jobs.evaluation import run_comparison

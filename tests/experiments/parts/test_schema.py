@@ -286,6 +286,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
         "assumed_prices",
         "sites_eur",
         "score",
+        "asked",
     }
     for key in summary:
         less = {name: value for name, value in summary.items() if name != key}
@@ -295,7 +296,7 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     n_changed = 0
     for path in [path for path, _ in parts(summary)]:
         is_mapping = path.endswith(
-            ("seconds", "versions", "by_case", "units", "uncertainty.latency")
+            ("seconds", "versions", "by_case", "units", "uncertainty.latency", "question")
         )
         if is_mapping or re.search(r"\[[1-9]", path):  # those after the first are alike
             continue

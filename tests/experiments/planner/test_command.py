@@ -13,8 +13,8 @@ pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
 
 from experiments.export.json import to_json
 from experiments.planner import command
-from experiments.planner.numbers import layout_text, plan_text
 from experiments.planner.plan import PlanState, Variant
+from experiments.planner.plan_files import layout_text, plan_text
 from experiments.planner.server import RunningServer
 from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout

@@ -30,10 +30,10 @@ from experiments.figures.axes import describe_run
 from experiments.language import speaking
 from experiments.parts.camera_views import draw_view
 from experiments.parts.result import build_evaluation_record
-from experiments.planner.numbers import read_tile_server
+from experiments.planner.files import MapFile
 from experiments.planner.plan import Variant
-from experiments.planner.session import MapFile
 from experiments.planner.tasks import Tasks
+from experiments.planner.tiles import read_tile_server
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
 from geometry.poses import Pose
@@ -389,9 +389,9 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
 
 
 def test_a_file_that_is_too_large_is_told_before_it_is_sent(browser, serve, monkeypatch, tmp_path):
-    from experiments.planner import plan
+    from experiments.planner import plan_files
 
-    monkeypatch.setattr(plan, "MAX_PLAN_BYTES", 1000)
+    monkeypatch.setattr(plan_files, "MAX_PLAN_BYTES", 1000)
     (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
     with opened(browser, serve()) as page:
         page.locator("#open-file").set_input_files(tmp_path / "long.json")

@@ -8,11 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
 
-from experiments.planner.numbers import layout_text, plan_text, read_tile_server, tile_frame
+from experiments.planner.changes import Stock, change_state
 from experiments.planner.plan import (
     MAX_STEPS,
     MAX_UNITS,
     MAX_VARIANTS,
+    Variant,
+    add_variant,
+    begin_history,
+)
+from experiments.planner.plan_files import check_plan, layout_text, plan_text, read_plan
+from experiments.planner.poles import lay_poles, with_poles
+from experiments.planner.requests import (
     AddUnit,
     AddVariant,
     ChangeUnit,
@@ -22,16 +29,8 @@ from experiments.planner.plan import (
     RemoveVariant,
     RenameVariant,
     SelectVariant,
-    Stock,
-    Variant,
-    add_variant,
-    begin_history,
-    change_state,
-    check_plan,
-    lay_poles,
-    read_plan,
-    with_poles,
 )
+from experiments.planner.tiles import read_tile_server, tile_frame
 from geometry.catalogue import load_cameras
 from geometry.errors import InputError
 from geometry.lidar import load_lidars

@@ -32,11 +32,12 @@ from experiments.jobs.evaluation import run_evaluation
 from experiments.parts.camera_views import draw_view
 from experiments.parts.units import build_private_ground_record
 from experiments.planner import server
-from experiments.planner.numbers import read_tile_server
+from experiments.planner.files import MapFile
 from experiments.planner.plan import Variant
 from experiments.planner.server import build_app
-from experiments.planner.session import MapFile, Workspace
-from experiments.planner.tasks import Cancelled, DiedError
+from experiments.planner.tiles import read_tile_server
+from experiments.planner.worker import Cancelled, DiedError
+from experiments.planner.workspace import Workspace
 from experiments.progress import StageProgress
 from experiments.results.numbers import percent
 from geometry.frames import to_geographic
@@ -598,7 +599,7 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, smal
                 return
             sources.append(message["source"])
             if len(sources) == 1:
-                session._changed.set()  # as when another browser comes
+                session.counting.changed.set()  # as when another browser comes
             elif len(sources) == 2:
                 is_judged.set()
             else:
@@ -609,8 +610,8 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, smal
                 assert is_judged.wait(100)
             return {}
 
-        session.workspace.private_areas = private
-        session.listeners.add(listen)
+        session.shown.workspace.private_areas = private
+        session.browsers.listeners.add(listen)
         session.start()
         await asyncio.wait_for(is_done.wait(), 120)
         session.stop_processes()
@@ -882,11 +883,11 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting,
         drawn.append(width_px)
         return {}
 
-    monkeypatch.setattr("experiments.planner.session.live_picture", draw)
+    monkeypatch.setattr("experiments.planner.views.live_picture", draw)
 
     async def ask_at_once():
         asked = [
-            session.camera_picture(unit.id, run_id="", frame=0, width_px=width)
+            session.views.camera_picture(unit.id, run_id="", frame=0, width_px=width)
             for width in (100, 200, 300, 400)
         ]
         return await asyncio.gather(*asked, return_exceptions=True)

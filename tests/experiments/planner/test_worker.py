@@ -17,7 +17,7 @@ import pytest
 from plan_sessions import small_work
 
 from experiments.export.json import to_json
-from experiments.planner.tasks import Cancelled, DiedError, TaskError, Worker
+from experiments.planner.worker import Cancelled, DiedError, TaskError, Worker
 from placement.compute import silent
 from placement.layout import load_carlancap_layout
 

@@ -53,7 +53,7 @@ def mixed(problem: PlacementProblem, share: float) -> PlacementProblem:
 def check(problem: PlacementProblem) -> None:
     """The best in all stages, proven, by the enumeration of every layout."""
     solution = solve_placement(problem)
-    Oracle(problem).check(solution.pose_index, solution.certificate.stages, proves=True)
+    Oracle(problem).check(solution.pose_index, solution.certificate.stages, largest_gap=0.0)
 
 
 @given(seeing_problems())

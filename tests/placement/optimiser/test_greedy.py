@@ -12,6 +12,7 @@ from problems import questions
 from placement.optimiser import Floor, PlacementProblem, presolve, solve_greedy, solve_placement
 from placement.optimiser.allowed_sets import is_allowed
 from placement.optimiser.bitsets import set_values
+from placement.optimiser.constants import Deadline
 from placement.optimiser.greedy import (
     extend_greedily,
     forced_units,
@@ -20,7 +21,6 @@ from placement.optimiser.greedy import (
     to_full,
 )
 from placement.optimiser.proof import Search
-from placement.optimiser.timing import Deadline
 
 
 @given(problem=questions())

@@ -13,9 +13,9 @@ from geometry.clock import now_s
 from placement.optimiser import PlacementProblem, presolve
 from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import union_apr, unions_of
+from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.pairs import PairWalk, goes_by_pairs, walk_by_pairs
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.timing import NEVER, Deadline
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 
@@ -51,8 +51,8 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
     share = union_apr(reduced, unions_of(reduced, sets))
     need = float(np.quantile(share, place, method="nearest"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.timing.CLASS_POSES", class_poses)
-        patch.setattr("placement.optimiser.timing.FEW_PAIRS", few)
+        patch.setattr("placement.optimiser.constants.CLASS_POSES", class_poses)
+        patch.setattr("placement.optimiser.constants.FEW_PAIRS", few)
         walk = PairWalk(reduced, need=need)
         met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
     assert walk.is_finished
@@ -130,7 +130,7 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PairWalk, "blocks", blocks)
         # So little time is left that no walk is likely to end, but it is never over.
-        patch.setattr("placement.optimiser.timing.ALL_TIMES_NEAR", np.inf)
+        patch.setattr("placement.optimiser.constants.ALL_TIMES_NEAR", np.inf)
         tied = walk_by_pairs(
             reduced, units, deadline=Deadline(now_s() + 1.0e6), on_better=lambda units: units
         )

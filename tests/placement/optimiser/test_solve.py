@@ -21,8 +21,8 @@ from placement.optimiser import (
     solve_greedy,
     solve_placement,
 )
+from placement.optimiser.constants import settle
 from placement.optimiser.presolve import ReducedProblem
-from placement.optimiser.timing import settle
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
 BestValue = Callable[[PlacementProblem, Iterable[int]], PlacementValue]

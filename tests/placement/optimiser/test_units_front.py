@@ -172,7 +172,7 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
     problem: PlacementProblem, stages: str
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("placement.optimiser.timing.MAX_BITS", 0)
+        patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         front = pareto_front(problem, max_units=3, stages=stages)
     assert front.presolve is None
     for fewer, point in pairwise(front.points):

@@ -15,10 +15,10 @@ from placement.optimiser import Limits, PlacementProblem, presolve
 from placement.optimiser.allowed_sets import are_allowed
 from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
 from placement.optimiser.bounds import failure_limit, find_root, run_rows
+from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.greedy import improve
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.proof import Search
-from placement.optimiser.timing import NEVER, Deadline
 from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk, widest_poses
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
@@ -125,7 +125,8 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
     assert tied.is_finished
     assert tied.sets is not None
-    found = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+    contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+    found = contenders.best()
     assert found is not None
     np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
 

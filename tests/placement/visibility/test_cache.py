@@ -11,9 +11,10 @@ from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
 from geometry.weather import load_weathers
 from placement import cache
-from placement.cache import content_hash, from_bytes, to_bytes
+from placement.cache import content_hash
 from placement.detection_table import pack_table
 from placement.detectors import GeometricDetector, load_planning_detector
+from placement.packing import from_bytes, to_bytes
 from placement.visibility import build as build_module
 from placement.visibility import (
     load_table,

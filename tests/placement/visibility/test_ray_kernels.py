@@ -13,7 +13,14 @@ from geometry.study_scene import load_study_scene
 from placement.visibility import casting, ray_kernels
 from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
-from placement.visibility.ray_kernels import N_AROUND, N_UP, find_unclear_points, mark_nearest
+from placement.visibility.ray_kernels import (
+    N_AROUND,
+    N_UP,
+    Rays,
+    Views,
+    find_unclear_points,
+    mark_nearest,
+)
 
 WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
 
@@ -128,10 +135,11 @@ def test_a_point_that_a_triangle_hides_is_never_clear(seed):
     middle = axes.mean(axis=2, dtype=np.float64)
     radius = np.linalg.norm(axes - middle[:, :, None], axis=1).max(axis=1)
     unclear = np.zeros((10, 80), dtype=bool)
-    find_unclear_points(nearest, axes, middle, radius, eye, np.arange(10), unclear)
+    find_unclear_points(nearest, Views(axes, middle, radius), eye, np.arange(10), unclear)
     asked = np.ones((10, 80), dtype=bool)
     starts, vectors = (np.empty((800, 3), np.float32) for _ in range(2))
-    ray_kernels.fill_rays(axes, np.arange(10), asked, eye, 0.1, 1.0e-3, starts, vectors)
+    rays = Rays(0.1, 1.0e-3, starts, vectors)
+    ray_kernels.fill_rays(axes, np.arange(10), asked, eye, rays)
     caster = build_caster(triangles.reshape(-1, 3), np.arange(24).reshape(8, 3))
     blocked = caster.is_blocked(starts, vectors).reshape(10, 80)
     assert not (blocked & ~unclear).any()
@@ -148,7 +156,7 @@ def test_where_nothing_is_nearer_nothing_is_asked():
     )
     axes = points.astype(np.float32)[:, :, None].copy()
     unclear = np.zeros((6, 1), dtype=bool)
-    find_unclear_points(nearest, axes, points, np.zeros(6), eye, np.arange(6), unclear)
+    find_unclear_points(nearest, Views(axes, points, np.zeros(6)), eye, np.arange(6), unclear)
     assert unclear[:, 0].tolist() == [False, True, False, False, False, True]
     # Of all directions it fills the share of a cone of 5.7 degrees, and little more.
     share = np.isfinite(nearest).mean()

@@ -1,9 +1,7 @@
 """Drawn pictures before a detector of others, and on a page."""
 
 import itertools
-import sys
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +17,6 @@ from experiments.perception_lab.training.crops import (
 )
 from experiments.perception_lab.training.pictures import photographs_text
 from geometry.errors import InputError
-from geometry.image_boxes import iou
 from geometry.study_scene import load_study_scene
 from placement.detectors.evidence import VRU_CLASSES
 from placement.detectors.network import ImageBoxes
@@ -54,48 +51,6 @@ def test_road_users_that_no_case_has_are_refused(setting):
     look = look_around(setting, Framing(kinds=("cyclist",)), np.random.default_rng(0))
     with pytest.raises(InputError, match="expected cyclist"):
         next(look)
-
-
-def test_who_is_found_and_what_is_a_false_alarm(setting, monkeypatch):
-    boxes = np.array([[10.0, 10.0, 40.0, 90.0], [20.0, 200.0, 60.0, 300.0]])
-    rows = [
-        {"rgb": np.full((4, 4, 3), number), "box_px": box, "weather": number}
-        for number, box in enumerate(boxes)
-    ]
-    monkeypatch.setattr(pictures, "_rows", lambda *_: iter([("here", dict(row)) for row in rows]))
-    aside = np.array([[400.0, 10.0, 433.0, 90.0]])
-
-    def judge(rgb):
-        # Finds the first, with other legs, and nothing but a tree in the second picture.
-        first = boxes[:1] + [[-3.0, 1.0, 3.0, 1.0]]
-        return np.concatenate([first, aside]) if rgb[0, 0, 0] == 0 else aside
-
-    height, weather, found, n_alarms = pictures.judge_pictures(
-        [setting], judge, n_pictures=2, kind="pedestrian", seed=0
-    )
-    assert height.tolist() == [80.0, 100.0]
-    assert weather.tolist() == [0, 1]
-    assert found.tolist() == [True, False]
-    assert n_alarms == 2
-    text = pictures.judge_text(
-        [setting], judge, n_pictures=(2, 0, 0), seed=0, tell=lambda words: None
-    )
-    assert "| adult | 2 | 50.0 % |" in text
-    assert "| 1.00 (" in text
-
-
-def test_boxes_of_people_have_one_aspect_whatever_their_legs_do():
-    a = pictures._boxes(np.array([[50.0, 50.0]]), np.array([80.0]))
-    assert a[0].tolist() == pytest.approx([33.6, 10.0, 66.4, 90.0])
-    assert iou(a, a)[0] == 1.0
-
-
-@pytest.mark.parametrize("version", [None, "5.0.0"])
-def test_without_the_detector_of_others_it_says_what_to_install(monkeypatch, version):
-    library = None if version is None else SimpleNamespace(__version__=version)
-    monkeypatch.setitem(sys.modules, "cv2", library)
-    with pytest.raises(InputError, match="opencv-python-headless below 5"):
-        pictures.load_people_detector()
 
 
 def test_forty_kept_crops_are_on_a_page(tmp_path):

@@ -1,0 +1,170 @@
+"""Files of plans and layouts: read and written."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from geometry.errors import InputError, refuse
+from geometry.files import parse_json, read_table
+from geometry.scene import Scene
+from placement.layout import Layout, check_layout, read_layout
+
+from ..export.json import to_json, to_json_text
+from .background import Background, read_background
+from .plan import (
+    MAX_UNITS,
+    MAX_VARIANTS,
+    PlanState,
+    Variant,
+    check_count,
+    printable_name,
+)
+from .poles import PolePlace
+
+SCHEMA = "place-rsus/plan/1"
+"""What a plan's file says that it is; a layout's file says nothing of the kind."""
+MAX_PLAN_BYTES = 16_000_000
+"""Of a plan's file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plan:
+    """Contents of a plan's file.
+
+    Attributes
+    ----------
+    variants : tuple of Variant
+        The first one is worked on at first.
+    scene_name : str
+        Of the scene that it is for; empty: of any.
+    background : Background, optional
+        Image below the plan.
+    poles : tuple of PolePlace
+        Of one's own.
+    """
+
+    variants: tuple[Variant, ...]
+    scene_name: str = ""
+    background: Background | None = None
+    poles: tuple[PolePlace, ...] = ()
+
+
+def check_plan(plan: Plan, scene: Scene) -> None:
+    """Raise InputError unless all variants of a plan can be mounted in a scene."""
+    for variant in plan.variants:
+        if variant.units:
+            layout = Layout(name=variant.name, units=variant.units, scene_name=plan.scene_name)
+            check_layout(layout, scene)
+
+
+def read_plan(text: bytes, where: str) -> Plan:
+    """A plan from the contents of a plan's file, or of a layout's.
+
+    Parameters
+    ----------
+    text : bytes
+        JSON; nothing of it is trusted.
+    where : str
+        Name of the file, for messages; a layout without a name gets its stem.
+
+    Raises
+    ------
+    InputError
+        It is neither, or has more than there may be.
+    """
+    document = parse_json(text, where, "a layout or a plan as JSON")
+    background = None
+    if isinstance(document, dict) and document.get("schema") == SCHEMA:
+        variants = _read_variants(document.get("variants"), where)
+        drawn = document.get("background")
+        if drawn is not None:
+            background = read_background(drawn, f"{where}: background")
+    else:
+        variants = [_read_variant(document, text, where, Path(where).stem)]
+    poles = read_table(document.get("poles", []), list[PolePlace], f"{where}: poles")
+    check_count(len(poles), f"{where}: poles", MAX_UNITS)
+    return Plan(
+        variants=tuple(variants),
+        scene_name=str(document.get("scene", "")),
+        background=background,
+        poles=tuple(poles),
+    )
+
+
+def _read_variants(records: Any, where: str) -> list[Variant]:
+    """Variants of a plan's file, of which some may be empty; InputError: they are none."""
+    if not isinstance(records, list) or not 1 <= len(records) <= MAX_VARIANTS:
+        refuse(f"{where}: variants", "none", f"a list of 1 to {MAX_VARIANTS}")
+    variants = []
+    for index, record in enumerate(records):
+        at = f"{where}: variants[{index}]"
+        if not isinstance(record, dict):
+            raise InputError(at, record, "a layout")
+        name = record.get("name")
+        # A layout's file has at least one unit; a variant may have none yet.
+        if record.get("layout") == [] and isinstance(name, str):
+            variants.append(Variant(name=printable_name(name)))
+        else:
+            encoded = msgspec.json.encode(record)
+            variants.append(_read_variant(record, encoded, at, f"{index + 1}"))
+    return variants
+
+
+def _read_variant(document: Any, text: bytes, where: str, name: str) -> Variant:
+    """A layout as a variant; too many units are refused before they are read."""
+    if isinstance(document, dict) and isinstance(document.get("layout"), list):
+        check_count(len(document["layout"]), f"{where}: units", MAX_UNITS)
+    layout = read_layout(text, where=where, name=name)
+    return Variant(name=printable_name(layout.name), units=layout.units)
+
+
+def layout_text(state: PlanState, scene: Scene) -> str:
+    """The current variant as the layout file of ``--layout``.
+
+    Raises InputError if nothing is mounted.
+    """
+    record = json.loads(to_json(state.variant.layout(scene)))
+    return to_json_text({**record, **_pole_places(state)})
+
+
+def _pole_places(state: PlanState) -> dict[str, Any]:
+    """Poles of one's own as files have them; nothing where there is none."""
+    places = []
+    for pole in state.poles:
+        x_m, y_m, _ = pole.position_m.tolist()
+        places.append({"id": pole.id, "x_m": x_m, "y_m": y_m})
+    if not places:
+        return {}
+    return {"poles": places}
+
+
+def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
+    """All variants in one file, each as a layout file has it, and the image below them.
+
+    Parameters
+    ----------
+    state : PlanState
+        Variants and poles.
+    scene : Scene
+        Without poles of one's own.
+    background : Background, optional
+        Image below the plan.
+    """
+    variants = []
+    for variant in state.variants:
+        if variant.units:
+            variants.append(json.loads(to_json(variant.layout(scene))))
+        else:
+            variants.append({"name": variant.name, "layout": []})
+    record: dict[str, Any] = {
+        "schema": SCHEMA,
+        "scene": scene.name,
+        "variants": variants,
+        **_pole_places(state),
+    }
+    if background is not None:
+        record["background"] = msgspec.to_builtins(background)
+    return to_json_text(record)

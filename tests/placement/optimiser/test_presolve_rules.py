@@ -1,0 +1,183 @@
+"""Every rule of presolve alone, on random problems, against the enumeration of ``oracle``."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from oracle import TIE, TIE_EUR, Oracle, Values
+from problems import kinds_of, random_problem
+
+from placement.detection_table import pack_table
+from placement.optimiser import Limits, PlacementProblem, presolve
+from placement.optimiser.bitsets import set_values
+from placement.optimiser.presolve import (
+    ALL_RULES,
+    ReducedProblem,
+    Rule,
+    find_needless,
+    presolve_freely,
+)
+from placement.optimiser.problem import Objective
+from scenarios.aeb import AebRule
+from scenarios.runs import FrameAxis
+
+TAKES_USABLE = {Rule.NEEDLESS_POSES, Rule.DOMINATED_POSES}
+"""Rules that take it for granted that poses are usable."""
+N_PROBLEMS = 150
+SUBSETS = [{rule} | ({Rule.UNUSABLE_POSES} & ALL_RULES) for rule in TAKES_USABLE]
+ALONE = [
+    *({rule} for rule in sorted(Rule) if rule not in TAKES_USABLE),
+    *SUBSETS,
+    set(ALL_RULES),
+    ALL_RULES - {Rule.NEEDLESS_POSES},
+    ALL_RULES - {Rule.DOMINATED_POSES},
+    set(),
+]
+
+
+def best_by_stage(oracle: Oracle, layouts: dict[tuple[int, ...], Values]) -> list[float]:
+    """Best value of every stage among layouts that tie in all stages before."""
+    best = []
+    rivals = list(layouts.values())
+    for name in oracle.names:
+        is_cost = name in ("units", "cost_eur")
+        sign = -1.0 if is_cost else 1.0
+        tie = TIE_EUR if is_cost else TIE
+        most = max(sign * values[name] for values in rivals)
+        best.append(sign * most)
+        rivals = [values for values in rivals if sign * values[name] >= most - tie]
+    return best
+
+
+def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
+    """Check that the poses left reach the best value of every stage; False: no layout."""
+    oracle = Oracle(problem)
+    if not oracle.layouts:
+        return False
+    left = set(reduced.pose_index.tolist())
+    among_left = {
+        poses: values for poses, values in oracle.layouts.items() if left.issuperset(poses)
+    }
+    assert among_left, "no layout is left"
+    expected = best_by_stage(oracle, oracle.layouts)
+    got = best_by_stage(oracle, among_left)
+    assert got == pytest.approx(expected, abs=TIE_EUR, rel=0.0), oracle.names
+    return True
+
+
+@pytest.mark.parametrize("rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none")
+def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
+    n_met = 0
+    seen: set[str] = set()
+    for number in range(N_PROBLEMS):
+        problem = random_problem(np.random.default_rng([17, number]))
+        reduced = presolve(problem, rules=rules)
+        if check_stages(problem, reduced):
+            n_met += 1
+            seen |= kinds_of(problem)
+    assert n_met > N_PROBLEMS / 3
+    assert {"tail, pose adds nothing", "floor", "survive", "levels", "car sees"} <= seen
+
+
+@pytest.mark.parametrize("rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none")
+def test_the_rules_change_the_value_of_no_layout_of_what_is_left(rules: set[Rule]) -> None:
+    for number in range(N_PROBLEMS):
+        problem = random_problem(np.random.default_rng([18, number]))
+        problem = replace(problem, floors=(), goal="best")
+        oracle = Oracle(problem)
+        reduced = presolve(problem, rules=rules)
+        for n_units in (1, 2):
+            sets = list(combinations(range(reduced.n_poses), n_units))
+            if not sets:
+                continue
+            values = set_values(reduced, np.array(sets))
+            layouts = [tuple(reduced.pose_index[list(units)].tolist()) for units in sets]
+            expected = [oracle.values(poses) for poses in layouts]
+            for name in oracle.names:
+                got = values.of(Objective(name))
+                wanted = [of_layout[name] for of_layout in expected]
+                assert got == pytest.approx(wanted, abs=TIE), (number, name)
+
+
+def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
+    """Two worlds, of which the worse counts, where no pose avoids anything.
+
+    In the other one the car avoids a run with a large margin, and pose 0 avoids one more
+    with a small one. Pose 1 adds nothing; it may cost more.
+    """
+    axis = FrameAxis(
+        run_ids=("lost", "early", "late"),
+        cases=("CPNA-50",) * 3,
+        approaches=("north",) * 3,
+        weathers=("day",) * 3,
+        vut_speed_kmh=np.full(3, 30.0),
+        weight=np.full(3, 1.0 / 3.0),
+        last_brake_time_s=np.array([-0.01, -0.01, -0.01]),
+        run_start=np.array([0, 6, 12, 18]),
+        time_s=np.tile(np.arange(-5, 1) / 10.0, 3),
+    )
+    detected = np.zeros((2, 18), dtype=bool)
+    detected[0, 14:17] = True  # avoids "late"
+    seen = np.zeros(18, dtype=bool)
+    seen[6:12] = True  # avoids "early"
+    return PlacementProblem(
+        table=pack_table(("0", "1"), axis, detected),
+        limits=Limits(
+            site_index=np.array([0, 1]),
+            site_capacity=np.array([1, 1]),
+            budget_units=1,
+            unit_cost_eur=np.array(price_eur),
+        ),
+        fusion="any",
+        rule=AebRule(
+            deceleration_mps2=7.72,
+            latency_s=0.025,
+            n_confirmations=2,
+            frame_rate_hz=10.0,
+            track_memory_s=np.inf,
+        ),
+        sample_index=np.array([0, 1, 1]),
+        tail=0.3,
+        seen_by_vut=seen,
+    )
+
+
+@pytest.mark.parametrize("price_eur", [[1.0, 1.0], [1.0, 2.0], [2.0, 1.0]])
+def test_a_pose_that_adds_nothing_stays_where_it_has_the_largest_margin(
+    price_eur: list[float],
+) -> None:
+    problem = tie_of_margins(price_eur)
+    reduced = presolve(problem)
+    assert 1 in reduced.pose_index
+    assert check_stages(problem, reduced)
+
+
+def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
+    problem = random_problem(np.random.default_rng(3))
+    n_poses = 4
+    detected = np.zeros((n_poses, problem.table.axis.n_frames), dtype=bool)
+    problem = replace(
+        problem,
+        table=pack_table(tuple("abcd"), problem.table.axis, detected),
+        limits=Limits(
+            site_index=np.arange(n_poses),
+            site_capacity=np.ones(n_poses, dtype=int),
+            unit_cost_eur=np.array([4.0, 2.0, 1.0, 3.0]),
+            is_forbidden=np.array([False, False, True, False]),
+        ),
+        floors=(),
+        goal="best",
+    )
+    assert presolve(problem).pose_index.tolist() == [1]
+    is_forced_site = np.array([False, False, False, True])
+    asked = replace(problem, limits=replace(problem.limits, is_forced_site=is_forced_site))
+    assert presolve(asked).pose_index.tolist() == [1, 3]
+    assert not find_needless(presolve(asked)).any()
+
+
+def test_what_is_presolved_for_any_question_has_all_usable_poses() -> None:
+    for number in range(20):
+        problem = random_problem(np.random.default_rng([19, number]))
+        reduced = presolve_freely(problem)
+        assert reduced.n_poses == problem.table.n_poses
