@@ -14,12 +14,14 @@ _DOCS = Path(__file__).parent
 _ROOT = _DOCS.parent
 sys.path[:0] = [str(_ROOT), str(_DOCS / "extensions")]
 os.environ.setdefault("MPLBACKEND", "agg")
-logging.getLogger("placement").setLevel(logging.WARNING)  # a style of the theme turns all logs on
+logging.getLogger("placement").setLevel(
+    logging.WARNING
+)  # a style of the theme turns all logs on
 
 project = "place-rsus"
-version = release = tomllib.loads((_ROOT / "pyproject.toml").read_text("utf-8"))["project"][
-    "version"
-]
+version = release = tomllib.loads((_ROOT / "pyproject.toml").read_text("utf-8"))[
+    "project"
+]["version"]
 copyright = "the authors of place-rsus; Apache-2.0"  # noqa: A001 - Sphinx's own name
 language = "en"
 smartquotes = False  # --budget is no dash
@@ -43,9 +45,12 @@ exclude_patterns = [
     "gallery/*.json",
 ]
 nitpicky = True
-nitpick_ignore_regex = [(r"py:.*", r"(numpy|pandas|matplotlib|shapely)\..*")]  # no pages of others
+nitpick_ignore_regex = [
+    (r"py:.*", r"(numpy|pandas|matplotlib|shapely)\..*")
+]  # no pages of others
 
-# One docstring, one place: the packages' public names. Types stand in the docstrings, with shapes.
+# One docstring, one place: the packages' public names. Types stand in the docstrings,
+# with shapes.
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 autosummary_generate = False

@@ -1,9 +1,9 @@
 """The language of answers: terminal, report, page and sheet say each sentence through here.
 
-A sentence stands in the code in English, whole, with names in braces for what is put in: it is the
-key under which catalogues (``languages/de/*.po``, gettext's format) have its translation. Keys of
-JSON, names of files, the help of commands and their errors are English always; what the planner's
-page is refused is not.
+A sentence stands in the code in English, whole, with names in braces for what is put
+in: it is the key under which catalogues (``languages/de/*.po``, gettext's format) have
+its translation. Keys of JSON, names of files, the help of commands and their errors are
+English always; what the planner's page is refused is not.
 """
 
 import re
@@ -29,28 +29,37 @@ class _GermanNumbers(string.Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         text = format(value, format_spec)
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        return text.translate(_SWAPPED) if is_number else text
+        if is_number:
+            return text.translate(_SWAPPED)
+        return text
 
 
 class Messages:
     """A catalogue of messages, and of those that have a form for one and one for many.
 
-    `found` has their translations by the English text, of two forms by the first; a message that it
-    does not have stays English.
+    `found` has their translations by the English text, of two forms by the first; a
+    message that it does not have stays English.
     """
 
-    def __init__(self, found: Mapping[str, str | tuple[str, ...]] = MappingProxyType({})) -> None:
+    def __init__(
+        self, found: Mapping[str, str | tuple[str, ...]] = MappingProxyType({})
+    ) -> None:
         self._found = found
 
     def find(self, message: str) -> str:
         """The translation of a message."""
         found = self._found.get(message)
-        return found if isinstance(found, str) and found else message
+        if isinstance(found, str) and found:
+            return found
+        return message
 
     def find_plural(self, one: str, many: str, count: int) -> str:
         """The form that a count asks for."""
         found = self._found.get(one)
-        forms = found if isinstance(found, tuple) and all(found) else (one, many)
+        if isinstance(found, tuple) and all(found):
+            forms = found
+        else:
+            forms = (one, many)
         return forms[count != 1]
 
 
@@ -61,13 +70,21 @@ def _catalogue(code: str) -> Messages:
     from babel.messages.pofile import read_po
 
     translated: dict[str, str | tuple[str, ...]] = {}
-    for path in sorted(files("experiments").joinpath("languages", code).iterdir(), key=str):
+    for path in sorted(
+        files("experiments").joinpath("languages", code).iterdir(), key=str
+    ):
         if path.name.endswith(".po"):
             with path.open("rb") as file:
                 for entry in read_po(file):
-                    key = entry.id if isinstance(entry.id, str) else entry.id[0]
+                    if isinstance(entry.id, str):
+                        key = entry.id
+                    else:
+                        key = entry.id[0]
                     text = entry.string
-                    translated[key] = text if isinstance(text, str) else tuple(text or ())
+                    if isinstance(text, str):
+                        translated[key] = text
+                    else:
+                        translated[key] = tuple(text or ())
     return Messages(translated)
 
 
@@ -83,7 +100,8 @@ def language() -> str:
 
 def set_language(code: str) -> None:
     """Speak one of LANGUAGES in this process from now on."""
-    _Current.messages, _Current.code = _catalogue(code), code
+    _Current.messages = _catalogue(code)
+    _Current.code = code
 
 
 @contextmanager
@@ -101,7 +119,8 @@ def speaking(code: str, messages: Messages | None = None) -> Iterator[None]:
 def tr(message: str, /, **values: Any) -> str:
     """A message in the language that is spoken, with values in place of the names in braces.
 
-    Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or 0,5.
+    Numbers among the values are written as the language does, "{share:.1f}" as 0.5 or
+    0,5.
 
     Examples
     --------
@@ -132,7 +151,9 @@ def say(key: str, n: int | None = None, /, **values: Any) -> str:
     """
     part, _, name = key.partition(".")
     text = _texts()[part][name]
-    return tr(text, **values) if n is None else trn(text[0], text[1], n, **values)
+    if n is None:
+        return tr(text, **values)
+    return trn(text[0], text[1], n, **values)
 
 
 @cache
@@ -153,11 +174,15 @@ def _lists() -> dict[str, list[str]]:
 def words_of(messages: Iterable[tuple[str, str]]) -> dict[str, str]:
     """What scripts say: translations of messages by themselves, for one and many where both are.
 
-    Each message is a pair of its form for one, empty where it has no other, and that for many.
+    Each message is a pair of its form for one, empty where it has no other, and that
+    for many.
     """
-    find, plural = _Current.messages.find, _Current.messages.find_plural
+    find = _Current.messages.find
+    plural = _Current.messages.find_plural
     ones = {one: plural(one, many, 1) for one, many in messages if one}
-    return ones | {many: plural(one, many, 2) if one else find(many) for one, many in messages}
+    return ones | {
+        many: plural(one, many, 2) if one else find(many) for one, many in messages
+    }
 
 
 def mark(message: str) -> str:
@@ -168,8 +193,8 @@ def mark(message: str) -> str:
 def said(text: str) -> str:
     """A text of a package below, such as a note on a map, in the language that is spoken.
 
-    Those packages know no languages: ``data/said_below.toml`` has what they say. Any other text
-    stays as it is.
+    Those packages know no languages: ``data/said_below.toml`` has what they say. Any
+    other text stays as it is.
 
     Examples
     --------
@@ -187,7 +212,10 @@ def _said(sentence: str) -> str:
     for message, pattern in _said_below().items():
         found = pattern.fullmatch(sentence)
         if found:
-            return tr(message, **{name: _said(part) for name, part in found.groupdict().items()})
+            return tr(
+                message,
+                **{name: _said(part) for name, part in found.groupdict().items()},
+            )
     return sentence
 
 
@@ -207,7 +235,9 @@ def _said_below() -> dict[str, re.Pattern[str]]:
 
 def localized(number: str) -> str:
     """A number that has been written as English does, as the language that is spoken does."""
-    return number if _Current.code == "en" else number.translate(_SWAPPED)
+    if _Current.code == "en":
+        return number
+    return number.translate(_SWAPPED)
 
 
 def _filled(message: str, values: Mapping[str, Any]) -> str:

@@ -58,7 +58,18 @@ def completion(context: click.Context, *, shell: str) -> None:
 
 
 for _command in (
-    *(certify, city, compare, completion, dataset, detector, doctor, evaluate, export, latency),
+    *(
+        certify,
+        city,
+        compare,
+        completion,
+        dataset,
+        detector,
+        doctor,
+        evaluate,
+        export,
+        latency,
+    ),
     *(pareto, plan, render, retrofit, scenarios, scene, sheet, solve, verify),
 ):
     cli.add_command(_command)
@@ -66,33 +77,54 @@ for _command in (
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line: what users can mend is a line and exit code 2, all else code 70."""
-    os.environ["MPLBACKEND"] = "agg"  # no window is opened, whatever a user prefers elsewhere
+    os.environ["MPLBACKEND"] = (
+        "agg"  # no window is opened, whatever a user prefers elsewhere
+    )
     logging.basicConfig(handlers=[StderrLog()], format="place-rsus: %(message)s")
     progress = Session(_import_map)
-    code, message = 0, ""
+    code = 0
+    message = ""
     try:
         with ending_on_signals(progress):
-            cli.main(args=arguments, prog_name="place-rsus", standalone_mode=False, obj=progress)
+            cli.main(
+                args=arguments,
+                prog_name="place-rsus",
+                standalone_mode=False,
+                obj=progress,
+            )
     except Interrupted as error:
-        code, message = 128 + error.signum, progress.interruption()
+        code = 128 + error.signum
+        message = progress.interruption()
     except _mendable_errors() as error:
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {options.with_option_names(str(error), cli)}"
+        code = _EXIT_BAD_INPUT
+        message = f"place-rsus: {options.with_option_names(str(error), cli)}"
     except click.ClickException as error:
         text = " ".join(error.format_message().split())
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {text}"
+        code = _EXIT_BAD_INPUT
+        message = f"place-rsus: {text}"
     except OSError as error:  # such as a disk that is full
-        where = f"{error.filename}: " if error.filename else ""
+        if error.filename:
+            where = f"{error.filename}: "
+        else:
+            where = ""
         notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-        code, message = _EXIT_BAD_INPUT, f"place-rsus: {where}{error.strerror or error}{notes}"
+        code = _EXIT_BAD_INPUT
+        message = f"place-rsus: {where}{error.strerror or error}{notes}"
     except Exception as error:
-        if progress.signum:  # libraries make errors of their own of what ends their loading
-            code, message = 128 + progress.signum, progress.interruption()
+        if (
+            progress.signum
+        ):  # libraries make errors of their own of what ends their loading
+            code = 128 + progress.signum
+            message = progress.interruption()
         elif _is_out_of_memory(error):
             got = f"got too little in stage '{progress.stage}'; {progress.kept}"
-            message = f"place-rsus: memory: {got}; expected more of it, or less to compute"
+            message = (
+                f"place-rsus: memory: {got}; expected more of it, or less to compute"
+            )
             code = _EXIT_BAD_INPUT
         else:
-            code, message = _EXIT_UNEXPECTED, _unexpected(error, progress)
+            code = _EXIT_UNEXPECTED
+            message = _unexpected(error, progress)
     finally:
         progress.stop()
     if message:
@@ -106,12 +138,16 @@ def _import_map(question: "Question", **options: Any) -> tuple[str, str]:
 
     folder, found = import_into_cache(question, **options)
     (junction,) = found.junctions
-    arms, sites = several(junction.arms, "arm", "arms"), several(found.sites, "site", "sites")
+    arms = several(junction.arms, "arm", "arms")
+    sites = several(found.sites, "site", "sites")
     buildings = several(found.buildings, "building", "buildings")
-    side = "left" if found.keeps_left else "right"
+    if found.keeps_left:
+        side = "left"
+    else:
+        side = "right"
     text = (
-        f"Imported {junction.name}: {arms}, {sites}, {buildings}; traffic keeps {side}. The scene "
-        f"is in {folder}."
+        f"Imported {junction.name}: {arms}, {sites}, {buildings}; traffic keeps {side}."
+        f" The scene is in {folder}."
     )
     return folder, "\n".join(sentences(text))
 
@@ -126,7 +162,10 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     said = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
     said += "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     text = "".join(traceback.format_exception(error))
-    message = f"place-rsus: unexpected error in stage '{progress.stage}': {said}; {progress.kept}"
+    message = (
+        f"place-rsus: unexpected error in stage '{progress.stage}': {said};"
+        f" {progress.kept}"
+    )
     report = (
         f"place-rsus {version('place-rsus')}, Python {platform.python_version()}, "
         f"{platform.platform()}\n{command_line()}\n\n{text}"
@@ -134,19 +173,28 @@ def _unexpected(error: Exception, progress: StageProgress) -> str:
     try:
         name = time.strftime("place-rsus-error-%Y%m%d-%H%M%S-")
         with tempfile.NamedTemporaryFile(
-            "w", prefix=name, suffix=".txt", delete=False, encoding="utf-8", errors="replace"
+            "w",
+            prefix=name,
+            suffix=".txt",
+            delete=False,
+            encoding="utf-8",
+            errors="replace",
         ) as file:
             file.write(report)
         message += f". Please report it, with {file.name}"
     except OSError:  # the disk is full, perhaps: then the text goes to the terminal
         message += f". Please report it:\n{report}"
-    return f"{message}\n{text}" if progress.shows_tracebacks else message
+    if progress.shows_tracebacks:
+        return f"{message}\n{text}"
+    return message
 
 
 def _is_out_of_memory(error: Exception) -> bool:
     """Memory or address space ran out, also while a library was loaded."""
     said = ("failed to map segment", "cannot allocate memory")
-    is_unloaded = isinstance(error, ImportError) and any(one in str(error).lower() for one in said)
+    is_unloaded = isinstance(error, ImportError) and any(
+        one in str(error).lower() for one in said
+    )
     return isinstance(error, MemoryError) or is_unloaded
 
 

@@ -26,17 +26,21 @@ LINE_EVERY_S = 30.0
 _OWN_PACKAGES = ("geometry", "scenarios", "placement", "experiments")
 _log = logging.getLogger(__name__)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_GRACE_S = 0.7  # what does not end by itself within it is ended: a second is what users wait
+_GRACE_S = (
+    0.7  # what does not end by itself within it is ended: a second is what users wait
+)
 
 
-_KEPT = "\n\u200c\u200d"  # the last two are invisible, but part of how some scripts are written
+_KEPT = (  # the last two are invisible, but part of how some scripts are written
+    "\n\u200c\u200d"
+)
 
 
 def printable(text: str) -> str:
     r"""Text for a terminal: what it would obey or hide is spelled, as JSON spells it.
 
-    Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that turn the
-    direction of writing.
+    Names come from maps and scenes of anybody: escape sequences, C1 codes, marks that
+    turn the direction of writing.
 
     Examples
     --------
@@ -50,7 +54,9 @@ def printable(text: str) -> str:
 
 def _spelled(character: str) -> str:
     is_ascii = character.isascii()  # JSON leaves DEL as it is
-    return f"\\u{ord(character):04x}" if is_ascii else json.dumps(character)[1:-1]
+    if is_ascii:
+        return f"\\u{ord(character):04x}"
+    return json.dumps(character)[1:-1]
 
 
 def tell(text: str, *, err: bool = False) -> None:
@@ -75,7 +81,8 @@ class Interrupted(BaseException):
 class StageProgress:
     """Shows which stage runs and how far it is, and keeps the time of each.
 
-    A bar on a terminal; elsewhere a line per stage; nothing before :meth:`start` or with ``quiet``.
+    A bar on a terminal; elsewhere a line per stage; nothing before :meth:`start` or
+    with ``quiet``.
     """
 
     def __init__(self) -> None:
@@ -99,12 +106,22 @@ class StageProgress:
                 self._line_s = time.perf_counter()
             if self._bar is not None:  # time left is of this stage, not of those before
                 self._bar.reset(self._task)
-        if self._prints_lines and total and time.perf_counter() - self._line_s >= LINE_EVERY_S:
-            tell(tr("{step}: {n} of {all}", step=said(stage), n=done, all=total), err=True)
+        if (
+            self._prints_lines
+            and total
+            and time.perf_counter() - self._line_s >= LINE_EVERY_S
+        ):
+            tell(
+                tr("{step}: {n} of {all}", step=said(stage), n=done, all=total),
+                err=True,
+            )
             self._line_s = time.perf_counter()
         if self._bar is not None:
             self._bar.update(
-                self._task, description=printable(said(stage)), completed=done, total=total or None
+                self._task,
+                description=printable(said(stage)),
+                completed=done,
+                total=total or None,
             )
 
     def tell_more(self) -> None:
@@ -128,12 +145,15 @@ class StageProgress:
         from rich.console import Console
 
         self._bar = bars.Progress(
-            *(bars.SpinnerColumn(), bars.TextColumn("{task.description}", markup=False)),
-            *(bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn()),
-            *(bars.TextColumn(tr("[dim]left")), bars.TimeRemainingColumn()),
+            bars.SpinnerColumn(),
+            bars.TextColumn("{task.description}", markup=False),
+            bars.BarColumn(),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn(tr("[dim]left")),
+            bars.TimeRemainingColumn(),
             console=Console(stderr=True),
             transient=True,
-            # What others print must stay where it belongs: stdout is not rich's to move.
             redirect_stdout=False,
         )
         self._task = self._bar.add_task(said(self.stage), total=None)
@@ -144,7 +164,8 @@ class StageProgress:
         logging.disable(logging.NOTSET)
         for name in _OWN_PACKAGES:
             logging.getLogger(name).setLevel(logging.WARNING)
-        bar, self._bar = self._bar, None
+        bar = self._bar
+        self._bar = None
         if bar is not None:
             bar.stop()
 
@@ -185,9 +206,10 @@ class StderrLog(logging.StreamHandler[Any]):
 def ending_on_signals(progress: StageProgress) -> Iterator[None]:
     """Raise :class:`Interrupted` on Ctrl-C and SIGTERM, and end what does not listen.
 
-    A solver, a kernel or a worker thread can go on for long before Python raises anything. Unless
-    files are being written, the process is then ended from a thread of its own, within a second.
-    Files elsewhere (detection tables, machine code) are put in place whole by their writers.
+    A solver, a kernel or a worker thread can go on for long before Python raises
+    anything. Unless files are being written, the process is then ended from a thread of
+    its own, within a second. Files elsewhere (detection tables, machine code) are put
+    in place whole by their writers.
     """
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)
@@ -201,7 +223,9 @@ def ending_on_signals(progress: StageProgress) -> Iterator[None]:
 
     before = {each: signal.signal(each, interrupt) for each in _SIGNALS}
     wakeup_before = signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
-    watch = threading.Thread(target=_watch, args=(read_end, is_over, progress), daemon=True)
+    watch = threading.Thread(
+        target=_watch, args=(read_end, is_over, progress), daemon=True
+    )
     watch.start()
     try:
         yield
@@ -232,14 +256,16 @@ def _end_with(parent: Any) -> NoReturn:
 def signals_held() -> Iterator[list[int]]:
     """Hold Ctrl-C and SIGTERM back while a few quick steps are done that belong together.
 
-    Yields the signals that came meanwhile; the first of those left in it is delivered in the end.
+    Yields the signals that came meanwhile; the first of those left in it is delivered
+    in the end.
     """
     held: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield held
         return
     before = {
-        each: signal.signal(each, lambda signum, frame: held.append(signum)) for each in _SIGNALS
+        each: signal.signal(each, lambda signum, frame: held.append(signum))
+        for each in _SIGNALS
     }
     try:
         yield held

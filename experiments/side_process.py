@@ -1,10 +1,12 @@
 """A second process for tasks that do not depend on one another: matplotlib knows no threads.
 
-And processes that share many tasks of one kind, such as junctions of a city or pictures.
+And processes that share many tasks of one kind, such as junctions of a city or
+pictures.
 
-This is the one place that decides which process makes what. The second process makes tasks in the
-order in which they were begun; the first one makes, when it needs them, those that nobody has begun
-to make. Tasks are functions with their arguments; nothing here knows what they compute.
+This is the one place that decides which process makes what. The second process makes
+tasks in the order in which they were begun; the first one makes, when it needs them,
+those that nobody has begun to make. Tasks are functions with their arguments; nothing
+here knows what they compute.
 """
 
 import logging
@@ -42,7 +44,8 @@ class Task(Generic[_T]):
     """Something that a second process makes, or this one when it is needed."""
 
     def __init__(self, make: Callable[[], _T], future: "Future[_T] | None") -> None:
-        self._make, self._future = make, future
+        self._make = make
+        self._future = future
 
     def take(self) -> None:
         """Make it here unless it is being made already."""
@@ -68,7 +71,9 @@ class SideProcess:
     def __init__(self, executor: ProcessPoolExecutor | None = None) -> None:
         self._executor = executor
         self._begun: dict[str, Task[Any]] = {}
-        self._shared: dict[int, object] = {}  # a reference each, so that no other gets its id
+        self._shared: dict[
+            int, object
+        ] = {}  # a reference each, so that no other gets its id
 
     @property
     def exists(self) -> bool:
@@ -89,13 +94,18 @@ class SideProcess:
         Need results in the opposite order: then both processes work until all is done.
         """
         if name not in self._begun:
-            sent = [_Shared(id(value)) if id(value) in self._shared else value for value in args]
+            sent = [
+                _Shared(id(value)) if id(value) in self._shared else value
+                for value in args
+            ]
             future = self._submit(_make, language(), make, sent, kwargs)
             self._begun[name] = Task(lambda: make(*args, **kwargs), future)
         task: Task[_T] = self._begun[name]
         return task
 
-    def _submit(self, function: Callable[..., _T], *args: object) -> "Future[_T] | None":
+    def _submit(
+        self, function: Callable[..., _T], *args: object
+    ) -> "Future[_T] | None":
         if self._executor is not None:
             try:
                 return self._executor.submit(function, *args)
@@ -115,10 +125,14 @@ def _receive(key: int, value: object) -> None:
     _received[key] = value
 
 
-def _make(code: str, make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any]) -> _T:
+def _make(
+    code: str, make: Callable[..., _T], args: Sequence[object], kwargs: dict[str, Any]
+) -> _T:
     """Call a function in the second process, which speaks the language of the first."""
     set_language(code)
-    values = (_received[value.key] if isinstance(value, _Shared) else value for value in args)
+    values = (
+        _received[value.key] if isinstance(value, _Shared) else value for value in args
+    )
     return make(*values, **kwargs)
 
 
@@ -139,13 +153,15 @@ def side_process(
     if not is_wanted:
         yield SideProcess()
         return
-    # Where this process is ended at once (see `ending_on_signals`), its resource tracker would
-    # warn of what is left to clean up.
+    # Where this process is ended at once (see `ending_on_signals`), its resource
+    # tracker would warn of what is left to clean up.
     sys.warnoptions.append(_NO_WARNING)
     executor = ProcessPoolExecutor(1, mp_context=_CONTEXT, initializer=follow_parent)
     before = multiprocessing.active_children()
     executor.submit(_get_ready, modules, prepare)
-    children = [child for child in multiprocessing.active_children() if child not in before]
+    children = [
+        child for child in multiprocessing.active_children() if child not in before
+    ]
     try:
         yield SideProcess(executor)
     except BaseException:
@@ -177,8 +193,8 @@ class _Worker:
 class LocalWorkers:
     """Up to `n` processes on this machine, each ended if it takes more memory than `max_bytes`.
 
-    They are reached through pipes that nobody else can open. Memory is watched where the system has
-    ``/proc``.
+    They are reached through pipes that nobody else can open. Memory is watched where
+    the system has ``/proc``.
     """
 
     def __init__(self, n: int, *, max_bytes: float = math.inf) -> None:
@@ -199,7 +215,10 @@ class LocalWorkers:
 
     def submit(self, function: Callable[[Any], Any], task: Any) -> Future[Any]:
         """Hand a task to a process that has none; no more than `capacity` at a time."""
-        worker = next((one for one in self._workers if one.future is None), None) or self._start()
+        worker = (
+            next((one for one in self._workers if one.future is None), None)
+            or self._start()
+        )
         future: Future[Any] = Future()
         worker.future = future
         try:
@@ -214,7 +233,10 @@ class LocalWorkers:
         for pipe in wait_for_pipes([*busy], timeout_s):
             self._take(busy[pipe])  # type: ignore[index]
         for worker in self._workers:
-            if worker.future is not None and _memory_bytes(worker.process.pid) > self._max_bytes:
+            if (
+                worker.future is not None
+                and _memory_bytes(worker.process.pid) > self._max_bytes
+            ):
                 worker.death = f"more than {self._max_bytes / 2**30:.3g} GiB of memory"
                 worker.process.kill()
 
@@ -233,7 +255,8 @@ class LocalWorkers:
         except (EOFError, OSError):
             self._lose(worker)
             return
-        future, worker.future = worker.future, None
+        future = worker.future
+        worker.future = None
         assert future is not None
         if is_answer:
             future.set_result(value)
@@ -271,7 +294,10 @@ def _serve(pipe: Connection) -> None:
             answer = (True, function(task))
         except Exception as error:  # whatever it is, the parent decides
             text = f"{type(error).__name__}: {error}"
-            answer = (False, error if isinstance(error, OSError) else RuntimeError(text))
+            answer = (
+                False,
+                error if isinstance(error, OSError) else RuntimeError(text),
+            )
         pipe.send(answer)
 
 
@@ -284,8 +310,8 @@ def run_tasks(
 ) -> Iterator[tuple[_In, _T]]:
     """Run a function for tasks on workers: each with its answer, in the order in which they end.
 
-    A task that raises, or whose worker dies, is tried three times in all; then `failed` answers, by
-    default by raising the error, WorkerDiedError if it died.
+    A task that raises, or whose worker dies, is tried three times in all; then `failed`
+    answers, by default by raising the error, WorkerDiedError if it died.
     """
     waiting = iter(tasks)
     running: dict[Future[_T], tuple[_In, int]] = {}

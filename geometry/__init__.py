@@ -1,9 +1,9 @@
 """A junction as it stands: scenes, sensors, bodies, frames, and rays through them.
 
-``load_scene()`` loads a junction: the study's, one that was imported, or one of a map file.
-``load_cameras()`` and ``load_lidars()`` give the catalogue of sensors, ``load_actors()`` that of
-bodies. ``frames`` is the only module that flips a sign: everything else is right-handed
-east-north-up, in metres.
+``load_scene()`` loads a junction: the study's, one that was imported, or one of a map
+file. ``load_cameras()`` and ``load_lidars()`` give the catalogue of sensors,
+``load_actors()`` that of bodies. ``frames`` is the only module that flips a sign:
+everything else is right-handed east-north-up, in metres.
 """
 
 import lazy_loader

@@ -18,7 +18,9 @@ from .files import Table, Text, load_toml, pick, read_tables
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
 
-_SHAPE_DECIMALS = 6  # of a shape: distances that differ in the last bits give the same one
+_SHAPE_DECIMALS = (
+    6  # of a shape: distances that differ in the last bits give the same one
+)
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
@@ -31,7 +33,9 @@ class Shape:
 
     def __post_init__(self) -> None:
         set_arrays(self, "shape: ", vertices_m=(-1, 3))
-        object.__setattr__(self, "triangles", freeze(np.array(self.triangles, dtype=np.int32)))
+        object.__setattr__(
+            self, "triangles", freeze(np.array(self.triangles, dtype=np.int32))
+        )
 
     def __repr__(self) -> str:
         return f"Shape({len(self.triangles)} triangles)"
@@ -42,7 +46,9 @@ def box_shape(length_m: float, width_m: float, height_m: float) -> Shape:
     import trimesh
 
     box = trimesh.creation.box(extents=(length_m, width_m, height_m))
-    return Shape(vertices_m=box.vertices + [0.0, 0.0, 0.5 * height_m], triangles=box.faces)
+    return Shape(
+        vertices_m=box.vertices + [0.0, 0.0, 0.5 * height_m], triangles=box.faces
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,10 +63,15 @@ class Actor:
     height_m: float  #: along z
     #: evenly spaced over one cycle of the gait; the first is how it stands at rest
     shapes: tuple[Shape, ...]
-    cycle_m: float = 0.0  #: distance covered in one cycle of the gait; 0 where nothing moves
-    #: hip, crank shaft or the flank's point of a car that crosses, ahead of the box's middle
+    cycle_m: float = (
+        0.0  #: distance covered in one cycle of the gait; 0 where nothing moves
+    )
+    # : hip, crank shaft or the flank's point of a car that crosses, ahead of the box's
+    # middle
     reference_ahead_m: float = 0.0
-    wheelbase_m: float = 0.0  #: of a vehicle or motorcycle; 0 for all others, as the next one
+    wheelbase_m: float = (
+        0.0  #: of a vehicle or motorcycle; 0 for all others, as the next one
+    )
     front_axle_ahead_m: float = 0.0  #: ahead of the middle of the box
 
     def __post_init__(self) -> None:
@@ -70,9 +81,13 @@ class Actor:
                 raise InputError(f"{where}.{field}", getattr(self, field), "> 0 metres")
         if not self.shapes:
             refuse(f"{where}.shapes", "none", "at least one shape")
-        if not 0.0 <= self.cycle_m < np.inf or (len(self.shapes) > 1) != (self.cycle_m > 0.0):
+        if not 0.0 <= self.cycle_m < np.inf or (len(self.shapes) > 1) != (
+            self.cycle_m > 0.0
+        ):
             got = self.cycle_m
-            raise InputError(f"{where}.cycle_m", got, "> 0 metres for several shapes, 0 for one")
+            raise InputError(
+                f"{where}.cycle_m", got, "> 0 metres for several shapes, 0 for one"
+            )
 
     def __repr__(self) -> str:
         return f"Actor({self.name!r}, {len(self.shapes)} shapes)"
@@ -96,7 +111,12 @@ class PlacedActor:
     @property
     def key(self) -> tuple[object, ...]:
         """Equal for the same body at the same pose, whoever placed it."""
-        return (self.actor, *self.pose.position_m.tolist(), self.pose.yaw_deg, self.pose.pitch_deg)
+        return (
+            self.actor,
+            *self.pose.position_m.tolist(),
+            self.pose.yaw_deg,
+            self.pose.pitch_deg,
+        )
 
     @property
     def footprint_m(self) -> FloatArray:
@@ -110,7 +130,9 @@ class MovingActor:
     """A body that moves on the road, frame by frame."""
 
     actor: Actor
-    position_m: FloatArray  # (n_frames, 2); middle of the footprint; NaN where it is not there
+    position_m: (
+        FloatArray  # (n_frames, 2); middle of the footprint; NaN where it is not there
+    )
     yaw_deg: FloatArray  # (n_frames,); heading
 
     def __post_init__(self) -> None:
@@ -120,7 +142,9 @@ class MovingActor:
         if position.ndim != 2 or position.shape != (len(yaw), 2):
             refuse(where, f"shape {position.shape}", f"({len(yaw)}, 2)")
         is_there = ~np.isnan(position).any(axis=1)
-        if not (np.isfinite(position[is_there]).all() and np.isfinite(yaw[is_there]).all()):
+        if not (
+            np.isfinite(position[is_there]).all() and np.isfinite(yaw[is_there]).all()
+        ):
             refuse(where, "infinite", "positions and headings, or no number")
         object.__setattr__(self, "position_m", freeze(position))
         object.__setattr__(self, "yaw_deg", freeze(yaw))
@@ -208,6 +232,8 @@ def park_row(
     row = []
     for actor in actors:
         middle = np.append(bumper + 0.5 * actor.length_m * backwards, 0.0)
-        row.append(PlacedActor(actor=actor, pose=Pose(position_m=middle, yaw_deg=yaw_deg)))
+        row.append(
+            PlacedActor(actor=actor, pose=Pose(position_m=middle, yaw_deg=yaw_deg))
+        )
         bumper = bumper + (actor.length_m + gap_m) * backwards
     return tuple(row)

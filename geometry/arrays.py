@@ -11,8 +11,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-# Arrays of one shape, for values that are read from files: geometry.files.read_table takes the
-# shape from the type. Type checkers see any array, because numpy's own functions return such.
+# Arrays of one shape, for values that are read from files: geometry.files.read_table
+# takes the shape from the type. Type checkers see any array, because numpy's own
+# functions return such.
 if TYPE_CHECKING:
     Point2 = FloatArray
     Point3 = FloatArray
@@ -28,14 +29,19 @@ else:
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Read-only float64 copy of `values`: of this shape (-1: any length) and finite.
 
-    Raises InputError: the shape differs, or a value is not a finite number; `name` says where.
+    Raises InputError: the shape differs, or a value is not a finite number; `name` says
+    where.
 
     >>> float_array([1, 2, 3], (3,), "position_m")
     array([1., 2., 3.])
     """
     try:
         array = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):  # a whole number of 400 digits overflows
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+    ):  # a whole number of 400 digits overflows
         raise InputError(name, values, f"numbers of shape {shape}") from None
     if array.ndim != len(shape) or any(
         want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)

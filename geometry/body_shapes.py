@@ -1,7 +1,8 @@
 """Shapes of bodies, built from ``data/actors.toml``: ``python -m geometry.body_shapes``.
 
-A body is a few bones that turn about the axis from right to left, and the union of simple solids
-fixed to them. The result is kept in ``data/actors.npz``, so that only this build needs manifold3d.
+A body is a few bones that turn about the axis from right to left, and the union of
+simple solids fixed to them. The result is kept in ``data/actors.npz``, so that only
+this build needs manifold3d.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +17,16 @@ from numpy.typing import NDArray
 from .actors import Shape, fingerprint
 from .arrays import FloatArray, float_array
 from .errors import InputError, MissingExtraError, refuse
-from .files import Table, load_toml, pick, take, take_list, take_number, take_text, write_atomically
+from .files import (
+    Table,
+    load_toml,
+    pick,
+    take,
+    take_list,
+    take_number,
+    take_text,
+    write_atomically,
+)
 
 DATA = Path(__file__).parent / "data"
 _N_SHAPES = 8  # per cycle of a gait
@@ -25,7 +35,9 @@ _SECTIONS = 24  # of a wheel
 _TYRE_SECTIONS = 8
 _TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
 _BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-_Frame = tuple[FloatArray, FloatArray]  # Of a bone, in the frame of the body: rotation and joint.
+_Frame = tuple[
+    FloatArray, FloatArray
+]  # Of a bone, in the frame of the body: rotation and joint.
 _SIDES = (-1.0, 1.0)
 _MAX_STRETCH = 0.04
 
@@ -33,11 +45,16 @@ _MAX_STRETCH = 0.04
 def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
     """Shapes of a body over one cycle of its gait; InputError: the description is wrong."""
     turns_deg = _take_turns(entry, where)
-    n_shapes = _N_SHAPES if turns_deg else 1
+    if turns_deg:
+        n_shapes = _N_SHAPES
+    else:
+        n_shapes = 1
     meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
     for vertices, _ in meshes:
         vertices[:, 2] -= vertices[:, 2].min()
-    fit = _fit_to_box(np.concatenate([vertices for vertices, _ in meshes]), entry, where)
+    fit = _fit_to_box(
+        np.concatenate([vertices for vertices, _ in meshes]), entry, where
+    )
     return tuple(
         Shape(vertices_m=fit(vertices).astype(np.float32), triangles=triangles)
         for vertices, triangles in meshes
@@ -78,14 +95,21 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
     """Angles in degrees of a leg whose foot stays on the pedal: two bars from hip to ankle."""
     points = ("crank_shaft_m", "hip_m", "ankle_from_pedal_m")
     shaft, hip, from_pedal = (
-        float_array(take_list(entry, key, where), (2,), f"{where}.{key}") for key in points
+        float_array(take_list(entry, key, where), (2,), f"{where}.{key}")
+        for key in points
     )
     lengths = ("crank_m", "thigh_m", "shin_m")
     crank_m, thigh_m, shin_m = (take_number(entry, key, where) for key in lengths)
     foot_deg = take_number(entry, "foot_deg", where)
     first_deg = take_number(entry, "first_crank_deg", where)
-    crank_deg: FloatArray = first_deg - np.linspace(0.0, 360.0, _N_SHAPES, endpoint=False)
-    ankle = shaft + crank_m * _hanging(crank_deg) + _turn_deg(foot_deg)[::2, ::2] @ from_pedal
+    crank_deg: FloatArray = first_deg - np.linspace(
+        0.0, 360.0, _N_SHAPES, endpoint=False
+    )
+    ankle = (
+        shaft
+        + crank_m * _hanging(crank_deg)
+        + _turn_deg(foot_deg)[::2, ::2] @ from_pedal
+    )
     reach = np.hypot(*(ankle - hip).T)
     if (reach >= thigh_m + shin_m).any() or (reach <= abs(thigh_m - shin_m)).any():
         refuse(where, "a foot that does not reach its pedal", "longer legs")
@@ -114,7 +138,8 @@ def _angle_deg(bar: FloatArray) -> FloatArray:
 
 def _turn_deg(angle_deg: float) -> FloatArray:
     """Rotation about the axis from left to right: positive turns what hangs forwards."""
-    cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    cos = np.cos(np.radians(angle_deg))
+    sin = np.sin(np.radians(angle_deg))
     return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
 
@@ -130,10 +155,16 @@ def _bone_frames(
         turn = pick(turns_deg, take_text(bone, "turn", here), f"{here}.turn")
         joint = float_array(take_list(bone, "joint_m", here), (3,), f"{here}.joint_m")
         for side in _SIDES:
-            known = {bone_name: frame for (bone_name, at), frame in frames.items() if at == side}
+            known = {
+                bone_name: frame
+                for (bone_name, at), frame in frames.items()
+                if at == side
+            }
             rotation, origin = pick(known, take_text(bone, "on", here), f"{here}.on")
             # The left side does what the right side did half a cycle ago.
-            angle_deg = turn[index if side < 0.0 else (index + _N_SHAPES // 2) % _N_SHAPES]
+            angle_deg = turn[
+                index if side < 0.0 else (index + _N_SHAPES // 2) % _N_SHAPES
+            ]
             place = origin + rotation @ (joint * [1.0, side, 1.0])
             frames[name, side] = rotation @ _turn_deg(float(angle_deg)), place
     return frames
@@ -148,14 +179,21 @@ def _build_mesh(
     body = library.Manifold()
     for number, part in enumerate(take_list(entry, "parts", where)):
         solids = list(_place_part(part, frames, f"{where}.parts[{number}]"))
-        operation = library.OpType.Subtract if part.get("cut", False) else library.OpType.Add
+        if part.get("cut", False):
+            operation = library.OpType.Subtract
+        else:
+            operation = library.OpType.Add
         body = library.Manifold.batch_boolean([body, *solids], operation)
     pieces = body.simplify(_TOLERANCE_M).decompose()
-    outside = [piece for piece in pieces if piece.volume() > 0.0]  # the rest are hollows inside
+    outside = [
+        piece for piece in pieces if piece.volume() > 0.0
+    ]  # the rest are hollows inside
     if len(outside) != 1:
         refuse(where, f"{len(outside)} pieces", "parts that touch")
     mesh = outside[0].to_mesh64()
-    return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int32)
+    return np.array(mesh.vert_properties[:, :3]), np.array(
+        mesh.tri_verts, dtype=np.int32
+    )
 
 
 def _place_part(
@@ -169,7 +207,11 @@ def _place_part(
         rotation, origin = frames[on, side]
         placed = (vertices * [1.0, side, 1.0]) @ rotation.T + origin
         library = _manifold3d()
-        faces = triangles if side > 0.0 else triangles[:, ::-1]  # a mirror turns them inside out
+        # a mirror turns them inside out
+        if side > 0.0:
+            faces = triangles
+        else:
+            faces = triangles[:, ::-1]
         mesh = library.Mesh64(vert_properties=placed, tri_verts=faces.astype(np.uint64))
         yield library.Manifold(mesh)
 
@@ -179,25 +221,37 @@ def _solid(part: Table, where: str) -> tuple[FloatArray, NDArray[np.int64]]:
     import trimesh
 
     if "spheres" in part:
-        spheres = float_array(take_list(part, "spheres", where), (-1, 4), f"{where}.spheres")
+        spheres = float_array(
+            take_list(part, "spheres", where), (-1, 4), f"{where}.spheres"
+        )
         is_thin = bool(spheres[:, 3].max() < _THIN_M)
         ball = trimesh.creation.icosphere(subdivisions=0 if is_thin else 1).vertices
         points = spheres[:, None, :3] + spheres[:, None, 3:] * ball
         mesh = trimesh.convex.convex_hull(points.reshape(-1, 3))
         return np.array(mesh.vertices), np.array(mesh.faces)
-    kind = "ring" if "ring" in part else "wheel"
+    if "ring" in part:
+        kind = "ring"
+    else:
+        kind = "wheel"
     if kind not in part:
         raise InputError(where, sorted(part), "spheres, ring or wheel")
-    wheel, where = part[kind], f"{where}.{kind}"
+    wheel = part[kind]
+    where = f"{where}.{kind}"
     radius_m = take_number(wheel, "radius", where)
     if kind == "ring":
         tyre_m = take_number(wheel, "tyre", where)
-        mesh = trimesh.creation.torus(radius_m - tyre_m, tyre_m, _SECTIONS, _TYRE_SECTIONS)
+        mesh = trimesh.creation.torus(
+            radius_m - tyre_m, tyre_m, _SECTIONS, _TYRE_SECTIONS
+        )
     else:
         width_m = take_number(wheel, "width", where)
-        mesh = trimesh.creation.cylinder(radius=radius_m, height=width_m, sections=_SECTIONS)
+        mesh = trimesh.creation.cylinder(
+            radius=radius_m, height=width_m, sections=_SECTIONS
+        )
     # trimesh lays wheels flat; these stand, axle along y.
-    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0]))
+    mesh.apply_transform(
+        trimesh.transformations.rotation_matrix(np.pi / 2.0, [1.0, 0.0, 0.0])
+    )
     centre = float_array(take_list(wheel, "centre", where), (3,), f"{where}.centre")
     return np.array(mesh.vertices) + centre, np.array(mesh.faces)
 
@@ -213,11 +267,14 @@ def _fit_to_box(
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ahead = (0.5 * length - reference_m) / high[0]
     behind = (0.5 * length + reference_m) / -low[0]
-    across, up = width / (high[1] - low[1]), height / high[2]
+    across = width / (high[1] - low[1])
+    up = height / high[2]
     factors = {"ahead": ahead, "behind": behind, "across": across, "up": up}
     for name, factor in factors.items():
         if abs(factor - 1.0) > _MAX_STRETCH:
-            refuse(where, f"{factor:.3f} x {name} to fit the box", "outlines near its size")
+            refuse(
+                where, f"{factor:.3f} x {name} to fit the box", "outlines near its size"
+            )
 
     def fit(points: FloatArray) -> FloatArray:
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m

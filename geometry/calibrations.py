@@ -19,18 +19,22 @@ from .untrusted_files import read_xml
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_CM, _MM = 0.01, 1.0e-3
+_CM = 0.01
+_MM = 1.0e-3
 _FISHEYES = ("fisheye", "equidistant")
 _MOST = 1.0e9
 _Size = tuple[int, int]
 
 
-def read_cameras(path: Path, *, size_px: _Size | None = None) -> dict[str, CalibratedCamera]:
+def read_cameras(
+    path: Path, *, size_px: _Size | None = None
+) -> dict[str, CalibratedCamera]:
     """Cameras by name; the content says which format it is.
 
-    `size_px` is the width and height of pictures, which KITTI's and some of OpenCV's files do not
-    tell. Raises InputError: nothing of it can be read, a number is missing or impossible, or the
-    lens is of another model than Brown-Conrady's, OpenCV's fisheye and Tsai's.
+    `size_px` is the width and height of pictures, which KITTI's and some of OpenCV's
+    files do not tell. Raises InputError: nothing of it can be read, a number is missing
+    or impossible, or the lens is of another model than Brown-Conrady's, OpenCV's
+    fisheye and Tsai's.
     """
     text = read_text(path, "text")
     if text.lstrip().startswith("<"):
@@ -49,8 +53,13 @@ def read_cameras(path: Path, *, size_px: _Size | None = None) -> dict[str, Calib
             records.append((str(name), one))
     names = [name for name, _ in records]
     if not names or len(set(names)) < len(names):
-        got = f"cameras {', '.join(names)}" if names else "no camera"
-        raise InputError(str(path), Unquoted(got), "at least one, each with a name of its own")
+        if names:
+            got = f"cameras {', '.join(names)}"
+        else:
+            got = "no camera"
+        raise InputError(
+            str(path), Unquoted(got), "at least one, each with a name of its own"
+        )
     return {name: _camera(one, f"{path}: {name}", size_px) for name, one in records}
 
 
@@ -61,7 +70,8 @@ def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
         """Also reads OpenCV's matrices, as maps."""
 
     Loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, True)
+        "tag:yaml.org,2002:opencv-matrix",
+        lambda loader, node: loader.construct_mapping(node, True),
     )
     # OpenCV's first line, "%YAML:1.0", is no directive of YAML.
     plain = "\n".join("" if one.startswith("%") else one for one in text.splitlines())
@@ -72,7 +82,9 @@ def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
         raise InputError(str(path), reason, "a calibration in YAML") from None
     for one in found:
         if not isinstance(one, Mapping) or not isinstance(one.get("cameras", []), list):
-            raise InputError(str(path), Unquoted("no map"), "a calibration of OpenCV or ROS")
+            raise InputError(
+                str(path), Unquoted("no map"), "a calibration of OpenCV or ROS"
+            )
     return found
 
 
@@ -86,11 +98,15 @@ def _xml_record(root: "Element") -> dict[str, Any]:
     return found
 
 
-def _camera(record: Mapping[str, Any], where: str, size_px: _Size | None) -> CalibratedCamera:
+def _camera(
+    record: Mapping[str, Any], where: str, size_px: _Size | None
+) -> CalibratedCamera:
     K = _numbers(record, "camera_matrix", (9,), where).reshape(3, 3)
     size_px = _size(size_px, where, record)
     rotation, position = _stand(record, where)
-    return _calibrated(where, "camera_matrix", K, size_px, rotation, position, _lens(record, where))
+    return _calibrated(
+        where, "camera_matrix", K, size_px, rotation, position, _lens(record, where)
+    )
 
 
 def _calibrated(
@@ -123,11 +139,17 @@ def _calibrated(
         raise InputError(f"{where}: {field}", error.got, error.expected) from None
 
 
-def _size(size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None) -> _Size:
+def _size(
+    size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None
+) -> _Size:
     if record is not None and "image_width" in record:
-        return _whole(record, "image_width", where), _whole(record, "image_height", where)
+        return _whole(record, "image_width", where), _whole(
+            record, "image_height", where
+        )
     if size_px is None:
-        raise InputError(where, Unquoted("no size of pictures"), "their width and height as well")
+        raise InputError(
+            where, Unquoted("no size of pictures"), "their width and height as well"
+        )
     return size_px
 
 
@@ -145,7 +167,10 @@ def _lens(record: Mapping[str, Any], where: str) -> Lens:
     if model in _FISHEYES and len(terms) == 4:
         return Fisheye(k1=terms[0], k2=terms[1], k3=terms[2], k4=terms[3])
     if model not in ("plumb_bob", "rational_polynomial") or any(terms[5:]):
-        got = f"{model} with {len(terms)} terms" if model in _FISHEYES else model
+        if model in _FISHEYES:
+            got = f"{model} with {len(terms)} terms"
+        else:
+            got = model
         expected = "plumb_bob, or 4 terms of fisheye or equidistant"
         raise InputError(f"{where}: distortion_model", got, expected)
     k1, k2, p1, p2, k3 = (*terms, 0.0)[:5]
@@ -157,11 +182,16 @@ def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
     transform = record.get("static_transform")
     if isinstance(transform, Mapping):
         inner = transform.get("transform")
-        parts = inner if isinstance(inner, Mapping) else {}
+        if isinstance(inner, Mapping):
+            parts = inner
+        else:
+            parts = {}
         position = _numbers(parts, "translation", (3,), where)
         turn = _numbers(parts, "rotation", (4,), where)
         if not np.isclose(np.linalg.norm(turn), 1.0, atol=1.0e-3):
-            raise InputError(f"{where}: rotation", turn.tolist(), "a quaternion of length 1")
+            raise InputError(
+                f"{where}: rotation", turn.tolist(), "a quaternion of length 1"
+            )
         return Rotation.from_quat(turn).as_matrix().T, position
     if "R" not in record:
         return np.eye(3), np.zeros(3)
@@ -177,7 +207,10 @@ def _numbers(
     if isinstance(value, str) and len(counts) == 1:
         value = value.split()
     if isinstance(value, Mapping):
-        value = value["data"] if "data" in value else [*value.values()]
+        if "data" in value:
+            value = value["data"]
+        else:
+            value = [*value.values()]
     listed: list[Any] = value if isinstance(value, list) else [value]
     try:
         numbers = np.array([float(one) for one in listed])  # a list in a list is none
@@ -185,19 +218,25 @@ def _numbers(
         numbers = np.full(0, np.nan)
     if len(numbers) not in counts or not (abs(numbers) < _MOST).all():
         count = " or ".join(map(str, counts))
-        got = Unquoted("nothing" if value is None else f"{len(listed)} of another kind or size")
+        got = Unquoted(
+            "nothing" if value is None else f"{len(listed)} of another kind or size"
+        )
         raise InputError(f"{where}: {key}", got, f"{count} finite numbers")
     return numbers
 
 
-def read_opencv_camera(intrinsic: Path, extrinsic: Path, size_px: _Size) -> CalibratedCamera:
+def read_opencv_camera(
+    intrinsic: Path, extrinsic: Path, size_px: _Size
+) -> CalibratedCamera:
     """A camera of OpenCV's XML: matrix and distortion in one file, rvec and tvec (cm) in another.
 
     Raises InputError if numbers are missing or no camera's.
     """
     what = "a calibration of OpenCV"
     pose = _xml_record(read_xml(extrinsic, expected=what))
-    turn, shift_cm = (_numbers(pose, key, (3,), str(extrinsic)) for key in ("rvec", "tvec"))
+    turn, shift_cm = (
+        _numbers(pose, key, (3,), str(extrinsic)) for key in ("rvec", "tvec")
+    )
     R = Rotation.from_rotvec(turn).as_matrix()
     record = _xml_record(read_xml(intrinsic, expected=what)) | {
         **dict(zip(("image_width", "image_height"), size_px, strict=True)),
@@ -209,8 +248,8 @@ def read_opencv_camera(intrinsic: Path, extrinsic: Path, size_px: _Size) -> Cali
 def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
     """A camera of a calibration file, in the frame of the rectified camera 0.
 
-    The file does not say how large the pictures are. Raises InputError if the matrix is missing, or
-    is no camera's.
+    The file does not say how large the pictures are. Raises InputError if the matrix is
+    missing, or is no camera's.
     """
     for row, text in enumerate(read_text(path, "text").splitlines(), start=1):
         words = text.split()
@@ -222,7 +261,9 @@ def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
             if not (np.diag(K) > 1.0e-3).all():
                 raise InputError(f"{where}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
             position_m = np.asarray(-np.linalg.solve(K, shift[:, 0]), dtype=np.float64)
-            return _calibrated(where, "P2", K, size_px, np.eye(3), position_m, BrownConrady())
+            return _calibrated(
+                where, "P2", K, size_px, np.eye(3), position_m, BrownConrady()
+            )
     raise InputError(str(path), Unquoted("no P2"), "a line P2: with 12 numbers")
 
 
@@ -250,7 +291,8 @@ def read_tsai(path: Path) -> CalibratedCamera:
     for name in ("dpx", "dpy", "focal", "sx"):
         if not v[name] > 1.0e-9:
             raise InputError(f"{path}: {name}", v[name], "more than 0")
-    fx, fy = v["focal"] * v["sx"] / v["dpx"], v["focal"] / v["dpy"]
+    fx = v["focal"] * v["sx"] / v["dpx"]
+    fy = v["focal"] / v["dpy"]
     K = np.array([[fx, 0.0, v["cx"]], [0.0, fy, v["cy"]], [0.0, 0.0, 1.0]])
     R = Rotation.from_euler("xyz", [v["rx"], v["ry"], v["rz"]]).as_matrix()
     position_m = -R.T @ (_MM * np.array([v["tx"], v["ty"], v["tz"]]))

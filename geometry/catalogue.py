@@ -58,7 +58,9 @@ def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
 
 def _check_lens(entry: Any, where: str) -> None:
     """Refuse a lens's terms outside of its table: other fields of no meaning are passed over."""
-    if isinstance(entry, Mapping) and (named := [one for one in _LENS_FIELDS if one in entry]):
+    if isinstance(entry, Mapping) and (
+        named := [one for one in _LENS_FIELDS if one in entry]
+    ):
         expected = 'no such field here, but lens = {model = "brown-conrady", k1 = ..}'
         raise InputError(f"{where}.{named[0]}", entry[named[0]], expected)
 
@@ -72,12 +74,16 @@ def own_sensor_record(sensor: Sensor) -> dict[str, Any] | None:
     fields = {key: value for key, value in asdict(sensor).items() if value is not None}
     if "lens" in fields:
         fields["lens"] = to_builtins(fields["lens"])
-    return {"kind": kind} | {key: value for key, value in fields.items() if key != "name"}
+    return {"kind": kind} | {
+        key: value for key, value in fields.items() if key != "name"
+    }
 
 
 def sensor_kind(sensor: Sensor) -> str:
     """One of ``SENSOR_KINDS``."""
-    return "lidar" if isinstance(sensor, LidarModel) else "camera"
+    if isinstance(sensor, LidarModel):
+        return "lidar"
+    return "camera"
 
 
 def pick_camera(name: str, where: str) -> CameraModel:

@@ -5,15 +5,17 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 _MAX_CHARACTERS = 200  # of a value in a message
-_MAX_WORDS = 2_000  # characters of our own words, such as a list of all names that exist
+_MAX_WORDS = (
+    2_000  # characters of our own words, such as a list of all names that exist
+)
 
 
 class InputError(ValueError):
     """Something the user gave is not what is expected.
 
-    `where`: file, field or argument, as precisely as known: an argument by its name alone. `got`:
-    the offending value. `expected`: what would have been accepted; other arguments stand in
-    backticks.
+    `where`: file, field or argument, as precisely as known: an argument by its name
+    alone. `got`: the offending value. `expected`: what would have been accepted; other
+    arguments stand in backticks.
 
     >>> str(InputError("budget", 0, "a whole number of units, at least 1"))
     'budget: got 0; expected a whole number of units, at least 1'
@@ -23,8 +25,12 @@ class InputError(ValueError):
         self.where = where
         self.got = got
         self.expected = expected
-        shown = _one_line(got) if isinstance(got, Unquoted) else _shorten(got)
-        place, wanted = _one_line(where, 2 * _MAX_CHARACTERS), _one_line(expected, _MAX_WORDS)
+        if isinstance(got, Unquoted):
+            shown = _one_line(got)
+        else:
+            shown = _shorten(got)
+        place = _one_line(where, 2 * _MAX_CHARACTERS)
+        wanted = _one_line(expected, _MAX_WORDS)
         super().__init__(f"{place}: got {shown}; expected {wanted}")
 
 
@@ -58,8 +64,8 @@ def check_one_of(where: str, got: object, known: Collection[str]) -> None:
 def check_name(name: str, where: str) -> None:
     """Raise InputError if a name has characters that nobody sees, or half of one.
 
-    Line breaks, soft hyphens, spaces of no width or that do not break: two names that look the
-    same would be different ones.
+    Line breaks, soft hyphens, spaces of no width or that do not break: two names that
+    look the same would be different ones.
     """
     if not name.isprintable():
         raise InputError(where, name, "printable text")
@@ -68,7 +74,8 @@ def check_name(name: str, where: str) -> None:
 def clean_name(name: str) -> str:
     """A name of a map, which its user cannot change, without characters that nobody sees.
 
-    Spaces of other kinds become plain ones; see :func:`check_name` for the names of users.
+    Spaces of other kinds become plain ones; see :func:`check_name` for the names of
+    users.
 
     >>> clean_name("Haupt\u00adstraße\u00a01")
     'Hauptstraße 1'
@@ -79,7 +86,9 @@ def clean_name(name: str) -> str:
     return "".join(character for character in spaced if character.isprintable())
 
 
-def check_field(value: object, where: str, field: str, is_valid: bool, expected: str) -> None:
+def check_field(
+    value: object, where: str, field: str, is_valid: bool, expected: str
+) -> None:
     """Raise InputError unless a field of a value is valid; `where` names the value."""
     if not is_valid:
         raise InputError(f"{where}.{field}", getattr(value, field), expected)
@@ -101,14 +110,20 @@ def _shorten(got: object) -> str:
         text = repr(got)
     except ValueError:  # Python refuses to write integers of thousands of digits
         return "a number of thousands of digits"
-    return text if len(text) <= _MAX_CHARACTERS else f"{text[:_MAX_CHARACTERS]}.."
+    if len(text) <= _MAX_CHARACTERS:
+        return text
+    return f"{text[:_MAX_CHARACTERS]}.."
 
 
 def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
     """Text that may hold anything, such as a file's own names, as part of one readable line."""
-    if len(text) > max_characters:  # both ends tell something: a file's folder and its name
+    if (
+        len(text) > max_characters
+    ):  # both ends tell something: a file's folder and its name
         half = max_characters // 2
         text = f"{text[:half]}..{text[-half:]}"
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
+    )

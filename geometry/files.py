@@ -21,7 +21,16 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, Protocol, TypeVar, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    BinaryIO,
+    Literal,
+    Protocol,
+    TypeVar,
+    get_args,
+    get_origin,
+)
 
 import msgspec
 
@@ -53,7 +62,11 @@ def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> No
     if not stat.S_ISREG(found.st_mode):
         refuse(where, _kind(found.st_mode), "a regular file")
     if max_bytes is not None and found.st_size > max_bytes:
-        refuse(where, f"{found.st_size:,} bytes", f"at most {max_bytes:,}; cut it out first")
+        refuse(
+            where,
+            f"{found.st_size:,} bytes",
+            f"at most {max_bytes:,}; cut it out first",
+        )
 
 
 def _kind(mode: int) -> str:
@@ -65,7 +78,9 @@ def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
     """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
 
-    def at_once(name: str, flags: int) -> int:  # without waiting for who would write into a pipe
+    def at_once(
+        name: str, flags: int
+    ) -> int:  # without waiting for who would write into a pipe
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
     try:
@@ -88,7 +103,9 @@ def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 
 
 @contextmanager
-def reading(path: Path | str, expected: str = "", *damage: type[BaseException]) -> Iterator[None]:
+def reading(
+    path: Path | str, expected: str = "", *damage: type[BaseException]
+) -> Iterator[None]:
     """Raise InputError in place of what the system raises, and what readers do about `damage`."""
     try:
         yield
@@ -96,9 +113,13 @@ def reading(path: Path | str, expected: str = "", *damage: type[BaseException]) 
         raise
     except damage as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
-        raise InputError(str(path), Unquoted(reason or type(error).__name__), expected) from None
+        raise InputError(
+            str(path), Unquoted(reason or type(error).__name__), expected
+        ) from None
     except OSError as error:
-        raise InputError(str(path), Unquoted(error.strerror or error), "a readable file") from None
+        raise InputError(
+            str(path), Unquoted(error.strerror or error), "a readable file"
+        ) from None
 
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
@@ -114,15 +135,17 @@ def csv_rows(
 ) -> Iterator[tuple[str, list[str]]]:
     """Rows of CSV but empty ones, the header first: file and line, and the cells without spaces.
 
-    The first line says which of the separators it is. Raises InputError: it is no CSV, or a row has
-    other numbers of cells than the header; `noun` is what the message calls these.
+    The first line says which of the separators it is. Raises InputError: it is no CSV,
+    or a row has other numbers of cells than the header; `noun` is what the message
+    calls these.
     """
     separator = max(separators, key=text.partition("\n")[0].count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     n_cells = 0
     try:
         for row in reader:
-            here, cells = f"{where}: line {reader.line_num}", [cell.strip() for cell in row]
+            here = f"{where}: line {reader.line_num}"
+            cells = [cell.strip() for cell in row]
             if not any(cells):
                 continue
             n_cells = n_cells or len(cells)
@@ -167,27 +190,35 @@ def _obstacle(path: Path) -> str:
 
 
 def write_atomically(
-    path: Path, content: bytes | str | Callable[[BinaryIO], object], *, is_private: bool = False
+    path: Path,
+    content: bytes | str | Callable[[BinaryIO], object],
+    *,
+    is_private: bool = False,
 ) -> None:
     """Write a file under a temporary name in the same folder, which exists, and move it into place.
 
-    Temporary files that a killed process left are removed. A callable writes the content to an open
-    file; whatever it raises leaves `path` as it was. A private file is for this user alone. Raises
-    OSError: something is in the way, see :func:`check_target`, or the system says no.
+    Temporary files that a killed process left are removed. A callable writes the
+    content to an open file; whatever it raises leaves `path` as it was. A private file
+    is for this user alone. Raises OSError: something is in the way, see
+    :func:`check_target`, or the system says no.
     """
     if what := _obstacle(path):
         raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         if is_abandoned(left):
             left.unlink(missing_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    handle, temporary = tempfile.mkstemp(
+        prefix=f".{path.name}.", suffix=".tmp", dir=path.parent
+    )
     try:
         with os.fdopen(handle, "wb") as file, lock_while_alive(Path(temporary)):
             if callable(content):
                 content(file)
             else:
                 file.write(content.encode() if isinstance(content, str) else content)
-        if not is_private:  # as mkstemp makes files; a result is as readable as any other new file
+        if (
+            not is_private
+        ):  # as mkstemp makes files; a result is as readable as any other new file
             mask = os.umask(0)
             os.umask(mask)
             Path(temporary).chmod(0o666 & ~mask)
@@ -200,8 +231,8 @@ def write_atomically(
 def is_about(error: OSError, *paths: Path) -> bool:
     """True if a system's error is about some paths, what lies in them, or folders above them.
 
-    One that names no file is taken to be, for writing to an open file names none; but not one of a
-    connection, pipe or process.
+    One that names no file is taken to be, for writing to an open file names none; but
+    not one of a connection, pipe or process.
     """
     if error.filename is None:
         return not isinstance(error, _OF_NO_FILE)
@@ -209,7 +240,9 @@ def is_about(error: OSError, *paths: Path) -> bool:
         return False
     named = Path(os.fsdecode(error.filename)).absolute()
     whole = [path.absolute() for path in paths]
-    return any(named.is_relative_to(path) or path.is_relative_to(named) for path in whole)
+    return any(
+        named.is_relative_to(path) or path.is_relative_to(named) for path in whole
+    )
 
 
 # ---------- TOML
@@ -237,7 +270,9 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError(where, Unquoted("tables nested too deeply"), "valid TOML") from None
+        raise InputError(
+            where, Unquoted("tables nested too deeply"), "valid TOML"
+        ) from None
     except ValueError as error:  # also that of a number with thousands of digits
         raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
@@ -249,8 +284,9 @@ class _RepeatedKeyError(ValueError):
 def parse_json(text: str | bytes, where: str, what: str) -> Any:
     """JSON as plain values; the only reader of JSON that others have written.
 
-    An object with a key twice is refused: programs differ in which of the two values they take, so
-    that such a file says one thing to the program that checks it and another to the next one.
+    An object with a key twice is refused: programs differ in which of the two values
+    they take, so that such a file says one thing to the program that checks it and
+    another to the next one.
 
     Parameters
     ----------
@@ -273,7 +309,9 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
     except RecursionError:
         raise InputError(where, Unquoted("JSON nested too deep"), what) from None
     except _RepeatedKeyError as error:
-        raise InputError(where, Unquoted(error), "every key of an object once") from None
+        raise InputError(
+            where, Unquoted(error), "every key of an object once"
+        ) from None
     except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
 
@@ -293,7 +331,9 @@ def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def float_of(value: Any) -> float:
     """The number that a value or a word is; NaN if it is none."""
     try:
-        return math.nan if isinstance(value, bool) else float(value)
+        if isinstance(value, bool):
+            return math.nan
+        return float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
 
@@ -303,10 +343,19 @@ def parse_number(
 ) -> float:
     """The finite number that a word of a file is; `where` is its file, line and field."""
     # float() would also take 1_0 and other scripts' digits.
-    value = float_of(word) if word.isascii() and "_" not in word else math.nan
+    if word.isascii() and "_" not in word:
+        value = float_of(word)
+    else:
+        value = math.nan
     if not (math.isfinite(value) and least <= value <= most):
-        limits = "" if least == -math.inf else f", at least {least:g}"
-        limits = limits if most == math.inf else f", {least:g} .. {most:g}"
+        if least == -math.inf:
+            limits = ""
+        else:
+            limits = f", at least {least:g}"
+        if most == math.inf:
+            limits = limits
+        else:
+            limits = f", {least:g} .. {most:g}"
         raise InputError(where, word, f"a finite number{limits}")
     return value
 
@@ -319,14 +368,15 @@ def says(description: str, **limits: Any) -> msgspec.Meta:
 def read_table(table: object, kind: type[_T], where: str) -> _T:
     """Convert a table of a TOML or JSON file to a value; numbers are finite.
 
-    `kind`: a frozen dataclass or msgspec.Struct whose fields have the names of the table's keys, or
-    a list or tuple of such. Arrays state their shape, as in :mod:`geometry.arrays`. Ranges stand in
-    ``Annotated[float, msgspec.Meta(gt=0)]``; a description there is what the message says to be
-    expected. Keys that are no field are ignored, unless a Struct says ``forbid_unknown_fields``.
+    `kind`: a frozen dataclass or msgspec.Struct whose fields have the names of the
+    table's keys, or a list or tuple of such. Arrays state their shape, as in
+    :mod:`geometry.arrays`. Ranges stand in ``Annotated[float, msgspec.Meta(gt=0)]``; a
+    description there is what the message says to be expected. Keys that are no field
+    are ignored, unless a Struct says ``forbid_unknown_fields``.
 
-    `where`: "sensors.toml", or "sensors.toml: wide" for an entry of it. Raises InputError: names
-    the file, the field, the value and what is expected. One that a value raises itself with an
-    empty ``where`` is completed.
+    `where`: "sensors.toml", or "sensors.toml: wide" for an entry of it. Raises
+    InputError: names the file, the field, the value and what is expected. One that a
+    value raises itself with an empty ``where`` is completed.
     """
     _check_finite(table, where)
     try:
@@ -370,7 +420,9 @@ def _is_finite(value: object) -> bool:
 
 def _join(where: str, path: str) -> str:
     """A path such as ".sites[2].id" behind the name of a file, or of an entry in it."""
-    return f"{where}{path}" if ": " in where else f"{where}: {path.removeprefix('.')}"
+    if ": " in where:
+        return f"{where}{path}"
+    return f"{where}: {path.removeprefix('.')}"
 
 
 def _read_array(kind: Any, value: object) -> Any:
@@ -382,7 +434,9 @@ def _read_array(kind: Any, value: object) -> Any:
     if get_origin(kind) is not np.ndarray:
         raise NotImplementedError(f"no reader for {kind}")
     axes = get_args(get_args(kind)[0])
-    shape = tuple(get_args(axis)[0] if get_origin(axis) is Literal else -1 for axis in axes)
+    shape = tuple(
+        get_args(axis)[0] if get_origin(axis) is Literal else -1 for axis in axes
+    )
     if not isinstance(value, list):
         raise InputError("", value, "a list")
     return float_array(value, shape, "")
@@ -392,25 +446,40 @@ def _input_error(
     error: msgspec.ValidationError, table: object, kind: Any, where: str
 ) -> InputError:
     """Error of msgspec in our words: it knows the place and the type, but not the value."""
-    message, cause = str(error), error.__cause__
+    message = str(error)
+    cause = error.__cause__
     if isinstance(cause, InputError) and cause.where:  # of a field's own check
         return cause
     place = _PLACE.search(message)
-    path = place["path"] if place else ""
-    value, node, shown = table, msgspec.inspect.type_info(kind), ""
+    if place:
+        path = place["path"]
+    else:
+        path = ""
+    value = table
+    node = msgspec.inspect.type_info(kind)
+    shown = ""
     for step in _STEP.finditer(path):
         node = _step_into(node, step, value)
         if step[2] == "...":  # a key of a mapping, which msgspec does not name
             break
         value = value[step[1] or int(step[2])]  # type: ignore[index]
         shown += step[0]
-    here = _join(where, shown) if shown else where
-    if isinstance(cause, InputError):  # of an array, or of a value that leaves the place to us
+    if shown:
+        here = _join(where, shown)
+    else:
+        here = where
+    if isinstance(
+        cause, InputError
+    ):  # of an array, or of a value that leaves the place to us
         return InputError(here, cause.got, cause.expected)
     if missing := re.match(r"Object missing required field `(.*?)`", message):
-        return InputError(_join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value")
+        return InputError(
+            _join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value"
+        )
     if unknown := re.match(r"Object contains unknown field `(.*?)`", message):
-        known = ", ".join(field.encode_name for field in _plain(_of_tag(node, value)).fields)
+        known = ", ".join(
+            field.encode_name for field in _plain(_of_tag(node, value)).fields
+        )
         return InputError(here, unknown[1], f"one of {known}")
     return InputError(here, value, _expected(node, is_other_type=", got " in message))
 
@@ -418,7 +487,10 @@ def _input_error(
 def _plain(node: Any) -> Any:
     """A type without its description; of an optional one, what it is when it is there."""
     while isinstance(node, msgspec.inspect.Metadata | msgspec.inspect.UnionType):
-        node = node.type if isinstance(node, msgspec.inspect.Metadata) else _members(node)[0]
+        if isinstance(node, msgspec.inspect.Metadata):
+            node = node.type
+        else:
+            node = _members(node)[0]
     return node
 
 
@@ -465,9 +537,17 @@ def _expected(node: Any, *, is_other_type: bool) -> str:
             is_whole = isinstance(number, msgspec.inspect.IntType)
             signs = {" > ": number.gt, " < ": number.lt}
             signs |= {", at least ": number.ge, ", at most ": number.le}
-            known = [f"{sign}{most:g}" for sign, most in signs.items() if most is not None]
-            limits = "" if is_other_type else "".join(known)
-            plain = "a number" if limits else "a finite number"
+            known = [
+                f"{sign}{most:g}" for sign, most in signs.items() if most is not None
+            ]
+            if is_other_type:
+                limits = ""
+            else:
+                limits = "".join(known)
+            if limits:
+                plain = "a number"
+            else:
+                plain = "a finite number"
             return ("a whole number" if is_whole else plain) + limits
         case msgspec.inspect.StrType():
             return "text"
@@ -485,7 +565,9 @@ def take(table: Table, key: str, where: str, kind: Any = None) -> Any:
     """Value of a key that must be there; of a kind, see :func:`read_table`."""
     if key not in table:
         refuse(f"{where}.{key}", "nothing", "a value")
-    return table[key] if kind is None else read_table(table[key], kind, f"{where}.{key}")
+    if kind is None:
+        return table[key]
+    return read_table(table[key], kind, f"{where}.{key}")
 
 
 def take_number(table: Table, key: str, where: str) -> float:
@@ -555,7 +637,9 @@ def user_cache_folder() -> Path:
 
     folder = user_cache_path("place-rsus")
     # As the XDG base directory specification demands.
-    return folder if folder.is_absolute() else Path.home() / ".cache" / "place-rsus"
+    if folder.is_absolute():
+        return folder
+    return Path.home() / ".cache" / "place-rsus"
 
 
 def trouble_with(folder: Path) -> str:
@@ -566,7 +650,9 @@ def trouble_with(folder: Path) -> str:
         return f"cannot be made ({error.strerror or error})"
     if not os.access(folder, os.W_OK | os.X_OK):
         return "cannot be written to"
-    return "can be written to by other users" if writable_by_others(folder) else ""
+    if writable_by_others(folder):
+        return "can be written to by other users"
+    return ""
 
 
 @cache
@@ -584,9 +670,9 @@ def private_temporary_folder() -> Path:
 def writable_by_others(path: Path) -> bool:
     """True if other users may change a file or folder, or put another one in its place.
 
-    Every folder on the way, behind all links, is judged by owner and rights. A user's own group
-    without other members is nobody else; root may do anything. False where there are no such
-    rights, or no such file.
+    Every folder on the way, behind all links, is judged by owner and rights. A user's
+    own group without other members is nobody else; root may do anything. False where
+    there are no such rights, or no such file.
     """
     if not hasattr(os, "getuid"):  # Windows
         return False
@@ -594,7 +680,9 @@ def writable_by_others(path: Path) -> bool:
         real = path.resolve(strict=True)
     except OSError:
         return False
-    return any(_is_open(place.stat(), is_last=place == real) for place in (real, *real.parents))
+    return any(
+        _is_open(place.stat(), is_last=place == real) for place in (real, *real.parents)
+    )
 
 
 def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
@@ -606,10 +694,15 @@ def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
     # What lies in a folder like /tmp can be moved by its owner alone.
     if found.st_mode & stat.S_ISVTX and not is_last:
         return False
-    if found.st_mode & stat.S_IWOTH or not found.st_mode & stat.S_IWGRP or found.st_gid == 0:
+    if (
+        found.st_mode & stat.S_IWOTH
+        or not found.st_mode & stat.S_IWGRP
+        or found.st_gid == 0
+    ):
         return bool(found.st_mode & stat.S_IWOTH)
     try:
-        owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+        owner = pwd.getpwuid(found.st_uid).pw_name
+        group = grp.getgrgid(found.st_gid)
     except KeyError:
         return True
     return group.gr_name != owner or bool(set(group.gr_mem) - {owner})
@@ -621,7 +714,9 @@ def open_own(path: Path) -> BinaryIO:
     found = os.fstat(file.fileno())  # what is judged is what is read
     if hasattr(os, "getuid") and _is_open(found, is_last=True):
         file.close()
-        raise PermissionError(errno.EPERM, "another user may have written it", str(path))
+        raise PermissionError(
+            errno.EPERM, "another user may have written it", str(path)
+        )
     return file
 
 
@@ -637,7 +732,9 @@ def silent(stage: str, done: int, total: int, /) -> None:
     """Progress that is shown nowhere."""
 
 
-def counted(items: Iterable[_T], stage: str, total: int, progress: Progress) -> Iterator[_T]:
+def counted(
+    items: Iterable[_T], stage: str, total: int, progress: Progress
+) -> Iterator[_T]:
     """Items of a stage, told one by one; `total` may be an estimate of their number."""
     for done, item in enumerate(items, start=1):
         progress(stage, min(done, total), total)

@@ -24,9 +24,10 @@ def footprint_corners(
 def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> FloatArray:
     """Largest gap in metres between two rectangles along any of their sides' normals.
 
-    Corners are (..., 4, 2), in order around each rectangle. By the separating axis theorem they
-    touch at zero or less: minus the depth of the overlap. Of rectangles that do not touch it is a
-    lower bound of their distance, and equal to it unless two corners face.
+    Corners are (..., 4, 2), in order around each rectangle. By the separating axis
+    theorem they touch at zero or less: minus the depth of the overlap. Of rectangles
+    that do not touch it is a lower bound of their distance, and equal to it unless two
+    corners face.
 
     >>> a = footprint_corners([0.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
     >>> b = footprint_corners([5.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
@@ -49,8 +50,12 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
     for normal_east, normal_north in sides:  # each side is the normal of its neighbour
         apart = np.abs(apart_east * normal_east + apart_north * normal_north)
         for side_east, side_north in sides:
-            apart = apart - 0.5 * np.abs(side_east * normal_east + side_north * normal_north)
-        np.maximum(separation, apart / np.hypot(normal_east, normal_north), out=separation)
+            apart = apart - 0.5 * np.abs(
+                side_east * normal_east + side_north * normal_north
+            )
+        np.maximum(
+            separation, apart / np.hypot(normal_east, normal_north), out=separation
+        )
     return separation
 
 
@@ -65,23 +70,35 @@ class FootprintSizes:
 
 
 def gaps_between(
-    offset_m: ArrayLike, yaw_a_deg: ArrayLike, yaw_b_deg: ArrayLike, *, sizes: FootprintSizes
+    offset_m: ArrayLike,
+    yaw_a_deg: ArrayLike,
+    yaw_b_deg: ArrayLike,
+    *,
+    sizes: FootprintSizes,
 ) -> FloatArray:
     """Gaps between two rectangles along the length and width of a, then of b, (4, ...), in metres.
 
-    Negative where they overlap; the largest is what :func:`footprint_separation` finds from
-    corners, several times as slowly. `offset_m` (..., 2) leads from the middle of a to the middle
-    of b.
+    Negative where they overlap; the largest is what :func:`footprint_separation` finds
+    from corners, several times as slowly. `offset_m` (..., 2) leads from the middle of
+    a to the middle of b.
     """
     offset = np.asarray(offset_m, dtype=np.float64)
     yaw_a = np.radians(np.asarray(yaw_a_deg, dtype=np.float64))
     yaw_b = np.radians(np.asarray(yaw_b_deg, dtype=np.float64))
-    east, north = offset[..., 0], offset[..., 1]
-    cos_a, sin_a, cos_b, sin_b = np.cos(yaw_a), np.sin(yaw_a), np.cos(yaw_b), np.sin(yaw_b)
-    # What the sides of one throw onto the normals of the other depends on the angle between them.
-    along, across = np.abs(cos_a * cos_b + sin_a * sin_b), np.abs(sin_a * cos_b - cos_a * sin_b)
-    length_a, width_a = 0.5 * sizes.length_a_m, 0.5 * sizes.width_a_m
-    length_b, width_b = 0.5 * sizes.length_b_m, 0.5 * sizes.width_b_m
+    east = offset[..., 0]
+    north = offset[..., 1]
+    cos_a = np.cos(yaw_a)
+    sin_a = np.sin(yaw_a)
+    cos_b = np.cos(yaw_b)
+    sin_b = np.sin(yaw_b)
+    # What the sides of one throw onto the normals of the other depends on the angle
+    # between them.
+    along = np.abs(cos_a * cos_b + sin_a * sin_b)
+    across = np.abs(sin_a * cos_b - cos_a * sin_b)
+    length_a = 0.5 * sizes.length_a_m
+    width_a = 0.5 * sizes.width_a_m
+    length_b = 0.5 * sizes.length_b_m
+    width_b = 0.5 * sizes.width_b_m
     gaps = np.empty((4, *np.broadcast(east, along).shape))
     np.abs(east * cos_a + north * sin_a, out=gaps[0, ...])
     np.abs(north * cos_a - east * sin_a, out=gaps[1, ...])

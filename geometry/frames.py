@@ -42,7 +42,9 @@ to_carla_yaw = from_carla_yaw
 def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) -> Pose:
     """Pose from CARLA's frame to the world. Pitch is positive up in both."""
     yaw_deg = float(from_carla_yaw(yaw_deg))
-    return Pose(position_m=from_carla_points(position_m), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    return Pose(
+        position_m=from_carla_points(position_m), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
 
 
 def to_gltf_points(points_m: ArrayLike) -> FloatArray:
@@ -60,7 +62,8 @@ def from_gltf_points(points_m: ArrayLike) -> FloatArray:
 def parse_crs(declared: "str | CRS") -> "CRS":
     """A coordinate reference system, as a file or a user declares it.
 
-    Raises pyproj's CRSError if it is unknown, or names a file by its path: PROJ would open it.
+    Raises pyproj's CRSError if it is unknown, or names a file by its path: PROJ would
+    open it.
 
     >>> parse_crs("EPSG:25832").name
     'ETRS89 / UTM zone 32N'

@@ -32,7 +32,9 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     intersection = _area(high - low)
     area_a, area_b = (_area(box[..., 2:] - box[..., :2]) for box in (a, b))
     union = area_a + area_b - intersection
-    return np.divide(intersection, union, out=np.zeros_like(intersection), where=union > 0.0)
+    return np.divide(
+        intersection, union, out=np.zeros_like(intersection), where=union > 0.0
+    )
 
 
 def _area(size_px: FloatArray) -> FloatArray:
@@ -46,4 +48,6 @@ def mask_box(mask: ArrayLike) -> FloatArray:
     rows, columns = np.nonzero(np.asarray(mask, dtype=bool))
     if not len(rows):
         return np.zeros(4)
-    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=float)
+    return np.array(
+        [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=float
+    )

@@ -26,14 +26,19 @@ COMPASS = ARM_NAMES[::2]
 CONNECTING = "connecting"  # kind of a lane through the junction
 ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
 _End = tuple[bool, Lane]  # a lane at the junction, and whether it leads into it
-_AT_OUTLINE_M = 1.5  # lanes end at the junction's outline but for the rounding of the map
-_CYCLES_AT_OUTLINE_M = 6.0  # cycleways run next to it, behind a shoulder or a strip of grass
+_AT_OUTLINE_M = (
+    1.5  # lanes end at the junction's outline but for the rounding of the map
+)
+_CYCLES_AT_OUTLINE_M = (
+    6.0  # cycleways run next to it, behind a shoulder or a strip of grass
+)
 _SAME_POINT_M = 0.5  # between one piece of a lane and the next
 _ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
 _SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
 _SAME_ARM_GAP_M = 12.0  # between their edges: a median, or tracks
 _SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
-_MEDIAN_M = 25.0  # between two carriageways of one arm, from lane to lane: tracks, a row of trees
+# between two carriageways of one arm, from lane to lane: tracks, a row of trees
+_MEDIAN_M = 25.0
 _STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
 _SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
@@ -41,7 +46,9 @@ _SAME_WAY = 0.5  # cosine of the angle between them
 _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
 _CORNER_M = 15.0  # from the outline of the junction's road surface
-_STRAIGHT = 0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
+_STRAIGHT = (
+    0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +60,9 @@ class Line:
 
     def __post_init__(self) -> None:
         set_arrays(self, "", point_m=(2,), direction=(2,))
-        object.__setattr__(self, "direction", freeze(self.direction / np.hypot(*self.direction)))
+        object.__setattr__(
+            self, "direction", freeze(self.direction / np.hypot(*self.direction))
+        )
 
     @property
     def left(self) -> FloatArray:
@@ -82,8 +91,11 @@ class Line:
     def turned(self, angle_deg: float) -> "Line":
         """The line through the same point, turned counter-clockwise."""
         (east, north), angle = self.direction, np.radians(angle_deg)
-        cosine, sine = np.cos(angle), np.sin(angle)
-        direction = np.array([east * cosine - north * sine, east * sine + north * cosine])
+        cosine = np.cos(angle)
+        sine = np.sin(angle)
+        direction = np.array(
+            [east * cosine - north * sine, east * sine + north * cosine]
+        )
         return replace(self, direction=direction)
 
 
@@ -122,7 +134,9 @@ class Junction:
     name: str  # of the scene
     arms: dict[str, Arm]  # by name, counter-clockwise from the east
     keeps_left: bool = False  # traffic keeps left
-    connections: tuple[Lane, ...] = ()  # lanes through the junction, and through others around it
+    connections: tuple[
+        Lane, ...
+    ] = ()  # lanes through the junction, and through others around it
     # lanes that are assumed, from beyond the map to the start of an entry lane
     beyond: tuple[Lane, ...] = ()
 
@@ -133,12 +147,18 @@ class Junction:
     def followed(self, entry: Lane) -> Lane:
         """An entry lane with the lane that is assumed before it, if that one bends."""
         bent = [lane for lane in self._before(entry) if len(lane.centreline_m) > 2]
-        return _led_on(bent[0], entry) if bent else entry
+        if bent:
+            return _led_on(bent[0], entry)
+        return entry
 
     def _before(self, entry: Lane) -> list[Lane]:
         begin = entry.centreline_m[0]
         gaps_m = [np.hypot(*(lane.centreline_m[-1] - begin)) for lane in self.beyond]
-        return [one for one, m in zip(self.beyond, gaps_m, strict=True) if m <= _SAME_POINT_M]
+        return [
+            one
+            for one, m in zip(self.beyond, gaps_m, strict=True)
+            if m <= _SAME_POINT_M
+        ]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
         """The lane through the junction from one lane into another; None if the map has none."""
@@ -163,17 +183,23 @@ def _led_on(before: Lane, entry: Lane) -> Lane:
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
-    An arm is named after one of four points of the compass, or of eight or sixteen where two arms
-    would share a name; if even these do, numbers tell them apart. Raises InputError: no lane begins
-    or ends at the outline of the junction's road surface.
+    An arm is named after one of four points of the compass, or of eight or sixteen
+    where two arms would share a name; if even these do, numbers tell them apart. Raises
+    InputError: no lane begins or ends at the outline of the junction's road surface.
     """
     ends = _ends_at_outline(scene, ("driving", "parking"), _AT_OUTLINE_M)
     if not ends:
         got = len(scene.lanes)
-        raise InputError(f"{scene.name}: lanes", got, "lanes that begin or end at the outline")
+        raise InputError(
+            f"{scene.name}: lanes", got, "lanes that begin or end at the outline"
+        )
     groups = _group_by_arm(ends, keeps_left=scene.keeps_left)
-    cycleways = _beside_arms(_ends_at_outline(scene, ("cycling",), _CYCLES_AT_OUTLINE_M), groups)
-    ways = [np.mean([_mouth(*end).direction for end in group], axis=0) for group in groups]
+    cycleways = _beside_arms(
+        _ends_at_outline(scene, ("cycling",), _CYCLES_AT_OUTLINE_M), groups
+    )
+    ways = [
+        np.mean([_mouth(*end).direction for end in group], axis=0) for group in groups
+    ]
     bearings = np.degrees(np.arctan2(*np.transpose(ways)[::-1]))
     order = np.argsort(np.round(np.mod(bearings, 360.0), 6) % 360.0, kind="stable")
     names = _arm_names(bearings[order])
@@ -192,14 +218,20 @@ def build_junction(scene: Scene) -> Junction:
 
 def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
     """The arm of whose lanes one begins or ends next to a road; None: there is none."""
-    nearest, least_m = None, _SAME_ROAD_M
+    nearest = None
+    least_m = _SAME_ROAD_M
     for name, arm in junction.arms.items():
         lines = [lane.centreline_m[::-1] for lane in arm.entry_lanes]
         for line in [*lines, *(lane.centreline_m for lane in arm.exit_lanes)]:
-            tip, way = line[0], line[1] - line[0]
+            tip = line[0]
+            way = line[1] - line[0]
             distance_m = float(np.hypot(*(tip - road.point_m)))
-            if way @ road.direction / np.hypot(*way) > _SAME_WAY and distance_m < least_m:
-                nearest, least_m = name, distance_m
+            if (
+                way @ road.direction / np.hypot(*way) > _SAME_WAY
+                and distance_m < least_m
+            ):
+                nearest = name
+                least_m = distance_m
     return nearest
 
 
@@ -220,8 +252,12 @@ def mirrored(junction: Junction) -> Junction:
     for name, arm in junction.arms.items():
         line = arm.crosswalk
         # From the kerb where the VUT drives to the other one, in the mirror too.
-        crosswalk = Line(point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0])
-        lanes: dict[str, Any] = {field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM}
+        crosswalk = Line(
+            point_m=line.point_m * [1.0, -1.0], direction=line.direction * [-1.0, 1.0]
+        )
+        lanes: dict[str, Any] = {
+            field: turn_over(getattr(arm, field)) for field in _LANES_OF_ARM
+        }
         arms[name] = replace(arm, crosswalk=crosswalk, **lanes)
     return replace(
         junction,
@@ -234,13 +270,26 @@ def mirrored(junction: Junction) -> Junction:
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
     """Straight line along a lane's metres next to the junction, and the most it leaves it. [m]."""
-    points = lane.centreline_m if is_in else lane.centreline_m[::-1]  # the mouth comes last
-    to_mouth = np.append(np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0)
+    # the mouth comes last
+    if is_in:
+        points = lane.centreline_m
+    else:
+        points = lane.centreline_m[::-1]
+    to_mouth = np.append(
+        np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0
+    )
     begin_m = min(length_m, float(to_mouth[0]))
-    start = np.array([np.interp(-begin_m, -to_mouth, points[:, axis]) for axis in (0, 1)])
-    direction = points[-1] - start if is_in else start - points[-1]
+    start = np.array(
+        [np.interp(-begin_m, -to_mouth, points[:, axis]) for axis in (0, 1)]
+    )
+    if is_in:
+        direction = points[-1] - start
+    else:
+        direction = start - points[-1]
     line = Line(point_m=points[-1], direction=direction)
-    return line, float(np.abs(line.coordinates(points[to_mouth <= begin_m])[:, 1]).max())
+    return line, float(
+        np.abs(line.coordinates(points[to_mouth <= begin_m])[:, 1]).max()
+    )
 
 
 def lane_length_m(lane: Lane) -> float:
@@ -250,10 +299,16 @@ def lane_length_m(lane: Lane) -> float:
 
 def curve_between(before: Line, after: Line) -> FloatArray:
     """Points (n, 2) of a cubic from line to line; ValueError: one is not ahead of the other."""
-    begin, end = before.point_m, after.point_m
+    begin = before.point_m
+    end = after.point_m
     length_m = float(np.hypot(*(end - begin)))
-    if min((end - begin) @ before.direction, (end - begin) @ after.direction) <= 0.5 * length_m:
-        raise ValueError(f"line at {end.tolist()}: got one aside; expected one ahead of the other")
+    if (
+        min((end - begin) @ before.direction, (end - begin) @ after.direction)
+        <= 0.5 * length_m
+    ):
+        raise ValueError(
+            f"line at {end.tolist()}: got one aside; expected one ahead of the other"
+        )
     share = np.linspace(0.0, 1.0, max(8, int(length_m)))[:, None]
     return np.asarray(
         (2.0 * share**3 - 3.0 * share**2 + 1.0) * begin
@@ -268,7 +323,9 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> lis
     ends = []
     for lane in (lane for lane in scene.lanes if lane.kind in kinds):
         tips = {True: lane.centreline_m[-1], False: lane.centreline_m[0]}
-        off_m = {at: distance_to_outline_m(tip, scene.outline_m) for at, tip in tips.items()}
+        off_m = {
+            at: distance_to_outline_m(tip, scene.outline_m) for at, tip in tips.items()
+        }
         near = [is_in for is_in, off in off_m.items() if off <= within_m]
         if len(near) == 2 and lane_length_m(lane) <= 2.0 * within_m:
             near = [min(near, key=lambda is_in: off_m[is_in])]
@@ -281,12 +338,15 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> lis
     return ends
 
 
-def _beside_arms(ends: Sequence[_End], groups: Sequence[Sequence[_End]]) -> list[list[_End]]:
+def _beside_arms(
+    ends: Sequence[_End], groups: Sequence[Sequence[_End]]
+) -> list[list[_End]]:
     """Lane ends by the arm next to whose lanes they lie; others are left out."""
     beside: list[list[_End]] = [[] for _ in groups]
     mouths = [[_mouth(*end) for end in group] for group in groups]
     for is_in, lane in ends:
-        mouth, reach_m = _mouth(is_in, lane), 0.5 * lane.width_m + _SAME_ARM_GAP_M
+        mouth = _mouth(is_in, lane)
+        reach_m = 0.5 * lane.width_m + _SAME_ARM_GAP_M
         for found, others in zip(beside, mouths, strict=True):
             if any(_is_beside(mouth, other, reach_m) for other in others):
                 found.append((is_in, lane))
@@ -294,15 +354,22 @@ def _beside_arms(ends: Sequence[_End], groups: Sequence[Sequence[_End]]) -> list
     return beside
 
 
-def _build_arm(name: str, members: Sequence[_End], cycleways: Sequence[_End], scene: Scene) -> Arm:
+def _build_arm(
+    name: str, members: Sequence[_End], cycleways: Sequence[_End], scene: Scene
+) -> Arm:
     def from_kerb(ends: Sequence[_End], *, is_in: bool) -> tuple[Lane, ...]:
         own = [lane for leads_in, lane in ends if leads_in == is_in]
         lanes = [_whole(lane, scene.lanes, is_in=is_in) for lane in own]
         lines = [lane_line(lane, is_in=is_in, length_m=10.0)[0] for lane in lanes]
-        # The kerb is on the right, or where traffic keeps left on the left: smaller to the other
-        # side of the first lane means nearer to it.
-        inwards = -1.0 if scene.keeps_left else 1.0
-        order = np.argsort([inwards * lines[0].coordinates(line.point_m)[1] for line in lines])
+        # The kerb is on the right, or where traffic keeps left on the left: smaller to
+        # the other side of the first lane means nearer to it.
+        if scene.keeps_left:
+            inwards = -1.0
+        else:
+            inwards = 1.0
+        order = np.argsort(
+            [inwards * lines[0].coordinates(line.point_m)[1] for line in lines]
+        )
         return tuple(lanes[index] for index in order)
 
     lanes_in, lanes_out = (from_kerb(members, is_in=is_in) for is_in in (True, False))
@@ -316,7 +383,9 @@ def _build_arm(name: str, members: Sequence[_End], cycleways: Sequence[_End], sc
     )
 
 
-def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene) -> Line:
+def _crosswalk(
+    lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene
+) -> Line:
     """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
     tips = [lane.centreline_m[-1] for lane in lanes_in]
     mouths = np.array([*tips, *(lane.centreline_m[0] for lane in lanes_out)])
@@ -327,11 +396,17 @@ def _crosswalk(lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: S
     middle = mouths.mean(axis=0)
     half_width = 0.5 * float(np.ptp(inward.coordinates(mouths)[:, 1])) + 2.0
     for ends in scene.crosswalks_m:
-        ahead_m, left_m = inward.coordinates(ends.mean(axis=0)) - inward.coordinates(middle)
+        ahead_m, left_m = inward.coordinates(ends.mean(axis=0)) - inward.coordinates(
+            middle
+        )
         if abs(ahead_m) <= 2.0 * half_width and abs(left_m) <= half_width:
             along = Line(point_m=ends[0], direction=ends[1] - ends[0])
-            if abs(along.direction @ inward.direction) < np.sin(np.radians(_ARM_SPREAD_DEG)):
-                return along if along.direction @ inward.left > 0.0 else along.turned(180.0)
+            if abs(along.direction @ inward.direction) < np.sin(
+                np.radians(_ARM_SPREAD_DEG)
+            ):
+                if along.direction @ inward.left > 0.0:
+                    return along
+                return along.turned(180.0)
     inside = replace(inward, point_m=middle).at(_CROSSWALK_INSIDE_MOUTH_M)
     return replace(inward, point_m=inside).turned(90.0)
 
@@ -347,13 +422,19 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
             for other in lanes
             if other not in pieces
             and other.kind in (lane.kind, CONNECTING)
-            and np.hypot(*(other.centreline_m[-1 if is_in else 0] - tip)) <= _SAME_POINT_M
+            and np.hypot(*(other.centreline_m[-1 if is_in else 0] - tip))
+            <= _SAME_POINT_M
         ]
         same = [other for other in following if other.kind == lane.kind]
-        following = same[:1] or sorted(following, key=lambda other: _turn(last, other, is_in=is_in))
+        following = same[:1] or sorted(
+            following, key=lambda other: _turn(last, other, is_in=is_in)
+        )
         if not following:
             break
-        pieces = [following[0], *pieces] if is_in else [*pieces, following[0]]
+        if is_in:
+            pieces = [following[0], *pieces]
+        else:
+            pieces = [*pieces, following[0]]
     if pieces[0 if is_in else -1].kind == CONNECTING:
         del pieces[0 if is_in else -1]  # no lane of the map begins behind it
     points = np.concatenate([piece.centreline_m for piece in pieces])
@@ -362,7 +443,10 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
 
 def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
     """How far a piece of a lane turns away from the one to which it leads, or from which."""
-    before, after = (other, lane) if is_in else (lane, other)
+    if is_in:
+        before, after = (other, lane)
+    else:
+        before, after = (lane, other)
     ahead = lane_line(before, is_in=True, length_m=5.0)[0].direction
     return -float(ahead @ lane_line(after, is_in=False, length_m=5.0)[0].direction)
 
@@ -372,14 +456,18 @@ def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]
     mouths = [_mouth(*end) for end in ends]
 
     def is_pair(one: int, other: int) -> bool:
-        reach_m = 0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
+        reach_m = (
+            0.5 * (ends[one][1].width_m + ends[other][1].width_m) + _SAME_ARM_GAP_M
+        )
         return _is_beside(mouths[one], mouths[other], reach_m)
 
     groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
     pairs = []
     for one, group in enumerate(groups):
         for other, leaving in enumerate(groups):
-            if all(is_in for is_in, _ in group) and not any(is_in for is_in, _ in leaving):
+            if all(is_in for is_in, _ in group) and not any(
+                is_in for is_in, _ in leaving
+            ):
                 gap_m = _median_m(group, leaving, keeps_left=keeps_left)
                 if gap_m is not None:
                     pairs.append((gap_m, one, other))
@@ -398,7 +486,8 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
     for one in range(n):
         for other in range(one):
             if group[one] != group[other] and is_pair(one, other):
-                old, new = group[one], group[other]
+                old = group[one]
+                new = group[other]
                 group = [new if number == old else number for number in group]
     numbers = dict.fromkeys(group)
     return [[at for at, number in enumerate(group) if number == one] for one in numbers]
@@ -417,20 +506,27 @@ def _median_m(
                 return None
             between = replace(mouth, direction=mouth.direction + other.direction)
             ahead_m, left_m = between.coordinates(other.point_m)
-            # Seen from the junction, cars come in on the left, or where traffic keeps left on the
-            # right.
-            across_m = left_m if keeps_left else -left_m
+            # Seen from the junction, cars come in on the left, or where traffic keeps
+            # left on the right.
+            if keeps_left:
+                across_m = left_m
+            else:
+                across_m = -left_m
             gap_m = across_m - 0.5 * (lane.width_m + other_lane.width_m)
             if abs(ahead_m) > _MEDIAN_M or across_m <= 0.0:
                 return None
             least_m = min(least_m, float(gap_m))
-    return least_m if least_m <= _MEDIAN_M else None
+    if least_m <= _MEDIAN_M:
+        return least_m
+    return None
 
 
 def _mouth(is_in: bool, lane: Lane) -> Line:
     """Line through the end of a lane at the junction, away from that."""
     line, _ = lane_line(lane, is_in=is_in, length_m=10.0)
-    return line.turned(180.0) if is_in else line
+    if is_in:
+        return line.turned(180.0)
+    return line
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
@@ -487,8 +583,9 @@ def street_names(scene: Scene) -> dict[str, str]:
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     """Places (n, 2) at a junction in words: "north-west corner, Mill Lane and High Street".
 
-    Within 15 m of the junction's outline a corner, with the streets of the arms on either side;
-    farther out the nearest arm, with its street. Empty where the scene has no arms.
+    Within 15 m of the junction's outline a corner, with the streets of the arms on
+    either side; farther out the nearest arm, with its street. Empty where the scene has
+    no arms.
     """
     positions = float_array(positions_m, (-1, 2), "positions_m")
     try:
@@ -498,7 +595,9 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     lines = {
-        name: shapely.MultiLineString([one.centreline_m for one in (*arm.lanes_in, *arm.lanes_out)])
+        name: shapely.MultiLineString(
+            [one.centreline_m for one in (*arm.lanes_in, *arm.lanes_out)]
+        )
         for name, arm in arms.items()
     }
     bearings = {name: _bearing(arm_mouth(arm) - middle) for name, arm in arms.items()}
@@ -507,8 +606,14 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
         away_m = distance_to_outline_m(position, scene.outline_m)
         if away_m <= _CORNER_M:
             way = position - middle
-            turns = {name: (at - _bearing(way)) % (2.0 * np.pi) for name, at in bearings.items()}
-            beside = [max(turns, key=turns.__getitem__), min(turns, key=turns.__getitem__)]
+            turns = {
+                name: (at - _bearing(way)) % (2.0 * np.pi)
+                for name, at in bearings.items()
+            }
+            beside = [
+                max(turns, key=turns.__getitem__),
+                min(turns, key=turns.__getitem__),
+            ]
             known = [streets[name] for name in beside if name in streets]
             # Halfway between two arms, unless they lead nearly straight on.
             sides = [bearings[name] for name in beside]
@@ -526,7 +631,9 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
 def arm_mouth(arm: Arm) -> FloatArray:
     """Middle of an arm's lanes where they meet the junction, (2,)."""
     ends = [lane.centreline_m[-1] for lane in arm.lanes_in]
-    return np.asarray(np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0))
+    return np.asarray(
+        np.mean([*ends, *(lane.centreline_m[0] for lane in arm.lanes_out)], axis=0)
+    )
 
 
 def _bearing(way_m: FloatArray) -> float:

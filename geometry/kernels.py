@@ -1,10 +1,11 @@
 """Numba kernels: loops over numbers, compiled when they are first called.
 
-``numba.njit(cache=True)`` compiles a kernel that is called from Python. One that another kernel
-calls becomes part of that one's machine code, by ``numba.extending.overload``. Numba writes its
-cache into a folder of this process alone; from there all files of a kernel go into a single one in
-the user's cache, under a hash. What is damaged, stale or somebody else's is never run, and a full
-disk costs the time to compile, and no more.
+``numba.njit(cache=True)`` compiles a kernel that is called from Python. One that
+another kernel calls becomes part of that one's machine code, by
+``numba.extending.overload``. Numba writes its cache into a folder of this process
+alone; from there all files of a kernel go into a single one in the user's cache, under
+a hash. What is damaged, stale or somebody else's is never run, and a full disk costs
+the time to compile, and no more.
 
 Loading numba takes half a second: the function that calls a kernel imports its module.
 """
@@ -40,7 +41,9 @@ from .files import (
 )
 
 F = TypeVar("F", bound=Callable[..., Any])
-Files = dict[str, bytes]  # what numba cached of a kernel: content by path below its folder
+Files = dict[
+    str, bytes
+]  # what numba cached of a kernel: content by path below its folder
 _log = logging.getLogger(__name__)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _HASH_SIZE = 32
@@ -51,9 +54,9 @@ _RUNNING = "running-"  # begins the names of folders of single processes
 def kernel(function: F) -> F:
     """Compile a function of numbers and arrays on its first call.
 
-    It runs in any thread. Kernels may call kernels of the same file, and of files ``*_kernels.py``
-    next to it. Division by zero gives infinity or NaN, as in numpy. The machine code is cached for
-    the next process.
+    It runs in any thread. Kernels may call kernels of the same file, and of files
+    ``*_kernels.py`` next to it. Division by zero gives infinity or NaN, as in numpy.
+    The machine code is cached for the next process.
     """
     on_disk = _OnDisk(function)
 
@@ -62,7 +65,9 @@ def kernel(function: F) -> F:
         compiled = on_disk.compiled or on_disk.load()
         try:
             result = compiled(*args)
-        except OSError as error:  # numba compiled it, but could not write what it cached
+        except (
+            OSError
+        ) as error:  # numba compiled it, but could not write what it cached
             on_disk.tell_not_cached(error)
             on_disk.compiled = numba.njit(**_OPTIONS)(function)
             return on_disk.compiled(*args)
@@ -93,7 +98,10 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 def compiled_folder() -> Path:
     """Where machine code is cached: NUMBA_CACHE_DIR, the user's cache or a temporary folder."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen) if chosen else user_cache_folder() / "compiled"
+    if chosen:
+        folder = Path(chosen)
+    else:
+        folder = user_cache_folder() / "compiled"
     trouble = trouble_with(folder)
     if trouble:
         unusable = folder
@@ -107,8 +115,8 @@ def compiled_folder() -> Path:
 class _OnDisk:
     """A kernel's machine code, and the file that holds it for the next process.
 
-    The file begins with a hash of the source code and one of the content, which are the files that
-    numba made, by name.
+    The file begins with a hash of the source code and one of the content, which are the
+    files that numba made, by name.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -164,8 +172,8 @@ class _OnDisk:
     def read(self) -> Files | None:
         """What numba cached; None if nothing, or of other source code.
 
-        Raises ValueError if the file is damaged, OSError if it cannot be read or others may have
-        written it.
+        Raises ValueError if the file is damaged, OSError if it cannot be read or others
+        may have written it.
         """
         try:
             with open_own(self.path) as file:
@@ -193,13 +201,17 @@ class _OnDisk:
             }
             content = msgspec.msgpack.encode(found)
             stored = _hash_of_sources(self._source) + _hash_of(content) + content
-            write_atomically(self.path, lambda file: file.write(stored), is_private=True)
+            write_atomically(
+                self.path, lambda file: file.write(stored), is_private=True
+            )
         except OSError as error:
             self.tell_not_cached(error)
 
     def tell_not_cached(self, error: OSError) -> None:
         """Log that there is nothing for the next process, and why."""
-        _tell_once(f"machine code not cached: {compiled_folder()}: {error.strerror or error}")
+        _tell_once(
+            f"machine code not cached: {compiled_folder()}: {error.strerror or error}"
+        )
 
 
 _settings = threading.Lock()

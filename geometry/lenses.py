@@ -1,8 +1,8 @@
 """Lenses that distort: Brown-Conrady's model, Tsai's one term, fisheyes; and calibrated cameras.
 
-Points are at depth 1 along the optical axis: x right and y down, over the depth. A lens shows what
-lies up to some angle off its axis, its :attr:`reach`; farther out its polynomial would fold the
-picture back.
+Points are at depth 1 along the optical axis: x right and y down, over the depth. A lens
+shows what lies up to some angle off its axis, its :attr:`reach`; farther out its
+polynomial would fold the picture back.
 """
 
 import math
@@ -24,7 +24,13 @@ _LEAST_STEP = 1.0e-4  # share of a step of its
 _FOUND = 1.0e-10  # what is farther off is not shown
 
 
-class _Lens(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True, tag_field="model"):
+class _Lens(
+    Struct,
+    frozen=True,
+    omit_defaults=True,
+    forbid_unknown_fields=True,
+    tag_field="model",
+):
     """What all lenses have in common; each has a `reach`, and shows radii at other ones."""
 
     @property
@@ -87,8 +93,11 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         With tangential terms, whose derivatives are at most 6 |p| r, a little before.
         """
         bend = 6.0 * math.hypot(self.p1, self.p2)
-        ahead, around = _slopes(self._powers), self._powers[:-1]
-        return min(_first_turn((*one[:-2], one[-2] - bend, one[-1])) for one in (ahead, around))
+        ahead = _slopes(self._powers)
+        around = self._powers[:-1]
+        return min(
+            _first_turn((*one[:-2], one[-2] - bend, one[-1])) for one in (ahead, around)
+        )
 
     def shown_radius(self, radius: FloatArray) -> FloatArray:
         """By the radial terms."""
@@ -101,7 +110,8 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
     def distort(self, points: FloatArray) -> FloatArray:
         """The radial part, moved aside by the tangential terms."""
         x, y = points.T
-        across, square = 2.0 * x * y, x**2 + y**2
+        across = 2.0 * x * y
+        square = x**2 + y**2
         aside = [
             self.p1 * across + self.p2 * (square + 2.0 * x**2),
             self.p2 * across + self.p1 * (square + 2.0 * y**2),
@@ -111,14 +121,18 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
     def undistort(self, points: FloatArray) -> FloatArray:
         """With tangential terms by Newton's method, with shorter steps where they lead away.
 
-        Within its reach the lens is the slope of a convex function: there is but one solution.
+        Within its reach the lens is the slope of a convex function: there is but one
+        solution.
         """
         if self.p1 == self.p2 == 0.0:
             return _Lens.undistort(self, points)
-        found = points / np.maximum(1.0, _radius(points)[:, None] / min(self.reach, 1.0))
+        found = points / np.maximum(
+            1.0, _radius(points)[:, None] / min(self.reach, 1.0)
+        )
         lacks = self.distort(found) - points
         step = self._step(found, lacks)
-        off, factor = _radius(lacks), np.ones(len(found))
+        off = _radius(lacks)
+        factor = np.ones(len(found))
         for _ in range(_STEPS):
             left = np.flatnonzero((off > _NEAR) & (factor > _LEAST_STEP))
             if not len(left):
@@ -143,15 +157,17 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         mixed = x * y * rise + 2.0 * self.p1 * x + 2.0 * self.p2 * y
         last = radial + y * y * rise + 6.0 * self.p1 * y + 2.0 * self.p2 * x
         right, down = lacks.T / (first * last - mixed**2)
-        return np.stack([last * right - mixed * down, first * down - mixed * right], axis=1)
+        return np.stack(
+            [last * right - mixed * down, first * down - mixed * right], axis=1
+        )
 
 
 class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
     """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
 
-    R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine vision
-    metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the focal length
-    squared, for points at depth 1.
+    R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine
+    vision metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the
+    focal length squared, for points at depth 1.
     """
 
     kappa: float
@@ -163,7 +179,9 @@ class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
     @property
     def _turn(self) -> float:
         """With kappa < 0 the cubic r + kappa r^3 rises up to this shown radius only."""
-        return math.inf if self.kappa >= 0.0 else (-1.0 / (3.0 * self.kappa)) ** 0.5
+        if self.kappa >= 0.0:
+            return math.inf
+        return (-1.0 / (3.0 * self.kappa)) ** 0.5
 
     @property
     def reach(self) -> float:
@@ -182,9 +200,9 @@ class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
 class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
     """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
-    J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional,
-    wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's "equidistant". A ray at a
-    right angle or more to the axis has no point at depth 1.
+    J. Kannala, S. Brandt, "A generic camera model and calibration method for
+    conventional, wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's
+    "equidistant". A ray at a right angle or more to the axis has no point at depth 1.
     """
 
     k1: float = 0.0
@@ -200,7 +218,9 @@ class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
     def reach(self) -> float:
         """Infinite from a right angle on."""
         angle = self.widest_rad
-        return math.tan(angle) if angle < 0.5 * math.pi else math.inf
+        if angle < 0.5 * math.pi:
+            return math.tan(angle)
+        return math.inf
 
     @property
     def widest_rad(self) -> float:
@@ -210,7 +230,9 @@ class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
     def shown_radius(self, radius: FloatArray) -> FloatArray:
         """By the polynomial in the angle."""
         angle = np.arctan(radius)
-        return np.where(angle <= self.widest_rad, np.polyval(self._powers, angle), np.nan)
+        return np.where(
+            angle <= self.widest_rad, np.polyval(self._powers, angle), np.nan
+        )
 
     def seen_radius(self, shown: FloatArray) -> FloatArray:
         """The tangent of the angle that is shown there."""
@@ -240,21 +262,26 @@ def _moved(points: FloatArray, radius: FloatArray, to_radius: FloatArray) -> Flo
 def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
     """Arguments (n,) at which a polynomial has values >= 0; NaN where it does not reach them.
 
-    By Newton's method between 0 and `most`, up to which it rises from 0. Where a step leaves the
-    interval that is left, that is halved.
+    By Newton's method between 0 and `most`, up to which it rises from 0. Where a step
+    leaves the interval that is left, that is halved.
     """
     top = np.polyval(powers, most) if most < math.inf else math.inf
-    wanted, slopes = np.minimum(values, top), _slopes(powers)
-    low, high = np.zeros_like(values), np.full_like(values, most)
+    wanted = np.minimum(values, top)
+    slopes = _slopes(powers)
+    low = np.zeros_like(values)
+    high = np.full_like(values, most)
     found = np.minimum(wanted, most)
     near = 1.0 + wanted
     for _ in range(_MOST_STEPS):
         lacks = np.polyval(powers, found) - wanted
         if not (abs(lacks) > _NEAR * near).any():
             break
-        low, high = np.where(lacks <= 0.0, found, low), np.where(lacks >= 0.0, found, high)
+        low = np.where(lacks <= 0.0, found, low)
+        high = np.where(lacks >= 0.0, found, high)
         slope = np.polyval(slopes, found)
-        step = np.divide(lacks, slope, out=np.full_like(lacks, np.inf), where=slope > 0.0)
+        step = np.divide(
+            lacks, slope, out=np.full_like(lacks, np.inf), where=slope > 0.0
+        )
         there = found - step
         found = np.where((there >= low) & (there <= high), there, 0.5 * (low + high))
     off = ~(abs(np.polyval(powers, found) - values) <= _FOUND * near)
@@ -272,7 +299,9 @@ def _first_turn(slopes: Powers) -> float:
     # Their inverses: the last coefficient is 1, where the first may be next to nothing.
     inverse = np.roots(slopes[::-1])
     rising = inverse[(abs(inverse.imag) < 1.0e-12) & (inverse.real > 0.0)].real
-    return 1.0 / float(rising.max()) if len(rising) else math.inf
+    if len(rising):
+        return 1.0 / float(rising.max())
+    return math.inf
 
 
 Lens = BrownConrady | TsaiRadial | Fisheye
@@ -288,7 +317,9 @@ class CalibratedCamera:
     fy_px: float
     cx_px: float
     cy_px: float
-    R_camera_world: FloatArray  # (3, 3), from the world to the camera (x right, y down, z ahead)
+    R_camera_world: (
+        FloatArray  # (3, 3), from the world to the camera (x right, y down, z ahead)
+    )
     position_m: FloatArray  # (3,), of the lens, world frame
     lens: Lens = field(default_factory=BrownConrady)
 
@@ -298,13 +329,19 @@ class CalibratedCamera:
             if not 0.0 < getattr(self, name) < np.inf:
                 raise InputError(f"camera: {name}", getattr(self, name), "pixels, > 0")
         R = self.R_camera_world
-        if not (np.allclose(R @ R.T, np.eye(3), atol=1.0e-3) and np.linalg.det(R) > 0.0):
+        if not (
+            np.allclose(R @ R.T, np.eye(3), atol=1.0e-3) and np.linalg.det(R) > 0.0
+        ):
             raise InputError("camera: R_camera_world", R.tolist(), "a rotation")
 
     @property
     def K(self) -> FloatArray:
         """Focal lengths and principal point, (3, 3); the middle of the first pixel is (0, 0)."""
-        rows = [[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]]
+        rows = [
+            [self.fx_px, 0.0, self.cx_px],
+            [0.0, self.fy_px, self.cy_px],
+            [0.0, 0.0, 1.0],
+        ]
         return np.array(rows)
 
     @property
@@ -332,9 +369,14 @@ def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArr
 
 def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     """Points (n, 3) of the plane z = 0 at pixels; NaN above the horizon."""
-    middle, focal = np.array([camera.cx_px, camera.cy_px]), np.array([camera.fx_px, camera.fy_px])
-    at_depth_1 = camera.lens.undistort((np.asarray(pixels_px, dtype=np.float64) - middle) / focal)
-    rays = np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
+    middle = np.array([camera.cx_px, camera.cy_px])
+    focal = np.array([camera.fx_px, camera.fy_px])
+    at_depth_1 = camera.lens.undistort(
+        (np.asarray(pixels_px, dtype=np.float64) - middle) / focal
+    )
+    rays = (
+        np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
+    )
     is_below = rays[:, 2] * camera.position_m[2] < 0.0
     far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
     return np.asarray(camera.position_m + far[:, None] * rays)

@@ -22,13 +22,17 @@ _FILE = "lidars.toml"
 class LidarModel:
     """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
 
-    A surface of `reference_reflectivity`, met squarely in clear air at `reference_range_m`, sends a
-    pulse back with `reference_probability`.
+    A surface of `reference_reflectivity`, met squarely in clear air at
+    `reference_range_m`, sends a pulse back with `reference_probability`.
     """
 
     name: str  #: in the catalogue
-    horizontal_fov_deg: float  #: full angle, more than 0 and up to 360: then it scans all round
-    vertical_fov_deg: float  #: full angle, as much up as down; more than 0 and less than 180
+    horizontal_fov_deg: (
+        float  #: full angle, more than 0 and up to 360: then it scans all round
+    )
+    vertical_fov_deg: (
+        float  #: full angle, as much up as down; more than 0 and less than 180
+    )
     n_lines: int  #: scan lines, one above the other
     points_per_second: float  #: pulses, whether they come back or not
     frame_rate_hz: float  #: scans per second
@@ -36,7 +40,9 @@ class LidarModel:
     reference_range_m: float
     reference_reflectivity: float
     reference_probability: float
-    threshold_width: float  #: of the logistic step to a return, in the logarithm of the signal
+    threshold_width: (
+        float  #: of the logistic step to a return, in the logarithm of the signal
+    )
     wavelength_nm: float  #: of the laser
     range_noise_m: float  #: one standard deviation
     near_m: float  #: nothing nearer is reported
@@ -44,8 +50,14 @@ class LidarModel:
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
-        check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg <= 360.0, "0 < degrees <= 360")
-        check("vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180")
+        check(
+            "horizontal_fov_deg",
+            0.0 < self.horizontal_fov_deg <= 360.0,
+            "0 < degrees <= 360",
+        )
+        check(
+            "vertical_fov_deg", 0.0 < self.vertical_fov_deg < 180.0, "0 < degrees < 180"
+        )
         is_count = isinstance(self.n_lines, int) and not isinstance(self.n_lines, bool)
         check("n_lines", is_count and self.n_lines > 0, "a whole number of lines, > 0")
         for field in (
@@ -53,9 +65,16 @@ class LidarModel:
             *("threshold_width", "wavelength_nm", "near_m"),
         ):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
-        check("range_noise_m", 0.0 <= self.range_noise_m < math.inf, "a number, at least 0")
+        check(
+            "range_noise_m",
+            0.0 <= self.range_noise_m < math.inf,
+            "a number, at least 0",
+        )
         limits = load_limits()
-        often = f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to look"
+        often = (
+            f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to"
+            " look"
+        )
         check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, often)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
@@ -66,8 +85,14 @@ class LidarModel:
         check("reference_probability", is_likely, "0 < probability < 1")
         per_frame = self.points_per_second / self.frame_rate_hz
         most = limits.lidar_points_per_frame
-        check("points_per_second", per_frame <= most, f"at most {most:,} points per frame")
-        check("points_per_second", self.n_columns > 0, "a point per line and frame or more")
+        check(
+            "points_per_second", per_frame <= most, f"at most {most:,} points per frame"
+        )
+        check(
+            "points_per_second",
+            self.n_columns > 0,
+            "a point per line and frame or more",
+        )
 
     @property
     def n_columns(self) -> int:
@@ -83,11 +108,13 @@ class LidarModel:
     def diagonal_fov_deg(self) -> float:
         """Full angle of the cone around the axis in which all beams lie, in degrees.
 
-        Up to 180 degrees the corners are farthest from the axis, beyond them the ends of the middle
-        line: behind the sensor elevation leads back to the axis.
+        Up to 180 degrees the corners are farthest from the axis, beyond them the ends
+        of the middle line: behind the sensor elevation leads back to the axis.
         """
         half_width = math.radians(0.5 * self.horizontal_fov_deg)
-        corner = math.cos(half_width) * math.cos(math.radians(0.5 * self.vertical_fov_deg))
+        corner = math.cos(half_width) * math.cos(
+            math.radians(0.5 * self.vertical_fov_deg)
+        )
         return 2.0 * math.degrees(max(math.acos(corner), half_width))
 
 
@@ -101,8 +128,12 @@ class LidarDetection:
 
 def beam_directions(lidar: LidarModel) -> FloatArray:
     """Unit vectors of a frame's beams, (n_lines, n_columns, 3): upwards, from right to left."""
-    elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[:, None]
-    azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[None, :]
+    elevation = np.radians(_cell_centres(lidar.vertical_fov_deg, lidar.n_lines))[
+        :, None
+    ]
+    azimuth = np.radians(_cell_centres(lidar.horizontal_fov_deg, lidar.n_columns))[
+        None, :
+    ]
     level = np.cos(elevation)
     up = np.broadcast_to(np.sin(elevation), (lidar.n_lines, lidar.n_columns))
     return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), up], -1)
@@ -126,26 +157,34 @@ def return_probability(
 ) -> FloatArray:
     """How likely a pulse that hits something comes back strong enough to be reported.
 
-    It is `reference_probability` where the signal is that of the reference, and 0 outside `near_m`
+    It is `reference_probability` where the signal is that of the reference, and 0
+    outside `near_m`
     .. `range_m`. `incidence_cos` is that between beam and surface normal; the extinction of the air
-    counts one way. All arrays broadcast. LiDAR equation for a diffuse target larger than the beam:
-    R. Rasshofer et al., "Influences of weather phenomena on automotive laser radar systems", 2011.
+    counts one way. All arrays broadcast. LiDAR equation for a diffuse target larger
+    than the beam: R. Rasshofer et al., "Influences of weather phenomena on automotive
+    laser radar systems", 2011.
     """
     from scipy.special import expit, logit
 
     distance = np.asarray(distance_m, dtype=np.float64)
     is_inside = (distance >= lidar.near_m) & (distance <= lidar.range_m)
     distance = np.where(is_inside, distance, lidar.reference_range_m)
-    share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(incidence_cos, dtype=np.float64)
+    share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(
+        incidence_cos, dtype=np.float64
+    )
     with np.errstate(divide="ignore"):  # grazing or black: no signal, logarithm -inf
         spread = 2.0 * np.log(lidar.reference_range_m / distance)
         air = 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
         log_signal = np.log(share / lidar.reference_reflectivity) + spread - air
-    step = expit(log_signal / lidar.threshold_width + logit(lidar.reference_probability))
+    step = expit(
+        log_signal / lidar.threshold_width + logit(lidar.reference_probability)
+    )
     return np.where(is_inside, step, 0.0)
 
 
-def noisy_ranges(lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator) -> FloatArray:
+def noisy_ranges(
+    lidar: LidarModel, distance_m: ArrayLike, rng: np.random.Generator
+) -> FloatArray:
     """Distances as the LiDAR reports them: with normal noise of `range_noise_m`."""
     distance = np.asarray(distance_m, dtype=np.float64)
     return distance + lidar.range_noise_m * rng.standard_normal(distance.shape)

@@ -6,7 +6,9 @@ from typing import Annotated, Literal, get_args
 
 from .files import Text, says
 
-Kind = Literal["junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"]
+Kind = Literal[
+    "junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"
+]
 """Subjects of notes, the most important first; all but the last are assumptions."""
 
 
@@ -15,12 +17,14 @@ class Note:
     """Something that was assumed where a map leaves it open, or that was left out."""
 
     what: Annotated[
-        Text, says('Kind and id, as the source has them: "way 4711", "road 5 object 12".')
+        Text,
+        says('Kind and id, as the source has them: "way 4711", "road 5 object 12".'),
     ]
     why: Annotated[Text, says("Assumption, or reason, in words.")]
     kind: Annotated[Kind, says("Subject.")] = "left out"
     site_ids: Annotated[
-        tuple[Text, ...], says("Sites of the scene that the map does not have, or not there.")
+        tuple[Text, ...],
+        says("Sites of the scene that the map does not have, or not there."),
     ] = ()
 
     def __str__(self) -> str:

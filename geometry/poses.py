@@ -9,7 +9,9 @@ from .arrays import FloatArray, float_array
 
 # Columns: the camera frame's axes (x right, y down, z ahead) seen from the body frame
 # (x ahead, y left, z up).
-R_BODY_CAMERA: FloatArray = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+R_BODY_CAMERA: FloatArray = np.array(
+    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
+)
 R_BODY_CAMERA.setflags(write=False)
 
 
@@ -22,9 +24,13 @@ class Pose:
     pitch_deg: float = 0.0  #: positive up
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position_m", float_array(self.position_m, (3,), "position_m"))
+        object.__setattr__(
+            self, "position_m", float_array(self.position_m, (3,), "position_m")
+        )
         for name in ("yaw_deg", "pitch_deg"):
-            object.__setattr__(self, name, float(float_array(getattr(self, name), (), name)))
+            object.__setattr__(
+                self, name, float(float_array(getattr(self, name), (), name))
+            )
 
 
 def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
@@ -35,10 +41,14 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
     >>> body_rotation(90.0)[:, 0].round(12) + 0.0  # looking north
     array([0., 1., 0.])
     """
-    angles = (np.radians(np.asarray(one, dtype=np.float64)) for one in (yaw_deg, pitch_deg))
+    angles = (
+        np.radians(np.asarray(one, dtype=np.float64)) for one in (yaw_deg, pitch_deg)
+    )
     yaw, pitch = np.broadcast_arrays(*angles)
-    cos_yaw, sin_yaw = np.cos(yaw), np.sin(yaw)
-    cos_pitch, sin_pitch = np.cos(pitch), np.sin(pitch)
+    cos_yaw = np.cos(yaw)
+    sin_yaw = np.sin(yaw)
+    cos_pitch = np.cos(pitch)
+    sin_pitch = np.sin(pitch)
     zero = np.zeros_like(yaw)
     rows = [
         [cos_pitch * cos_yaw, -sin_yaw, -sin_pitch * cos_yaw],
@@ -66,5 +76,7 @@ def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     >>> wrap_deg([190.0, -180.0, 0.0])
     array([-170.,  180.,    0.])
     """
-    wrapped: FloatArray = 180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
+    wrapped: FloatArray = (
+        180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
+    )
     return wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360

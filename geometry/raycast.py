@@ -1,7 +1,8 @@
 """Rays against triangles: trimesh's embreex, or Open3D's RaycastingScene. Both are Embree.
 
-embreex leaves Python's lock to others while it casts, loads in milliseconds, and needs no library
-of the system: it is taken where it loads. Open3D is imported only when it is asked for, or needed.
+embreex leaves Python's lock to others while it casts, loads in milliseconds, and needs
+no library of the system: it is taken where it loads. Open3D is imported only when it is
+asked for, or needed.
 """
 
 import warnings
@@ -16,7 +17,8 @@ from .arrays import BoolArray, IntArray
 from .errors import InputError, check_one_of, refuse
 
 FloatRays = NDArray[np.float32]
-# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold them.
+# Libraries that Open3D's wheels expect from the system, and Debian's packages that hold
+# them.
 _DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libGL.so.1": "libgl1",
@@ -52,7 +54,9 @@ class Open3dCaster:
         self._scene = o3d.t.geometry.RaycastingScene()
         vertices, faces = _checked(vertices_m, triangles)
         if len(faces):
-            self._scene.add_triangles(self._tensor(vertices), self._tensor(faces.astype(np.uint32)))
+            self._scene.add_triangles(
+                self._tensor(vertices), self._tensor(faces.astype(np.uint32))
+            )
         self._is_empty = len(faces) == 0
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
@@ -60,7 +64,9 @@ class Open3dCaster:
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
         rays = self._tensor.from_numpy(_rays(origins_m, vectors_m))
-        hits = self._scene.test_occlusions(rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads)
+        hits = self._scene.test_occlusions(
+            rays, tnear=0.0, tfar=1.0, nthreads=self.n_threads
+        )
         return np.asarray(hits.numpy())
 
     def first_triangle(
@@ -73,7 +79,9 @@ class Open3dCaster:
         hits = self._scene.cast_rays(rays, nthreads=self.n_threads)
         share: FloatRays = hits["t_hit"].numpy()
         index: IntArray = hits["primitive_ids"].numpy().astype(np.int64)
-        index[np.isinf(share)] = -1  # Embree's own sign for nothing is the largest uint32
+        index[
+            np.isinf(share)
+        ] = -1  # Embree's own sign for nothing is the largest uint32
         return share, index
 
 
@@ -92,14 +100,17 @@ class EmbreexCaster:
         self._is_empty = len(faces) == 0
         if not self._is_empty:
             self._mesh = TriangleMesh(self._scene, vertices, faces)
-            # The first query commits the scene, which must not happen in two threads at once.
+            # The first query commits the scene, which must not happen in two threads at
+            # once.
             self.is_blocked(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         """See :class:`RayCaster`."""
         if self._is_empty or len(origins_m) == 0:
             return np.zeros(len(origins_m), dtype=bool)
-        hits = self._scene.run(*_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED")
+        hits = self._scene.run(
+            *_contiguous(origins_m, vectors_m), dists=1.0, query="OCCLUDED"
+        )
         return np.asarray(hits != -1)
 
     def first_triangle(
@@ -160,7 +171,9 @@ def build_caster(
     vertices_m: ArrayLike, triangles: ArrayLike, *, library: str | None = None
 ) -> RayCaster:
     """Prepare triangles (m, 3) of vertices (n, 3) near the origin for rays in float32."""
-    return CASTERS[caster_name(library or "auto", where="library")](vertices_m, triangles)
+    return CASTERS[caster_name(library or "auto", where="library")](
+        vertices_m, triangles
+    )
 
 
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
@@ -178,12 +191,16 @@ def _checked(
         refuse("vertices_m", "a vertex that is not finite", "finite coordinates")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         outside = int(faces[(faces < 0) | (faces >= len(vertices))][0])
-        raise InputError("triangles", outside, f"vertex indices from 0 to {len(vertices) - 1}")
+        raise InputError(
+            "triangles", outside, f"vertex indices from 0 to {len(vertices) - 1}"
+        )
     return vertices, faces
 
 
 def _no_triangle(n_rays: int) -> tuple[FloatRays, IntArray]:
-    return np.full(n_rays, np.inf, dtype=np.float32), np.full(n_rays, -1, dtype=np.int64)
+    return np.full(n_rays, np.inf, dtype=np.float32), np.full(
+        n_rays, -1, dtype=np.int64
+    )
 
 
 def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
@@ -193,8 +210,12 @@ def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
     return rays
 
 
-def _contiguous(origins_m: FloatRays, vectors_m: FloatRays) -> tuple[FloatRays, FloatRays]:
-    origins, vectors = (np.ascontiguousarray(one, np.float32) for one in (origins_m, vectors_m))
+def _contiguous(
+    origins_m: FloatRays, vectors_m: FloatRays
+) -> tuple[FloatRays, FloatRays]:
+    origins, vectors = (
+        np.ascontiguousarray(one, np.float32) for one in (origins_m, vectors_m)
+    )
     return origins, vectors
 
 
@@ -207,7 +228,13 @@ def _open3d_or_reason() -> tuple[Any, str | None]:
     except (ImportError, OSError) as error:
         library = str(error).split(":")[0]
         package = _DEBIAN_PACKAGES.get(library)
-        cause = f"{library} is missing" if package else " ".join(str(error).split())
-        remedy = f"apt-get install {package}" if package else "pip install open3d-cpu, or open3d"
+        if package:
+            cause = f"{library} is missing"
+        else:
+            cause = " ".join(str(error).split())
+        if package:
+            remedy = f"apt-get install {package}"
+        else:
+            remedy = "pip install open3d-cpu, or open3d"
         return None, f"Open3D cannot load ({cause}); to use it: {remedy}"
     return open3d, None

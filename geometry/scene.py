@@ -37,11 +37,15 @@ class Site:
     """A place where sensors can be mounted."""
 
     id: str  #: name
-    position_m: Point3  #: (3,), foot of the pole, or the point of the road below. World frame
+    position_m: (
+        Point3  #: (3,), foot of the pole, or the point of the road below. World frame
+    )
     kind: str  #: "lamp post", "traffic light" or "mast arm"
     height_range_m: Point2  #: (2,), lowest and highest mount above the road
     capacity_units: int  #: how many units it can carry
-    cost_eur: float = 0.0  #: of power, network and bracket, paid once if it carries anything
+    cost_eur: float = (
+        0.0  #: of power, network and bracket, paid once if it carries anything
+    )
     #: "free", "forced" or "forbidden": whether it may, must or must not carry any
     use: str = "free"
 
@@ -62,7 +66,11 @@ class Site:
         capacity = self.capacity_units
         is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
         is_count = is_whole and 1 <= capacity <= limits.capacity_units
-        check("capacity_units", is_count, f"a whole number, 1 to {limits.capacity_units:,}")
+        check(
+            "capacity_units",
+            is_count,
+            f"a whole number, 1 to {limits.capacity_units:,}",
+        )
         cost_eur = float(float_array(self.cost_eur, (), f"{where}.cost_eur"))
         if not 0.0 <= cost_eur <= limits.price_eur:
             expected = f"euros, 0 to {limits.price_eur:,.0f}"
@@ -88,9 +96,13 @@ class LeadingRoad:
     """A road of the map that leads to a junction, counted without looking at its lanes' lines."""
 
     name: str  # of the street, or else the id that the map gives it
-    point_m: Point2  # (2,); where it meets the junction's outline, or a little farther out
+    point_m: (
+        Point2  # (2,); where it meets the junction's outline, or a little farther out
+    )
     direction: Point2  # (2,); unit vector away from the junction
-    lanes_in: int  # driving lanes into the junction and out of it, by the map's own words
+    lanes_in: (
+        int  # driving lanes into the junction and out of it, by the map's own words
+    )
     lanes_out: int
 
     def __post_init__(self) -> None:
@@ -110,21 +122,35 @@ class Scene:
     sites: tuple[Site, ...]  #: where sensors can be mounted
     outline_m: FloatArray  #: (n, 2), of the junction's road surface
     lanes: "tuple[Lane, ...]"  #: of the junction's arms
-    crs: str  #: coordinate reference system of the world frame, for pyproj; empty: unknown
+    # : coordinate reference system of the world frame, for pyproj; empty: unknown
+    crs: str
     #: (n, 2, 2), lines on which pedestrians cross an arm, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    road_network: str = ""  #: OpenDRIVE file with the same roads in the same frame; empty: none
+    road_network: str = (
+        ""  #: OpenDRIVE file with the same roads in the same frame; empty: none
+    )
     keeps_left: bool = False  #: traffic keeps left
     source_crs: str = ""  #: that of the map it was made from, for results; empty: `crs`
-    #: (2,), the world frame's origin in the coordinates of a map that names no place on earth
+    # : (2,), the world frame's origin in the coordinates of a map that names no place
+    # on earth
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
-    zero_height_m: float | None = None  #: of z = 0, such as above the sea; None: unknown
-    notes: tuple[Note, ...] = ()  #: what was assumed or left out when it was made of maps
-    roads: tuple[LeadingRoad, ...] = ()  #: that lead to the junction; none: the map does not say
+    zero_height_m: float | None = (
+        None  #: of z = 0, such as above the sea; None: unknown
+    )
+    notes: tuple[
+        Note, ...
+    ] = ()  #: what was assumed or left out when it was made of maps
+    roads: tuple[
+        LeadingRoad, ...
+    ] = ()  #: that lead to the junction; none: the map does not say
 
     def __post_init__(self) -> None:
         check_name(self.name, "scene: name")
-        shapes = {"vertices_m": (-1, 3), "outline_m": (-1, 2), "crosswalks_m": (-1, 2, 2)}
+        shapes = {
+            "vertices_m": (-1, 3),
+            "outline_m": (-1, 2),
+            "crosswalks_m": (-1, 2, 2),
+        }
         set_arrays(self, f"{self.name}: ", **shapes, source_origin_m=(2,))
         for name in shapes:
             _check_near(getattr(self, name), f"{self.name}: {name}")
@@ -139,12 +165,15 @@ class Scene:
             ("triangles", (n_triangles, 3), len(self.vertices_m)),
             ("triangle_instance", (n_triangles,), len(self.instances)),
         ):
-            array, where = getattr(self, name), f"{self.name}: {name}"
+            array = getattr(self, name)
+            where = f"{self.name}: {name}"
             if array.shape != shape:
                 refuse(where, f"shape {array.shape}", f"shape {shape}")
             outside = array[(array < 0) | (array >= limit)]
             if len(outside):
-                raise InputError(where, int(outside[0]), f"indices from 0 to {limit - 1}")
+                raise InputError(
+                    where, int(outside[0]), f"indices from 0 to {limit - 1}"
+                )
         for kind, ids in (
             ("site", [site.id for site in self.sites]),
             ("instance", [instance.id for instance in self.instances]),
@@ -185,8 +214,9 @@ class Lane:
     """One lane of an arm."""
 
     id: str  # name in the source
-    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of one lane to
-    # the start of another; or "assumed": straight on from beyond the map to the start of one
+    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of
+    # one lane to the start of another; or "assumed": straight on from beyond the map to
+    # the start of one
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]  # full width, see :func:`is_lane_width`
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
@@ -204,7 +234,9 @@ class Lane:
         _check_count(len(self.centreline_m), most, f"{where}.centreline_m")
         if not is_lane_width(self.width_m):
             low_m, high_m = load_limits().lane_width_m
-            raise InputError(f"{where}.width_m", self.width_m, f"{low_m:g} to {high_m:g} metres")
+            raise InputError(
+                f"{where}.width_m", self.width_m, f"{low_m:g} to {high_m:g} metres"
+            )
 
 
 def is_lane_width(width_m: float) -> bool:
@@ -221,7 +253,9 @@ def _check_near(points_m: FloatArray, where: str) -> None:
         first = np.argwhere(is_far)[0].tolist()  # [] if it is but one point
         place = "".join(f"[{index}]" for index in first)
         got = points_m[tuple(first)].tolist()
-        raise InputError(f"{where}{place}", got, f"metres within {most_m:,.0f} of the origin")
+        raise InputError(
+            f"{where}{place}", got, f"metres within {most_m:,.0f} of the origin"
+        )
 
 
 def _check_count(count: int, most: int, where: str) -> None:
@@ -238,7 +272,9 @@ Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m,
 def join(meshes: Sequence[tuple[FloatArray, NDArray[Any]]]) -> Mesh:
     """Several meshes as one."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    triangles = [faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)]
+    triangles = [
+        faces + start for (_, faces), start in zip(meshes, first[:-1], strict=True)
+    ]
     vertices: FloatArray = np.concatenate([vertices for vertices, _ in meshes])
     return vertices, np.concatenate(triangles).astype(np.int32)
 
@@ -258,18 +294,24 @@ def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
     """The solid thing that a point lies in, but for posts; None in the open air.
 
-    The triangles of a closed mesh around a point fill the whole sphere: A. van Oosterom, J.
-    Strackee, "The solid angle of a plane triangle", 1983.
+    The triangles of a closed mesh around a point fill the whole sphere: A. van
+    Oosterom, J. Strackee, "The solid angle of a plane triangle", 1983.
     """
     point = float_array(position_m, (3,), "position_m")
     for index, instance in enumerate(scene.instances):
         if instance.class_name not in _SOLID_CLASSES:
             continue
-        corners = scene.vertices_m[scene.triangles[scene.triangle_instance == index]] - point
-        if (corners.min(axis=(0, 1)) > 0.0).any() or (corners.max(axis=(0, 1)) < 0.0).any():
+        corners = (
+            scene.vertices_m[scene.triangles[scene.triangle_instance == index]] - point
+        )
+        if (corners.min(axis=(0, 1)) > 0.0).any() or (
+            corners.max(axis=(0, 1)) < 0.0
+        ).any():
             continue
         a, b, c = np.swapaxes(corners, 0, 1)
-        length_a, length_b, length_c = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+        length_a, length_b, length_c = (
+            np.linalg.norm(side, axis=1) for side in (a, b, c)
+        )
         volume = np.einsum("ij,ij->i", a, np.cross(b, c))
         product = (
             length_a * length_b * length_c
@@ -312,12 +354,15 @@ def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
     """A thing's triangles seen from above: a shapely geometry, empty where it is but a line."""
-    return flat_union(scene.vertices_m[scene.triangles[scene.triangle_instance == index]])
+    return flat_union(
+        scene.vertices_m[scene.triangles[scene.triangle_instance == index]]
+    )
 
 
 def flat_union(corners_m: FloatArray) -> Any:
     """Triangles (n, 3, 3) seen from above, put together: a shapely geometry."""
     flat = corners_m[..., :2]
-    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    one = flat[:, 1] - flat[:, 0]
+    other = flat[:, 2] - flat[:, 0]
     double_area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
     return shapely.union_all(shapely.polygons(flat[double_area > _MIN_AREA_M2]))

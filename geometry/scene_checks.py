@@ -10,7 +10,14 @@ import shapely
 
 from .arrays import FloatArray
 from .errors import InputError
-from .junction import ASSUMED, Junction, arm_of_road, build_junction, compass_point, lane_length_m
+from .junction import (
+    ASSUMED,
+    Junction,
+    arm_of_road,
+    build_junction,
+    compass_point,
+    lane_length_m,
+)
 from .lines import unit
 from .scene import (
     HANGING_KINDS,
@@ -33,7 +40,9 @@ _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
 _AT_KERB_M = 0.05  # digits of a file
-_OPPOSITE = -0.8  # cosine of the angle between lanes of one road; roads that cross meet at less
+_OPPOSITE = (
+    -0.8
+)  # cosine of the angle between lanes of one road; roads that cross meet at less
 _BESIDE_M = 0.5  # along a lane, to tell its direction
 
 
@@ -46,14 +55,17 @@ class Finding:
     why: str
 
 
-_error, _warning = partial(Finding, "error"), partial(Finding, "warning")
+_error = partial(Finding, "error")
+_warning = partial(Finding, "warning")
 
 
 def check_scene(scene: Scene) -> list[Finding]:
     """Findings of what may be wrong with a scene, errors first."""
     checks = (_check_roads, _check_sites, _check_meshes, _check_footprints)
     findings = [finding for check in checks for finding in check(scene)]
-    assumed_heights = sorted(thing.id for thing in scene.instances if thing.is_height_assumed)
+    assumed_heights = sorted(
+        thing.id for thing in scene.instances if thing.is_height_assumed
+    )
     if assumed_heights:
         why = "the sources do not say how high it is: a usual height was taken"
         findings.append(_warning(_names(assumed_heights), why))
@@ -71,25 +83,44 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
     if len(junction.arms) < 3:
         yield _warning("arms", f"only {len(junction.arms)}: cars that turn need three")
     if not len(scene.crosswalks_m):
-        yield _warning("crosswalks", "none: pedestrians cross 2 m inside each arm's mouth")
+        yield _warning(
+            "crosswalks", "none: pedestrians cross 2 m inside each arm's mouth"
+        )
     if scene.roads:
         yield from compare_arms(junction, scene.roads)
     for name, why in arms_that_end(scene):
         yield _warning(f"arm {name}", why)
     crossed = [f"{one} and {other}" for one, other in lanes_that_cross(scene)]
     if crossed:
-        why = "they run in opposite directions and cross: one leads over the other's carriageway"
+        why = (
+            "they run in opposite directions and cross: one leads over the other's"
+            " carriageway"
+        )
         yield _warning(_names(crossed), why)
 
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
     """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
-    lanes = [lane for lane in scene.lanes if lane.kind == "driving" and len(lane.centreline_m) > 1]
-    lines = np.array([shapely.LineString(lane.centreline_m) for lane in lanes], dtype=object)
-    pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T if len(lines) else ()
+    lanes = [
+        lane
+        for lane in scene.lanes
+        if lane.kind == "driving" and len(lane.centreline_m) > 1
+    ]
+    lines = np.array(
+        [shapely.LineString(lane.centreline_m) for lane in lanes], dtype=object
+    )
+    if len(lines):
+        pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T
+    else:
+        pairs = ()
     for one, other in ((a, b) for a, b in pairs if a < b):
-        for point in shapely.get_coordinates(shapely.intersection(lines[one], lines[other])):
-            ways = [_direction(line, shapely.Point(point)) for line in (lines[one], lines[other])]
+        for point in shapely.get_coordinates(
+            shapely.intersection(lines[one], lines[other])
+        ):
+            ways = [
+                _direction(line, shapely.Point(point))
+                for line in (lines[one], lines[other])
+            ]
             if ways[0] @ ways[1] < _OPPOSITE:
                 yield lanes[one].id, lanes[other].id
                 break
@@ -97,7 +128,9 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def _direction(line: Any, point: Any) -> FloatArray:
     at_m = line.project(point)
-    begin, end = (line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M))
+    begin, end = (
+        line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M)
+    )
     return unit(np.array([end.x - begin.x, end.y - begin.y]))
 
 
@@ -105,14 +138,22 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
     """Arms that the map does not follow as far as VUT and VRU come from, and what is assumed."""
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
-        ends_m = [lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)]
+        ends_m = [
+            lane_length_m(lane) for lane in arm.entry_lanes if junction.is_led_on(lane)
+        ]
         is_bent = any(junction.followed(lane) is not lane for lane in arm.entry_lanes)
-        how = "round a bend, past the buildings there" if is_bent else "straight on"
+        if is_bent:
+            how = "round a bend, past the buildings there"
+        else:
+            how = "straight on"
         if ends_m:
             yield (
                 name,
-                f"the map leads no farther than {min(ends_m):.0f} m from the junction: whoever "
-                f"comes from beyond comes {how}, and nothing is known that could hide them",
+                (
+                    f"the map leads no farther than {min(ends_m):.0f} m from the"
+                    f" junction: whoever comes from beyond comes {how}, and nothing is"
+                    " known that could hide them"
+                ),
             )
 
 
@@ -123,19 +164,26 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
         name = arm_of_road(road, junction)
         if name is None:
             what = f"road {road.name} from the {compass_point(road.direction)}"
-            yield _warning(what, "it leads to the junction, but no arm has a lane of it")
+            yield _warning(
+                what, "it leads to the junction, but no arm has a lane of it"
+            )
         else:
             found[name].append(road)
     for name, here in found.items():
         arm = junction.arms[name]
         if not here:
-            yield _warning(f"arm {name}", "no road of the map leads to the junction there")
+            yield _warning(
+                f"arm {name}", "no road of the map leads to the junction there"
+            )
             continue
         has = len(arm.entry_lanes), len(arm.exit_lanes)
         said = sum(road.lanes_in for road in here), sum(road.lanes_out for road in here)
         if has != said:
             names = " and ".join(dict.fromkeys(road.name for road in here))
-            why = f"it has {has[0]} lanes in and {has[1]} out; by the map {names} has {said[0]} in"
+            why = (
+                f"it has {has[0]} lanes in and {has[1]} out; by the map {names} has"
+                f" {said[0]} in"
+            )
             yield _warning(f"arm {name}", f"{why} and {said[1]} out")
 
 
@@ -146,13 +194,19 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
         for height_m in site.height_range_m:
             around = containing_instance(scene, site.position_m + [0.0, 0.0, height_m])
             if around is not None:
-                why = f"its mount at {height_m:g} m is inside {around.class_name} {around.id}"
+                why = (
+                    f"its mount at {height_m:g} m is inside"
+                    f" {around.class_name} {around.id}"
+                )
                 yield _error(f"site {site.id}", why)
                 break
     for site in scene.sites:
         off_m = float(site.position_m[2] - ground_height_m(scene, site.position_m[:2]))
         if abs(off_m) > _FLOATING_M:
-            why = f"its foot is {abs(off_m):.1f} m {'above' if off_m > 0.0 else 'below'} the ground"
+            why = (
+                f"its foot is {abs(off_m):.1f} m"
+                f" {'above' if off_m > 0.0 else 'below'} the ground"
+            )
             yield _error(f"site {site.id}", why)
     standing = [site for site in scene.sites if site.kind not in HANGING_KINDS]
     if standing:
@@ -162,15 +216,27 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
     feet = np.array([site.position_m[:2] for site in sites])
     junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
-    mapped = [lane for lane in scene.lanes if lane.kind != ASSUMED and len(lane.centreline_m) > 1]
+    mapped = [
+        lane
+        for lane in scene.lanes
+        if lane.kind != ASSUMED and len(lane.centreline_m) > 1
+    ]
     lanes = strips_of(mapped, less_m=_AT_KERB_M)
     hit, which = shapely.STRtree(lanes).query(shapely.points(feet), predicate="within")
-    in_lane = {int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)}
+    in_lane = {
+        int(index): mapped[int(lane)].id for index, lane in zip(hit, which, strict=True)
+    }
     in_middle = shapely.intersects_xy(junction, *feet.T)
     for index, site in enumerate(sites):
         if in_middle[index] or index in in_lane:
-            where = "in the junction" if in_middle[index] else f"on lane {in_lane[index]}"
-            why = f"it stands {where}: no pole can (kinds that hang: {', '.join(HANGING_KINDS)})"
+            if in_middle[index]:
+                where = "in the junction"
+            else:
+                where = f"on lane {in_lane[index]}"
+            why = (
+                f"it stands {where}: no pole can (kinds that hang:"
+                f" {', '.join(HANGING_KINDS)})"
+            )
             yield _error(f"site {site.id}", why)
 
 
@@ -179,16 +245,23 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
     holes = "its surface has holes above the floor"
     floating = f"it begins more than {_FLOATING_M:g} m above the road"
-    raised = f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed below"
+    raised = (
+        f"it begins {HEADROOM_M:g} m above the ground or higher: taken to be passed"
+        " below"
+    )
     sunk = "it is below the road, or begins far below it"
     inverted = "its triangles face inwards"
-    found: dict[str, list[str]] = {why: [] for why in (holes, floating, raised, sunk, inverted)}
+    found: dict[str, list[str]] = {
+        why: [] for why in (holes, floating, raised, sunk, inverted)
+    }
     for index, thing in enumerate(scene.instances):
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
             continue
         used, local = np.unique(faces, return_inverse=True)
-        mesh = trimesh.Trimesh(scene.vertices_m[used], local.reshape(-1, 3), process=False)
+        mesh = trimesh.Trimesh(
+            scene.vertices_m[used], local.reshape(-1, 3), process=False
+        )
         mesh.merge_vertices()
         low, high = mesh.bounds[:, 2]
         ground_m = ground_height_m(scene, mesh.vertices[:, :2])
@@ -199,8 +272,12 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
             found[sunk].append(thing.id)
         # A hole in the floor, which stands on the ground, lets nothing be seen through.
         edges = np.sort(mesh.edges, axis=1)
-        _, first, count = np.unique(edges, axis=0, return_index=True, return_counts=True)
-        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)  # a triangle on one side
+        _, first, count = np.unique(
+            edges, axis=0, return_index=True, return_counts=True
+        )
+        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(
+            axis=1
+        )  # a triangle on one side
         if (tops > low + _FLOOR_M).any():
             found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:
@@ -212,21 +289,27 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
     things = enumerate(scene.instances)
-    solid = [(one.id, at) for at, one in things if one.class_name in ("building", "wall")]
+    solid = [
+        (one.id, at) for at, one in things if one.class_name in ("building", "wall")
+    ]
     shapes = {name: standing_footprint(scene, index) for name, index in solid}
     shapes = {name: shape for name, shape in shapes.items() if shape.area > 0.0}
-    names, areas = list(shapes), np.array(list(shapes.values()), dtype=object)
+    names = list(shapes)
+    areas = np.array(list(shapes.values()), dtype=object)
     if not names:
         return
     tree = shapely.STRtree(areas)
     one, other = tree.query(areas, predicate="intersects")
     one, other = one[one < other], other[one < other]
     overlaps = shapely.area(shapely.intersection(areas[one], areas[other]))
-    twice, partly = list[str](), list[str]()
+    twice = list[str]()
+    partly = list[str]()
     for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
-            is_same = area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
+            is_same = (
+                area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
+            )
             (twice if is_same else partly).append(f"{names[a]} and {names[b]}")
     for found, why in (
         (partly, "they overlap on the ground"),
@@ -236,9 +319,14 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
             yield _warning(_names(found), why)
     road = road_area(scene)
     near = tree.query(road, predicate="intersects").tolist()
-    on_road = [names[at] for at in near if areas[at].intersection(road).area > _ON_ROAD_M2]
+    on_road = [
+        names[at] for at in near if areas[at].intersection(road).area > _ON_ROAD_M2
+    ]
     if on_road:
-        why = "it stands on a lane or in the junction: cases that it is in the way of are refused"
+        why = (
+            "it stands on a lane or in the junction: cases that it is in the way of are"
+            " refused"
+        )
         yield _warning(_names(on_road), why)
 
 

@@ -1,9 +1,10 @@
 """Scenes from disk and to it: the study's junction, folders, archives, and maps on the way in.
 
-A scene's folder has ``scene.toml`` for people (name, coordinate reference systems, lanes,
-crosswalks, outline, sites, the list of things and what the import left out) and ``things.glb`` for
-every 3-D viewer: glTF 2.0 with one mesh per thing, under its id. The TOML is in the world frame,
-east, north, up in metres; the mesh file in glTF's own, y up.
+A scene's folder has ``scene.toml`` for people (name, coordinate reference systems,
+lanes, crosswalks, outline, sites, the list of things and what the import left out) and
+``things.glb`` for every 3-D viewer: glTF 2.0 with one mesh per thing, under its id. The
+TOML is in the world frame, east, north, up in metres; the mesh file in glTF's own, y
+up.
 """
 
 import tempfile
@@ -36,9 +37,14 @@ from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
 from .untrusted_files import check_gltf, mesh_resolver, refuse_bomb
 
-FORMAT, VERSION = "place-rsus scene", 1
-SCENE_FILE, THINGS_FILE = "scene.toml", "things.glb"
-_MAX_BYTES = {SCENE_FILE: MAX_TOML_BYTES, THINGS_FILE: 300_000_000}  # five million triangles
+FORMAT = "place-rsus scene"
+VERSION = 1
+SCENE_FILE = "scene.toml"
+THINGS_FILE = "things.glb"
+_MAX_BYTES = {
+    SCENE_FILE: MAX_TOML_BYTES,
+    THINGS_FILE: 300_000_000,
+}  # five million triangles
 _MILLIMETRES = 3
 _HEAD = """\
 # A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
@@ -46,7 +52,15 @@ _HEAD = """\
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
 _LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
-_SITE_FIELDS = ["id", "kind", "position_m", "height_range_m", "capacity_units", "cost_eur", "use"]
+_SITE_FIELDS = [
+    "id",
+    "kind",
+    "position_m",
+    "height_range_m",
+    "capacity_units",
+    "cost_eur",
+    "use",
+]
 _ROAD_FIELDS = ["name", "point_m", "direction", "lanes_in", "lanes_out"]
 
 
@@ -60,12 +74,13 @@ def load_scene(
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
 
-    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder or .zip file that
-    :func:`save_scene` has written; or a map with roads, such as "city.osm" or "city.xodr", of which
-    one junction is cut out. Of a map, `junction` is an id, streets or "latitude,longitude", or `at`
-    a point within 100 m in the map's own coordinates; by default the one with the most arms and
-    lanes. `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by default
-    what the map says. Raises InputError: there is no scene and no map, or it cannot be read.
+    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder or
+    .zip file that :func:`save_scene` has written; or a map with roads, such as
+    "city.osm" or "city.xodr", of which one junction is cut out. Of a map, `junction` is
+    an id, streets or "latitude,longitude", or `at` a point within 100 m in the map's
+    own coordinates; by default the one with the most arms and lanes. `sites`: see
+    :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by default what the
+    map says. Raises InputError: there is no scene and no map, or it cannot be read.
 
     >>> load_scene()
     Scene('town05', 1266 triangles, 41 instances, 28 sites)
@@ -74,11 +89,18 @@ def load_scene(
     if not str(source) or (str(source) == STUDY and not path.exists()):
         return load_study_scene()
     if path.is_file() and not has_scene(path):
-        from .maps.importing import SUFFIXES, ImportOptions, ReadingOptions, import_scene
+        from .maps.importing import (
+            SUFFIXES,
+            ImportOptions,
+            ReadingOptions,
+            import_scene,
+        )
 
         if path.name.lower().endswith(SUFFIXES):
             reading = ReadingOptions(keeps_left=keeps_left)
-            options = ImportOptions(junction=junction, at=at, sites=sites, reading=reading)
+            options = ImportOptions(
+                junction=junction, at=at, sites=sites, reading=reading
+            )
             return import_scene([path], options).scene
     return load_scene_folder(path)
 
@@ -119,7 +141,9 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
     roads: tuple[LeadingRoad, ...] = ()
 
 
-def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()) -> None:
+def save_scene(
+    folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()
+) -> None:
     """Write ``scene.toml``, to a millimetre, and ``things.glb`` into a folder that exists."""
     import tomlkit
 
@@ -131,14 +155,22 @@ def save_scene(folder: str | Path, scene: Scene, *, sources: Sequence[str] = ())
         "crs": scene.crs,
         "source_crs": scene.source_crs,
         "source_origin_m": scene.source_origin_m.tolist(),
-        **({} if scene.zero_height_m is None else {"zero_height_m": scene.zero_height_m}),
+        **(
+            {}
+            if scene.zero_height_m is None
+            else {"zero_height_m": scene.zero_height_m}
+        ),
         "keeps_left": scene.keeps_left,
         "road_network": scene.road_network,
         "sources": list(sources),
         "outline_m": _rounded(scene.outline_m),
         "lanes": [
             _entry(lane, *_LANE_FIELDS)
-            | ({"speed_limit_kmh": lane.speed_limit_kmh} if lane.speed_limit_kmh else {})
+            | (
+                {"speed_limit_kmh": lane.speed_limit_kmh}
+                if lane.speed_limit_kmh
+                else {}
+            )
             | ({"turns": list(lane.turns)} if lane.turns else {})
             for lane in scene.lanes
         ],
@@ -172,7 +204,9 @@ def load_scene_folder(path: Path) -> Scene:
     bodies = []
     for index, thing in enumerate(table.things):
         instance = Instance(
-            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+            id=thing.id,
+            class_name=thing.class_name,
+            is_height_assumed=thing.is_height_assumed,
         )
         if thing.id not in meshes:
             expected = f"the name of a mesh in {THINGS_FILE}"
@@ -183,7 +217,11 @@ def load_scene_folder(path: Path) -> Scene:
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
         check_crs(crs, f"{where}: {key}")
     fields = structs.asdict(table)
-    for name in ("crosswalks", "things", "skipped"):  # these have other forms in a scene
+    for name in (
+        "crosswalks",
+        "things",
+        "skipped",
+    ):  # these have other forms in a scene
         del fields[name]
     with _named(path):
         return Scene(
@@ -208,7 +246,8 @@ def _named(path: Path) -> Iterator[None]:
 
 def _read_scene_file(folder: Path, *, shown: Path) -> _FolderScene:
     """``scene.toml`` of a folder, with format and version checked first."""
-    path, where = folder / SCENE_FILE, f"{shown}/{SCENE_FILE}"
+    path = folder / SCENE_FILE
+    where = f"{shown}/{SCENE_FILE}"
     if not path.is_file():
         refuse(str(shown), f"no {SCENE_FILE}", "a folder of an imported scene")
     table = load_toml(path)
@@ -242,14 +281,23 @@ def _as_folder(path: Path) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory() as temporary:
         # RuntimeError: it is encrypted, or packed in a way that Python cannot unpack.
-        damage = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
+        damage = (
+            OSError,
+            EOFError,
+            ValueError,
+            KeyError,
+            zipfile.BadZipFile,
+            zlib.error,
+        )
         with (
             reading(path, "a scene: a folder or .zip file", *damage, RuntimeError),
             open_file(path) as file,
             zipfile.ZipFile(file) as packed,
         ):
             for name, max_bytes in _MAX_BYTES.items():
-                with packed.open(name) as member:  # of the archive only these two are read
+                with packed.open(
+                    name
+                ) as member:  # of the archive only these two are read
                     _unpack(member, Path(temporary) / name, path, max_bytes)
         yield Path(temporary)
 
@@ -300,7 +348,9 @@ def _to_glb(scene: Scene) -> bytes:
         corners = scene.triangles[scene.triangle_instance == index]
         used, faces = np.unique(corners, return_inverse=True)
         vertices = to_gltf_points(scene.vertices_m[used])
-        mesh = trimesh.Trimesh(vertices=vertices, faces=faces.reshape(-1, 3), process=False)
+        mesh = trimesh.Trimesh(
+            vertices=vertices, faces=faces.reshape(-1, 3), process=False
+        )
         meshes.add_geometry(mesh, geom_name=instance.id, node_name=instance.id)
     data: bytes = meshes.export(file_type="glb")
     return data
@@ -319,12 +369,17 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         with open_file(path) as file:
             loaded = trimesh.load_scene(file, file_type="glb", **options)
         meshes = {
-            str(name): (from_gltf_points(mesh.vertices), np.asarray(mesh.faces, dtype=np.int32))
+            str(name): (
+                from_gltf_points(mesh.vertices),
+                np.asarray(mesh.faces, dtype=np.int32),
+            )
             for name, mesh in loaded.geometry.items()
         }
     except InputError as error:
         where = error.where.replace(str(path), shown)
-        raise InputError(where, error.got, f"glTF 2.0 (.glb): {error.expected}") from None
+        raise InputError(
+            where, error.got, f"glTF 2.0 (.glb): {error.expected}"
+        ) from None
     except Exception as error:  # trimesh raises whatever its parts do
         got = Unquoted(f"{type(error).__name__}: {error}")
         raise InputError(shown, got, "glTF 2.0 (.glb)") from None

@@ -29,50 +29,69 @@ _SHARES = Meta(description="[x, y] in widths and heights of the picture")
 class CameraModel:
     """A camera: an ideal pinhole with square pixels and its axis in the middle, or a lens.
 
-    With a lens the field of view is what the picture shows: half a width from the principal point
-    is a ray at half of `horizontal_fov_deg`, tangential terms aside.
+    With a lens the field of view is what the picture shows: half a width from the
+    principal point is a ray at half of `horizontal_fov_deg`, tangential terms aside.
     """
 
     name: str  #: in the catalogue
     width_px: int
     height_px: int
-    #: full angle across the width, more than 0 and less than 180; of a fisheye maybe more
+    # : full angle across the width, more than 0 and less than 180; of a fisheye maybe
+    # more
     horizontal_fov_deg: float
     frame_rate_hz: float  #: images per second
     near_m: float  #: what is nearer to the lens is not drawn: housing, bracket and pole
     price_eur: float  #: of one unit
-    #: least and largest horizontal field of view of a varifocal lens; None: the lens is fixed
+    # : least and largest horizontal field of view of a varifocal lens; None: the lens
+    # is fixed
     fov_range_deg: (
-        Annotated[tuple[float, float], Meta(description="[low, high] in degrees")] | None
+        Annotated[tuple[float, float], Meta(description="[low, high] in degrees")]
+        | None
     ) = None
     lens: Lens | None = None  #: how it distorts; None: not at all
-    #: where the axis meets the picture, in widths and heights of it; None: in its middle
+    # : where the axis meets the picture, in widths and heights of it; None: in its
+    # middle
     principal_point: Annotated[tuple[float, float], _SHARES] | None = None
-    pixel_aspect: float | None = None  #: focal length in rows over that in columns; None: 1
-    roll_deg: float | None = None  #: turn about the axis, clockwise seen from behind; None: 0
+    pixel_aspect: float | None = (
+        None  #: focal length in rows over that in columns; None: 1
+    )
+    roll_deg: float | None = (
+        None  #: turn about the axis, clockwise seen from behind; None: 0
+    )
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
         for field in ("width_px", "height_px"):
             value = getattr(self, field)
-            is_count = isinstance(value, int) and not isinstance(value, bool) and value > 0
+            is_count = (
+                isinstance(value, int) and not isinstance(value, bool) and value > 0
+            )
             check(field, is_count, "a whole number of pixels, > 0")
         limits = load_limits()
         if self.width_px * self.height_px > limits.camera_pixels:
             got = f"{self.width_px} times {self.height_px} pixels"
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
-        most_deg, why = 180.0, ""
+        most_deg = 180.0
+        why = ""
         if self.bent is not None:
             most_deg = min(360.0, 2.0 * math.degrees(self.bent.widest_rad))
-            why = ": farther out its lens shows nothing" if most_deg < 180.0 else ""
+            if most_deg < 180.0:
+                why = ": farther out its lens shows nothing"
+            else:
+                why = ""
         expected = f"0 < degrees < {most_deg:g}{why}"
         check("horizontal_fov_deg", 0.0 < self.horizontal_fov_deg < most_deg, expected)
         if self.bent is not None:
             shown = self.bent.shown_at(0.5 * math.radians(self.horizontal_fov_deg))
             check(
-                "lens", math.isfinite(self.bent.angle_of(shown)), "terms that it can be drawn with"
+                "lens",
+                math.isfinite(self.bent.angle_of(shown)),
+                "terms that it can be drawn with",
             )
-        for field, low, high in (("pixel_aspect", 0.5, 2.0), ("roll_deg", -180.0, 180.0)):
+        for field, low, high in (
+            ("pixel_aspect", 0.5, 2.0),
+            ("roll_deg", -180.0, 180.0),
+        ):
             value = getattr(self, field)
             check(field, value is None or low <= value <= high, f"{low:g} .. {high:g}")
         if self.principal_point is not None:
@@ -80,7 +99,10 @@ class CameraModel:
             check("principal_point", is_inside, "[x, y] in the picture, 0 .. 1")
         for field in ("frame_rate_hz", "near_m"):
             check(field, 0.0 < getattr(self, field) < math.inf, "a positive number")
-        often = f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to look"
+        often = (
+            f"at least {limits.least_frame_rate_hz:g}: so often all units are taken to"
+            " look"
+        )
         check("frame_rate_hz", self.frame_rate_hz >= limits.least_frame_rate_hz, often)
         is_price = 0.0 <= self.price_eur <= limits.price_eur
         check("price_eur", is_price, f"euros, 0 to {limits.price_eur:,.0f}")
@@ -96,19 +118,27 @@ class CameraModel:
     @property
     def bent(self) -> Lens | None:
         """The lens, if one without any distortion would show another field of view."""
-        return None if self.lens in (BrownConrady(), TsaiRadial(kappa=0.0)) else self.lens
+        if self.lens in (BrownConrady(), TsaiRadial(kappa=0.0)):
+            return None
+        return self.lens
 
     @property
     def is_pinhole(self) -> bool:
         """True if it is an ideal one, with square pixels and its axis level in the middle."""
-        is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (None, 1.0)
+        is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (
+            None,
+            1.0,
+        )
         return is_plain and not self.roll_deg and self.bent is None
 
     @property
     def focal_length_px(self) -> float:
         """Focal length in pixels, in columns."""
         half_rad = math.radians(0.5 * self.horizontal_fov_deg)
-        shown = math.tan(half_rad) if self.bent is None else self.bent.shown_at(half_rad)
+        if self.bent is None:
+            shown = math.tan(half_rad)
+        else:
+            shown = self.bent.shown_at(half_rad)
         return 0.5 * self.width_px / shown
 
     @property
@@ -123,7 +153,9 @@ class CameraModel:
         if not self.is_pinhole:
             rays = picture_rays(self.middle_px[0], [0.0, float(self.height_px)], self)
             return float(np.degrees(_angles_rad(rays, self).sum()))
-        return math.degrees(2.0 * math.atan(0.5 * self.height_px / self.focal_length_px))
+        return math.degrees(
+            2.0 * math.atan(0.5 * self.height_px / self.focal_length_px)
+        )
 
     @property
     def diagonal_fov_deg(self) -> float:
@@ -139,11 +171,15 @@ def with_fov(camera: CameraModel, fov_deg: float, where: str) -> CameraModel:
     if fov_deg == camera.horizontal_fov_deg:
         return camera
     if camera.fov_range_deg is None:
-        expected = f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens"
+        expected = (
+            f"{camera.horizontal_fov_deg:g} degrees: {camera.name} has a fixed lens"
+        )
         raise InputError(where, fov_deg, expected)
     low, high = camera.fov_range_deg
     if not low <= fov_deg <= high:
-        raise InputError(where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}")
+        raise InputError(
+            where, fov_deg, f"{low:g} .. {high:g} degrees, the lens of {camera.name}"
+        )
     return replace(camera, horizontal_fov_deg=float(fov_deg))
 
 
@@ -166,13 +202,16 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
     """
     assumed = read_data(__package__, "calibrated.toml", _Assumed)
     right, _, ahead = camera.R_camera_world
-    yaw_rad, pitch_rad = np.arctan2(ahead[1], ahead[0]), np.arcsin(ahead[2].clip(-1, 1))
+    yaw_rad = np.arctan2(ahead[1], ahead[0])
+    pitch_rad = np.arcsin(ahead[2].clip(-1, 1))
     yaw_deg, pitch_deg = np.degrees([yaw_rad, pitch_rad])
     level = camera_rotation(yaw_deg, pitch_deg)
     half_rad = camera.lens.angle_of(0.5 * camera.width_px / camera.fx_px)
     if not half_rad > 0.0:
         got = Unquoted("a lens that folds the picture before its edge")
-        raise InputError(f"{name}: distortion", got, "one that shows half a width from its middle")
+        raise InputError(
+            f"{name}: distortion", got, "one that shows half a width from its middle"
+        )
     model = CameraModel(
         name=name,
         width_px=camera.width_px,
@@ -189,15 +228,17 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
         near_m=assumed.near_m,
         price_eur=assumed.price_eur,
     )
-    pose = Pose(position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg))
+    pose = Pose(
+        position_m=camera.position_m, yaw_deg=float(yaw_deg), pitch_deg=float(pitch_deg)
+    )
     return model, pose
 
 
 def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
     """A camera as calibrations have it, in pixels whose middles are whole numbers.
 
-    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the principal
-    point is half a pixel farther there.
+    :func:`project_points` has the middle of the first pixel at (0.5, 0.5), so that the
+    principal point is half a pixel farther there.
     """
     x_px, y_px = camera.middle_px
     return CalibratedCamera(
@@ -216,8 +257,8 @@ def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
 def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
     """Columns and rows (n, 2) of points (n, 2) at depth 1 in the picture's axes, through the lens.
 
-    Beyond what is shown they lie straight on, as seen from the principal point: so boxes around
-    bodies grow with them. :func:`is_shown` tells which these are.
+    Beyond what is shown they lie straight on, as seen from the principal point: so
+    boxes around bodies grow with them. :func:`is_shown` tells which these are.
     """
     lens = camera.lens or BrownConrady()
     points = at_depth_1 @ roll_axes(camera)
@@ -253,14 +294,18 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
     return np.column_stack([shown, depth])
 
 
-def picture_rays(columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel) -> FloatArray:
+def picture_rays(
+    columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel
+) -> FloatArray:
     """Points (n, 2) at depth 1, right and down, that points of a picture show; NaN: none.
 
     The inverse of :func:`shown_points`.
     """
     lens = camera.lens or BrownConrady()
     scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
-    shown = (np.stack(np.broadcast_arrays(columns_px, rows_px), axis=-1) - camera.middle_px) / scale
+    shown = (
+        np.stack(np.broadcast_arrays(columns_px, rows_px), axis=-1) - camera.middle_px
+    ) / scale
     rays = lens.undistort(shown) @ roll_axes(camera).T
     rays[~is_shown(rays, camera)] = np.nan
     return rays
@@ -304,7 +349,8 @@ def sharpest_px_per_rad(camera: CameraModel) -> float:
 def roll_axes(camera: CameraModel) -> FloatArray:
     """Points (n, 2) in the axes of a level camera times this, (2, 2), are in the picture's."""
     roll_rad = math.radians(camera.roll_deg or 0.0)
-    cos, sin = math.cos(roll_rad), math.sin(roll_rad)
+    cos = math.cos(roll_rad)
+    sin = math.sin(roll_rad)
     return np.array([[cos, -sin], [sin, cos]])
 
 
@@ -316,7 +362,10 @@ def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
 
 
 def _reach(camera: CameraModel) -> float:
-    reach = math.inf if camera.lens is None else camera.lens.reach
+    if camera.lens is None:
+        reach = math.inf
+    else:
+        reach = camera.lens.reach
     return min(reach, math.tan(SEEN_RAD))
 
 

@@ -127,7 +127,9 @@ def load_box_scene(source: Path | Traversable) -> Scene:
     for index, crosswalk in enumerate(table.crosswalks):
         if (crosswalk.ends_m[0] == crosswalk.ends_m[1]).all():
             got = crosswalk.ends_m.tolist()
-            raise InputError(f"{where}: crosswalks[{index}].ends_m", got, "two different points")
+            raise InputError(
+                f"{where}: crosswalks[{index}].ends_m", got, "two different points"
+            )
     return Scene(
         name=table.name,
         **join_bodies([*_bodies(table, where)]),
@@ -137,10 +139,13 @@ def load_box_scene(source: Path | Traversable) -> Scene:
         ),
         outline_m=from_carla_points(table.outline_m),
         lanes=tuple(
-            replace(lane, centreline_m=from_carla_points(lane.centreline_m)) for lane in table.lanes
+            replace(lane, centreline_m=from_carla_points(lane.centreline_m))
+            for lane in table.lanes
         ),
         crs=table.crs,
-        crosswalks_m=crosswalk_lines(from_carla_points(line.ends_m) for line in table.crosswalks),
+        crosswalks_m=crosswalk_lines(
+            from_carla_points(line.ends_m) for line in table.crosswalks
+        ),
         road_network=table.road_network,
     )
 
@@ -162,9 +167,15 @@ def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
 
 def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    corners = from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
+    corners = (
+        from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
+    )
     ground = np.column_stack([corners, np.zeros(4)])
-    yield Instance(id="ground", class_name="ground"), ground, np.array([[0, 1, 2], [0, 2, 3]])
+    yield (
+        Instance(id="ground", class_name="ground"),
+        ground,
+        np.array([[0, 1, 2], [0, 2, 3]]),
+    )
     for building in table.buildings:
         yield _box(
             Instance(id=building.id, class_name="building"),
@@ -173,7 +184,8 @@ def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
             size_m=[building.length_m, building.width_m, building.height_m],
         )
     for wall in table.walls:
-        start, end = from_carla_points(wall.from_m), from_carla_points(wall.to_m)
+        start = from_carla_points(wall.from_m)
+        end = from_carla_points(wall.to_m)
         east, north = end - start
         # Half a thickness longer at both ends: walls that meet at a corner close it.
         length_m = float(np.hypot(east, north)) + wall.thickness_m
@@ -190,14 +202,21 @@ def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
             instance = Instance(id=f"{row.id}-{number}", class_name="parked vehicle")
             yield instance, to_world(shape.vertices_m, body.pose), shape.triangles
     for pole in table.poles:
-        foot, top = _on_road(pole.position_m), _on_road(pole.position_m, pole.height_m)
-        yield _cylinder(Instance(id=pole.id, class_name=pole.kind), [foot, top], pole.radius_m)
+        foot = _on_road(pole.position_m)
+        top = _on_road(pole.position_m, pole.height_m)
+        yield _cylinder(
+            Instance(id=pole.id, class_name=pole.kind), [foot, top], pole.radius_m
+        )
     for arm in table.mast_arms:
         ends = [_on_road(point, arm.height_m) for point in (arm.from_m, arm.to_m)]
-        yield _cylinder(Instance(id=arm.id, class_name="traffic light"), ends, arm.radius_m)
+        yield _cylinder(
+            Instance(id=arm.id, class_name="traffic light"), ends, arm.radius_m
+        )
 
 
-def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]) -> Body:
+def _box(
+    instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]
+) -> Body:
     import trimesh
 
     box = trimesh.creation.box(extents=size_m)
@@ -208,5 +227,7 @@ def _box(instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: li
 def _cylinder(instance: Instance, ends_m: list[FloatArray], radius_m: float) -> Body:
     import trimesh
 
-    pole = trimesh.creation.cylinder(radius=radius_m, segment=ends_m, sections=_POLE_SECTIONS)
+    pole = trimesh.creation.cylinder(
+        radius=radius_m, segment=ends_m, sections=_POLE_SECTIONS
+    )
     return instance, np.asarray(pole.vertices), pole.faces

@@ -1,7 +1,8 @@
 """Ground that is not flat: heights on a regular grid, kept as the mesh of the scene's ground.
 
-The mesh is what rays meet, and heights are those of its triangles: bodies stand on it exactly. In
-plan everything stays as it is: paths, lanes and braking are those of the plane.
+The mesh is what rays meet, and heights are those of its triangles: bodies stand on it
+exactly. In plan everything stays as it is: paths, lanes and braking are those of the
+plane.
 """
 
 from collections.abc import Sequence
@@ -32,19 +33,25 @@ _MAX_CELLS = 150  # along each side
 class Terrain:
     """Heights of the ground on a grid."""
 
-    east_m: FloatArray  # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
+    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
+    east_m: FloatArray
     north_m: FloatArray
-    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per cell
+    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per
+    # cell
     height_m: FloatArray
 
     def __post_init__(self) -> None:
         for name in ("east_m", "north_m"):
             line = float_array(getattr(self, name), (-1,), f"terrain.{name}")
             if len(line) < 2 or (np.diff(line) <= 0.0).any():
-                raise InputError(f"terrain.{name}", len(line), "at least two, in rising order")
+                raise InputError(
+                    f"terrain.{name}", len(line), "at least two, in rising order"
+                )
             object.__setattr__(self, name, line)
         shape = (len(self.north_m), len(self.east_m))
-        object.__setattr__(self, "height_m", float_array(self.height_m, shape, "terrain.height_m"))
+        object.__setattr__(
+            self, "height_m", float_array(self.height_m, shape, "terrain.height_m")
+        )
 
     def at(self, points_m: ArrayLike) -> FloatArray:
         """Height of the ground at points (..., 2), in metres; beyond the grid that of its edge.
@@ -57,8 +64,10 @@ class Terrain:
         column, u = _cell(self.east_m, points[..., 0])
         row, v = _cell(self.north_m, points[..., 1])
         z = self.height_m
-        south_west, north_east = z[row, column], z[row + 1, column + 1]
-        south_east, north_west = z[row, column + 1], z[row + 1, column]
+        south_west = z[row, column]
+        north_east = z[row + 1, column + 1]
+        south_east = z[row, column + 1]
+        north_west = z[row + 1, column]
         return np.where(
             u >= v,
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
@@ -77,17 +86,20 @@ class Terrain:
         >>> slope.distances([5.0, 5.0, 3.0], down, max_range_m=9.0).round(3).tolist()
         [2.5]
         """
-        origin, ways = np.asarray(origin_m, dtype=np.float64), np.asarray(directions)
+        origin = np.asarray(origin_m, dtype=np.float64)
+        ways = np.asarray(directions)
         steps = np.linspace(0.0, max_range_m, int(2.0 * max_range_m) + 2)
         points = origin + steps[:, None, None] * ways
         is_below = points[..., 2] <= self.at(points[..., :2])
         first = np.where(is_below.any(axis=0), is_below.argmax(axis=0), len(steps) - 1)
-        near, far = steps[np.maximum(first - 1, 0)], steps[first]
+        near = steps[np.maximum(first - 1, 0)]
+        far = steps[first]
         for _ in range(_HALVINGS):
             middle = 0.5 * (near + far)
             point = origin + middle[:, None] * ways
             below = point[:, 2] <= self.at(point[:, :2])
-            near, far = np.where(below, near, middle), np.where(below, middle, far)
+            near = np.where(below, near, middle)
+            far = np.where(below, middle, far)
         return far
 
     def mesh(self) -> tuple[FloatArray, NDArray[np.int32]]:
@@ -96,24 +108,41 @@ class Terrain:
         vertices = np.stack([east, north, self.height_m], axis=-1).reshape(-1, 3)
         n_rows, n_columns = self.height_m.shape
         node = np.arange(n_rows * n_columns, dtype=np.int32).reshape(n_rows, n_columns)
-        south_west, south_east = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
-        north_west, north_east = node[1:, :-1].ravel(), node[1:, 1:].ravel()
-        corners = [south_west, south_east, north_east, south_west, north_east, north_west]
+        south_west = node[:-1, :-1].ravel()
+        south_east = node[:-1, 1:].ravel()
+        north_west = node[1:, :-1].ravel()
+        north_east = node[1:, 1:].ravel()
+        corners = [
+            south_west,
+            south_east,
+            north_east,
+            south_west,
+            north_east,
+            north_west,
+        ]
         return vertices, np.stack(corners, axis=1).reshape(-1, 3)
 
 
-def _cell(lines_m: FloatArray, values_m: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
+def _cell(
+    lines_m: FloatArray, values_m: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Cell of each value between lines, and how far it lies in it, 0 .. 1."""
     inside = np.clip(values_m, lines_m[0], lines_m[-1])
-    index = np.clip(np.searchsorted(lines_m, inside, side="right") - 1, 0, len(lines_m) - 2)
+    index = np.clip(
+        np.searchsorted(lines_m, inside, side="right") - 1, 0, len(lines_m) - 2
+    )
     return index, (inside - lines_m[index]) / (lines_m[index + 1] - lines_m[index])
 
 
 @lru_cache(maxsize=64)
 def terrain_of(scene: Scene) -> Terrain | None:
     """The terrain of a scene, from the mesh of its ground, or InputError; None: the plane z = 0."""
-    index = [number for number, one in enumerate(scene.instances) if one.class_name == GROUND]
-    nodes = scene.vertices_m[np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])]
+    index = [
+        number for number, one in enumerate(scene.instances) if one.class_name == GROUND
+    ]
+    nodes = scene.vertices_m[
+        np.unique(scene.triangles[np.isin(scene.triangle_instance, index)])
+    ]
     if not nodes[:, 2].any():
         return None
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
@@ -123,7 +152,9 @@ def terrain_of(scene: Scene) -> Terrain | None:
     is_full = len(nodes) == len(east_m) * len(north_m)
     if not (is_full and np.array_equal(number, np.arange(len(nodes)))):
         expected = "a plane z = 0, or heights on a grid, as imported scenes have them"
-        refuse(f"{scene.name}: ground", f"{len(nodes)} nodes that are no grid", expected)
+        refuse(
+            f"{scene.name}: ground", f"{len(nodes)} nodes that are no grid", expected
+        )
     height_m = nodes[order, 2].reshape(len(north_m), len(east_m))
     return Terrain(east_m=east_m, north_m=north_m, height_m=height_m)
 
@@ -139,7 +170,10 @@ def ground_height_m(scene: Scene, points_m: ArrayLike) -> FloatArray:
 def on_ground(points_m: ArrayLike, terrain: Terrain | None) -> FloatArray:
     """Points (..., 2) with the height of the ground there, (..., 3)."""
     points = np.asarray(points_m, dtype=np.float64)
-    height = np.zeros(points.shape[:-1]) if terrain is None else terrain.at(points)
+    if terrain is None:
+        height = np.zeros(points.shape[:-1])
+    else:
+        height = terrain.at(points)
     return np.concatenate([points, height[..., None]], axis=-1)
 
 
@@ -151,7 +185,10 @@ def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
 def standing_footprint(scene: Scene, index: int) -> Any:
     """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
     used = scene.triangles[scene.triangle_instance == index]
-    if len(used) and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M:
+    if (
+        len(used)
+        and headroom_m(scene.vertices_m[used.ravel()], terrain_of(scene)) >= HEADROOM_M
+    ):
         return Polygon()
     return thing_footprint(scene, index)
 
@@ -188,8 +225,12 @@ def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, 
     if terrain is None:
         return tuple(bodies)
     feet_m = [on_ground(body.pose.position_m[:2], terrain) for body in bodies]
-    poses = [replace(one.pose, position_m=m) for one, m in zip(bodies, feet_m, strict=True)]
-    return tuple(replace(body, pose=pose) for body, pose in zip(bodies, poses, strict=True))
+    poses = [
+        replace(one.pose, position_m=m) for one, m in zip(bodies, feet_m, strict=True)
+    ]
+    return tuple(
+        replace(body, pose=pose) for body, pose in zip(bodies, poses, strict=True)
+    )
 
 
 def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrain:
@@ -206,7 +247,9 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
-    if np.isnan(height).all():  # points on a line, or a few: the ground next to them is as high
+    if np.isnan(
+        height
+    ).all():  # points on a line, or a few: the ground next to them is as high
         ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         aside = 0.5 * (line[1] - line[0]) * ways
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
@@ -223,8 +266,12 @@ def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
     from threadpoolctl import threadpool_limits
 
     try:
-        with threadpool_limits(1):  # of thousands of 2 x 2 systems: other BLAS threads only spin
-            height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(nodes_m)
+        with threadpool_limits(
+            1
+        ):  # of thousands of 2 x 2 systems: other BLAS threads only spin
+            height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(
+                nodes_m
+            )
     except (QhullError, ValueError):  # fewer than three points, or all on a line
         return np.full(nodes_m.shape[:-1], np.nan)
     return height

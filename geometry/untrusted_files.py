@@ -28,28 +28,38 @@ _SMALL_BYTES = 1_000_000  # of which a bomb is none
 _CHUNK_BYTES = 1 << 20
 _VALUE_BYTES = 8
 MAX_FILE_BYTES = 500_000_000
-_MAX_COUNT = 20_000_000  # elements of one accessor: five million triangles have 15 million indices
+# elements of one accessor: five million triangles have 15 million indices
+_MAX_COUNT = 20_000_000
 _MAX_NODES = 200_000
 _MAX_JSON_BYTES = 100_000_000
 _MAX_HEADER_BYTES = 64 * 1024  # [1]
 _MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
+_VARINT = 0
+_FIXED64 = 1
+_BYTES = 2
+_FIXED32 = 5  # protobuf's wire types
 
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     """Unpack a .zip, and yield the path of its one readable file, with everything next to it.
 
-    `suffixes` are the endings of readable files in lower case; files that belong to them (``.dbf``,
-    ``.bin``, textures) have others. The temporary folder is removed at the end. An
-    :class:`InputError` about it that is raised within names the archive instead. Raises InputError
-    if the archive is damaged or encrypted, is too large unpacked (2 GB, 10,000 files, 200 times its
-    size), has names that lead out of the folder, links, or names twice; or if none, or several, of
-    its files are readable.
+    `suffixes` are the endings of readable files in lower case; files that belong to
+    them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
+    the end. An :class:`InputError` about it that is raised within names the archive
+    instead. Raises InputError if the archive is damaged or encrypted, is too large
+    unpacked (2 GB, 10,000 files, 200 times its size), has names that lead out of the
+    folder, links, or names twice; or if none, or several, of its files are readable.
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:
-        damage = (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError, RuntimeError)
+        damage = (
+            zipfile.BadZipFile,
+            zipfile.LargeZipFile,
+            zlib.error,
+            EOFError,
+            RuntimeError,
+        )
         with (
             reading(path, "a readable .zip", *damage, ValueError, OSError),
             open_file(path) as file,
@@ -76,7 +86,11 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
         parts = PurePosixPath(name).parts
         leads_out = name.startswith("/") or ".." in parts or set(name) & set("\\:\0")
         for is_wrong, what, expected in (
-            (not parts or leads_out, "a name that leads out of it", "plain relative names"),
+            (
+                not parts or leads_out,
+                "a name that leads out of it",
+                "plain relative names",
+            ),
             (stat.S_ISLNK(entry.external_attr >> 16), "a link", "plain files"),
             (entry.flag_bits & 0x1, "an encrypted file", "one without a password"),
             (name.casefold() in seen, "a name that occurs twice", "every name once"),
@@ -99,12 +113,16 @@ def _recognised(
         for entry in members
         if entry.filename.lower().endswith(tuple(suffixes))
         and entry.filename.rpartition(".")[0] not in names
-        and not any(part.startswith((".", "__MACOSX")) for part in Path(entry.filename).parts)
+        and not any(
+            part.startswith((".", "__MACOSX")) for part in Path(entry.filename).parts
+        )
     ]
     if len(found) == 1:
         return found[0]
     shown = ", ".join(entry.filename[:60] for entry in (found or members)[:5])
-    got = f"{len(found)} files that can be read" + (f" (it has {shown})" if shown else "")
+    got = f"{len(found)} files that can be read" + (
+        f" (it has {shown})" if shown else ""
+    )
     refuse(where, got, "exactly one, with an ending of " + ", ".join(sorted(suffixes)))
 
 
@@ -132,7 +150,9 @@ def unpacked_bytes(archive: zipfile.ZipFile, where: str) -> int:
 def check_unpacked(n_bytes: int, where: str) -> None:
     """Raise InputError if more bytes come out of one packed file than the budget of all of them."""
     if n_bytes > MAX_UNPACKED_BYTES:
-        expected = f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
+        expected = (
+            f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
+        )
         refuse(where, f"{n_bytes:,} bytes or more when unpacked", expected)
 
 
@@ -169,12 +189,18 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
     with open_file(path, max_bytes=max_bytes) as file, reading(path, expected, *damage):
         found = parquet.read_metadata(file)
         groups = [found.row_group(index) for index in range(found.num_row_groups)]
-        columns = [group.column(at) for group in groups for at in range(group.num_columns)]
+        columns = [
+            group.column(at) for group in groups for at in range(group.num_columns)
+        ]
         n_values = sum(column.num_values for column in columns)
-        n_bytes = max(_VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups))
+        n_bytes = max(
+            _VALUE_BYTES * n_values, sum(group.total_byte_size for group in groups)
+        )
         _refuse_ratio(n_bytes, os.fstat(file.fileno()).st_size, str(path))
         schema = [found.schema.column(index) for index in range(found.num_columns)]
-        texts = [column.path for column in schema if column.physical_type == "BYTE_ARRAY"]
+        texts = [
+            column.path for column in schema if column.physical_type == "BYTE_ARRAY"
+        ]
         file.seek(0)
         with parquet.ParquetFile(file, metadata=found, read_dictionary=texts) as opened:
             yield opened
@@ -205,7 +231,9 @@ def read_xml_root(path: Path) -> Element:
 def _open_xml(path: Path, expected: str, well_formed: str) -> Iterator[BinaryIO]:
     from defusedxml import DefusedXmlException
 
-    with reading(path, well_formed, ParseError, ValueError, LookupError):  # of encodings
+    with reading(
+        path, well_formed, ParseError, ValueError, LookupError
+    ):  # of encodings
         try:
             with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
                 yield file
@@ -264,9 +292,10 @@ class _Gltf(Struct, frozen=True):
 def mesh_resolver(path: Path, *, where: str = "", is_beside: bool = False) -> Any:
     """A resolver for trimesh that opens nothing outside of a mesh's own file.
 
-    `is_beside`: the format keeps its geometry in files beside it; those are opened, if they are
-    regular files in the mesh's folder, or below it, and all of them together have a mesh's size.
-    `where` names the mesh in messages; empty: its path. The resolver's ``get`` raises InputError.
+    `is_beside`: the format keeps its geometry in files beside it; those are opened, if
+    they are regular files in the mesh's folder, or below it, and all of them together
+    have a mesh's size. `where` names the mesh in messages; empty: its path. The
+    resolver's ``get`` raises InputError.
     """
     from trimesh.resolvers import Resolver
 
@@ -291,7 +320,9 @@ def mesh_resolver(path: Path, *, where: str = "", is_beside: bool = False) -> An
             return []
 
         def namespaced(self, namespace: str) -> Any:
-            refuse(shown, f"a reference to {namespace[:100]!r}", "files in its own folder")
+            refuse(
+                shown, f"a reference to {namespace[:100]!r}", "files in its own folder"
+            )
 
         def write(self, name: str, data: object) -> None:
             raise NotImplementedError(name)
@@ -302,11 +333,15 @@ def mesh_resolver(path: Path, *, where: str = "", is_beside: bool = False) -> An
 def check_gltf(path: Path) -> None:
     """Raise InputError for claims of a glTF 2 file before memory is given to them.
 
-    A binary one has all of its data in itself: neither a buffer nor an image is another file.
+    A binary one has all of its data in itself: neither a buffer nor an image is another
+    file.
     """
     where = str(path)
     is_binary = path.suffix.lower() == ".glb"
-    text = _binary_header(path) if is_binary else read_bytes(path)
+    if is_binary:
+        text = _binary_header(path)
+    else:
+        text = read_bytes(path)
     if len(text) > _MAX_JSON_BYTES:
         refuse(where, f"{len(text):,} bytes of JSON", f"{_MAX_JSON_BYTES:,}")
     document = parse_object(text.decode("utf-8", "replace"), where, "glTF")
@@ -315,7 +350,8 @@ def check_gltf(path: Path) -> None:
     for name in ("buffers", "images"):
         for index, data in enumerate(getattr(header, name)):
             if is_binary and data.uri is not None and not data.uri.startswith("data:"):
-                got, expected = data.uri[:100], "all data in the file itself"
+                got = data.uri[:100]
+                expected = "all data in the file itself"
                 raise InputError(f"{where}: {name}[{index}].uri", got, expected)
     children = [child for node in header.nodes for child in node.children]
     if max(children, default=-1) >= len(header.nodes):
@@ -347,8 +383,8 @@ def _binary_header(path: Path) -> bytes:
 def check_pbf(path: Path, *, max_unpacked_bytes: int, expected: str) -> None:
     """Raise InputError if a PBF file is one that osmium cannot be trusted with.
 
-    It is damaged, too large, packed in another way than with zlib, or has a zero byte in a text:
-    osmium ends the text there and reads on beyond its memory.
+    It is damaged, too large, packed in another way than with zlib, or has a zero byte
+    in a text: osmium ends the text there and reads on beyond its memory.
     """
     n_left = max_unpacked_bytes
     try:
@@ -376,7 +412,8 @@ def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
             if len(prefix) < 4 or n_bytes > _MAX_HEADER_BYTES:
                 raise _DamagedError("an invalid header")
             header = dict(_fields(_exactly(file.read(n_bytes), n_bytes)))
-            kind, size = header.get(1, b""), header.get(3, -1)
+            kind = header.get(1, b"")
+            size = header.get(3, -1)
             if not isinstance(kind, bytes) or not isinstance(size, int):
                 raise _DamagedError("an invalid header")
             if not 0 <= size <= _MAX_BLOB_BYTES:
@@ -411,10 +448,12 @@ def _texts(block: bytes) -> Iterator[bytes]:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
-    at, end = 0, len(data)
+    at = 0
+    end = len(data)
     while at < end:
         key, at = _varint(data, at)
-        number, wire = key >> 3, key & 7
+        number = key >> 3
+        wire = key & 7
         if wire == _VARINT:
             value, at = _varint(data, at)
             yield number, value
@@ -422,7 +461,10 @@ def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
         if wire == _BYTES:
             length, at = _varint(data, at)
         elif wire in (_FIXED32, _FIXED64):
-            length = 4 if wire == _FIXED32 else 8
+            if wire == _FIXED32:
+                length = 4
+            else:
+                length = 8
         else:
             raise _DamagedError("a field of unknown type")
         if length > end - at:
@@ -433,7 +475,8 @@ def _fields(data: bytes) -> Iterator[tuple[int, int | bytes]]:
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
     """A number of variable length, and the position of the next field."""
-    value, shift = 0, 0
+    value = 0
+    shift = 0
     while True:
         byte = data[at]
         at += 1

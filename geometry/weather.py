@@ -23,12 +23,15 @@ class Weather:
     name: str  # "day", "night", "rain" or "fog"
     visibility_m: float  # meteorological optical range of haze and fog, without rain
     rain_rate_mmph: float  # rain
-    sun_elevation_deg: float  # where the sun stands: above the horizon, counter-clockwise from east
+    sun_elevation_deg: (
+        float  # where the sun stands: above the horizon, counter-clockwise from east
+    )
     sun_yaw_deg: float
     sun_lux: float  # on a surface that faces the sun, and on level ground from the sky
     sky_lux: float
     has_lamps: bool  # street lamps and headlights are on
-    # of a VRU against what is behind it, before the air takes its part; 1 in full daylight
+    # of a VRU against what is behind it, before the air takes its part; 1 in full
+    # daylight
     contrast: float
     wetness: float  # how much of a mirror the road is, 0 .. 1.
 
@@ -36,7 +39,11 @@ class Weather:
         for field, is_valid, expected in (
             ("visibility_m", self.visibility_m > 0.0, "metres, > 0"),
             ("rain_rate_mmph", self.rain_rate_mmph >= 0.0, "mm/h, at least 0"),
-            ("sun_elevation_deg", abs(self.sun_elevation_deg) <= 90.0, "-90 .. 90 degrees"),
+            (
+                "sun_elevation_deg",
+                abs(self.sun_elevation_deg) <= 90.0,
+                "-90 .. 90 degrees",
+            ),
             ("sun_lux", self.sun_lux >= 0.0, "lux, at least 0"),
             ("sky_lux", self.sky_lux >= 0.0, "lux, at least 0"),
             ("has_lamps", isinstance(self.has_lamps, bool), "true or false"),
@@ -68,8 +75,8 @@ class Weather:
     def lidar_extinction_per_m(self, wavelength_nm: float) -> float:
         """Share of a laser pulse that rain and haze take per metre, one way.
 
-        With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785 nm and 1550
-        nm in fog and haze for optical wireless communications", 2001.
+        With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785
+        nm and 1550 nm in fog and haze for optical wireless communications", 2001.
         """
         scale = (wavelength_nm / 550.0) ** -_kim_exponent(self.visibility_m)
         haze_per_m = -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m

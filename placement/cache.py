@@ -1,7 +1,8 @@
 """Results cached on disk for the next call, under a hash of all that they were made from.
 
-What is read is data, never a pickle, and only from a folder into which nobody else may write. A
-file is written whole or not at all; one that is damaged, or of other inputs, is made anew.
+What is read is data, never a pickle, and only from a folder into which nobody else may
+write. A file is written whole or not at all; one that is damaged, or of other inputs,
+is made anew.
 """
 
 import hashlib
@@ -25,7 +26,9 @@ Arrays = dict[str, NDArray[Any]]
 _T = TypeVar("_T")
 _OWN = ("format", "fingerprint", "content")  # of a file of arrays, besides these
 _HASH_SIZE = 32
-MAX_ARRAYS = 500  # arrays in a file; a question has some thirty units, each of a few kilobytes
+MAX_ARRAYS = (
+    500  # arrays in a file; a question has some thirty units, each of a few kilobytes
+)
 MAX_FILES = 100  # files of a name; the oldest are removed
 MAX_VALUES = 20  # files of a name of values of any kind, which may have some 20 MB each
 
@@ -52,7 +55,9 @@ def _read(path: Path, read: Callable[[BinaryIO], _T], *, what: str) -> _T | None
             return read(file)
     except FileNotFoundError:
         return None
-    except Exception as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
+    except (
+        Exception
+    ) as error:  # damaged archives raise many kinds: zipfile's, zlib's, tokenize's
         tell_unused(path, error, what=what)
         return None
 
@@ -75,7 +80,9 @@ def _prune(path: Path, *, most: int) -> None:
     """Remove the oldest files of the same name and kind as a path."""
     pattern = f"{path.name.split('-')[0]}-*{path.suffix}"
     try:
-        files_by_age = sorted(path.parent.glob(pattern), key=lambda file: file.stat().st_mtime)
+        files_by_age = sorted(
+            path.parent.glob(pattern), key=lambda file: file.stat().st_mtime
+        )
         for file in files_by_age[:-most]:
             file.unlink(missing_ok=True)
     except OSError as error:  # somebody else tidies up, or nothing may be removed
@@ -96,7 +103,10 @@ def save_arrays(
 
     `what` is their name in messages, `kind` that of the format.
     """
-    save = np.savez_compressed if is_compressed else np.savez
+    if is_compressed:
+        save = np.savez_compressed
+    else:
+        save = np.savez
     content: dict[str, Any] = {
         "format": kind,
         "fingerprint": fingerprint,
@@ -112,7 +122,10 @@ def load_arrays(path: Path, *, what: str, kind: str, fingerprint: str) -> Arrays
     def read(file: BinaryIO) -> Arrays:
         # Opened before: numpy does not close a file that turns out to be no archive.
         with np.load(file, allow_pickle=False) as stored:
-            if str(stored["format"]) != kind or str(stored["fingerprint"]) != fingerprint:
+            if (
+                str(stored["format"]) != kind
+                or str(stored["fingerprint"]) != fingerprint
+            ):
                 raise ValueError("made from other inputs")
             arrays = {name: stored[name] for name in stored.files if name not in _OWN}
             if str(stored["content"]) != content_hash(arrays, fingerprint):
@@ -135,15 +148,20 @@ def content_hash(arrays: Mapping[str, NDArray[Any]], fingerprint: str) -> str:
 class CachedArrays:
     """Small arrays by key that belong to one fingerprint, such as the frames that units detect.
 
-    They are in `arrays`; without a folder nothing is cached. Where two processes write at once,
-    what one of them found may be lost.
+    They are in `arrays`; without a folder nothing is cached. Where two processes write
+    at once, what one of them found may be lost.
     """
 
-    def __init__(self, folder: Path | None, name: str, *, kind: str, fingerprint: str) -> None:
+    def __init__(
+        self, folder: Path | None, name: str, *, kind: str, fingerprint: str
+    ) -> None:
         self._what = name
         self._kind = kind
         self._fingerprint = fingerprint
-        self._path = None if folder is None else folder / f"{name}-{fingerprint}.npz"
+        if folder is None:
+            self._path = None
+        else:
+            self._path = folder / f"{name}-{fingerprint}.npz"
         self.arrays = self._load()
 
     def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -188,9 +206,10 @@ def cached_value(
 ) -> _T:
     """Value of `make`, from the last call that asked for the same; without a folder always made.
 
-    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of `packages`.
-    `kind` is the value's type hint; `classes` are dataclasses that stand where it names a protocol.
-    Only a value that `is_worth_it` is cached. Arrays that are read-only stay so.
+    `make` uses nothing but `made_from` (see :class:`Fingerprints`) and the files of
+    `packages`. `kind` is the value's type hint; `classes` are dataclasses that stand
+    where it names a protocol. Only a value that `is_worth_it` is cached. Arrays that
+    are read-only stay so.
     """
     if folder is None:
         return make()
@@ -218,4 +237,6 @@ def cached_value(
 
 def _key(content: bytes, fingerprint: str) -> bytes:
     """Hash of a file's content, which fits one fingerprint only."""
-    return hashlib.blake2b(content, key=fingerprint.encode(), digest_size=_HASH_SIZE).digest()
+    return hashlib.blake2b(
+        content, key=fingerprint.encode(), digest_size=_HASH_SIZE
+    ).digest()

@@ -31,14 +31,20 @@ class CandidatePose:
     """A sensor that could be mounted."""
 
     id: str  #: unique name
-    site_id: str  #: site of the scene that carries it; empty for a pose at no known site
+    site_id: (
+        str  #: site of the scene that carries it; empty for a pose at no known site
+    )
     pose: Pose  #: where it is and looks, in the world frame
     sensor: Sensor  #: what is mounted
-    latency_s: float | None = None  #: from its frame to braking; by default that of the rule. [s]
+    latency_s: float | None = (
+        None  #: from its frame to braking; by default that of the rule. [s]
+    )
 
     def latency(self, rule: "AebRule") -> float:
         """Its own latency, or the rule's, in seconds."""
-        return rule.latency_s if self.latency_s is None else self.latency_s
+        if self.latency_s is None:
+            return rule.latency_s
+        return self.latency_s
 
     def __repr__(self) -> str:
         return f"CandidatePose({self.id!r})"
@@ -57,13 +63,16 @@ def above_ground(unit: CandidatePose, scene: Scene) -> CandidatePose:
 class CandidateGrid:
     """Which poses are tried at every site."""
 
-    heights_m: FloatArray  #: (n,): above the road; at a site the nearest height in its range. [m]
-    yaw_step_deg: float  #: yaws are the multiples of this all around; it divides 360. [deg]
+    # : (n,): above the road; at a site the nearest height in its range. [m]
+    heights_m: FloatArray
+    yaw_step_deg: (
+        float  #: yaws are the multiples of this all around; it divides 360. [deg]
+    )
     pitches_deg: FloatArray  #: (n,): positive up. [deg]
     sensors: tuple[Sensor, ...]  #: models to choose from
-    #: (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by default: a ring that
-    #: is tilted down on one side looks into the sky on the other, which suits none but a mount at
-    #: the edge of everything that matters. [deg]
+    # : (n,): in place of `pitches_deg`, of LiDARs that scan all round. Level by
+    # default: a ring that : is tilted down on one side looks into the sky on the other,
+    # which suits none but a mount at : the edge of everything that matters. [deg]
     ring_pitches_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
@@ -91,11 +100,19 @@ class CandidateGrid:
 
     def directions_deg(self, sensor: Sensor) -> list[tuple[float, float]]:
         """Where a sensor is tried to look: yaw and pitch, each direction that differs once."""
-        # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a hair.
-        yaws_deg = (360.0 * np.arange(1, self.n_yaws + 1) / self.n_yaws - 180.0).round(12).tolist()
+        # From the whole circle, and rounded: sums of steps would miss 0 and 180 by a
+        # hair.
+        yaws_deg = (
+            (360.0 * np.arange(1, self.n_yaws + 1) / self.n_yaws - 180.0)
+            .round(12)
+            .tolist()
+        )
         if not is_ring(sensor):
             return list(product(yaws_deg, self.pitches_deg.tolist()))
-        level = [(0.0, 0.0)] if (self.ring_pitches_deg == 0.0).any() else []
+        if (self.ring_pitches_deg == 0.0).any():
+            level = [(0.0, 0.0)]
+        else:
+            level = []
         tilts_deg = self.ring_pitches_deg[self.ring_pitches_deg != 0.0].tolist()
         return level + list(product(yaws_deg, tilts_deg))
 
@@ -112,11 +129,14 @@ def is_turn_useless(sensor: Sensor, *, pitch_deg: float) -> bool:
 
 def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
     """True if points (n, 3) lie in a unit's field of view, at any distance, hidden or not."""
-    sensor, pose = unit.sensor, unit.pose
+    sensor = unit.sensor
+    pose = unit.pose
     is_inside: BoolArray
     if isinstance(sensor, LidarModel):
         offsets = points_m - pose.position_m
-        ahead, left, up = np.moveaxis(offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0)
+        ahead, left, up = np.moveaxis(
+            offsets @ body_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0
+        )
         azimuth_deg = np.degrees(np.arctan2(left, ahead))
         elevation_deg = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
         is_inside = np.abs(azimuth_deg) <= 0.5 * sensor.horizontal_fov_deg
@@ -130,7 +150,10 @@ def is_in_view(unit: CandidatePose, points_m: FloatArray) -> BoolArray:
 
 
 def build_candidates(
-    scene: Scene, grid: CandidateGrid | None = None, *, extra: Sequence[CandidatePose] = ()
+    scene: Scene,
+    grid: CandidateGrid | None = None,
+    *,
+    extra: Sequence[CandidatePose] = (),
 ) -> tuple[CandidatePose, ...]:
     """Every site x height x sensor x direction of a grid, then some `extra` poses by name.
 
@@ -156,16 +179,23 @@ def build_candidates(
         for yaw_deg, pitch_deg in grid.directions_deg(sensor)
     ]
     candidates += extra
-    check_distinct("candidates", [candidate.id for candidate in candidates], "every id once")
+    check_distinct(
+        "candidates", [candidate.id for candidate in candidates], "every id once"
+    )
     return tuple(candidates)
 
 
 @cache
 def load_candidate_grid(*, is_coarse: bool = False) -> CandidateGrid:
     """The default grid, from ``data/candidates.toml``, or one with a ninth of its poses."""
-    where = "coarse_candidates.toml" if is_coarse else "candidates.toml"
+    if is_coarse:
+        where = "coarse_candidates.toml"
+    else:
+        where = "candidates.toml"
     table = load_data(__package__, where)
-    models = tuple(pick_sensor(name, f"{where}: sensors") for name in table.pop("sensors"))
+    models = tuple(
+        pick_sensor(name, f"{where}: sensors") for name in table.pop("sensors")
+    )
     return CandidateGrid(**table, sensors=models)
 
 
@@ -178,9 +208,13 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
     if question.sensors:
         changes["sensors"] = tuple(own_models(question.sensors).values())
     if question.heights:
-        changes["heights_m"] = _numbers("heights", question.heights, "metres", 0.5, 50.0)
+        changes["heights_m"] = _numbers(
+            "heights", question.heights, "metres", 0.5, 50.0
+        )
     if question.pitches:
-        changes["pitches_deg"] = _numbers("pitches", question.pitches, "degrees", -90.0, 90.0)
+        changes["pitches_deg"] = _numbers(
+            "pitches", question.pitches, "degrees", -90.0, 90.0
+        )
     if question.yaw_step_deg is not None:
         changes["yaw_step_deg"] = question.yaw_step_deg
     return replace(load_candidate_grid(is_coarse=is_coarse), **changes)
@@ -189,7 +223,10 @@ def build_grid(question: Question, *, is_coarse: bool = False) -> CandidateGrid:
 def _numbers(where: str, text: str, unit: str, low: float, high: float) -> FloatArray:
     """Numbers with commas between, each once."""
     expected = f"{unit} with commas between, {low:g} to {high:g}"
-    numbers = [read_number(where, word, expected, low, high) for word in split_names(text, where)]
+    numbers = [
+        read_number(where, word, expected, low, high)
+        for word in split_names(text, where)
+    ]
     return np.array(numbers)
 
 

@@ -35,7 +35,8 @@ class Block:
 class GapEstimate:
     """Limits of the best mean APR and of a layout's own, both at once with a confidence."""
 
-    most: MeanEstimate  # Of the blocks' bounds: no layout's APR over all worlds is above its `high`
+    # Of the blocks' bounds: no layout's APR over all worlds is above its `high`
+    most: MeanEstimate
     # Of the layout in worlds that nothing was chosen in: its APR is not below its `low`
     least: MeanEstimate
 
@@ -58,13 +59,15 @@ class GapEstimate:
 def estimate_gap(bounds: Sequence[float], aprs: Sequence[float]) -> GapEstimate:
     """The gap from bounds of blocks (n_blocks,) and APRs of a layout in other worlds (n_worlds,).
 
-    The expected bound of a block is not below the best expected APR: in each block the best layout
-    is at least as good as the one that is best over all. Both means have an interval of Student's t
-    with 95 %, of which one end each counts: 2.5 % on either side, 5 % together.
+    The expected bound of a block is not below the best expected APR: in each block the
+    best layout is at least as good as the one that is best over all. Both means have an
+    interval of Student's t with 95 %, of which one end each counts: 2.5 % on either
+    side, 5 % together.
 
     References
     ----------
-    .. [1] W.-K. Mak, D. P. Morton, R. K. Wood, "Monte Carlo bounding techniques for determining
+    .. [1] W.-K. Mak, D. P. Morton, R. K. Wood, "Monte Carlo bounding techniques for
+       determining
        solution quality in stochastic programs", Operations Research Letters 24 (1999).
 
     Examples
@@ -81,30 +84,40 @@ class Certified:
     """The best of the layouts that were found in blocks of worlds, and what it may lack."""
 
     blocks: tuple[Block, ...]  # Each with worlds of its own
-    # Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the best first
+    # Layouts found in the blocks, and the greedy ones, in the same fresh worlds; the
+    # best first
     pool: tuple[SampledApr, ...]
     judged: SampledApr  # The best one in other fresh worlds
     gap: GapEstimate  # From the bounds and these
 
 
-def certify(assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED) -> Certified:
+def certify(
+    assembly: Assembly, *, n_blocks: int = N_BLOCKS, n_judged: int = N_JUDGED
+) -> Certified:
     """Find a layout for the mean over worlds, and limit what it lacks of the best.
 
-    Each of the blocks has `assembly.n_samples` worlds, which no other block, and neither of the two
-    times `n_judged` to judge in, has. Raises InputError for blocks of one world, fewer than two, or
-    a question that is not for the highest mean APR within a budget.
+    Each of the blocks has `assembly.n_samples` worlds, which no other block, and
+    neither of the two times `n_judged` to judge in, has. Raises InputError for blocks
+    of one world, fewer than two, or a question that is not for the highest mean APR
+    within a budget.
     """
     check_whole("blocks", n_blocks, least=2)
     check_whole("judge", n_judged, least=2)
     check_whole("samples", assembly.n_samples, least=2)
-    _check_mean(assembly.wishes, "question", "a budget and the mean APR: only they are certified")
+    _check_mean(
+        assembly.wishes,
+        "question",
+        "a budget and the mean APR: only they are certified",
+    )
     compute = assembly.compute
     blocks = tuple(_solve_block(assembly, block, n_blocks) for block in range(n_blocks))
     names = {
         **{one.greedy: f"greedy of block {n}" for n, one in enumerate(blocks, start=1)},
         **{one.found: f"best of block {n}" for n, one in enumerate(blocks, start=1)},
     }
-    layouts = [pick_layout(assembly.candidates, rows, name) for rows, name in names.items()]
+    layouts = [
+        pick_layout(assembly.candidates, rows, name) for rows, name in names.items()
+    ]
     compute.progress("choose in fresh worlds", 0, 0)
     pool = assembly.in_fresh_worlds(layouts, n_worlds=n_judged, first=0)
     pool = sorted(pool, key=lambda one: -one.estimate.mean)
@@ -123,9 +136,12 @@ def _check_mean(wishes: Wishes, where: str, expected: str) -> None:
 
 def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
     """The best layout in the worlds of one block, with its bound."""
-    first, compute = block * assembly.n_samples, assembly.compute
+    first = block * assembly.n_samples
+    compute = assembly.compute
     part = replace(
-        assembly, first_sample=first, compute=compute.within(f"block {block + 1} of {n_blocks}")
+        assembly,
+        first_sample=first,
+        compute=compute.within(f"block {block + 1} of {n_blocks}"),
     )
     problem = part.problem
 
@@ -158,9 +174,17 @@ def _solve_block(assembly: Assembly, block: int, n_blocks: int) -> Block:
 SIZES = (4, 8, 16, 32, 64)
 """Worlds to choose in, round by round."""
 Stopped = Literal["same", "no better", "time", "memory", "most"]
-_GAIN = "95 % interval of that less the round before's; null: the first round, or the same layout."
-_STOPPED = "Why no more were tried: same layout, none better beyond chance, or what had run out."
-_TIMES = 5  # Rounds take so many times the time limit of one, before the last one begins
+_GAIN = (
+    "95 % interval of that less the round before's; null: the first round, or the same"
+    " layout."
+)
+_STOPPED = (
+    "Why no more were tried: same layout, none better beyond chance, or what had run"
+    " out."
+)
+_TIMES = (
+    5  # Rounds take so many times the time limit of one, before the last one begins
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +194,9 @@ class Round:
     worlds: Annotated[int, says("Number of worlds to choose in.")]
     in_sample: Annotated[float, says("Mean APR of the layout in them.")]
     bound: Annotated[float, says("Mean APR that no layout exceeds in them.")]
-    mean: Annotated[float, says("Mean APR of the layout in fresh worlds that only compare rounds.")]
+    mean: Annotated[
+        float, says("Mean APR of the layout in fresh worlds that only compare rounds.")
+    ]
     low: Annotated[float | None, says(_GAIN)]
     high: Annotated[float | None, says(_GAIN)]
 
@@ -202,21 +228,25 @@ def grow(
 ) -> Grown:
     """Choose in twice as many worlds, again and again, until the layout gets no better.
 
-    A round's layout is chosen in the worlds from `first` on, as if so many had been asked for. It
-    is compared with that of the round before in 60 fresh worlds, the same ones for both: unless it
-    is ahead with 95 % confidence, the fewer worlds are enough. No other round begins after five
-    times the time limit, for 64 worlds, or where twice as many do not fit into memory.
+    A round's layout is chosen in the worlds from `first` on, as if so many had been
+    asked for. It is compared with that of the round before in 60 fresh worlds, the same
+    ones for both: unless it is ahead with 95 % confidence, the fewer worlds are enough.
+    No other round begins after five times the time limit, for 64 worlds, or where twice
+    as many do not fit into memory.
 
-    The best solution in n worlds tends to the best over all, and stopping by what fresh worlds
-    measure, not by values in the worlds that were chosen in, is sequential sampling [1]_. Raises
-    InputError as :func:`place`, or for a question that is not for the highest mean APR.
+    The best solution in n worlds tends to the best over all, and stopping by what fresh
+    worlds measure, not by values in the worlds that were chosen in, is sequential
+    sampling [1]_. Raises InputError as :func:`place`, or for a question that is not for
+    the highest mean APR.
 
     References
     ----------
-    .. [1] G. Bayraksan, D. P. Morton, "A sequential sampling procedure for stochastic programming",
+    .. [1] G. Bayraksan, D. P. Morton, "A sequential sampling procedure for stochastic
+       programming",
        Operations Research 59 (2011).
     """
-    began_s, rounds = now_s(), list[Round]()
+    began_s = now_s()
+    rounds = list[Round]()
     best: tuple[Assembly, Placement, SampledApr] | None = None
     stopped: Stopped = "most"
     for n_worlds in SIZES:
@@ -224,10 +254,15 @@ def grow(
             stopped = "time"
             break
         asked = replace(question, samples=n_worlds)
-        setting = None if best is None else best[0].setting
+        if best is None:
+            setting = None
+        else:
+            setting = best[0].setting
         trial = assemble(asked, scene=scene, setting=setting, compute=compute)
         trial = replace(trial, first_sample=first)
-        _check_mean(trial.wishes, "samples", "a number: auto is for a budget and the mean APR")
+        _check_mean(
+            trial.wishes, "samples", "a number: auto is for a budget and the mean APR"
+        )
         try:
             found = place(trial, asks_worlds=True)
         except InputError as error:
@@ -238,7 +273,10 @@ def grow(
         judged, this = _round(trial, found, None if best is None else best[2])
         rounds.append(this)
         if best is not None and not (this.low or 0.0) > 0.0:
-            stopped = "same" if this.low is None else "no better"
+            if this.low is None:
+                stopped = "same"
+            else:
+                stopped = "no better"
             break
         best = trial, found, judged
     assert best is not None  # the first round is taken in any case
@@ -256,15 +294,22 @@ def _round(
     assembly: Assembly, found: Placement, before: SampledApr | None
 ) -> tuple[SampledApr, Round]:
     """What was chosen in some worlds, in fresh ones next to what the round before had."""
-    stage, gain = found.certificate.stages[0], None
+    stage = found.certificate.stages[0]
+    gain = None
     mounted = {pose_key(unit) for unit in found.layout.units}
-    if before is not None and mounted == {pose_key(unit) for unit in before.layout.units}:
+    if before is not None and mounted == {
+        pose_key(unit) for unit in before.layout.units
+    }:
         judged = before
     else:
-        fresh = found.preferred or assembly.in_fresh_worlds([found.layout], n_worlds=N_JUDGED)
+        fresh = found.preferred or assembly.in_fresh_worlds(
+            [found.layout], n_worlds=N_JUDGED
+        )
         judged = fresh[0]
         if before is not None:
-            gain = estimate_mean(judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0))
+            gain = estimate_mean(
+                judged.apr_by_sample - before.apr_by_sample, bounds=(-1.0, 1.0)
+            )
     return judged, Round(
         worlds=assembly.n_samples,
         in_sample=stage.objective,

@@ -1,6 +1,7 @@
 """Machine code for the steps to come, made in a second process while the first ones are done.
 
-A small made-up question is answered while runs are laid and the detection table is built.
+A small made-up question is answered while runs are laid and the detection table is
+built.
 """
 
 import logging
@@ -62,7 +63,13 @@ def _optimise(setting: Setting, candidates: Sequence[CandidatePose]) -> None:
     )
     found = place(assembly)
     reduced = assembly.presolved
-    front_below(found.problem, found.pose_index, found.certificate, effort=effort, reduced=reduced)
+    front_below(
+        found.problem,
+        found.pose_index,
+        found.certificate,
+        effort=effort,
+        reduced=reduced,
+    )
 
 
 def _table_of_chance(pose_ids: tuple[str, ...], setting: Setting) -> DetectionTable:

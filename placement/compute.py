@@ -59,15 +59,19 @@ RAYS = ("auto", "embree", "open3d")  # as geometry.raycast has them, which loads
 class Compute:
     """How a result is computed; only `seed` changes it.
 
-    Raises InputError: the seed or the number of workers is not a whole number, or too small; `rays`
-    names no library.
+    Raises InputError: the seed or the number of workers is not a whole number, or too
+    small; `rays` names no library.
     """
 
-    seed: int = 0  #: of all that is left to chance: points on the road users, misses, lost messages
+    # : of all that is left to chance: points on the road users, misses, lost messages
+    seed: int = 0
     workers: int = os.cpu_count() or 1  #: threads; by default one per processor
-    cache_folder: Path | None = None  #: of detection tables and more; by default nowhere
+    cache_folder: Path | None = (
+        None  #: of detection tables and more; by default nowhere
+    )
     progress: Progress = silent  #: called with the stages
-    rays: str = "auto"  #: library that casts rays: "embree", "open3d", or the fastest that loads
+    # : library that casts rays: "embree", "open3d", or the fastest that loads
+    rays: str = "auto"
 
     def __post_init__(self) -> None:
         check_whole("seed", self.seed, least=0)
@@ -76,7 +80,9 @@ class Compute:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes report nothing: whoever waits for them does."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)} | {"progress": silent}
+        known = {one.name: getattr(self, one.name) for one in fields(self)} | {
+            "progress": silent
+        }
         return partial(Compute, **known), ()
 
     def within(self, stage: str) -> "Compute":

@@ -1,7 +1,8 @@
 """Which candidate pose detects the VRU in which frame: V[c, f], as bits; and by levels of a score.
 
-With a score, every level of a run is a run of its own with a later deadline and a part of the
-weight, so that to the optimiser, its proofs and their checker it is one run more.
+With a score, every level of a run is a run of its own with a later deadline and a part
+of the weight, so that to the optimiser, its proofs and their checker it is one run
+more.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,9 @@ class DetectionTable:
 
     pose_ids: tuple[str, ...]  #: ids of the candidate poses: the rows
     axis: FrameAxis  #: runs and frames: the columns
-    packed: NDArray[np.uint8]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
+    packed: NDArray[
+        np.uint8
+    ]  #: (n_poses, ceil(n_frames / 8)): along the frames, lowest bit first
 
     def __post_init__(self) -> None:
         packed = np.array(self.packed, dtype=np.uint8)
@@ -39,7 +42,9 @@ class DetectionTable:
         """Number of candidate poses."""
         return len(self.pose_ids)
 
-    def detected(self, pose_index: "NDArray[np.int64] | list[int] | slice") -> BoolArray:
+    def detected(
+        self, pose_index: "NDArray[np.int64] | list[int] | slice"
+    ) -> BoolArray:
         """Rows of the table, unpacked: V[c, f], (n, n_frames) bool."""
         bits = np.unpackbits(
             self.packed[pose_index], axis=1, count=self.axis.n_frames, bitorder="little"
@@ -50,10 +55,14 @@ class DetectionTable:
         return f"DetectionTable({self.n_poses} poses, {self.axis.n_frames} frames)"
 
 
-def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) -> DetectionTable:
+def pack_table(
+    pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray
+) -> DetectionTable:
     """Detection table from an array of booleans, (n_poses, n_frames)."""
     return DetectionTable(
-        pose_ids=pose_ids, axis=axis, packed=np.packbits(detected, axis=1, bitorder="little")
+        pose_ids=pose_ids,
+        axis=axis,
+        packed=np.packbits(detected, axis=1, bitorder="little"),
     )
 
 
@@ -61,7 +70,9 @@ def pack_table(pose_ids: tuple[str, ...], axis: FrameAxis, detected: BoolArray) 
 _ROWS = 256  # unpacked at a time
 _BELOW = "<"
 _BLIND = " (blind)"
-_AT_ONCE_S = 1.0e-12  # from one frame after the last moment to the next, in the clock of a level
+_AT_ONCE_S = (
+    1.0e-12  # from one frame after the last moment to the next, in the clock of a level
+)
 
 
 def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> DetectionTable:
@@ -70,7 +81,9 @@ def level_table(table: DetectionTable, levels: Levels, rule: AebRule) -> Detecti
     return _of_frames(table, axis, frames)
 
 
-def _of_frames(table: DetectionTable, axis: FrameAxis, frames: IntArray) -> DetectionTable:
+def _of_frames(
+    table: DetectionTable, axis: FrameAxis, frames: IntArray
+) -> DetectionTable:
     """Table whose columns are some frames of another one."""
     packed = np.empty((table.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
     for row in range(0, table.n_poses, _ROWS):
@@ -85,22 +98,31 @@ def _of_runs(axis: FrameAxis, rows: Sequence[int], **changes: Any) -> FrameAxis:
         name: tuple(getattr(axis, name)[row] for row in rows)
         for name in ("cases", "approaches", "positions", "weathers")
     }
-    return replace(axis, vut_speed_kmh=axis.vut_speed_kmh[list(rows)], **(words | changes))
+    return replace(
+        axis, vut_speed_kmh=axis.vut_speed_kmh[list(rows)], **(words | changes)
+    )
 
 
-def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxis, IntArray]:
+def level_axis(
+    axis: FrameAxis, levels: Levels, rule: AebRule
+) -> tuple[FrameAxis, IntArray]:
     """Axis with a run for every level of a score, and which frames of `axis` are its frames.
 
-    A level is reached if the run is avoided, or if the VUT brakes for a track confirmed after the
-    last moment, but before the level's deadline; such a track is not lost any more. So a level's
-    clock stands still from the last moment on, all but for a picosecond a frame, and ends at its
-    deadline: what is in time or alive there is so by the deadline. Margins are those to the last
-    moment, 0 for what is confirmed after it.
+    A level is reached if the run is avoided, or if the VUT brakes for a track confirmed
+    after the last moment, but before the level's deadline; such a track is not lost any
+    more. So a level's clock stands still from the last moment on, all but for a
+    picosecond a frame, and ends at its deadline: what is in time or alive there is so
+    by the deadline. Margins are those to the last moment, 0 for what is confirmed after
+    it.
 
-    Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact that they
-    stay below, in km/h. Weights are those of the runs times the gain.
+    Ids of levels that are not for avoiding end in "<10" and so on: the speed at contact
+    that they stay below, in km/h. Weights are those of the runs times the gain.
     """
-    ids, starts, frames, times, deadlines = [], [0], [], [], []
+    ids = []
+    starts = [0]
+    frames = []
+    times = []
+    deadlines = []
     for run, below_kmh, deadline_s in zip(
         levels.run_index.tolist(),
         levels.below_kmh.tolist(),
@@ -108,11 +130,14 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
         strict=True,
     ):
         where = axis.frames_of(run)
-        time_s, last_s = axis.time_s[where], float(axis.last_brake_time_s[run])
+        time_s = axis.time_s[where]
+        last_s = float(axis.last_brake_time_s[run])
         name = axis.run_ids[run]
         if below_kmh > 0.0:
             name += f"{_BELOW}{below_kmh:g}"
-            n_frames = int(is_in_time(time_s, deadline_s, latency_s=rule.latency_s).sum())
+            n_frames = int(
+                is_in_time(time_s, deadline_s, latency_s=rule.latency_s).sum()
+            )
             if n_frames:
                 time_s, last_s = _at_once(time_s[:n_frames], last_s, deadline_s, rule)
             else:  # nobody is in time
@@ -138,7 +163,8 @@ def level_axis(axis: FrameAxis, levels: Levels, rule: AebRule) -> tuple[FrameAxi
 def run_of_level(level_id: str) -> str:
     """Id of the run that a level belongs to, by that of the level; of a run its own.
 
-    The same for a run that is driven by a VUT that does not see, see :func:`mixed_table`.
+    The same for a run that is driven by a VUT that does not see, see
+    :func:`mixed_table`.
     """
     return level_id.removesuffix(_BLIND).partition(_BELOW)[0]
 
@@ -149,7 +175,11 @@ def has_levels(axis: FrameAxis) -> bool:
 
 
 def repeated_axis(
-    axis: FrameAxis, endings: Sequence[str], *, weight: FloatArray, last_brake_time_s: FloatArray
+    axis: FrameAxis,
+    endings: Sequence[str],
+    *,
+    weight: FloatArray,
+    last_brake_time_s: FloatArray,
 ) -> FrameAxis:
     """The axis once for each ending of its runs' ids, one after the other.
 

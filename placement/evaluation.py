@@ -24,16 +24,20 @@ if TYPE_CHECKING:
 class Verdict:
     """Verdict on one sensing party: a unit, the VUT, or several fused."""
 
-    detected: BoolArray  #: (n_frames,): the VRU is detected, and the VUT gets to know it
-    #: (n_runs,): when the track was confirmed for which the VUT brakes, or would have to, relative
-    #: to the impact; infinite if none is. See :class:`scenarios.runs.Onsets`. [s]
+    detected: (
+        BoolArray  #: (n_frames,): the VRU is detected, and the VUT gets to know it
+    )
+    # : (n_runs,): when the track was confirmed for which the VUT brakes, or would have
+    # to, relative : to the impact; infinite if none is. See
+    # :class:`scenarios.runs.Onsets`. [s]
     confirmation_time_s: FloatArray
-    #: (n_runs,): when braking sets in after it; infinite if it never does: also where every track
-    #: was lost again before the last moment. [s]
+    # : (n_runs,): when braking sets in after it; infinite if it never does: also where
+    # every track : was lost again before the last moment. [s]
     onset_time_s: FloatArray
     is_avoided: BoolArray  #: (n_runs,): whether braking after it avoids the impact
-    #: (n_runs,): the VUT's speed when the bodies touch although it brakes then; 0 where they do
-    #: not, its full speed where it never brakes. None: by the table or a recording alone. [km/h]
+    # : (n_runs,): the VUT's speed when the bodies touch although it brakes then; 0
+    # where they do : not, its full speed where it never brakes. None: by the table or a
+    # recording alone. [km/h]
     impact_speed_kmh: FloatArray | None = None
     #: (n_runs,): the same less what the road user does along the VUT's heading. [km/h]
     closing_speed_kmh: FloatArray | None = None
@@ -51,22 +55,29 @@ class Evaluation:
     layout: Layout  #: what was evaluated
     axis: FrameAxis  #: runs and frames
     vut: Verdict  #: the VUT's own sensors alone
-    units: Mapping[str, Verdict]  #: each unit of the layout alone, by id, in the layout's order
+    units: Mapping[
+        str, Verdict
+    ]  #: each unit of the layout alone, by id, in the layout's order
     rsu_all: Verdict  #: all units fused: in each frame any of them may be the detector
     vut_and_rsus: Verdict  #: the same with the VUT's own sensors
-    #: Further parties, where asked for: "vam", VRUs that announce themselves; "all_sources", they
-    #: with the VUT and all units.
+    # : Further parties, where asked for: "vam", VRUs that announce themselves;
+    # "all_sources", they : with the VUT and all units.
     others: Mapping[str, Verdict] = field(default_factory=dict)
-    levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
+    levels: Levels | None = (
+        None  #: what runs count by the speed at contact; None: if avoided
+    )
     cars: float = 0.0  #: share of the VUTs that see, see :attr:`headline`. 0 .. 1
 
     @property
     def headline(self) -> Verdict:
         """Verdict that the layout is judged by: of all units, with the VUT where every VUT sees.
 
-        Where only a share of them sees, this is that of the others; see ``headline_apr``.
+        Where only a share of them sees, this is that of the others; see
+        ``headline_apr``.
         """
-        return self.vut_and_rsus if self.cars == 1.0 else self.rsu_all
+        if self.cars == 1.0:
+            return self.vut_and_rsus
+        return self.rsu_all
 
     def __repr__(self) -> str:
         return (
@@ -75,7 +86,10 @@ class Evaluation:
         )
 
     def __str__(self) -> str:
-        return f"{self.layout.name}: accident prevention ratio\n{self.to_frame().to_string()}"
+        return (
+            f"{self.layout.name}: accident prevention"
+            f" ratio\n{self.to_frame().to_string()}"
+        )
 
     def _repr_html_(self) -> str:
         return str(self.to_frame().to_html())
@@ -83,15 +97,21 @@ class Evaluation:
     def to_frame(self) -> "pd.DataFrame":
         """Accident prevention ratios, 0 .. 1: a row for all runs and each case, a column a party.
 
-        Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit by its id.
+        Columns: "rsu_all", "vut", "vut_and_rsus", what ``others`` has, then each unit
+        by its id.
         """
         import pandas as pd  # takes longer to load than all else here
 
-        fused = {name: getattr(self, name) for name in ("rsu_all", "vut", "vut_and_rsus")}
+        fused = {
+            name: getattr(self, name) for name in ("rsu_all", "vut", "vut_and_rsus")
+        }
         parties: dict[str, Verdict] = {**fused, **self.others, **self.units}
         return pd.DataFrame(
             {
-                name: {"all runs": apr(verdict, self.axis), **apr_by_case(verdict, self.axis)}
+                name: {
+                    "all runs": apr(verdict, self.axis),
+                    **apr_by_case(verdict, self.axis),
+                }
                 for name, verdict in parties.items()
             }
         )
@@ -102,7 +122,10 @@ def apr(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) ->
 
     NaN if the runs counted, by default all, have no weight.
     """
-    weight = axis.weight if run_mask is None else axis.weight * run_mask
+    if run_mask is None:
+        weight = axis.weight
+    else:
+        weight = axis.weight * run_mask
     return weight_share(verdict.is_avoided, weight)
 
 
@@ -114,7 +137,9 @@ def headline_apr(evaluation: Evaluation) -> float:
 
 def mix(blind: float, seeing: float, cars: float) -> float:
     """A share of runs, from those of VUTs that do not see and that do, by the share that sees."""
-    return blind if cars == 0.0 else cars * seeing + (1.0 - cars) * blind
+    if cars == 0.0:
+        return blind
+    return cars * seeing + (1.0 - cars) * blind
 
 
 def mean_impact_speed_kmh(
@@ -122,9 +147,13 @@ def mean_impact_speed_kmh(
 ) -> float:
     """Mean of the VUT's speed at contact over some runs by their weights, in km/h.
 
-    Runs that are avoided count 0. NaN if the runs have no weight, or the verdict knows no speeds.
+    Runs that are avoided count 0. NaN if the runs have no weight, or the verdict knows
+    no speeds.
     """
-    weight = axis.weight if run_mask is None else axis.weight * run_mask
+    if run_mask is None:
+        weight = axis.weight
+    else:
+        weight = axis.weight * run_mask
     if verdict.impact_speed_kmh is None or not weight.any():
         return math.nan
     return math.fsum(weight * verdict.impact_speed_kmh) / math.fsum(weight)
@@ -146,7 +175,9 @@ def score(verdict: Verdict, axis: FrameAxis, levels: Levels | None) -> float:
 def apr_by_case(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     """Accident prevention ratio per case, in the order in which the cases first appear."""
     cases = np.array(axis.cases)
-    return {case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)}
+    return {
+        case: apr(verdict, axis, cases == case) for case in dict.fromkeys(axis.cases)
+    }
 
 
 def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
@@ -158,22 +189,27 @@ def apr_by_position(verdict: Verdict, axis: FrameAxis) -> dict[str, float]:
     }
 
 
-def earliest_arrival_s(parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis) -> FloatArray:
+def earliest_arrival_s(
+    parties: Sequence[tuple[BoolArray, float]], axis: FrameAxis
+) -> FloatArray:
     """When the VUT first knows of a detection made in each frame, (n_frames,) in s; else infinite.
 
     Each party has the (n_frames,) frames that it detects in, and its latency [s].
     """
     arrival = np.full(axis.n_frames, np.inf)
     for detected, latency_s in parties:
-        arrival = np.minimum(arrival, np.where(detected, axis.time_s + latency_s, np.inf))
+        arrival = np.minimum(
+            arrival, np.where(detected, axis.time_s + latency_s, np.inf)
+        )
     return arrival
 
 
 def leave_each_out(times_s: FloatArray) -> tuple[FloatArray, Iterator[FloatArray]]:
     """Smallest along the first axis, and the same without each of the rows in turn.
 
-    `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row all is
-    infinite; without one that is nowhere alone the smallest, `earliest_s` itself is given.
+    `times_s` has a row for each party: (n, m), n at least 1 [s]. Without the only row
+    all is infinite; without one that is nowhere alone the smallest, `earliest_s` itself
+    is given.
     """
     earliest = times_s.min(axis=0)
     if len(times_s) == 1:
@@ -191,34 +227,44 @@ def unit_arrivals_s(evaluation: Evaluation, rule: AebRule) -> FloatArray:
     return np.stack(
         [
             earliest_arrival_s(
-                [(evaluation.units[unit.id].detected, unit.latency(rule))], evaluation.axis
+                [(evaluation.units[unit.id].detected, unit.latency(rule))],
+                evaluation.axis,
             )
             for unit in evaluation.layout.units
         ]
     )
 
 
-def apr_of_arrivals(evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray) -> float:
+def apr_of_arrivals(
+    evaluation: Evaluation, rule: AebRule, arrival_s: FloatArray
+) -> float:
     """APR by what arrives from units, (n_frames,) in s, and from the VUT's own sensors if it sees.
 
     A run counts as avoided where braking sets in before the last moment.
     """
-    axis, cars = evaluation.axis, evaluation.cars
+    axis = evaluation.axis
+    cars = evaluation.cars
 
     def share(arrival_s: FloatArray) -> float:
-        return weight_share(find_onsets(arrival_s, axis, rule=rule).is_in_time, axis.weight)
+        return weight_share(
+            find_onsets(arrival_s, axis, rule=rule).is_in_time, axis.weight
+        )
 
     if cars == 0.0:
         return share(arrival_s)
     own_s = earliest_arrival_s([(evaluation.vut.detected, rule.latency_s)], axis)
     seeing = share(np.minimum(arrival_s, own_s))
-    return seeing if cars == 1.0 else mix(share(arrival_s), seeing, cars)
+    if cars == 1.0:
+        return seeing
+    return mix(share(arrival_s), seeing, cars)
 
 
 def apr_one_failed(evaluation: Evaluation, rule: AebRule) -> float:
     """APR when the worst of all units fails; for a layout of one unit what VUTs that see avoid."""
     left = leave_each_out(unit_arrivals_s(evaluation, rule))[1]
-    return min(1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left))
+    return min(
+        1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left)
+    )
 
 
 def units_by_site(layout: Layout) -> dict[str, list[int]]:
@@ -236,7 +282,9 @@ def apr_one_site_failed(evaluation: Evaluation, rule: AebRule) -> float:
         np.delete(arrivals_s, failed, axis=0).min(axis=0, initial=np.inf)
         for failed in units_by_site(evaluation.layout).values()
     )
-    return min(1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left))
+    return min(
+        1.0, *(apr_of_arrivals(evaluation, rule, arrival_s) for arrival_s in left)
+    )
 
 
 Outcome = Literal["avoided", "never seen", "never confirmed", "lost again", "too late"]
@@ -257,11 +305,18 @@ def run_outcome(verdict: Verdict, axis: FrameAxis, run_index: int) -> Outcome:
         return "never seen"
     if not np.isfinite(verdict.confirmation_time_s[run_index]):
         return "never confirmed"
-    return "too late" if np.isfinite(verdict.onset_time_s[run_index]) else "lost again"
+    if np.isfinite(verdict.onset_time_s[run_index]):
+        return "too late"
+    return "lost again"
 
 
-def detected_share(verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None) -> float:
+def detected_share(
+    verdict: Verdict, axis: FrameAxis, run_mask: BoolArray | None = None
+) -> float:
     """Share of the frames of some runs in which the VRU is detected, 0 .. 1."""
     n_frames = np.diff(axis.run_start)
-    frames = np.ones(axis.n_frames, dtype=bool) if run_mask is None else run_mask.repeat(n_frames)
+    if run_mask is None:
+        frames = np.ones(axis.n_frames, dtype=bool)
+    else:
+        frames = run_mask.repeat(n_frames)
     return float(verdict.detected[frames].mean())

@@ -12,7 +12,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-ALL_PACKAGES = ("geometry", "scenarios", "placement")  # all whose code may decide an answer
+ALL_PACKAGES = (
+    "geometry",
+    "scenarios",
+    "placement",
+)  # all whose code may decide an answer
 _LIBRARIES = ("numpy", "scipy", "numba", "cvxpy", "highspy", "osqp")
 
 
@@ -26,8 +30,9 @@ class Fingerprints:
     def of(self, *values: object) -> str:
         """Hash of values, 32 hexadecimal digits.
 
-        Dataclasses are hashed by their fields, arrays by type, shape and content. Raises TypeError
-        for anything but these, Structs, mappings, sequences, text, bytes and numbers.
+        Dataclasses are hashed by their fields, arrays by type, shape and content.
+        Raises TypeError for anything but these, Structs, mappings, sequences, text,
+        bytes and numbers.
         """
         return self._digest(values).hex()
 
@@ -41,7 +46,9 @@ class Fingerprints:
             digest.update(np.ascontiguousarray(value).tobytes())
         elif is_data:
             for field in fields(value):  # type: ignore[arg-type]
-                digest.update(field.name.encode() + self._digest(getattr(value, field.name)))
+                digest.update(
+                    field.name.encode() + self._digest(getattr(value, field.name))
+                )
             self._known[id(value)] = (value, digest.digest())
         elif isinstance(value, msgspec.Struct):
             digest.update(self._digest(msgspec.structs.asdict(value)))
@@ -71,6 +78,8 @@ def hash_of_files(package: str) -> bytes:
     folder = Path(str(files(package)))
     for path in sorted(folder.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
-            digest.update(f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode())
+            digest.update(
+                f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode()
+            )
             digest.update(path.read_bytes())
     return digest.digest()

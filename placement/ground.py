@@ -40,8 +40,8 @@ def is_in_sight(
 ) -> BoolArray:
     """Points (n, 3) that nothing hides from a mount; False for those nearer than `near_m`, too.
 
-    The caster has the frame of the points. Things nearer than `near_m`, such as the sensor's pole,
-    hide nothing.
+    The caster has the frame of the points. Things nearer than `near_m`, such as the
+    sensor's pole, hide nothing.
     """
     mount = np.asarray(mount_m, dtype=np.float64)
     ways = points_m - mount
@@ -61,16 +61,22 @@ class GroundCoverage:
     # east_m, north_m: (n_east,), (n_north,): middles of the cells. World frame. [m]
     east_m: FloatArray
     north_m: FloatArray
-    density: FloatArray  # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
+    # (n_north, n_east): highest of all cameras; 0: none sees the cell. [px/m]
+    density: FloatArray
     is_road: BoolArray  # (n_north, n_east): cells on a lane or in the junction
 
     def shares(self) -> dict[str, float]:
         """Share of the road's cells in each band, "unseen" last; together 1."""
         road = self.density[self.is_road]
-        found, above = {}, 0.0
+        found = {}
+        above = 0.0
         for name, least in (*BANDS, ("coarser", np.nextafter(0.0, 1.0))):
-            here = float((road >= least).mean()) if len(road) else 0.0
-            found[name], above = here - above, here
+            if len(road):
+                here = float((road >= least).mean())
+            else:
+                here = 0.0
+            found[name] = here - above
+            above = here
         return found | {"unseen": 1.0 - above}
 
 
@@ -83,7 +89,11 @@ class GroundSurvey:
         steps = np.arange(-REACH_M + 0.5 * _SPACING_M, REACH_M, _SPACING_M)
         self.east_m, self.north_m = middle[0] + steps, middle[1] + steps
         grid = np.stack(np.meshgrid(self.east_m, self.north_m), axis=-1)
-        self._points_m = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [0.0, 0.0, LOOK_AT_M]
+        self._points_m = on_ground(grid.reshape(-1, 2), terrain_of(scene)) + [
+            0.0,
+            0.0,
+            LOOK_AT_M,
+        ]
         self._origin_m = np.append(middle, 0.0)
         self._caster = build_caster(scene.vertices_m - self._origin_m, scene.triangles)
         on_road = shapely.contains_xy(road_area(scene), grid[..., 0], grid[..., 1])
@@ -107,12 +117,14 @@ class GroundSurvey:
         return found.reshape(self.is_road.shape)
 
 
-def find_ground_coverage(scene: Scene, units: Sequence[CandidatePose]) -> GroundCoverage:
+def find_ground_coverage(
+    scene: Scene, units: Sequence[CandidatePose]
+) -> GroundCoverage:
     """How finely cameras see the ground around a junction, where nothing drives or parks.
 
-    Cells of a square metre, up to 45 m around the middle, one metre above the road. Pixels per
-    metre across the line of sight are focal length over depth; through a lens they are what it
-    shows of ten centimetres. LiDARs take no pictures.
+    Cells of a square metre, up to 45 m around the middle, one metre above the road.
+    Pixels per metre across the line of sight are focal length over depth; through a
+    lens they are what it shows of ten centimetres. LiDARs take no pictures.
     """
     survey = GroundSurvey(scene)
     density = np.zeros(survey.is_road.shape)
@@ -136,14 +148,17 @@ def _lens_density(points_m: FloatArray, unit: CandidatePose) -> FloatArray:
     across = np.stack([-north, east, np.zeros_like(east)], axis=1)
     across *= 0.5 * _ACROSS_M / np.maximum(np.hypot(east, north), 1.0e-6)[:, None]
     ends = [
-        project_points(points_m + one, unit.pose, unit.sensor)[:, :2] for one in (across, -across)
+        project_points(points_m + one, unit.pose, unit.sensor)[:, :2]
+        for one in (across, -across)
     ]
     density = np.linalg.norm(ends[1] - ends[0], axis=1) / _ACROSS_M
     return np.where(np.isfinite(density), density, 0.0)
 
 
 # ---------- private ground
-EYE_HEIGHT_M = 1.5  # of people who are there; the ground itself may be hidden by a hedge
+EYE_HEIGHT_M = (
+    1.5  # of people who are there; the ground itself may be hidden by a hedge
+)
 _POINT_SPACING_M = 1.0
 _MAX_POINTS = 20_000
 _FARTHEST_M = 20_000.0  # beyond the horizon of every pole: the file is of another place
@@ -156,7 +171,8 @@ class PrivateGround:
     """Areas that cameras must not look into."""
 
     names: tuple[str, ...]  # of the areas
-    points_m: FloatArray  # (n, 3): points all over them, at people's eye height. World frame. [m]
+    # (n, 3): points all over them, at people's eye height. World frame. [m]
+    points_m: FloatArray
     area_index: IntArray  # (n,): area of each point
     area_m2: FloatArray  # (n_areas,): how large they are. [m^2]
     shapes: tuple[Any, ...]  # the areas: shapely polygons, world frame, metres
@@ -165,8 +181,8 @@ class PrivateGround:
 def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
     """Private ground in a scene's world frame from GeoJSON, GeoPackage or Shapefile.
 
-    A column "name" or "id" names an area. Raises InputError if the file cannot be read, has no
-    polygon, is of another place, or lies on earth while the scene does not.
+    A column "name" or "id" names an area. Raises InputError if the file cannot be read,
+    has no polygon, is of another place, or lies on earth while the scene does not.
     """
     found = read_features(path)
     check_crs(found.crs, f"{path}: crs")
@@ -174,12 +190,15 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         refuse(
             str(path),
             f"coordinates in {found.crs}",
-            "a scene that says where on earth it lies, or coordinates of its map without a crs",
+            "a scene that says where on earth it lies, or coordinates of its map"
+            " without a crs",
         )
 
     def to_world(points: Any) -> Any:
         if not found.crs:
-            return points - scene.source_origin_m if not scene.crs else points
+            if not scene.crs:
+                return points - scene.source_origin_m
+            return points
         return transform(points, found.crs, scene.crs)
 
     areas = []
@@ -187,7 +206,9 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         shape = feature.geometry
         if shape is None or shape.geom_type not in ("Polygon", "MultiPolygon"):
             continue
-        name = str(feature.values.get("name") or feature.values.get("id") or f"area {number}")
+        name = str(
+            feature.values.get("name") or feature.values.get("id") or f"area {number}"
+        )
         world = shapely.transform(shapely.force_2d(shape), to_world)
         # make_valid() takes neither what is not finite nor what is beyond any place.
         if not (np.abs(shapely.get_coordinates(world)) < _MAX_COORDINATE_M).all():
@@ -196,7 +217,9 @@ def load_private_ground(path: Path, scene: Scene) -> PrivateGround:
         away_m = float(shapely.distance(area, shapely.MultiPoint(scene.outline_m)))
         if away_m > _FARTHEST_M:
             got = f"an area {away_m / 1000.0:,.0f} km away from the junction"
-            refuse(feature.where, got, f"areas within {_FARTHEST_M / 1000.0:g} km of it")
+            refuse(
+                feature.where, got, f"areas within {_FARTHEST_M / 1000.0:g} km of it"
+            )
         areas.append((name, area))
     if not areas:
         refuse(str(path), "no polygon", "areas that cameras must not look into")
@@ -211,7 +234,8 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
     total_m2 = sum(float(shape.area) for _, shape in areas)
     if total_m2 > _MAX_POINTS * _POINT_SPACING_M**2:
         refuse("no_look", f"{total_m2:,.0f} square metres", f"at most {_MAX_POINTS:,}")
-    points, index = [], []
+    points = []
+    index = []
     for number, (name, shape) in enumerate(areas):
         if not shape.area > 0.0:
             refuse(f"no_look: {name}", "no area", "a polygon")
@@ -240,21 +264,26 @@ def build_private_ground(areas: Sequence[tuple[str, Any]]) -> PrivateGround:
 class PrivateSight:
     """Private ground in the pictures of poses; not for several threads at once.
 
-    What lies open to a place is looked up once. What parks or drives hides nothing for long, and is
-    left out. LiDARs see none.
+    What lies open to a place is looked up once. What parks or drives hides nothing for
+    long, and is left out. LiDARs see none.
     """
 
     def __init__(self, scene: Scene, ground: PrivateGround) -> None:
         self._ground = ground
         self._origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-        self._caster: RayCaster = build_caster(scene.vertices_m - self._origin, scene.triangles)
+        self._caster: RayCaster = build_caster(
+            scene.vertices_m - self._origin, scene.triangles
+        )
         self._points_m = ground.points_m.copy()
         self._points_m[:, 2] += ground_height_m(scene, self._points_m[:, :2])
         self._lie_open = lru_cache(_MAX_PLACES)(self._look_from)
 
     def _look_from(self, *place: float) -> BoolArray:
-        mount_m, near_m = np.array(place[:3]) - self._origin, place[3]
-        return is_in_sight(self._caster, mount_m, self._points_m - self._origin, near_m=near_m)
+        mount_m = np.array(place[:3]) - self._origin
+        near_m = place[3]
+        return is_in_sight(
+            self._caster, mount_m, self._points_m - self._origin, near_m=near_m
+        )
 
     def seen(self, candidate: CandidatePose) -> BoolArray:
         """Which of the ground's points a pose has in its picture, not hidden, (n_points,) bool."""
@@ -266,7 +295,9 @@ class PrivateSight:
         n_areas = len(self._ground.names)
         counts = np.bincount(self._ground.area_index, minlength=n_areas)
         share = np.zeros((len(candidates), n_areas))
-        for row in sorted(range(len(candidates)), key=lambda row: _place(candidates[row])):
+        for row in sorted(
+            range(len(candidates)), key=lambda row: _place(candidates[row])
+        ):
             index = self._ground.area_index[self.seen(candidates[row])]
             share[row] = np.bincount(index, minlength=n_areas) / counts
         return share
@@ -288,7 +319,10 @@ def respects_private_ground(shares: FloatArray, *, max_share: float) -> BoolArra
     kept = np.asarray(share <= max_share)
     if not kept.any():
         least = np.ceil(1000.0 * share.min()) / 1000.0
-        expected = f"at least {least:g}, the share that the pose with the least in its picture sees"
+        expected = (
+            f"at least {least:g}, the share that the pose with the least in its picture"
+            " sees"
+        )
         refuse("no_look_share", f"{100.0 * max_share:.1f} %", expected)
     return kept
 
@@ -304,6 +338,8 @@ def _depth_in_picture(points_m: FloatArray, candidate: CandidatePose) -> FloatAr
         return np.full(len(points_m), np.inf)
     column, row, depth = project_points(points_m, candidate.pose, camera).T
     with np.errstate(invalid="ignore"):
-        is_inside = (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
+        is_inside = (
+            (column >= 0.0) & (column < camera.width_px) & (depth > camera.near_m)
+        )
         is_inside &= (row >= 0.0) & (row < camera.height_px)
     return np.where(is_inside, depth, np.inf)

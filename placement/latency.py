@@ -33,7 +33,8 @@ class LatencyPart:
     """One of the steps that take time."""
 
     name: str
-    # low_s, high_s: anything between is equally likely; a fixed value where they are equal. [s]
+    # low_s, high_s: anything between is equally likely; a fixed value where they are
+    # equal. [s]
     low_s: float
     high_s: float
     source: str  # where the numbers come from, or why they are likely
@@ -45,7 +46,9 @@ class LatencyBudget:
     """Parts that add up, each independent of the others."""
 
     name: str
-    parts: tuple[LatencyPart, ...]  # in the order in which they happen; names are unique
+    parts: tuple[
+        LatencyPart, ...
+    ]  # in the order in which they happen; names are unique
 
     def __post_init__(self) -> None:
         where = f"{self.name}.parts"
@@ -61,14 +64,18 @@ class LatencyBudget:
     @property
     def mean_s(self) -> float:
         """The total to expect, in seconds."""
-        return 0.5 * math.fsum(end for part in self.parts for end in (part.low_s, part.high_s))
+        return 0.5 * math.fsum(
+            end for part in self.parts for end in (part.low_s, part.high_s)
+        )
 
     @property
     def worst_s(self) -> float:
         """The longest total, in seconds."""
         return math.fsum(part.high_s for part in self.parts)
 
-    def sample_s(self, rng: np.random.Generator, size: int | tuple[int, ...]) -> FloatArray:
+    def sample_s(
+        self, rng: np.random.Generator, size: int | tuple[int, ...]
+    ) -> FloatArray:
         """Draw totals, (*size), between :attr:`best_s` and :attr:`worst_s`, in seconds."""
         shape = (size,) if isinstance(size, int) else size
         low, high = np.array([(part.low_s, part.high_s) for part in self.parts]).T
@@ -78,7 +85,9 @@ class LatencyBudget:
 
 def fixed_latency(latency_s: float) -> LatencyBudget:
     """A budget of a single number."""
-    part = LatencyPart(name="latency", low_s=latency_s, high_s=latency_s, source="as given")
+    part = LatencyPart(
+        name="latency", low_s=latency_s, high_s=latency_s, source="as given"
+    )
     return LatencyBudget(name=f"{1000.0 * latency_s:g} ms", parts=(part,))
 
 
@@ -87,8 +96,8 @@ def load_latency_budget(
 ) -> LatencyBudget:
     """Latency budget by a name of ``data/latency.toml``, or from a TOML file of that layout.
 
-    `where` says what named it. Raises InputError if it is unknown, or a field is not what it should
-    be.
+    `where` says what named it. Raises InputError if it is unknown, or a field is not
+    what it should be.
     """
     known = load_latency_budgets()
     if name_or_path in known:
@@ -96,7 +105,9 @@ def load_latency_budget(
     path = Path(name_or_path)
     if path.suffix != ".toml":
         names = ", ".join(known)
-        raise InputError(where, name_or_path, f"{names}, or a .toml file with a latency budget")
+        raise InputError(
+            where, name_or_path, f"{names}, or a .toml file with a latency budget"
+        )
     budgets = _read_budgets(load_toml(path), str(path))
     if len(budgets) != 1:
         got = ", ".join(budgets) or "no budget"
@@ -116,14 +127,17 @@ def _read_budgets(document: Table, file: str) -> dict[str, LatencyBudget]:
         where = f"{file}: {name}"
         read = read_table(table, _BudgetTable, where)
         parts = tuple(
-            _read_part(entry, where, f"{where}.parts[{i}]") for i, entry in enumerate(read.parts)
+            _read_part(entry, where, f"{where}.parts[{i}]")
+            for i, entry in enumerate(read.parts)
         )
         with located(f"{file}: "):
             budgets[name] = LatencyBudget(name=name, parts=parts)
     return budgets
 
 
-_Seconds = Annotated[float, Meta(ge=0.0, le=MAX_LATENCY_S, description="0 to 10 seconds")]
+_Seconds = Annotated[
+    float, Meta(ge=0.0, le=MAX_LATENCY_S, description="0 to 10 seconds")
+]
 
 
 class _BudgetTable(Struct, frozen=True, forbid_unknown_fields=True):
@@ -151,11 +165,15 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
         refuse(f"{where}.{given[0]}", "it beside fixed_s", "one of them")
     if part.fixed_s is None and not given:
         refuse(where, "no time", "fixed_s, or low_s and high_s")
-    low_s, high_s = part.low_s, part.high_s
+    low_s = part.low_s
+    high_s = part.high_s
     if part.fixed_s is not None:
         low_s = high_s = part.fixed_s
     if low_s is None or high_s is None:
-        missing = "low_s" if low_s is None else "high_s"
+        if low_s is None:
+            missing = "low_s"
+        else:
+            missing = "high_s"
         refuse(f"{where}.{missing}", "nothing", "a value")
     if low_s > high_s:
         raise InputError(f"{where}.high_s", high_s, f"at least low_s, {low_s}")
@@ -166,7 +184,9 @@ def _read_part(entry: Table, where: str, here: str) -> LatencyPart:
     if not reason.strip():
         raise InputError(f"{where}.{reasons[0]}", reason, "text")
     is_ours = reasons == ["assumption"]
-    return LatencyPart(name=name, low_s=low_s, high_s=high_s, source=reason, is_assumption=is_ours)
+    return LatencyPart(
+        name=name, low_s=low_s, high_s=high_s, source=reason, is_assumption=is_ours
+    )
 
 
 # ---------- APR against the total latency
@@ -179,10 +199,11 @@ def apr_by_latency(
 ) -> dict[str, FloatArray]:
     """APR of every sensing party by the latency from a frame to braking, each (n_latencies,).
 
-    Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames do not
-    depend on the latency [s]: one evaluation is enough. A unit with a latency of its own keeps it;
-    so do the VUT's own sensors with `vut_latency_s` [s]. Of an evaluation with levels it is the
-    score by the last onset of each. Raises InputError if `vut_latency_s` is negative or not finite.
+    Keys are "vut", each unit's id, "rsu_all", "vut_and_rsus" and so on. Detected frames
+    do not depend on the latency [s]: one evaluation is enough. A unit with a latency of
+    its own keeps it; so do the VUT's own sensors with `vut_latency_s` [s]. Of an
+    evaluation with levels it is the score by the last onset of each. Raises InputError
+    if `vut_latency_s` is negative or not finite.
     """
     if vut_latency_s is not None and not 0.0 <= vut_latency_s < math.inf:
         raise InputError("vut_latency_s", vut_latency_s, "seconds, at least 0")
@@ -190,17 +211,20 @@ def apr_by_latency(
         unit.id: (evaluation.units[unit.id].detected, unit.latency_s)
         for unit in evaluation.layout.units
     }
-    rsus, vut = [*units.values()], (evaluation.vut.detected, vut_latency_s)
+    rsus = [*units.values()]
+    vut = (evaluation.vut.detected, vut_latency_s)
     parties = {"vut": [vut], **{name: [unit] for name, unit in units.items()}}
     parties |= {"rsu_all": rsus, "vut_and_rsus": [*rsus, vut]}
     if "vam" in evaluation.others:
         vam = (evaluation.others["vam"].detected, None)
         parties |= {"vam": [vam], "all_sources": [*rsus, vut, vam]}
-    axis, levels = evaluation.axis, evaluation.levels
+    axis = evaluation.axis
+    levels = evaluation.levels
 
     def share(party: list[tuple[BoolArray, float | None]], latency_s: float) -> float:
         arrival_s = earliest_arrival_s(
-            [(seen, latency_s if own_s is None else own_s) for seen, own_s in party], axis
+            [(seen, latency_s if own_s is None else own_s) for seen, own_s in party],
+            axis,
         )
         onsets = find_onsets(arrival_s, axis, rule=replace(rule, latency_s=latency_s))
         if levels is None:

@@ -47,13 +47,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA = "place-rsus/layout/1"
-RESULT_SCHEMAS = tuple(f"place-rsus/{kind}/2" for kind in ("placement", "evaluation", "comparison"))
+RESULT_SCHEMAS = tuple(
+    f"place-rsus/{kind}/2" for kind in ("placement", "evaluation", "comparison")
+)
 """Of summary.json, which has the layout in the same words."""
 
 RESERVED_IDS = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources")
 """Names of the sensing parties that are no unit: no unit may be called so."""
 
-_MAX_DISTANCE_M = 1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
+_MAX_DISTANCE_M = (
+    1000.0  # from a scene's middle; beyond, a unit or a frame has been mixed up
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,9 +71,14 @@ class Layout:
     def __post_init__(self) -> None:
         if not self.units:
             refuse(f"layout {self.name}", "no unit", "at least one unit")
-        ids, where = [unit.id for unit in self.units], f"layout {self.name}: id"
+        ids = [unit.id for unit in self.units]
+        where = f"layout {self.name}: id"
         check_distinct(where, ids, "every id once")
-        words = (word for unit in self.units for word in (unit.id, unit.sensor.name, unit.site_id))
+        words = (
+            word
+            for unit in self.units
+            for word in (unit.id, unit.sensor.name, unit.site_id)
+        )
         for text in (self.name, *words):
             check_name(text, "layout: name or id")
         for name in ids:
@@ -82,7 +91,10 @@ class Layout:
         return f"Layout({self.name!r}, {[unit.id for unit in self.units]})"
 
     def __str__(self) -> str:
-        return f"{self.name}: {len(self.units)} units\n{self.to_frame().round(2).to_string()}"
+        return (
+            f"{self.name}:"
+            f" {len(self.units)} units\n{self.to_frame().round(2).to_string()}"
+        )
 
     def _repr_html_(self) -> str:
         return str(self.to_frame().round(2).to_html())
@@ -98,10 +110,13 @@ class Layout:
 class Stage:
     """One of the objectives that are optimised in order, each holding those before it."""
 
-    name: str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
+    name: (
+        str  #: such as "apr", "apr_one_failed", "smallest_margin_s" or "mean_margin_s"
+    )
     objective: float  #: value of the layout
     bound: float  #: what no layout can exceed
-    gap: float  #: (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal
+    # : (bound - objective) / abs(objective) as HiGHS defines it; 0 = proven optimal
+    gap: float
     seconds: float  #: time spent. [s]
 
 
@@ -139,13 +154,16 @@ def relative_gap(objective: float, bound: float, *, tolerance: float = 1.0e-9) -
     distance = abs(bound - objective)
     if distance <= tolerance:
         return 0.0
-    return max(round(distance / abs(objective), 12), 1.0e-12) if objective != 0.0 else math.inf
+    if objective != 0.0:
+        return max(round(distance / abs(objective), 12), 1.0e-12)
+    return math.inf
 
 
 def layout_records(layout: Layout) -> list[dict[str, Any]]:
     """Units as plain records: id, site, x_m, y_m, z_m, yaw_deg, pitch_deg, camera or lidar.
 
-    And latency_s of their own, and fov_deg of a lens that is not set as in the catalogue.
+    And latency_s of their own, and fov_deg of a lens that is not set as in the
+    catalogue.
     """
     return [
         {
@@ -184,33 +202,44 @@ class _UnitRecord(Struct, frozen=True, kw_only=True):
     y_m: float
     z_m: float
     yaw_deg: float
-    pitch_deg: Annotated[float, Meta(ge=-90.0, le=90.0, description="-90 .. 90 degrees")]
+    pitch_deg: Annotated[
+        float, Meta(ge=-90.0, le=90.0, description="-90 .. 90 degrees")
+    ]
     site: str = ""
-    latency_s: Annotated[float, Meta(ge=0.0, description="seconds, at least 0")] | None = None
+    latency_s: (
+        Annotated[float, Meta(ge=0.0, description="seconds, at least 0")] | None
+    ) = None
     fov_deg: float | None = None
 
 
 def layout_from_records(
-    name: str, records: Sequence[Any], where: str, *, sensors: Mapping[str, Sensor] | None = None
+    name: str,
+    records: Sequence[Any],
+    where: str,
+    *,
+    sensors: Mapping[str, Sensor] | None = None,
 ) -> Layout:
     """Layout from plain records as :func:`layout_records` writes them; "site" may be missing.
 
-    `sensors` are models in addition to the catalogue's. Raises InputError where a field is missing
-    or not of its kind, an id is repeated, or a sensor is unknown.
+    `sensors` are models in addition to the catalogue's. Raises InputError where a field
+    is missing or not of its kind, an id is repeated, or a sensor is unknown.
     """
     units = []
     for index, record in enumerate(records):
         here = f"{where}: layout[{index}]"
         if not isinstance(record, Mapping):
             raise InputError(here, record, "an object with the fields of a unit")
-        known = {key: record[key] for key in _UnitRecord.__struct_fields__ if key in record}
+        known = {
+            key: record[key] for key in _UnitRecord.__struct_fields__ if key in record
+        }
         unit = read_table(known, _UnitRecord, here)
         kinds = [kind for kind in SENSOR_KINDS if getattr(unit, kind) is not None]
         if len(kinds) > 1:
             refuse(here, " and ".join(kinds), "one of them")
         if not kinds:
             refuse(f"{here}.{SENSOR_KINDS[0]}", "nothing", "a value")
-        kind, model = kinds[0], getattr(unit, kinds[0])
+        kind = kinds[0]
+        model = getattr(unit, kinds[0])
         own = (sensors or {}).get(model)
         sensor = own or pick_sensor(model, f"{here}.{kind}", kind=kind)
         if sensor_kind(sensor) != kind:
@@ -225,7 +254,11 @@ def layout_from_records(
             CandidatePose(
                 id=unit.id,
                 site_id=unit.site,
-                pose=Pose(position_m=position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg),
+                pose=Pose(
+                    position_m=position_m,
+                    yaw_deg=unit.yaw_deg,
+                    pitch_deg=unit.pitch_deg,
+                ),
                 sensor=sensor,
                 latency_s=unit.latency_s,
             )
@@ -241,11 +274,11 @@ def load_layout(
 ) -> Layout:
     """Layout from a JSON file: an object with the key "layout", a list of units; or from a CSV.
 
-    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`. In a CSV,
-    and in JSON written by hand, units may lie at latitudes and longitudes and look along compass
-    bearings, see :func:`placement.layout.unit_record`: that takes the `scene`. `sensors` are models
-    in addition to the catalogue's. Raises InputError if the file cannot be read, is of another
-    version, or a field is wrong.
+    Or from calibrations of real cameras, YAML or XML; see :mod:`geometry.calibrations`.
+    In a CSV, and in JSON written by hand, units may lie at latitudes and longitudes and
+    look along compass bearings, see :func:`placement.layout.unit_record`: that takes
+    the `scene`. `sensors` are models in addition to the catalogue's. Raises InputError
+    if the file cannot be read, is of another version, or a field is wrong.
     """
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml", ".xml"):
@@ -258,7 +291,9 @@ def load_layout(
         rows = read_layout_rows(path)
         return _from_list(path.stem, rows, str(path), scene, sensors or {})
     text = read_text(path, "JSON")
-    return read_layout(text, where=str(path), name=path.stem, scene=scene, sensors=sensors)
+    return read_layout(
+        text, where=str(path), name=path.stem, scene=scene, sensors=sensors
+    )
 
 
 def _from_list(
@@ -295,9 +330,12 @@ def read_layout(
     if not isinstance(document, dict) or not isinstance(document.get("layout"), list):
         refuse(where, "no list 'layout'", 'an object {"layout": [units]}')
     own = _read_own_sensors(document.get("sensors", {}), f"{where}: sensors")
-    models, called = {**(sensors or {}), **own}, str(document.get("name", name))
+    models = {**(sensors or {}), **own}
+    called = str(document.get("name", name))
     if scene is not None and is_list(document["layout"]):
-        rows = [(f"{where}: layout[{i}]", row) for i, row in enumerate(document["layout"])]
+        rows = [
+            (f"{where}: layout[{i}]", row) for i, row in enumerate(document["layout"])
+        ]
         layout = _from_list(called, rows, where, scene, models)
     else:
         layout = layout_from_records(called, document["layout"], where, sensors=models)
@@ -311,7 +349,9 @@ def _read_own_sensors(records: Any, where: str) -> dict[str, Sensor]:
     models = {}
     for name, record in records.items():
         if not isinstance(record, Mapping) or record.get("kind") not in SENSOR_KINDS:
-            raise InputError(f"{where}.{name}", record, 'fields, "kind" camera or lidar')
+            raise InputError(
+                f"{where}.{name}", record, 'fields, "kind" camera or lidar'
+            )
         models[name] = read_sensor(name, record, record["kind"], where)
     return models
 
@@ -323,7 +363,11 @@ def check_layout(layout: Layout, scene: Scene) -> None:
     """
     if layout.scene_name not in ("", scene.name):
         got = f"one made for {layout.scene_name}"
-        refuse(f"layout {layout.name}", got, f"one of {scene.name}, the scene that is looked at")
+        refuse(
+            f"layout {layout.name}",
+            got,
+            f"one of {scene.name}, the scene that is looked at",
+        )
     sites = {site.id for site in scene.sites}
     middle_m = np.append(scene.outline_m.mean(axis=0), 0.0)
     for unit in layout.units:
@@ -334,14 +378,20 @@ def check_layout(layout: Layout, scene: Scene) -> None:
         distance_m = math.dist(unit.pose.position_m, middle_m)
         if distance_m > _MAX_DISTANCE_M:
             expected = f"at most {_MAX_DISTANCE_M:g} m"
-            refuse(where, f"a pose {distance_m:.3g} m from the middle of {scene.name}", expected)
+            refuse(
+                where,
+                f"a pose {distance_m:.3g} m from the middle of {scene.name}",
+                expected,
+            )
         around = containing_instance(scene, unit.pose.position_m)
         if around is not None:
             expected = "a pose in the open air"
             refuse(where, f"a pose inside {around.class_name} {around.id}", expected)
         if unit.site_id and unit.site_id not in sites:
             raise InputError(
-                f"{where}.site", unit.site_id, f"a site of {scene.name}, or an empty text"
+                f"{where}.site",
+                unit.site_id,
+                f"a site of {scene.name}, or an empty text",
             )
 
 
@@ -355,13 +405,15 @@ def find_layout(
 ) -> Layout:
     """A layout by its name (carlancap-12, the study's) or from a file; else an InputError.
 
-    A list of units with places on earth takes the `scene`; `sensors` are models, as a user lists
-    them, beside the catalogue's.
+    A list of units with places on earth takes the `scene`; `sensors` are models, as a
+    user lists them, beside the catalogue's.
     """
     if str(name) == BASELINE_NAME:
         return load_carlancap_layout()
     if not os.path.lexists(name):
-        raise InputError(option, str(name), f"{BASELINE_NAME}, or a layout file that exists")
+        raise InputError(
+            option, str(name), f"{BASELINE_NAME}, or a layout file that exists"
+        )
     return load_layout(Path(name), scene=scene, sensors=own_models(sensors))
 
 
@@ -384,7 +436,9 @@ def load_carlancap_layout() -> Layout:
             id=unit.id,
             site_id=unit.site,
             pose=from_carla_pose(
-                position_m=unit.position_m, yaw_deg=unit.yaw_deg, pitch_deg=unit.pitch_deg
+                position_m=unit.position_m,
+                yaw_deg=unit.yaw_deg,
+                pitch_deg=unit.pitch_deg,
             ),
             sensor=camera,
         )
@@ -396,7 +450,9 @@ def load_carlancap_layout() -> Layout:
 def find_baseline(scene: Scene) -> Layout | None:
     """The study's layout, to compare others with at its junction; None at another one."""
     study = load_carlancap_layout()
-    return study if scene.name == study.scene_name else None
+    if scene.name == study.scene_name:
+        return study
+    return None
 
 
 # ---------- lists of cameras as people have them
@@ -418,7 +474,9 @@ _OF_PEOPLE = {"lat", "lon", "height", "bearing", "tilt"}
 def is_list(records: Sequence[Any]) -> bool:
     """True if units are given as people write them, not as a layout file has them."""
     named = [list(one) for one in records if isinstance(one, Mapping)]
-    return any(_OF_PEOPLE & set(known_columns(names, "", _FIELDS).values()) for names in named)
+    return any(
+        _OF_PEOPLE & set(known_columns(names, "", _FIELDS).values()) for names in named
+    )
 
 
 def read_layout_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -439,10 +497,11 @@ def unit_record(
 ) -> dict[str, Any]:
     """A unit as a layout file has it, out of what people write.
 
-    `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame, or neither:
-    at the site; height above the ground, or z; bearing clockwise from north, or yaw; tilt, positive
-    down, or pitch; model. Case and units at the end of a name do not matter. Raises InputError
-    where a field is missing or not of its kind, a site or a model is unknown.
+    `values` are id; site (may be empty); lat and lon, or x and y in the scene's frame,
+    or neither: at the site; height above the ground, or z; bearing clockwise from
+    north, or yaw; tilt, positive down, or pitch; model. Case and units at the end of a
+    name do not matter. Raises InputError where a field is missing or not of its kind, a
+    site or a model is unknown.
     """
     columns = known_columns(list(values), where, _FIELDS)
     row = {field: values[name] for name, field in columns.items()}
@@ -452,7 +511,9 @@ def unit_record(
     sites = {site.id: site for site in scene.sites}
     if site_id:
         pick(sites, site_id, f"{where}: site")
-    has_place = any(row.get(name) not in (None, "") for name in ("x", "y", "lat", "lon"))
+    has_place = any(
+        row.get(name) not in (None, "") for name in ("x", "y", "lat", "lon")
+    )
     if site_id and not has_place:
         position = sites[site_id].position_m[:2]
     else:
@@ -462,7 +523,9 @@ def unit_record(
         height_m += float(ground_height_m(scene, np.asarray(position)))
     yaw_deg = _one_of(row, where, ("yaw", 1.0), ("bearing", -1.0))
     if read_number(row, "yaw", where) is None:
-        yaw_deg = (yaw_deg + 90.0 + 180.0) % 360.0 - 180.0  # counter-clockwise from east
+        yaw_deg = (
+            yaw_deg + 90.0 + 180.0
+        ) % 360.0 - 180.0  # counter-clockwise from east
     model = str(row.get("model") or "").strip()
     if not model:
         refuse(f"{where}: model", "nothing", "a model of the catalogue")
@@ -485,7 +548,10 @@ def unit_record(
 
 
 def _one_of(
-    row: Mapping[str, Any], where: str, first: tuple[str, float], other: tuple[str, float]
+    row: Mapping[str, Any],
+    where: str,
+    first: tuple[str, float],
+    other: tuple[str, float],
 ) -> float:
     """The number in one of two fields, times the field's factor; exactly one must be given."""
     found = [
@@ -494,6 +560,9 @@ def _one_of(
         if (value := read_number(row, name, where)) is not None
     ]
     if len(found) != 1:
-        got = "both" if found else "nothing"
+        if found:
+            got = "both"
+        else:
+            got = "nothing"
         refuse(f"{where}: {first[0]}", got, f"a number, or {other[0]} in its place")
     return found[0][1] + 0.0

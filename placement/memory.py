@@ -9,7 +9,10 @@ from geometry.errors import refuse
 _PROGRAM_BYTES = 400 * 2**20  # of the program itself: libraries, scene, runs, report
 _BYTES_PER_ENTRY = 0.125 + 1.0
 """Of the table: a bit in it; the optimiser's presolve has up to seven copies, measured."""
-_LIMIT_FILES = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+_LIMIT_FILES = (
+    "/sys/fs/cgroup/memory.max",
+    "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+)
 
 
 def needed_bytes(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> int:
@@ -52,7 +55,11 @@ def available_bytes() -> int:
     sizes = [machine_bytes() or sys.maxsize]
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        sizes += [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+        sizes += [
+            1024 * int(line.split()[1])
+            for line in lines
+            if line.startswith("MemAvailable:")
+        ]
     except (OSError, ValueError):  # not this system's way
         pass
     return min(sizes)
@@ -60,24 +67,32 @@ def available_bytes() -> int:
 
 def check_memory(n_poses: int, n_frames: int, *, n_worlds: int = 1) -> None:
     """Raise InputError for a question that cannot fit into the memory of this machine."""
-    needed, there = needed_bytes(n_poses, n_frames, n_worlds=n_worlds), machine_bytes()
+    needed = needed_bytes(n_poses, n_frames, n_worlds=n_worlds)
+    there = machine_bytes()
     if there is None or needed <= there:
         return
-    worlds = f" in {n_worlds:,} sampled worlds" if n_worlds > 1 else ""
-    fewer = "fewer `samples`, " if n_worlds > 1 else ""
+    if n_worlds > 1:
+        worlds = f" in {n_worlds:,} sampled worlds"
+    else:
+        worlds = ""
+    if n_worlds > 1:
+        fewer = "fewer `samples`, "
+    else:
+        fewer = ""
     refuse(
         "memory",
-        f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)}, where "
-        f"there are {gib(there)}",
-        f"a smaller question: {fewer}fewer `cases`, `speeds`, `approaches` or `weather`, fewer "
-        "`sensors`, or only the poles of `within`",
+        f"{n_poses:,} poses x {n_frames:,} frames{worlds}, which need {gib(needed)},"
+        f" where there are {gib(there)}",
+        f"a smaller question: {fewer}fewer `cases`, `speeds`, `approaches` or"
+        " `weather`, fewer `sensors`, or only the poles of `within`",
     )
 
 
 def check_fits(where: str, what: str, needed_bytes: int, remedy: str) -> None:
     """Raise InputError if something takes more memory than there is.
 
-    `where` and `what` say what is read or solved and how large it is, `remedy` what helps.
+    `where` and `what` say what is read or solved and how large it is, `remedy` what
+    helps.
     """
     free = available_bytes()
     if needed_bytes > free:

@@ -1,7 +1,8 @@
 """Frozen values as MessagePack and back, with arrays and shared parts kept as they were.
 
-An array, dataclass, Struct or named tuple is written once, wherever it occurs: after its parts, in
-a list. In its place stands its number in that list, as an extension type of MessagePack.
+An array, dataclass, Struct or named tuple is written once, wherever it occurs: after
+its parts, in a list. In its place stands its number in that list, as an extension type
+of MessagePack.
 """
 
 from collections.abc import Sequence
@@ -24,7 +25,9 @@ def to_bytes(value: object) -> bytes:
     Besides those these are tuples, numbers, text and None; arrays are of numbers.
     """
     parts: list[Any] = []  # the last one is the value itself
-    places: dict[int, tuple[object, msgspec.msgpack.Ext]] = {}  # holds what it knows by identity
+    places: dict[
+        int, tuple[object, msgspec.msgpack.Ext]
+    ] = {}  # holds what it knows by identity
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.generic):
@@ -48,7 +51,13 @@ def _take_apart(value: Any, plain: Any) -> list[Any]:
         if value.dtype.kind not in "biuf":
             raise TypeError(f"an array that is not of numbers: {value.dtype}")
         is_writeable = bool(value.flags.writeable)
-        return [_ARRAY, value.dtype.str, list(value.shape), is_writeable, value.tobytes()]
+        return [
+            _ARRAY,
+            value.dtype.str,
+            list(value.shape),
+            is_writeable,
+            value.tobytes(),
+        ]
     kind: Any = type(value)
     if not _has_fields(kind):
         raise TypeError(f"a value that cannot be cached: {value!r}")
@@ -59,10 +68,12 @@ def _take_apart(value: Any, plain: Any) -> list[Any]:
 def from_bytes(content: bytes, hint: Any, *, classes: Sequence[type] = ()) -> Any:
     """Value of a type hint from :func:`to_bytes`.
 
-    Only classes that the hint names, directly or within others, and `classes` are made. Raises an
-    exception of any kind if the bytes are of something else.
+    Only classes that the hint names, directly or within others, and `classes` are made.
+    Raises an exception of any kind if the bytes are of something else.
     """
-    known = {_name_of(one): one for kind in (hint, *classes) for one in _classes_in(kind)}
+    known = {
+        _name_of(one): one for kind in (hint, *classes) for one in _classes_in(kind)
+    }
     made: list[Any] = []
 
     def find(code: int, data: memoryview) -> Any:
@@ -91,7 +102,9 @@ def _array(dtype: str, shape: list[int], is_writeable: bool, content: bytes) -> 
     if np.dtype(dtype).kind not in "biuf":
         raise ValueError(f"an array that is not of numbers: {dtype}")
     array = np.frombuffer(content, dtype).reshape(shape)
-    return array.copy() if is_writeable else array
+    if is_writeable:
+        return array.copy()
+    return array
 
 
 def _tuples(value: Any) -> Any:
@@ -110,7 +123,9 @@ def _is_of(value: Any, hint: Any) -> bool:
         if named[1:] == (...,):
             return all(_is_of(item, named[0]) for item in value)
         return len(named) == len(value) and all(map(_is_of, value, named))
-    return any(isinstance(one, type) and isinstance(value, one) for one in named or (hint,))
+    return any(
+        isinstance(one, type) and isinstance(value, one) for one in named or (hint,)
+    )
 
 
 def _has_fields(kind: Any) -> bool:

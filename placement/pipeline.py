@@ -25,7 +25,12 @@ from .detectors import ResponseDetector
 from .evaluator import with_sight
 from .explain.conflicts import find_refusal
 from .explain.contributions import NextUnit, find_next_unit
-from .ground import PrivateGround, load_private_ground, private_shares, respects_private_ground
+from .ground import (
+    PrivateGround,
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
 from .layout import Certificate, Layout, check_layout, find_baseline, find_layout
 from .memory import check_memory
 from .optimiser import (
@@ -62,7 +67,9 @@ class Assembly:
     """
 
     setting: Setting  #: Scene, runs, braking rule, detectors.
-    candidates: Sequence[CandidatePose]  #: Poses to choose from: rows of the table. Ids are unique.
+    candidates: Sequence[
+        CandidatePose
+    ]  #: Poses to choose from: rows of the table. Ids are unique.
     wishes: Wishes = field(default_factory=Wishes)  #: Demands on a layout.
     #: "any": a frame counts if any unit detects; "single": one unit must confirm alone.
     fusion: Fusion = "any"
@@ -115,7 +122,9 @@ class Assembly:
         setting = self.setting
         if self.uncertainty.draws_anew:
             setting = repeat_heavy_runs(setting, most=self.uncertainty.most_draws)
-        check_memory(len(self.candidates), setting.axis.n_frames, n_worlds=self.n_samples)
+        check_memory(
+            len(self.candidates), setting.axis.n_frames, n_worlds=self.n_samples
+        )
         return sampled_table(
             setting,
             self.candidates,
@@ -129,13 +138,20 @@ class Assembly:
     def problem(self) -> PlacementProblem:
         """The optimiser's problem.
 
-        With a score, its runs are the levels of the setting's; with a share of cars that see, each
-        is there twice, see :func:`placement.detection_table.mixed_table`.
+        With a score, its runs are the levels of the setting's; with a share of cars
+        that see, each is there twice, see
+        :func:`placement.detection_table.mixed_table`.
         """
-        setting, table = with_sight(self.setting, compute=self.compute), self.table
-        seen, sample_index = setting.seen_by_vut if setting.cars else None, None
+        setting = with_sight(self.setting, compute=self.compute)
+        table = self.table
+        if setting.cars:
+            seen = setting.seen_by_vut
+        else:
+            seen = None
+        sample_index = None
         if self._sampled is not None:
-            seen, sample_index = self._sampled.seen_by_vut, self._sampled.sample_index
+            seen = self._sampled.seen_by_vut
+            sample_index = self._sampled.sample_index
         if setting.levels is not None:
             table = level_table(table, setting.levels, setting.rule)
             if seen is not None:
@@ -143,7 +159,10 @@ class Assembly:
         if seen is not None and setting.cars < 1.0:
             table = mixed_table(table, setting.cars)
             seen = np.concatenate([seen, np.zeros_like(seen)])
-            sample_index = None if sample_index is None else np.tile(sample_index, 2)
+            if sample_index is None:
+                sample_index = None
+            else:
+                sample_index = np.tile(sample_index, 2)
         return build_problem(
             setting,
             self.candidates,
@@ -167,7 +186,9 @@ class Assembly:
         """Layouts in the same worlds, which nothing was chosen in; from a number of them on."""
         assert self.uncertainty is not None  # assemble reads it with every question
         return out_of_sample_layouts(
-            *(self.setting, layouts, self.uncertainty),
+            self.setting,
+            layouts,
+            self.uncertainty,
             n_samples=n_worlds,
             first=first,
             fusion=self.fusion,
@@ -187,28 +208,36 @@ def assemble(
 ) -> Assembly:
     """Make of a question what every answer needs; all is checked before any ray is cast.
 
-    `scene` is in place of the one that the question names; `setting` has scene and runs where they
-    have been laid already. `grid` has the poses to try at each site, in place of the question's
-    grid and the study's poses; `existing` is in place of the mounted units that the question names.
-    With `counts_money`, sites without a price cost what is assumed, also where no money is asked
-    for.
+    `scene` is in place of the one that the question names; `setting` has scene and runs
+    where they have been laid already. `grid` has the poses to try at each site, in
+    place of the question's grid and the study's poses; `existing` is in place of the
+    mounted units that the question names. With `counts_money`, sites without a price
+    cost what is assumed, also where no money is asked for.
 
-    Candidates are the grid's, at the study's junction its 12 poses, and the existing units; or
-    those of `within` and the existing ones. Raises InputError: a word is unknown, a layout does not
-    fit the scene, a wish cannot be met at its sites, or no run can be laid.
+    Candidates are the grid's, at the study's junction its 12 poses, and the existing
+    units; or those of `within` and the existing ones. Raises InputError: a word is
+    unknown, a layout does not fit the scene, a wish cannot be met at its sites, or no
+    run can be laid.
     """
     _check_together(question)
     if scene is None:
-        scene = load_scene(question.scene) if setting is None else setting.scene
+        if setting is None:
+            scene = load_scene(question.scene)
+        else:
+            scene = setting.scene
     if existing is None:
         existing = _named_layout(question.keep, "keep", scene, question.sensors)
     units = () if existing is None else existing.units
     candidates = _candidates(question, scene, grid, units)
-    private_ground, may_look = None, None
+    private_ground = None
+    may_look = None
     if question.no_look:
         private_ground = load_private_ground(Path(question.no_look), scene)
         may_look = partial(
-            _respects, scene=scene, ground=private_ground, max_share=question.no_look_share or 0.0
+            _respects,
+            scene=scene,
+            ground=private_ground,
+            max_share=question.no_look_share or 0.0,
         )
         # Existing units stay, wherever they look.
         candidates = _distinct([*compress(candidates, may_look(candidates))], units)
@@ -247,13 +276,18 @@ def _check_together(question: Question) -> None:
     if question.score != AVOIDED:
         for field_name in ("samples", "refine"):
             if getattr(question, field_name):
-                raise InputError("score", question.score, f"{AVOIDED} beside `{field_name}`")
+                raise InputError(
+                    "score", question.score, f"{AVOIDED} beside `{field_name}`"
+                )
     if question.no_look_share and not question.no_look:
         raise InputError("no_look_share", question.no_look_share, "`no_look` beside it")
 
 
 def _candidates(
-    question: Question, scene: Scene, grid: CandidateGrid | None, existing: Sequence[CandidatePose]
+    question: Question,
+    scene: Scene,
+    grid: CandidateGrid | None,
+    existing: Sequence[CandidatePose],
 ) -> tuple[CandidatePose, ...]:
     within = _named_layout(question.within, "within", scene, question.sensors)
     if within is not None:
@@ -279,9 +313,15 @@ def _distinct(*several: Sequence[CandidatePose]) -> tuple[CandidatePose, ...]:
 
 
 def _respects(
-    candidates: Sequence[CandidatePose], *, scene: Scene, ground: PrivateGround, max_share: float
+    candidates: Sequence[CandidatePose],
+    *,
+    scene: Scene,
+    ground: PrivateGround,
+    max_share: float,
 ) -> BoolArray:
-    return respects_private_ground(private_shares(scene, candidates, ground), max_share=max_share)
+    return respects_private_ground(
+        private_shares(scene, candidates, ground), max_share=max_share
+    )
 
 
 def build_effort(question: Question, compute: Compute = DEFAULT_COMPUTE) -> Effort:
@@ -317,29 +357,37 @@ class Placement:
 
     layout: Layout  #: The best layout.
     greedy: Layout  #: The layout that plain greedy search finds within the same limits.
-    #: Rows of the table that make `greedy`, where it was found; a refinement has its own table.
+    # : Rows of the table that make `greedy`, where it was found; a refinement has its
+    # own table.
     greedy_index: tuple[int, ...]
     certificate: Certificate  #: Proof of `layout`.
-    presolve: PresolveStatistics  #: What was left of the problem before any solver started.
+    presolve: (
+        PresolveStatistics  #: What was left of the problem before any solver started.
+    )
     problem: PlacementProblem  #: The problem, with the detection table.
     pose_index: tuple[int, ...]  #: Rows of the table that make `layout`.
-    #: The layout alone in the world as planned, its runs as they are: `problem` itself unless
-    #: worlds were sampled, runs have levels of a score, or a share of the cars sees: then with
-    #: cars that do not.
+    # : The layout alone in the world as planned, its runs as they are: `problem` itself
+    # unless : worlds were sampled, runs have levels of a score, or a share of the cars
+    # sees: then with : cars that do not.
     nominal: PlacementProblem
     nominal_index: tuple[int, ...]  #: Rows of its table that make `layout`.
     seconds: Mapping[str, float]  #: Time per stage. [s]
-    #: What presolve left of it, found when first asked for; None: layouts were moved since.
+    # : What presolve left of it, found when first asked for; None: layouts were moved
+    # since.
     presolved: Callable[[], ReducedProblem] | None = None
-    #: What greedy choice would add to `layout`, budgets aside; None: nothing fits, or not known.
+    # : What greedy choice would add to `layout`, budgets aside; None: nothing fits, or
+    # not known.
     next_unit: NextUnit | None = None
     highest: Highest | None = None  #: None where nothing of the APR might be given up.
-    #: `layout` and the one of the layout found and the greedy one that was not taken, in fresh
-    #: worlds that decided it; None: they were not asked.
+    # : `layout` and the one of the layout found and the greedy one that was not taken,
+    # in fresh : worlds that decided it; None: they were not asked.
     preferred: tuple[SampledApr, SampledApr] | None = None
 
     def __repr__(self) -> str:
-        return f"Placement({self.layout!r}, {'proven' if self.is_proven else 'not proven'})"
+        return (
+            f"Placement({self.layout!r},"
+            f" {'proven' if self.is_proven else 'not proven'})"
+        )
 
     @property
     def is_proven(self) -> bool:
@@ -372,19 +420,30 @@ class _Answer:
 def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
     """Find the best layout of an assembly.
 
-    With `asks_worlds`, greedy choice's layout is taken in place of the one found where fresh worlds
-    prefer it, see :func:`may_prefer`; its certificate has what is proven of both. Raises
-    InputError: nothing is asked for, wishes cannot be met (the message says which, and how little
-    has to give way), or the question does not fit into the memory of this machine.
+    With `asks_worlds`, greedy choice's layout is taken in place of the one found where
+    fresh worlds prefer it, see :func:`may_prefer`; its certificate has what is proven
+    of both. Raises InputError: nothing is asked for, wishes cannot be met (the message
+    says which, and how little has to give way), or the question does not fit into the
+    memory of this machine.
     """
-    wishes, compute, effort = assembly.wishes, assembly.compute, assembly.effort
-    if wishes.budget_units is None and wishes.budget_eur is None and wishes.target is None:
-        raise InputError("budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`")
+    wishes = assembly.wishes
+    compute = assembly.compute
+    effort = assembly.effort
+    if (
+        wishes.budget_units is None
+        and wishes.budget_eur is None
+        and wishes.target is None
+    ):
+        raise InputError(
+            "budget", Unquoted("nothing"), "`budget`, `budget_cost` or `target`"
+        )
     _ = assembly.limits  # what cannot be met is refused before anything is computed
     started = time.perf_counter()
     table = assembly.table
     table_done = optimised = time.perf_counter()
-    _log.info("detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames)
+    _log.info(
+        "detection table: %d poses, %d frames", table.n_poses, table.axis.n_frames
+    )
     problem = assembly.problem
 
     def answer() -> _Answer:
@@ -400,15 +459,23 @@ def place(assembly: Assembly, *, asks_worlds: bool = False) -> Placement:
         optimised = time.perf_counter()
         compute.progress("greedy", 0, 0)
         greedy_index = solve_greedy(problem, reduced)
-        chosen = first if sturdy is None else sturdy
+        if sturdy is None:
+            chosen = first
+        else:
+            chosen = sturdy
         next_unit = find_next_unit(problem, reduced, chosen.pose_index)
         return _Answer(first, sturdy, greedy_index, next_unit)
 
     compute.progress("optimise", 0, 0)
     found = _cached(assembly, answer)
-    found, preferred = _by_worlds(assembly, found) if asks_worlds else (found, None)
+    if asks_worlds:
+        found, preferred = _by_worlds(assembly, found)
+    else:
+        found, preferred = (found, None)
     pick = partial(pick_layout, assembly.candidates)
-    solution, highest, asked = found.first, None, problem
+    solution = found.first
+    highest = None
+    asked = problem
     if found.sturdy is not None:
         highest = Highest(
             layout=pick(solution.pose_index, f"highest-{len(solution.pose_index)}"),
@@ -449,20 +516,30 @@ def _by_worlds(
 
     And the other one, both there; None where these worlds are not asked.
     """
-    problem, first, greedy = assembly.problem, found.first, found.greedy_index
-    chosen, asked = first, problem
+    problem = assembly.problem
+    first = found.first
+    greedy = found.greedy_index
+    chosen = first
+    asked = problem
     if found.sturdy is not None:
-        chosen, asked = found.sturdy, sturdy_problem(problem, first, assembly.wishes.give_up)
+        chosen = found.sturdy
+        asked = sturdy_problem(problem, first, assembly.wishes.give_up)
     if not may_prefer(assembly, asked, chosen, greedy):
         return found, None
     assembly.compute.progress("found or greedy, in fresh worlds", 0, 0)
     names = {FOUND: chosen.pose_index, "greedy": greedy}
-    both = [pick_layout(assembly.candidates, rows, name) for name, rows in names.items()]
+    both = [
+        pick_layout(assembly.candidates, rows, name) for name, rows in names.items()
+    ]
     of_found, of_greedy = assembly.in_fresh_worlds(both, n_worlds=N_JUDGED)
     if not is_preferred(of_greedy.apr_by_sample, of_found.apr_by_sample):
         return found, (of_found, of_greedy)
-    reduced, sturdy = assembly.presolved, None
-    if found.sturdy and apr(asked, greedy) >= asked.floors[-1].share - Objective.APR.tolerance:
+    reduced = assembly.presolved
+    sturdy = None
+    if (
+        found.sturdy
+        and apr(asked, greedy) >= asked.floors[-1].share - Objective.APR.tolerance
+    ):
         # No more is given up than may be.
         sturdy = instead(asked, reduced, found.sturdy, greedy)
     if sturdy is None or first.pose_index == chosen.pose_index:
@@ -472,19 +549,25 @@ def _by_worlds(
 
 
 def may_prefer(
-    assembly: Assembly, problem: PlacementProblem, solution: Solution, greedy: Sequence[int]
+    assembly: Assembly,
+    problem: PlacementProblem,
+    solution: Solution,
+    greedy: Sequence[int],
 ) -> bool:
     """True if fresh worlds decide between the layout found for a problem and greedy choice's.
 
-    Worlds that were chosen in are few, and the plan knows nothing of chance: they decide wherever
-    worlds were sampled or detections are drawn. By rule, the plan decides; unless cars see and both
-    layouts are as good up to the APR, for then it tells nothing. Something else than the highest
-    APR is left as it was asked for.
+    Worlds that were chosen in are few, and the plan knows nothing of chance: they
+    decide wherever worlds were sampled or detections are drawn. By rule, the plan
+    decides; unless cars see and both layouts are as good up to the APR, for then it
+    tells nothing. Something else than the highest APR is left as it was asked for.
     """
-    wishes, setting = assembly.wishes, assembly.setting
+    wishes = assembly.wishes
+    setting = assembly.setting
     is_other = wishes.target is not None or wishes.survive > 0 or wishes.tail < 1.0
     is_other |= wishes.min_case_apr > 0.0 or setting.levels is not None
-    is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(solution.pose_index)
+    is_same = set(greedy) == set(solution.pose_index) or len(greedy) > len(
+        solution.pose_index
+    )
     if is_other or is_same:
         return False
     if assembly.n_samples or isinstance(setting.table_detector, ResponseDetector):
@@ -494,7 +577,9 @@ def may_prefer(
     values = objective_values(problem, greedy)
     stages = {Objective(stage.name): stage for stage in solution.certificate.stages}
     first = [*stages][: [*stages].index(Objective.APR) + 1]
-    return all(abs(values[one] - stages[one].objective) <= one.tolerance for one in first)
+    return all(
+        abs(values[one] - stages[one].objective) <= one.tolerance for one in first
+    )
 
 
 def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
@@ -507,7 +592,9 @@ def is_preferred(greedy: ArrayLike, found: ArrayLike) -> bool:
 
 def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
     """An answer from the cache, or a new one. Raises InputError: wishes cannot be met."""
-    problem, wishes, effort = assembly.problem, assembly.wishes, assembly.effort
+    problem = assembly.problem
+    wishes = assembly.wishes
+    effort = assembly.effort
     try:
         return cached_value(
             assembly.compute.cache_folder,
@@ -519,7 +606,8 @@ def _cached(assembly: Assembly, answer: Callable[[], _Answer]) -> _Answer:
         )
     except UnmetError as error:
         assembly.compute.progress("what has to give way", 0, 0)
-        limit_s, at = effort.time_limit_s, (assembly.scene, assembly.candidates)
+        limit_s = effort.time_limit_s
+        at = (assembly.scene, assembly.candidates)
         refusal = find_refusal(problem, wishes, *at, time_limit_s=limit_s)
         raise refusal or error from None
 
@@ -533,10 +621,15 @@ def _nominal(
     if problem.sample_index is not None:
         units = [assembly.candidates[index] for index in pose_index]
         compute = replace(assembly.compute.within("greedy"), cache_folder=None)
-        alone = Assembly(setting=plain, candidates=units, fusion=assembly.fusion, compute=compute)
+        alone = Assembly(
+            setting=plain, candidates=units, fusion=assembly.fusion, compute=compute
+        )
         return alone.problem, tuple(range(len(units)))
     if assembly.setting.levels is not None or 0.0 < cars < 1.0:
-        return replace(assembly, setting=plain, known_table=assembly.table).problem, pose_index
+        return (
+            replace(assembly, setting=plain, known_table=assembly.table).problem,
+            pose_index,
+        )
     return problem, pose_index
 
 

@@ -17,16 +17,25 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from msgspec import Meta
 
 from geometry.errors import InputError
-from geometry.files import float_of, load_data, load_toml, read_table, reading, write_atomically
+from geometry.files import (
+    float_of,
+    load_data,
+    load_toml,
+    read_table,
+    reading,
+    write_atomically,
+)
 
 DEFAULT_CASES = "default"
-BLIND, SEE = "blind", "see"
+BLIND = "blind"
+SEE = "see"
 AUTO = "auto"
 BASELINE_NAME = "carlancap-12"
 """Name of the study's own layout."""
 
 
-# Of a certificate over sampled worlds: blocks, worlds in each, and worlds to judge layouts in.
+# Of a certificate over sampled worlds: blocks, worlds in each, and worlds to judge
+# layouts in.
 N_BLOCKS = 5
 N_SAMPLES = 8
 N_JUDGED = 60
@@ -36,9 +45,10 @@ N_JUDGED = 60
 class Question:
     """A user's question: what is driven and how it brakes, what may be mounted, how hard to look.
 
-    What its fields mean stands in ``data/question.toml``, and in this class's docstring at run
-    time. Lists are one text with commas between; an empty text means that nothing is given. Raises
-    InputError where a value is of another kind, or out of its range.
+    What its fields mean stands in ``data/question.toml``, and in this class's docstring
+    at run time. Lists are one text with commas between; an empty text means that
+    nothing is given. Raises InputError where a value is of another kind, or out of its
+    range.
     """
 
     budget: int | None = None
@@ -110,7 +120,9 @@ class Question:
     def n_samples(self) -> int:
         """`samples` as a number; raises InputError where it is still to be found out."""
         if isinstance(self.samples, str):
-            expected = f"a number; {AUTO} where the best layout within a budget is chosen"
+            expected = (
+                f"a number; {AUTO} where the best layout within a budget is chosen"
+            )
             raise InputError("samples", self.samples, expected)
         return self.samples
 
@@ -153,7 +165,11 @@ class QuestionField:
     description: str  # other fields stand in it between backticks
 
 
-_KEYS = {"n_confirmations": "confirmations", "build_up_s": "brake_build_up", "case_range": "range"}
+_KEYS = {
+    "n_confirmations": "confirmations",
+    "build_up_s": "brake_build_up",
+    "case_range": "range",
+}
 _UNIT = re.compile("_(eur|m|deg|s|mps2)$")  # a key has none
 
 
@@ -170,7 +186,9 @@ def question_fields() -> dict[str, QuestionField]:
         says = words[name]
         if "expected" in says:
             names = {"min": "ge", "above": "gt", "max": "le"}
-            limits: dict[str, Any] = {names[one]: says[one] for one in names if one in says}
+            limits: dict[str, Any] = {
+                names[one]: says[one] for one in names if one in says
+            }
             kind = Annotated[kind, Meta(**limits, description=says["expected"])]
         known[name] = QuestionField(
             name=name,
@@ -187,7 +205,10 @@ def split_names(text: str, where: str) -> tuple[str, ...]:
 
     Raises InputError if one is empty, or stands there twice.
     """
-    names = tuple(word.strip() for word in text.split(",")) if text else ()
+    if text:
+        names = tuple(word.strip() for word in text.split(","))
+    else:
+        names = ()
     if not all(names) or len(set(names)) < len(names):
         raise InputError(where, text, "names with commas between, each once")
     return names
@@ -208,13 +229,16 @@ def read_cars(text: str) -> float:
     """
     words = {BLIND: 0.0, SEE: 1.0}
     expected = "blind, see, or the share of cars that see, 0 to 1"
-    return words[text] if text in words else read_number("cars", text, expected, 0.0, 1.0)
+    if text in words:
+        return words[text]
+    return read_number("cars", text, expected, 0.0, 1.0)
 
 
 def load_question_values(path: Path) -> dict[str, Any]:
     """Read a question file: the values that it gives, by the names of the fields.
 
-    Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
+    Raises InputError if it cannot be read, or has an unknown key or a value that cannot
+    be.
     """
     return _read_values(load_toml(path), str(path))
 
@@ -227,7 +251,11 @@ def _read_values(table: Mapping[str, Any], where: str) -> dict[str, Any]:
         if key not in known:
             raise InputError(where, key, "one of " + ", ".join(known))
         field = known[key]
-        if field.kind is str and isinstance(value, int | float) and not isinstance(value, bool):
+        if (
+            field.kind is str
+            and isinstance(value, int | float)
+            and not isinstance(value, bool)
+        ):
             value = str(value)
         values[field.name] = _check_value(field, value, f"{where}: {key}")
     return values
@@ -242,7 +270,10 @@ def question_values(question: Question) -> dict[str, Any]:
     for field in question_fields().values():
         value = getattr(question, field.name)
         if value != field.default:
-            values[field.key] = _ENDLESS if value == math.inf else value
+            if value == math.inf:
+                values[field.key] = _ENDLESS
+            else:
+                values[field.key] = value
     return values
 
 
@@ -268,8 +299,9 @@ def _check_value(field: QuestionField, value: Any, where: str) -> Any:
 def load_question(path: str | Path) -> Question:
     """Read a question file (TOML); what it does not give has its default.
 
-    Its keys are the names of the options with underscores, such as ``site_cost = 500.0``. Raises
-    InputError: it cannot be read, or has an unknown key or a value that cannot be.
+    Its keys are the names of the options with underscores, such as ``site_cost =
+    500.0``. Raises InputError: it cannot be read, or has an unknown key or a value that
+    cannot be.
     """
     return Question(**load_question_values(Path(path)))
 
@@ -301,7 +333,10 @@ def _documented(field: QuestionField) -> str:
     kind = getattr(field.kind, "__origin__", field.kind).__name__
     if get_origin(field.kind) is Literal:
         kind = "{" + ", ".join(f'"{word}"' for word in get_args(field.kind)) + "}"
-    optional = ", optional" if field.default is None else ""
+    if field.default is None:
+        optional = ", optional"
+    else:
+        optional = ""
     return f"{field.name} : {kind}{optional}\n    {field.description}"
 
 

@@ -39,12 +39,15 @@ def certify(
 ) -> Certificate:
     """The bounds of a certificate for a set of poses that is as good as its layout or better.
 
-    A bound holds for all sets that are as good in the stages before as the certificate's layout,
-    and so for those that are as good as this one. `solver` is the new certificate's text about it.
+    A bound holds for all sets that are as good in the stages before as the
+    certificate's layout, and so for those that are as good as this one. `solver` is the
+    new certificate's text about it.
     """
     stages = (
         build_stage(name, value, proven.bound, proven.seconds)
-        for (name, value), proven in zip(values.items(), certificate.stages, strict=True)
+        for (name, value), proven in zip(
+            values.items(), certificate.stages, strict=True
+        )
     )
     return Certificate(stages=tuple(stages), solver=solver)
 
@@ -59,7 +62,8 @@ class Places:
 
     scene: Scene  # its sites say how high
     candidates: tuple[CandidatePose, ...]  # the grid
-    # (n,): which of them stand for poses that may be chosen: not forbidden, and not existing.
+    # (n,): which of them stand for poses that may be chosen: not forbidden, and not
+    # existing.
     is_free: BoolArray
     row_of: Mapping[str, int]  # row of every id
 
@@ -79,7 +83,9 @@ class Places:
         return next((site for site in self.scene.sites if site.id == name), None)
 
 
-def build_places(scene: Scene, candidates: Sequence[CandidatePose], limits: Limits) -> Places:
+def build_places(
+    scene: Scene, candidates: Sequence[CandidatePose], limits: Limits
+) -> Places:
     """Where poses may be moved to under limits."""
     return Places(
         scene=scene,
@@ -100,8 +106,8 @@ def moved(
 ) -> CandidatePose | None:
     """Replacement for a row of the grid, moved and turned; None if it would be inside something.
 
-    Height, pitch and field of view (by default the grid's) are brought into their ranges. The
-    pose's id says where it is mounted and how it looks.
+    Height, pitch and field of view (by default the grid's) are brought into their
+    ranges. The pose's id says where it is mounted and how it looks.
     """
     grid = places.candidates[origin]
     low_m, high_m = places.height_range_m(origin)
@@ -112,16 +118,27 @@ def moved(
     is_old = height_m == grid.pose.position_m[2]
     if not is_old and containing_instance(places.scene, position_m) is not None:
         return None
-    sensor, lens = grid.sensor, ""
+    sensor = grid.sensor
+    lens = ""
     if isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None:
-        asked = sensor.horizontal_fov_deg if fov_deg is None else fov_deg
+        if fov_deg is None:
+            asked = sensor.horizontal_fov_deg
+        else:
+            asked = fov_deg
         fov_deg = float(np.clip(round(asked, _DIGITS), *sensor.fov_range_deg))
-        sensor, lens = with_fov(sensor, fov_deg, grid.id), f"/{fov_deg:g}"
+        sensor = with_fov(sensor, fov_deg, grid.id)
+        lens = f"/{fov_deg:g}"
     # As the grid names its poses: the same name is the same pose.
     site = places.site_of(origin)
     is_of_grid = site is not None and grid.id.startswith(f"{site.id}/")
-    name = grid.site_id if is_of_grid else grid.id
-    above_m = height_m if site is None else height_m - float(site.position_m[2])
+    if is_of_grid:
+        name = grid.site_id
+    else:
+        name = grid.id
+    if site is None:
+        above_m = height_m
+    else:
+        above_m = height_m - float(site.position_m[2])
     return replace(
         grid,
         id=f"{name}/{above_m:g}m/{yaw_deg:g}/{pitch_deg:g}/{sensor.name}{lens}",
@@ -139,15 +156,22 @@ def _turned(unit: CandidatePose, origin: int, places: Places) -> list[CandidateP
     sensor = unit.sensor
     has_zoom = isinstance(sensor, CameraModel) and sensor.fov_range_deg is not None
     poses = []
-    for step_deg, turn_sign, tilt_sign, zoom_sign in product(STEPS_DEG, *[(-1, 0, 1)] * 3):
+    for step_deg, turn_sign, tilt_sign, zoom_sign in product(
+        STEPS_DEG, *[(-1, 0, 1)] * 3
+    ):
         if zoom_sign and (turn_sign or tilt_sign or not has_zoom):
             continue
         pitch_deg = unit.pose.pitch_deg + tilt_sign * step_deg
         if turn_sign and is_turn_useless(sensor, pitch_deg=pitch_deg):
             continue
-        turn = {"yaw_deg": unit.pose.yaw_deg + turn_sign * step_deg, "pitch_deg": pitch_deg}
+        turn = {
+            "yaw_deg": unit.pose.yaw_deg + turn_sign * step_deg,
+            "pitch_deg": pitch_deg,
+        }
         fov_deg = np.exp(0.01 * step_deg * zoom_sign) * sensor.horizontal_fov_deg
-        poses.append(moved(places, origin, **_as_it_is(unit) | turn | {"fov_deg": fov_deg}))
+        poses.append(
+            moved(places, origin, **_as_it_is(unit) | turn | {"fov_deg": fov_deg})
+        )
     return _others(poses, unit)
 
 
@@ -156,9 +180,12 @@ LIFTS_M = (1.0, 0.5, 0.25, 0.1)  # of the height: each costs rays of its own
 
 def _lifted(unit: CandidatePose, origin: int, places: Places) -> list[CandidatePose]:
     """The same pose higher and lower on its site, each id once."""
-    own, lifts_m = _as_it_is(unit), (sign * size_m for size_m in LIFTS_M for sign in (-1.0, 1.0))
+    own = _as_it_is(unit)
+    lifts_m = (sign * size_m for size_m in LIFTS_M for sign in (-1.0, 1.0))
     heights_m = (own["height_m"] + lift_m for lift_m in lifts_m)
-    poses = [moved(places, origin, **own | {"height_m": height_m}) for height_m in heights_m]
+    poses = [
+        moved(places, origin, **own | {"height_m": height_m}) for height_m in heights_m
+    ]
     return _others(poses, unit)
 
 
@@ -172,12 +199,20 @@ def _as_it_is(unit: CandidatePose) -> dict[str, float]:
     }
 
 
-def _others(poses: Iterable[CandidatePose | None], unit: CandidatePose) -> list[CandidatePose]:
-    return [*{one.id: one for one in poses if one is not None and one.id != unit.id}.values()]
+def _others(
+    poses: Iterable[CandidatePose | None], unit: CandidatePose
+) -> list[CandidatePose]:
+    return [
+        *{
+            one.id: one for one in poses if one is not None and one.id != unit.id
+        }.values()
+    ]
 
 
 # ---------- the search
-_MAX_MOUNTS = 16  # whose rays are cached, some ten megabytes each at the study's junction
+_MAX_MOUNTS = (
+    16  # whose rays are cached, some ten megabytes each at the study's junction
+)
 _PROOF_SHARE = 0.4  # of the time: for the whole grid, when the search is over
 _LEAST_SOLVER_S = 1.0
 
@@ -187,7 +222,8 @@ class _Tried:
     """A pose at hand."""
 
     candidate: CandidatePose
-    origin: int  # row of the grid's pose that it is, or stands in for: same place, same sensor
+    # row of the grid's pose that it is, or stands in for: same place, same sensor
+    origin: int
     packed: NDArray[np.uint8]  # (ceil(n_frames / 8),): its row of a detection table
 
 
@@ -214,16 +250,20 @@ class _Search:
     def turn(self) -> None:
         """Compass search over yaw, pitch and field of view, then height, unit by unit.
 
-        In the end no step of any unit alone improves the set, unless time was up. All steps are
-        tried at once in place of a shrinking one (Kolda, Lewis, Torczon, "Optimization by direct
-        search", SIAM Review 45, 2003, section 3): what a set is worth is a step function here, so
-        that a larger step may improve where smaller ones change nothing.
+        In the end no step of any unit alone improves the set, unless time was up. All
+        steps are tried at once in place of a shrinking one (Kolda, Lewis, Torczon,
+        "Optimization by direct search", SIAM Review 45, 2003, section 3): what a set is
+        worth is a step function here, so that a larger step may improve where smaller
+        ones change nothing.
         """
-        position, n_settled = 0, 0
+        position = 0
+        n_settled = 0
         while n_settled < len(self.units) and now_s() < self.end_s:
             unit = self.units[position]
             if self.places.is_free[unit.origin] and any(
-                self._take_best(position, steps(unit.candidate, unit.origin, self.places))
+                self._take_best(
+                    position, steps(unit.candidate, unit.origin, self.places)
+                )
                 for steps in (_turned, _lifted)
             ):
                 n_settled = 0
@@ -236,22 +276,28 @@ class _Search:
         others = [unit for index, unit in enumerate(self.units) if index != position]
         taken = {unit.candidate.id for unit in others}
         tried = self._look(
-            self.units[position].origin, [pose for pose in poses if pose.id not in taken]
+            self.units[position].origin,
+            [pose for pose in poses if pose.id not in taken],
         )
-        # Only those in question: a problem on the whole grid takes longer to put together.
+        # Only those in question: a problem on the whole grid takes longer to put
+        # together.
         problem = self._problem([*others, *tried])
         is_better = False
         for index, one in enumerate(tried, start=len(others)):
             rows = [*range(len(others)), index]
             values = objective_values(problem, rows)
             if improves(values, self.values) and is_feasible(problem, rows):
-                self.units[position], self.values, is_better = one, values, True
+                self.units[position] = one
+                self.values = values
+                is_better = True
         return is_better
 
     def _look(self, origin: int, poses: Sequence[CandidatePose]) -> list[_Tried]:
         """Poses with their rows, from the grid or computed anew."""
         row_of = self.places.row_of
-        unknown = [pose for pose in poses if pose.id not in row_of and pose.id not in self.new]
+        unknown = [
+            pose for pose in poses if pose.id not in row_of and pose.id not in self.new
+        ]
         if unknown:
             for pose, packed in zip(unknown, self.live.packed(unknown), strict=True):
                 self.new[pose.id] = _Tried(candidate=pose, origin=origin, packed=packed)
@@ -262,13 +308,17 @@ class _Search:
 
     def _of_grid(self, row: int) -> _Tried:
         return _Tried(
-            candidate=self.places.candidates[row], origin=row, packed=self.grid.table.packed[row]
+            candidate=self.places.candidates[row],
+            origin=row,
+            packed=self.grid.table.packed[row],
         )
 
     def _problem(self, poses: Iterable[_Tried]) -> PlacementProblem:
         """The grid's problem on some poses; those that are forced must be among them."""
         poses = list(poses)
-        limits = self.grid.limits.of_poses(np.array([one.origin for one in poses], dtype=np.int64))
+        limits = self.grid.limits.of_poses(
+            np.array([one.origin for one in poses], dtype=np.int64)
+        )
         is_new = np.array([one.candidate.id not in self.places.row_of for one in poses])
         table = DetectionTable(
             pose_ids=tuple(one.candidate.id for one in poses),
@@ -285,7 +335,10 @@ class _Search:
 
         None where nothing could be said in time of how good it is.
         """
-        everyone = [*map(self._of_grid, range(self.grid.table.n_poses)), *self.new.values()]
+        everyone = [
+            *map(self._of_grid, range(self.grid.table.n_poses)),
+            *self.new.values(),
+        ]
         problem = self._problem(everyone)
         row_of = {name: row for row, name in enumerate(problem.table.pose_ids)}
         rows = [row_of[unit.candidate.id] for unit in self.units]
@@ -295,10 +348,12 @@ class _Search:
                 problem, effort=replace(solver, time_limit_s=limit_s)
             )
         except InputError:
-            return None  # the set at hand meets all wishes, but time was too short to find one
+            # the set at hand meets all wishes, but time was too short to find one
+            return None
         found = objective_values(problem, solution.pose_index)
         if improves(found, self.values) and is_feasible(problem, solution.pose_index):
-            rows, self.values = list(solution.pose_index), found
+            rows = list(solution.pose_index)
+            self.values = found
         candidates = tuple(one.candidate for one in everyone)
         rows = sorted(rows)
         poses = [candidates[row] for row in rows]
@@ -308,13 +363,17 @@ class _Search:
             named=[candidate.id for candidate in self.places.candidates],
             name=f"refined-{len(rows)}",
         )
-        in_order = (new for _, new in pair_units(placement.layout.units, poses) if new is not None)
+        in_order = (
+            new
+            for _, new in pair_units(placement.layout.units, poses)
+            if new is not None
+        )
         pose_index = tuple(rows[new] for new in in_order)  # as the layout has its units
         certificate = certify(
             self.values,
             solution.certificate,
-            f"{solution.certificate.solver}, over {self.grid.table.n_poses} candidates of the grid "
-            f"and {len(self.new)} tried beside them",
+            f"{solution.certificate.solver}, over {self.grid.table.n_poses} candidates"
+            f" of the grid and {len(self.new)} tried beside them",
         )
         refined = replace(
             placement,
@@ -336,15 +395,16 @@ class Refinement:
     """A layout, and what it was before."""
 
     unrefined: Placement  # the one given: its certificate is about the grid alone
-    # the refined one: its problem's table has the poses tried behind those of the grid, and
-    # the bounds of its certificate are about these, not about all poses in between. The one
-    # given, where nothing better was found.
+    # the refined one: its problem's table has the poses tried behind those of the grid,
+    # and the bounds of its certificate are about these, not about all poses in between.
+    # The one given, where nothing better was found.
     placement: Placement
     candidates: tuple[CandidatePose, ...]  # the rows of that table
     # before, after: in the order of the problem's stages; `after` is `before` or better
     before: Mapping[Objective, float]
     after: Mapping[Objective, float]
-    moves: "tuple[Move, ...]"  # what became of each unit; empty where nothing better was found
+    # what became of each unit; empty where nothing better was found
+    moves: "tuple[Move, ...]"
     n_tried: int  # new poses whose detections were computed
     seconds: float  # time spent. [s]
 
@@ -365,13 +425,14 @@ def refine(
 ) -> Refinement:
     """Look for a better layout between the poses of a grid.
 
-    Units of the placement that are not forced are turned, tilted, zoomed and lifted in small steps
-    where they are, until no step of one unit improves anything; then the problem is solved again on
-    the grid, whose `candidates` are the rows of the placement's table, and all poses tried. Six
-    tenths of `time_limit_s` are for the steps, the rest for the proof; results are the same again
-    only where it is not reached. `solver` is the optimiser's effort; `compute` has the table's
-    seed. The result is never worse. Raises InputError: the table is not that of the candidates, or
-    of sampled worlds; the time is not positive.
+    Units of the placement that are not forced are turned, tilted, zoomed and lifted in
+    small steps where they are, until no step of one unit improves anything; then the
+    problem is solved again on the grid, whose `candidates` are the rows of the
+    placement's table, and all poses tried. Six tenths of `time_limit_s` are for the
+    steps, the rest for the proof; results are the same again only where it is not
+    reached. `solver` is the optimiser's effort; `compute` has the table's seed. The
+    result is never worse. Raises InputError: the table is not that of the candidates,
+    or of sampled worlds; the time is not positive.
     """
     if not time_limit_s > 0.0:
         raise InputError("time_limit_s", time_limit_s, "seconds, more than 0")
@@ -394,7 +455,10 @@ def refine(
     proven = None
     if improves(search.values, before):
         compute.progress("refine: proof", 0, 0)
-        effort = Effort() if solver is None else solver
+        if solver is None:
+            effort = Effort()
+        else:
+            effort = solver
         proven = search.prove(placement, effort, end_s=started_s + time_limit_s)
     refined, all_candidates, moves = proven or (placement, tuple(candidates), ())
     return Refinement(
@@ -423,7 +487,8 @@ class Move:
     @property
     def is_same_place(self) -> bool:
         """True if the same sensor is still at the same place, maybe higher or lower."""
-        before, after = self.before, self.after
+        before = self.before
+        after = self.after
         return before is not None and after is not None and is_same_place(before, after)
 
     @property
@@ -463,7 +528,9 @@ class Move:
 def is_same_place(one: CandidatePose, other: CandidatePose) -> bool:
     """True if two poses are of one sensor model at one place, whatever their heights."""
     away_m = one.pose.position_m[:2] - other.pose.position_m[:2]
-    return one.sensor.name == other.sensor.name and bool(np.hypot(*away_m) <= _SAME_PLACE_M)
+    return one.sensor.name == other.sensor.name and bool(
+        np.hypot(*away_m) <= _SAME_PLACE_M
+    )
 
 
 def pair_units(
@@ -471,8 +538,8 @@ def pair_units(
 ) -> list[tuple[int | None, int | None]]:
     """Pairs of a unit of a layout and the pose of another one that took its place.
 
-    Those that look most alike go together. Every index stands in them once: the old units in their
-    order, then what is new.
+    Those that look most alike go together. Every index stands in them once: the old
+    units in their order, then what is new.
     """
 
     def distance_deg(one: CandidatePose, other: CandidatePose) -> float:
@@ -498,24 +565,34 @@ def rename(
 ) -> tuple[Layout, tuple[Move, ...]]:
     """A layout of the poses, whose units keep their names where they stay in place, and the moves.
 
-    Names of `named` mean one pose and no other, such as those of an existing layout. Units come in
-    the order of `before`, new ones behind; the moves leave out units that stayed as they were.
+    Names of `named` mean one pose and no other, such as those of an existing layout.
+    Units come in the order of `before`, new ones behind; the moves leave out units that
+    stayed as they were.
     """
     taken = {unit.id for unit in before.units}
     free = (name for name in map("U{}".format, count(1)) if name not in taken)
     moves = []
     for old, new in pair_units(before.units, poses):
-        unit = None if old is None else before.units[old]
+        if old is None:
+            unit = None
+        else:
+            unit = before.units[old]
         if new is None:
             moves.append(Move(before=unit, after=None))
             continue
-        keeps_name = unit is not None and (unit.id not in named or unit.id == poses[new].id)
-        unit_id = unit.id if unit is not None and keeps_name else next(free)
+        keeps_name = unit is not None and (
+            unit.id not in named or unit.id == poses[new].id
+        )
+        if unit is not None and keeps_name:
+            unit_id = unit.id
+        else:
+            unit_id = next(free)
         moves.append(Move(before=unit, after=replace(poses[new], id=unit_id)))
     units = tuple(move.after for move in moves if move.after is not None)
     changed = (
         move
         for move in moves
-        if not move.is_same_place or any((move.turn_deg, move.tilt_deg, move.lift_m, move.zoom_deg))
+        if not move.is_same_place
+        or any((move.turn_deg, move.tilt_deg, move.lift_m, move.zoom_deg))
     )
     return Layout(name=name, units=units), tuple(changed)

@@ -1,7 +1,7 @@
 """Retrofit of mounted units: remove one, re-aim one, add one, or the best changes for a budget.
 
-Removals, re-aims and additions are tried one by one; a combination is a placement problem with
-the units already in place. All values are those of the detection table.
+Removals, re-aims and additions are tried one by one; a combination is a placement
+problem with the units already in place. All values are those of the detection table.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,8 @@ _SAME_DEG = 1.0e-9
 class RetrofitPoses:
     """All poses that may be mounted in the end."""
 
-    # the units as they are, in the layout's order; then their re-aims; then what can be added
+    # the units as they are, in the layout's order; then their re-aims; then what can be
+    # added
     candidates: tuple[CandidatePose, ...]
     unit_index: IntArray  # (n_poses,): which unit each of them is; -1: a new one
 
@@ -68,9 +69,11 @@ def build_retrofit_poses(
 ) -> RetrofitPoses:
     """The units, their re-aims (same place and sensor, directions of a grid), and new poses.
 
-    Additions with the id of a unit are left out. Raises InputError if two ids are equal.
+    Additions with the id of a unit are left out. Raises InputError if two ids are
+    equal.
     """
-    aims, numbers = [], [*range(len(layout.units))]
+    aims = []
+    numbers = [*range(len(layout.units))]
     for number, unit in enumerate(layout.units):
         for yaw_deg, pitch_deg in grid.directions_deg(unit.sensor):
             turn_deg = (unit.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0
@@ -114,7 +117,10 @@ class Labour:
         return self._visit_eur(self.remove_h)
 
     def _visit_eur(self, at_pole_h: float) -> float:
-        return self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h) + self.lift_eur
+        return (
+            self.people * self.wage_eur_per_h * (self.travel_h + at_pole_h)
+            + self.lift_eur
+        )
 
 
 def load_labour() -> Labour:
@@ -132,8 +138,8 @@ def load_labour() -> Labour:
 class Change:
     """A change, and what it brings."""
 
-    # removed, added: poses that go and that come, as rows of the table; a unit that is re-aimed is
-    # in both
+    # removed, added: poses that go and that come, as rows of the table; a unit that is
+    # re-aimed is in both
     removed: tuple[int, ...]
     added: tuple[int, ...]
     price_eur: float  # labour, units and sites. [EUR]
@@ -142,14 +148,17 @@ class Change:
     # gained, lost: ids of runs that are avoided only afterwards, and only before
     gained: tuple[str, ...]
     lost: tuple[str, ...]
-    # number of alternatives of its kind that were tried, including itself; 0 for a combination
+    # number of alternatives of its kind that were tried, including itself; 0 for a
+    # combination
     n_compared: int = 0
     certificate: Certificate | None = None  # of a combination
 
     @property
     def is_proven(self) -> bool:
         """True if no other change of its kind brings more."""
-        return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
+        return self.n_compared > 0 or (
+            self.certificate is not None and self.certificate.is_proven
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,7 +170,9 @@ class Retrofit:
     # the best of every unit, the best first; they may be worse than no change
     re_aims: tuple[Change, ...]
     addition: Change | None  # the best new unit; None if no addition is an improvement
-    combination: Change | None  # the best re-aims and additions within the budget, if there is one
+    combination: (
+        Change | None
+    )  # the best re-aims and additions within the budget, if there is one
 
 
 def find_retrofit(
@@ -174,30 +185,44 @@ def find_retrofit(
 ) -> Retrofit:
     """Find the best change of every kind: by APR, APR when one unit fails, margins, then price.
 
-    The problem is on the table of all poses, with those mounted as forced ones that cost nothing;
-    its budgets and forced sites do not matter. `budget_eur` and `effort` are for the combination;
-    an addition must not cost more, either. All other changes are tried one by one.
+    The problem is on the table of all poses, with those mounted as forced ones that
+    cost nothing; its budgets and forced sites do not matter. `budget_eur` and `effort`
+    are for the combination; an addition must not cost more, either. All other changes
+    are tried one by one.
     """
-    effort = Effort() if effort is None else effort
-    reduced, standing = presolve_freely(problem), tuple(range(poses.n_units))
+    if effort is None:
+        effort = Effort()
+    else:
+        effort = effort
+    reduced = presolve_freely(problem)
+    standing = tuple(range(poses.n_units))
     n_aims = sum(len(poses.aims_of(number)) for number in standing)
-    removals, re_aims = [], []
+    removals = []
+    re_aims = []
     for number in standing:
         others = [unit for unit in standing if unit != number]
-        price_eur, n = labour.remove_eur, poses.n_units
-        removals.append(_change(problem, poses, others, price_eur=price_eur, n_compared=n))
+        price_eur = labour.remove_eur
+        n = poses.n_units
+        removals.append(
+            _change(problem, poses, others, price_eur=price_eur, n_compared=n)
+        )
         aims = poses.aims_of(number)
         if len(aims):
             after = [*others, best_joining(reduced, others, aims)]
             price_eur = labour.re_aim_eur
-            re_aims.append(_change(problem, poses, after, price_eur=price_eur, n_compared=n_aims))
+            re_aims.append(
+                _change(problem, poses, after, price_eur=price_eur, n_compared=n_aims)
+            )
     combination = None
     if budget_eur is not None:
         prices = {"re_aim_eur": labour.re_aim_eur, "budget_eur": budget_eur}
-        within = replace(problem, limits=combined_limits(problem.limits, poses, **prices))
+        within = replace(
+            problem, limits=combined_limits(problem.limits, poses, **prices)
+        )
         solution = solve_placement(within, effort=effort, starts=[np.array(standing)])
         change = _change(within, poses, solution.pose_index)
-        price_eur, certificate = change.value.cost_eur, solution.certificate
+        price_eur = change.value.cost_eur
+        certificate = solution.certificate
         if change.added:
             combination = replace(change, price_eur=price_eur, certificate=certificate)
     return Retrofit(
@@ -214,13 +239,15 @@ def combined_limits(
 ) -> Limits:
     """Limits in which every unit stays or is re-aimed, and others are added within the budget.
 
-    Every unit becomes a site of its own, on which one of its poses must be chosen. What room the
-    real sites have left is for new ones; rivals of units are forbidden.
+    Every unit becomes a site of its own, on which one of its poses must be chosen. What
+    room the real sites have left is for new ones; rivals of units are forbidden.
     """
-    n_units, n_sites = poses.n_units, limits.n_sites
+    n_units = poses.n_units
+    n_sites = limits.n_sites
     is_new = poses.unit_index < 0
     at_site = np.bincount(limits.site_index[:n_units], minlength=n_sites)
-    one, other = limits.rivals[:, 0], limits.rivals[:, 1]
+    one = limits.rivals[:, 0]
+    other = limits.rivals[:, 1]
     is_blocked = np.zeros(n_sites, dtype=bool)
     is_blocked[other[at_site[one] > 0]] = True
     is_blocked[one[at_site[other] > 0]] = True
@@ -228,12 +255,16 @@ def combined_limits(
     price[:n_units] = 0.0
     is_open = is_new & ~limits.is_forbidden & ~is_blocked[limits.site_index]
     cheapest = float(price[is_open].min(initial=np.inf))
-    n_affordable = budget_eur // cheapest if 0.0 < cheapest < np.inf else float(is_open.sum())
+    if 0.0 < cheapest < np.inf:
+        n_affordable = budget_eur // cheapest
+    else:
+        n_affordable = float(is_open.sum())
     n_new = int(min(n_affordable, is_open.sum()))
     return Limits(
         site_index=np.where(is_new, limits.site_index, n_sites + poses.unit_index),
         site_capacity=np.append(
-            np.maximum(limits.site_capacity - at_site, 0), np.ones(n_units, dtype=np.int64)
+            np.maximum(limits.site_capacity - at_site, 0),
+            np.ones(n_units, dtype=np.int64),
         ),
         budget_units=n_units + n_new,
         budget_eur=budget_eur,
@@ -269,10 +300,13 @@ def find_addition(
     if not len(new):
         return None
     after = [*standing.tolist(), best_joining(reduced, standing.tolist(), new)]
-    price_eur, n = cost_eur(limits, after), len(new)
+    price_eur = cost_eur(limits, after)
+    n = len(new)
     change = _change(problem, poses, after, price_eur=price_eur, n_compared=n)
     before = placement_value(problem, standing.tolist())
-    return change if is_better(_without_cost(change.value), _without_cost(before)) else None
+    if is_better(_without_cost(change.value), _without_cost(before)):
+        return change
+    return None
 
 
 def _change(
@@ -314,16 +348,21 @@ def _without_cost(value: PlacementValue) -> PlacementValue:
     return value._replace(cost_eur=0.0)
 
 
-def best_joining(reduced: ReducedProblem, mounted: Sequence[int], each: IntArray) -> int:
+def best_joining(
+    reduced: ReducedProblem, mounted: Sequence[int], each: IntArray
+) -> int:
     """The pose of `each`, rows of the table, that joins those `mounted` best; the first of equals.
 
-    Best by APR, then APR when one unit fails, smallest and mean margin, and price. Limits and
-    floors do not matter; `reduced` is by :func:`placement.optimiser.presolve.presolve_freely`.
+    Best by APR, then APR when one unit fails, smallest and mean margin, and price.
+    Limits and floors do not matter; `reduced` is by
+    :func:`placement.optimiser.presolve.presolve_freely`.
     """
     poses = units_of(reduced, each)
     if not len(poses):  # none detects anything that counts
         return int(each[0])
-    best = best_with_each(reduced, units_of(reduced, np.array(mounted, dtype=np.int64)), poses)
+    best = best_with_each(
+        reduced, units_of(reduced, np.array(mounted, dtype=np.int64)), poses
+    )
     return int(reduced.pose_index[best[-1]])
 
 
@@ -335,13 +374,17 @@ LEAST_GAIN = 1.0e-9  # an APR that is higher by less is the same
 class Advice:
     """A layout that answers a question, and how good it is proven to be."""
 
-    units: tuple[CandidatePose, ...]  # all that is mounted then; those that stay keep their ids
-    # before, after: worth of the present and the new layout on the detection table; `before`
-    # is None where nothing is mounted. Costs are of the same kind: of what is new, or of
-    # everything.
+    units: tuple[
+        CandidatePose, ...
+    ]  # all that is mounted then; those that stay keep their ids
+    # before, after: worth of the present and the new layout on the detection table;
+    # `before` is None where nothing is mounted. Costs are of the same kind: of what is
+    # new, or of everything.
     before: PlacementValue | None
     after: PlacementValue
-    certificate: Certificate | None = None  # of a search; None: all were tried one by one
+    certificate: Certificate | None = (
+        None  # of a search; None: all were tried one by one
+    )
     n_compared: int = 0  # how many were tried so; 0 of a search
 
     @property
@@ -354,7 +397,9 @@ class Advice:
     @property
     def is_all_proven(self) -> bool:
         """True if nothing of its kind is better by any objective."""
-        return self.n_compared > 0 or (self.certificate is not None and self.certificate.is_proven)
+        return self.n_compared > 0 or (
+            self.certificate is not None and self.certificate.is_proven
+        )
 
     @property
     def bound(self) -> float:
@@ -362,14 +407,16 @@ class Advice:
         if self.certificate is None:
             return self.after.apr
         stages = {stage.name: stage for stage in self.certificate.stages}
-        return stages["apr"].bound if "apr" in stages else 1.0
+        if "apr" in stages:
+            return stages["apr"].bound
+        return 1.0
 
 
 class Adviser:
     """Answers to questions about layouts in one setting.
 
-    The assembly has the candidates, and the wishes that always hold, without a budget; units are
-    re-aimed in the directions of the grid.
+    The assembly has the candidates, and the wishes that always hold, without a budget;
+    units are re-aimed in the directions of the grid.
     """
 
     def __init__(self, assembly: Assembly, grid: CandidateGrid) -> None:
@@ -385,7 +432,9 @@ class Adviser:
         if not units:
             return self.complete(units, n_units=1)
         problem, poses = self._beside(units)
-        change = find_addition(problem, presolve_freely(problem), poses, budget_eur=None)
+        change = find_addition(
+            problem, presolve_freely(problem), poses, budget_eur=None
+        )
         if change is None:
             refuse("the best next unit", "no candidate that is an improvement", "one")
         return Advice(
@@ -398,8 +447,8 @@ class Adviser:
     def complete(self, units: Sequence[CandidatePose], *, n_units: int) -> Advice:
         """The best layout of `n_units` that has the mounted units; costs are of what is new.
 
-        One more unit is found by trying all. Raises InputError if so many are mounted already, the
-        sites cannot carry them, or one unit more is no improvement.
+        One more unit is found by trying all. Raises InputError if so many are mounted
+        already, the sites cannot carry them, or one unit more is no improvement.
         """
         if n_units <= len(units):
             expected = f"more than the {len(units)} that are mounted already"
@@ -410,7 +459,9 @@ class Adviser:
         if units and n_units == len(units) + 1 and not is_forced:
             return self.best_next(units)
         wishes = replace(
-            self._wishes, budget_units=n_units, existing=tuple(unit.id for unit in units)
+            self._wishes,
+            budget_units=n_units,
+            existing=tuple(unit.id for unit in units),
         )
         return self._search(units, wishes)
 
@@ -421,8 +472,11 @@ class Adviser:
         """
         if not units:
             refuse("re-aim", "no unit", "at least one unit")
-        n, may_look = len(units), self._assembly.may_look
-        poses = build_retrofit_poses(Layout(name="now", units=tuple(units)), self._grid, ())
+        n = len(units)
+        may_look = self._assembly.may_look
+        poses = build_retrofit_poses(
+            Layout(name="now", units=tuple(units)), self._grid, ()
+        )
         if may_look is not None:
             aims = np.flatnonzero(may_look(poses.candidates[n:])) + n
             kept = [*range(n), *aims.tolist()]
@@ -442,7 +496,10 @@ class Adviser:
         limits = combined_limits(problem.limits, poses, re_aim_eur=0.0, budget_eur=0.0)
         problem = replace(problem, limits=limits)
         solution = self._solve(problem, [np.arange(n)])
-        aimed = {int(poses.unit_index[row]): poses.candidates[row] for row in solution.pose_index}
+        aimed = {
+            int(poses.unit_index[row]): poses.candidates[row]
+            for row in solution.pose_index
+        }
         return Advice(
             units=tuple(
                 replace(aimed[index], id=unit.id, site_id=unit.site_id)
@@ -474,12 +531,14 @@ class Adviser:
         wishes = replace(self._wishes, target=share, saves="cost", forced_sites=())
         return self._search(units, wishes)
 
-    def why_not(self, units: Sequence[CandidatePose], site_id: str) -> tuple[Advice, Advice]:
+    def why_not(
+        self, units: Sequence[CandidatePose], site_id: str
+    ) -> tuple[Advice, Advice]:
         """Worth of a site: beside the mounted units, and in a layout of as many units.
 
-        The first has the best unit there next to all others; the second is the best layout of as
-        many units that uses the site, costs of everything. Raises InputError if nothing is
-        mounted, or nothing may be mounted at the site.
+        The first has the best unit there next to all others; the second is the best
+        layout of as many units that uses the site, costs of everything. Raises
+        InputError if nothing is mounted, or nothing may be mounted at the site.
         """
         where = f"why not {site_id}"
         if not units:
@@ -487,7 +546,9 @@ class Adviser:
         problem, poses = self._beside(units)
         standing = np.arange(len(units))
         free = fitting(replace(problem.limits, budget_units=None), standing)
-        here = np.array([candidate.site_id == site_id for candidate in poses.candidates])
+        here = np.array(
+            [candidate.site_id == site_id for candidate in poses.candidates]
+        )
         rows: IntArray = np.flatnonzero(free & here)
         rows = rows[rows >= len(units)]
         if not len(rows):
@@ -518,7 +579,9 @@ class Adviser:
             certificate=solution.certificate,
         )
 
-    def _beside(self, units: Sequence[CandidatePose]) -> tuple[PlacementProblem, RetrofitPoses]:
+    def _beside(
+        self, units: Sequence[CandidatePose]
+    ) -> tuple[PlacementProblem, RetrofitPoses]:
         """The problem of one more unit next to the mounted ones."""
         candidates = self._candidates(units)
         unit_index = np.full(len(candidates), -1)
@@ -535,13 +598,17 @@ class Adviser:
             forced_sites=(),
         )
 
-    def _problem(self, units: Sequence[CandidatePose], wishes: Wishes) -> PlacementProblem:
+    def _problem(
+        self, units: Sequence[CandidatePose], wishes: Wishes
+    ) -> PlacementProblem:
         """The problem on the rows of the units, then those of the grid."""
         candidates = self._candidates(units)
         table = DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
             axis=self._setting.axis,
-            packed=np.concatenate([self._rows(units).packed, self._assembly.table.packed]),
+            packed=np.concatenate(
+                [self._rows(units).packed, self._assembly.table.packed]
+            ),
         )
         return replace(
             self._assembly, candidates=candidates, wishes=wishes, known_table=table
@@ -557,8 +624,11 @@ class Adviser:
         return (*units, *grid)
 
     def _rows(self, units: Sequence[CandidatePose]) -> DetectionTable:
-        names, axis = tuple(unit.id for unit in units), self._setting.axis
-        return DetectionTable(pose_ids=names, axis=axis, packed=self._live.packed(units))
+        names = tuple(unit.id for unit in units)
+        axis = self._setting.axis
+        return DetectionTable(
+            pose_ids=names, axis=axis, packed=self._live.packed(units)
+        )
 
     @staticmethod
     def _named(

@@ -61,10 +61,12 @@ from .question import Question, map_options, read_cars, read_point, split_names
 class Radio:
     """Radio between RSUs, VRUs and the VUT."""
 
-    #: Probability that a message is lost: an RSU's collective perception message (CPM) of one
-    #: frame, or a VRU's awareness message (VAM). 0 .. 1
+    # : Probability that a message is lost: an RSU's collective perception message (CPM)
+    # of one : frame, or a VRU's awareness message (VAM). 0 .. 1
     packet_loss: float = 0.0
-    vam_rate: float = 0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
+    vam_rate: float = (
+        0.0  #: share of the runs whose VRU carries a device that sends VAMs. 0 .. 1
+    )
 
     def __post_init__(self) -> None:
         for name in ("packet_loss", "vam_rate"):
@@ -90,16 +92,21 @@ class Setting:
     radio: Radio = field(default_factory=Radio)  #: from detections to the VUT
     vut_sensors: tuple[str, ...] = VUT_SENSORS[:1]  #: what the VUT itself looks with
     vut_camera: CameraModel | None = None  #: in place of the study's
-    levels: Levels | None = None  #: what runs count by the speed at contact; None: if avoided
-    cars: float = 0.0  #: share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
-    #: (n_frames,): in which the VUT's own sensors detect, where that is known already; see
-    #: :func:`placement.evaluator.with_sight`.
+    levels: Levels | None = (
+        None  #: what runs count by the speed at contact; None: if avoided
+    )
+    # : share of the VUTs whose own sensors are one more unit in every run. 0 .. 1
+    cars: float = 0.0
+    # : (n_frames,): in which the VUT's own sensors detect, where that is known already;
+    # see : :func:`placement.evaluator.with_sight`.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
         for name in self.vut_sensors or ("none",):
             if name not in VUT_SENSORS:
-                raise InputError("vut_sensors", name, "one or more of " + ", ".join(VUT_SENSORS))
+                raise InputError(
+                    "vut_sensors", name, "one or more of " + ", ".join(VUT_SENSORS)
+                )
         if not 0.0 <= self.cars <= 1.0:
             raise InputError("cars", self.cars, "0 .. 1")
         seen = self.seen_by_vut
@@ -117,12 +124,14 @@ _log = logging.getLogger(__name__)
 def build_rule(question: Question) -> AebRule:
     """The study's braking rule, with what the question changes.
 
-    Raises InputError if the latency budget is unknown or a latency is given as well, or tracks live
-    for less than a frame.
+    Raises InputError if the latency budget is unknown or a latency is given as well, or
+    tracks live for less than a frame.
     """
     changes = {
         name: getattr(question, name)
-        for name in (one.name for one in fields(AebRule) if one.name in Question.__slots__)
+        for name in (
+            one.name for one in fields(AebRule) if one.name in Question.__slots__
+        )
         if getattr(question, name) is not None
     }
     # By default tracks live for ever in the study's cases, as the study reads it.
@@ -136,14 +145,16 @@ def build_rule(question: Question) -> AebRule:
     try:
         return replace(load_aeb_rule(), **changes)
     except InputError as error:
-        raise InputError(error.where.removeprefix("aeb."), error.got, error.expected) from None
+        raise InputError(
+            error.where.removeprefix("aeb."), error.got, error.expected
+        ) from None
 
 
 def check_question(question: Question) -> None:
     """Check what can be checked of a question without a scene.
 
-    Raises InputError: a word is unknown, or a file cannot be used. MissingExtraError: what it needs
-    is not installed.
+    Raises InputError: a word is unknown, or a file cannot be used. MissingExtraError:
+    what it needs is not installed.
     """
     _select(question)
     pick_positions(question.along_arms, question.cases)
@@ -173,7 +184,8 @@ class Drives(NamedTuple):
 
     runs: tuple[Run, ...]  # what is driven
     refused: tuple[Refusal, ...]  # what the junction does not carry
-    # cases none of whose speeds were asked for, or that meet somebody who is not to be protected
+    # cases none of whose speeds were asked for, or that meet somebody who is not to be
+    # protected
     left_out: tuple[Refusal, ...]
 
 
@@ -186,14 +198,17 @@ def drive(
 ) -> Drives:
     """Lay the cases of a question on a scene's junction; there may be no runs.
 
-    Without a word on speeds none is driven above the speed limits of the scene's lanes. With a
-    `position`, every speed is driven at this one alone. In a `cache_folder` the runs are cached.
-    Raises InputError where a word is unknown, or the protocol does not drive a speed.
+    Without a word on speeds none is driven above the speed limits of the scene's lanes.
+    With a `position`, every speed is driven at this one alone. In a `cache_folder` the
+    runs are cached. Raises InputError where a word is unknown, or the protocol does not
+    drive a speed.
     """
     selection = _select(question)
     for beyond in selection.beyond:
         _log.warning("%s km/h are not speeds of the protocol", beyond)
-    positions = (position,) if position else pick_positions(question.along_arms, question.cases)
+    positions = (
+        (position,) if position else pick_positions(question.along_arms, question.cases)
+    )
     known = tuple(build_junction(scene).arms)
     approaches = _words(question.approaches, "approaches", known) or known
     weathers = _words(question.weather, "weather", WEATHERS, at_least=1)
@@ -238,12 +253,16 @@ def drive_one(question: Question, scene: Scene, *, position: str = "0") -> Run:
     place = read_position(position, where)
     for case in select_cases(question.cases, force=True).cases:
         if is_bound(case) and place != AT_ZERO:
-            raise InputError(where, position, f"0: {case.name} is bound to the junction")
+            raise InputError(
+                where, position, f"0: {case.name} is bound to the junction"
+            )
     drives = drive(replace(question, protect="all"), scene, position=place)
     if not drives.runs and (*drives.refused, *drives.left_out):
         refusal = (*drives.refused, *drives.left_out)[0]
         expected = "a case that this approach carries"
-        refuse(f"{refusal.case.name} from the {refusal.approach}", refusal.reason, expected)
+        refuse(
+            f"{refusal.case.name} from the {refusal.approach}", refusal.reason, expected
+        )
     if len(drives.runs) != 1:
         ids = ", ".join(run.id for run in drives.runs)
         refuse(question.cases, f"{len(drives.runs)} runs ({ids})", "one run")
@@ -259,17 +278,19 @@ def build_setting(
 ) -> Setting:
     """All that a layout is placed in and judged by.
 
-    `question` says what is driven and how much it counts, by default the study's cases along the
-    arms; `scene` is in place of the junction that it names, `weights` in place of its word on
-    weights: only proportions matter. `compute` has the cache of the runs, of which there is one at
-    least. Raises InputError: as :func:`drive`; no approach carries any of the cases, or with
-    `strict` one of them; the weights do not fit the runs.
+    `question` says what is driven and how much it counts, by default the study's cases
+    along the arms; `scene` is in place of the junction that it names, `weights` in
+    place of its word on weights: only proportions matter. `compute` has the cache of
+    the runs, of which there is one at least. Raises InputError: as :func:`drive`; no
+    approach carries any of the cases, or with `strict` one of them; the weights do not
+    fit the runs.
     """
     question = question or Question()
     scene = scene or load_scene(question.scene, **map_options(question))
     # Names first: what is misspelt is refused before anything is driven.
     vut_sensors = _words(question.vut_sensors, "vut_sensors", VUT_SENSORS) or ("",)
-    rule, detector = build_rule(question), load_detector(question.detector, where="detector")
+    rule = build_rule(question)
+    detector = load_detector(question.detector, where="detector")
     cars = read_cars(question.cars)
     drives = drive(question, scene, cache_folder=compute.cache_folder)
     runs = drives.runs
@@ -278,7 +299,9 @@ def build_setting(
     classes = {vru_class(run.encounter.vru) for run in runs}
     if isinstance(detector, NetworkDetector):
         detector.check_classes(sorted(classes))
-    elif isinstance(detector, ResponseDetector) and (words := detector.assumed_words(classes)):
+    elif isinstance(detector, ResponseDetector) and (
+        words := detector.assumed_words(classes)
+    ):
         _log.warning("detector %s:%s", detector.name, words.removesuffix("."))
     if weights is not None:
         weight = weight_by_function(runs, weights)
@@ -332,7 +355,9 @@ def _read_place_deg(text: str) -> tuple[float, float]:
     except InputError:
         latitude = longitude = math.nan
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):
-        raise InputError("near", text, "latitude,longitude in degrees, such as 52.52,13.40")
+        raise InputError(
+            "near", text, "latitude,longitude in degrees, such as 52.52,13.40"
+        )
     return latitude, longitude
 
 
@@ -358,17 +383,22 @@ def _table_detector(detector: Detector) -> PlanningDetector:
     if not isinstance(detector, NetworkDetector):
         return cast(PlanningDetector, detector)
     _log.warning(
-        "detector %s: judged on rendered pictures, about %s each; poses are chosen by the %s "
-        "detector",
+        "detector %s: judged on rendered pictures, about %s each; poses are chosen by"
+        " the %s detector",
         detector.name,
         "a tenth of a second" if detector.looks_at_crops else "a second",
         detector.plans_with,
     )
     planner = load_planning_detector(detector.plans_with)
-    return planner if detector.lidar is None else replace(planner, lidar=detector.lidar)  # type: ignore[type-var]
+    # type: ignore[type-var]
+    if detector.lidar is None:
+        return planner
+    return replace(planner, lidar=detector.lidar)
 
 
-def _words(text: str, where: str, known: tuple[str, ...], *, at_least: int = 0) -> tuple[str, ...]:
+def _words(
+    text: str, where: str, known: tuple[str, ...], *, at_least: int = 0
+) -> tuple[str, ...]:
     """Known words with commas between; none of an empty text."""
     words = split_names(text, where)
     for word in words if len(words) >= at_least else [text]:

@@ -1,7 +1,8 @@
 """Accidents around a place, from the files in which Germany and Great Britain publish them.
 
-Each becomes a road user, an event and a light, in words of ``data/accidents.toml``, which says what
-the files' codes mean and which cases stand for which event. What cannot be used has a reason.
+Each becomes a road user, an event and a light, in words of ``data/accidents.toml``,
+which says what the files' codes mean and which cases stand for which event. What cannot
+be used has a reason.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,9 +19,11 @@ from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted, refuse
 from geometry.files import Text, csv_rows, float_of, read_bytes, read_data
 
-UNFALLATLAS, STATS19 = "unfallatlas", "stats19"
+UNFALLATLAS = "unfallatlas"
+STATS19 = "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
-DAY, NIGHT = "day", "night"
+DAY = "day"
+NIGHT = "night"
 _EARTH_M = 6_371_008.8  # mean radius, IUGG
 _MAX_REASONS = 8
 
@@ -37,7 +40,9 @@ class _Unfallatlas(Struct, frozen=True, kw_only=True):
 
 
 class _Stats19(Struct, frozen=True, kw_only=True):
-    columns: dict[Literal["vehicles", "casualties", "collisions"], dict[str, tuple[str, ...]]]
+    columns: dict[
+        Literal["vehicles", "casualties", "collisions"], dict[str, tuple[str, ...]]
+    ]
     cars: tuple[str, ...]
     bicycles: tuple[str, ...]
     motorcycles: tuple[str, ...]
@@ -65,7 +70,9 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
 
     def cases_of(self, road_user: str, event: str) -> tuple[str, ...]:
         """What names of cases that stand for an event begin with; none: nothing stands for it."""
-        return next(one.cases.get(event, ()) for one in self.types if one.road_user == road_user)
+        return next(
+            one.cases.get(event, ()) for one in self.types if one.road_user == road_user
+        )
 
 
 @cache
@@ -89,7 +96,8 @@ class Accidents:
     """Accidents of a file."""
 
     source: str  # The file's name
-    # (n, 2): latitude and longitude, WGS 84; not a number where the file has none. [deg]
+    # (n, 2): latitude and longitude, WGS 84; not a number where the file has none.
+    # [deg]
     place_deg: FloatArray
     what: tuple[Accident, ...]  # Of each
 
@@ -101,8 +109,8 @@ class Accidents:
             nearest = np.nanmin(distance_m, initial=np.inf)
             latitude, longitude = place_deg
             expected = (
-                f"a place with accidents within {within_m:g} m (the nearest one of {self.source} "
-                f"is {nearest / 1000.0:,.1f} km away)"
+                f"a place with accidents within {within_m:g} m (the nearest one of"
+                f" {self.source} is {nearest / 1000.0:,.1f} km away)"
             )
             raise InputError("near", Unquoted(f"{latitude:g},{longitude:g}"), expected)
         return [self.what[row] for row in rows.tolist()]
@@ -112,8 +120,11 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
     """Great circles from places to one place (haversine), (n,)."""
     latitude, longitude = np.radians(places_deg).T
     here_latitude, here_longitude = np.radians(place_deg)
-    up, across = 0.5 * (latitude - here_latitude), 0.5 * (longitude - here_longitude)
-    chord = np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
+    up = 0.5 * (latitude - here_latitude)
+    across = 0.5 * (longitude - here_longitude)
+    chord = (
+        np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
+    )
     return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.minimum(chord, 1.0))))
 
 
@@ -128,17 +139,20 @@ def reasons(unused: Mapping[str, int]) -> str:
 def split_source(how: str) -> tuple[str, Path] | None:
     """Format and file of words such as "unfallatlas:FILE"; None for other words."""
     form, colon, name = how.partition(":")
-    return (form, Path(name)) if colon and form in FORMATS else None
+    if colon and form in FORMATS:
+        return (form, Path(name))
+    return None
 
 
 def read_accidents(form: str, path: Path) -> Accidents:
     """Accidents of a file of one of ``FORMATS``; read once while it stays the same.
 
-    "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas; "stats19": the
-    collisions of Great Britain, CSV; the files of vehicles and casualties lie beside it, with
-    "vehicle" and "casualty" in place of "collision" (or "accident") in their names. UTF-8, with or
-    without a byte order mark, or Windows-1252. Raises InputError: a file cannot be read, is no such
-    CSV, lacks a column, or has no accident with a place.
+    "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas;
+    "stats19": the collisions of Great Britain, CSV; the files of vehicles and
+    casualties lie beside it, with "vehicle" and "casualty" in place of "collision" (or
+    "accident") in their names. UTF-8, with or without a byte order mark, or
+    Windows-1252. Raises InputError: a file cannot be read, is no such CSV, lacks a
+    column, or has no accident with a place.
     """
     paths = accident_files(form, path)
     stamps = []
@@ -151,11 +165,15 @@ def read_accidents(form: str, path: Path) -> Accidents:
 
 def accident_files(form: str, path: Path) -> tuple[Path, ...]:
     """All files that :func:`read_accidents` reads."""
-    return (path,) if form == UNFALLATLAS else (path, *_beside(path))
+    if form == UNFALLATLAS:
+        return (path,)
+    return (path, *_beside(path))
 
 
 @lru_cache(maxsize=2)  # of a city every junction asks again
-def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]) -> Accidents:
+def _read(
+    form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]
+) -> Accidents:
     read = _read_unfallatlas if form == UNFALLATLAS else _read_stats19
     places, what = read(*paths)
     place_deg = np.array(places, dtype=np.float64).reshape(-1, 2)
@@ -165,21 +183,31 @@ def _read(form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ..
     if np.isnan(place_deg).all():
         got = Unquoted(f"{len(what)} accidents, none with a place")
         raise InputError(str(paths[0]), got, "latitudes and longitudes in degrees")
-    return Accidents(source=paths[0].name, place_deg=freeze(place_deg), what=tuple(what))
+    return Accidents(
+        source=paths[0].name, place_deg=freeze(place_deg), what=tuple(what)
+    )
 
 
 # ---------- the German accident atlas
-_UNFALLATLAS_USERS = {"istfuss": "on foot", "istrad": "bicycle", "istkrad": "motorcycle"}
+_UNFALLATLAS_USERS = {
+    "istfuss": "on foot",
+    "istrad": "bicycle",
+    "istkrad": "motorcycle",
+}
 
 
 def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
     rules = load_accident_rules().unfallatlas
-    places, what = [], []
+    places = []
+    what = []
     for row in _rows(path, rules.columns, optional={"uart": ("uart",)}):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
-        users = [user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"]
+        users = [
+            user for column, user in _UNFALLATLAS_USERS.items() if row[column] == "1"
+        ]
         code = row["utyp1"]
-        event, unused = rules.events.get(code, ""), ""
+        event = rules.events.get(code, "")
+        unused = ""
         if event == "along" and row["uart"] in rules.head_on:
             event = "oncoming"
         if row["istpkw"] != "1":
@@ -188,7 +216,11 @@ def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
             unused = "with several kinds of road users"
         elif not event:
             unused = rules.unused.get(code, f"of an unknown type (UTYP1 {code[:8]})")
-        user, light = users[0] if users else "car", rules.light.get(row["light"], "")
+        if users:
+            user = users[0]
+        else:
+            user = "car"
+        light = rules.light.get(row["light"], "")
         what.append(Accident(road_user=user, event=event, light=light, unused=unused))
     return places, what
 
@@ -199,8 +231,12 @@ def _beside(path: Path) -> tuple[Path, Path]:
     for word in ("collision", "accident"):
         head, found, tail = path.name.rpartition(word)
         if found:
-            return path.with_name(f"{head}vehicle{tail}"), path.with_name(f"{head}casualty{tail}")
-    raise InputError(str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it')
+            return path.with_name(f"{head}vehicle{tail}"), path.with_name(
+                f"{head}casualty{tail}"
+            )
+    raise InputError(
+        str(path), Unquoted(f"the name {path.name}"), 'one with "collision" in it'
+    )
 
 
 def _read_stats19(
@@ -214,17 +250,25 @@ def _read_stats19(
     for row in _rows(casualties, rules.columns["casualties"]):
         if row["class"] == "3":
             walkers.setdefault(row["index"], []).append(row)
-    places, what = [], []
+    places = []
+    what = []
     for row in _rows(collisions, rules.columns["collisions"]):
         places.append([float_of(row[axis].replace(",", ".")) for axis in "yx"])
-        index, light = row["index"], rules.light.get(row["light"], "")
-        road_user, event, unused = _collision(drivers.get(index, {}), walkers.get(index, []), rules)
-        what.append(Accident(road_user=road_user, event=event, light=light, unused=unused))
+        index = row["index"]
+        light = rules.light.get(row["light"], "")
+        road_user, event, unused = _collision(
+            drivers.get(index, {}), walkers.get(index, []), rules
+        )
+        what.append(
+            Accident(road_user=road_user, event=event, light=light, unused=unused)
+        )
     return places, what
 
 
 def _collision(
-    drivers: Mapping[str, Mapping[str, str]], walkers: Sequence[Mapping[str, str]], rules: _Stats19
+    drivers: Mapping[str, Mapping[str, str]],
+    walkers: Sequence[Mapping[str, str]],
+    rules: _Stats19,
 ) -> tuple[str, str, str]:
     """Road user, event, and why neither can be used."""
     unknown = "of an unknown or unusual manoeuvre"
@@ -236,9 +280,15 @@ def _collision(
         if not event and car["manoeuvre"] in rules.ahead:
             event = rules.on_foot.get(walkers[0]["movement"], "")
         return "on foot", event, "" if event else unknown
-    types = {"bicycle": rules.bicycles, "motorcycle": rules.motorcycles, "car": rules.cars}
+    types = {
+        "bicycle": rules.bicycles,
+        "motorcycle": rules.motorcycles,
+        "car": rules.cars,
+    }
     every = list(drivers.values())
-    kinds = {user: [one for one in every if one["type"] in types[user]] for user in types}
+    kinds = {
+        user: [one for one in every if one["type"] in types[user]] for user in types
+    }
     if not kinds["car"]:
         return "car", "", "without a car"
     if len(drivers) != 2:
@@ -246,7 +296,10 @@ def _collision(
     if sum(map(len, kinds.values())) != 2:
         return "car", "", "with another kind of vehicle"
     user = next((user for user in ("bicycle", "motorcycle") if kinds[user]), "car")
-    first, second = kinds["car"] if user == "car" else (kinds["car"][0], kinds[user][0])
+    if user == "car":
+        first, second = kinds["car"]
+    else:
+        first, second = (kinds["car"][0], kinds[user][0])
     if user == "car" and _turn(second, rules) and not _turn(first, rules):
         first, second = second, first  # the one that turns is the VUT
     event = _meeting(first, second, rules)
@@ -257,16 +310,21 @@ def _turn(car: Mapping[str, str], rules: _Stats19) -> str:
     """How a car turns where traffic keeps left; empty: it does not."""
     if car["manoeuvre"] in rules.turns_left:
         return "VUT turns near"
-    return "VUT turns far" if car["manoeuvre"] in rules.turns_right else ""
+    if car["manoeuvre"] in rules.turns_right:
+        return "VUT turns far"
+    return ""
 
 
-_SAME, _ONCOMING, _WAYS = 0, 4, 8
+_SAME = 0
+_ONCOMING = 4
+_WAYS = 8
 
 
 def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) -> str:
     """Event of a car and another vehicle; empty: unknown, or nothing of what is driven.
 
-    Directions are those of the compass, clockwise from 1, north; the near side is the left.
+    Directions are those of the compass, clockwise from 1, north; the near side is the
+    left.
     """
     if turn := _turn(car, rules):
         return turn
@@ -280,7 +338,10 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
         return "along"
     if turned == _ONCOMING:
         return "oncoming"
-    return "crosses near" if turned < _ONCOMING else "crosses far"  # to the right: from the left
+    # to the right: from the left
+    if turned < _ONCOMING:
+        return "crosses near"
+    return "crosses far"
 
 
 # ---------- CSV as it is published

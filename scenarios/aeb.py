@@ -27,22 +27,32 @@ class AebRule:
     latency_s: float  #: From the confirming frame to the onset of braking. [s]
     n_confirmations: int  #: Consecutive detected frames that confirm a VRU.
     frame_rate_hz: float  #: Frames per second. [Hz]
-    build_up_s: float = 0.0  #: From the onset the deceleration rises linearly for so long. [s]
-    #: A confirmed VRU stays known for so long without being detected; infinite: for ever, as the
-    #: study reads it. [s]
+    build_up_s: float = (
+        0.0  #: From the onset the deceleration rises linearly for so long. [s]
+    )
+    # : A confirmed VRU stays known for so long without being detected; infinite: for
+    # ever, as the : study reads it. [s]
     track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, "aeb")
         check("frame_rate_hz", 0.0 < self.frame_rate_hz < math.inf, "a positive number")
         for field, (low, high) in _load_limits().items():  # none of them may be NaN
-            check(field, low <= getattr(self, field) <= high, f"a number, {low:g} to {high:g}")
+            check(
+                field,
+                low <= getattr(self, field) <= high,
+                f"a number, {low:g} to {high:g}",
+            )
         n_frames = self.n_confirmations
         is_whole = isinstance(n_frames, int) and not isinstance(n_frames, bool)
         check("n_confirmations", is_whole, "a whole number")
         frame_s = 1.0 / self.frame_rate_hz
         expected = f"seconds, at least {frame_s:g} (from one frame to the next), or inf"
-        check("track_memory_s", self.track_memory_s >= frame_s - TIME_TOLERANCE_S, expected)
+        check(
+            "track_memory_s",
+            self.track_memory_s >= frame_s - TIME_TOLERANCE_S,
+            expected,
+        )
 
 
 @cache
@@ -60,7 +70,9 @@ def load_track_memory_s() -> float:
 @cache
 def _load_limits() -> dict[str, tuple[float, float]]:
     """Least and most of the fields of a rule."""
-    return read_table(_load_tables()["limits"], dict[str, tuple[float, float]], "aeb.toml: limits")
+    return read_table(
+        _load_tables()["limits"], dict[str, tuple[float, float]], "aeb.toml: limits"
+    )
 
 
 def _load_tables() -> Table:
@@ -70,7 +82,8 @@ def _load_tables() -> Table:
 def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
     """Time in seconds from the onset of braking to standstill.
 
-    v / a + b / 2 with deceleration a and build-up b; within the build-up sqrt(2 v b / a).
+    v / a + b / 2 with deceleration a and build-up b; within the build-up sqrt(2 v b /
+    a).
     """
     full_s = np.asarray(speed_mps, dtype=np.float64) / rule.deceleration_mps2
     return np.where(
@@ -80,19 +93,26 @@ def standstill_time_s(speed_mps: ArrayLike, *, rule: AebRule) -> FloatArray:
     )
 
 
-def braking_speed_mps(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
+def braking_speed_mps(
+    time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
+) -> FloatArray:
     """Speed left at a time since the onset of braking; 0 from standstill on."""
     rising, full = _phases(np.asarray(time_s, dtype=np.float64), rule)
-    braked_s = full if rule.build_up_s == 0.0 else full + 0.5 * rising**2 / rule.build_up_s
+    if rule.build_up_s == 0.0:
+        braked_s = full
+    else:
+        braked_s = full + 0.5 * rising**2 / rule.build_up_s
     lost_mps = rule.deceleration_mps2 * braked_s
     return np.maximum(0.0, np.asarray(speed_mps, dtype=np.float64) - lost_mps)
 
 
-def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule) -> FloatArray:
+def braking_distance_m(
+    time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
+) -> FloatArray:
     """Distance covered in the time since the onset of braking, until standstill and after.
 
-    With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up and, r after
-    its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
+    With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up
+    and, r after its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
 
     >>> from dataclasses import replace
     >>> rule = replace(load_aeb_rule(), deceleration_mps2=8.0)
@@ -100,7 +120,9 @@ def braking_distance_m(time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
     25.0
     """
     speed = np.asarray(speed_mps, dtype=np.float64)
-    time = np.minimum(np.asarray(time_s, dtype=np.float64), standstill_time_s(speed, rule=rule))
+    time = np.minimum(
+        np.asarray(time_s, dtype=np.float64), standstill_time_s(speed, rule=rule)
+    )
     rising, full = _phases(time, rule)
     lost = 0.5 * full**2
     if rule.build_up_s > 0.0:
@@ -121,21 +143,24 @@ _FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
 _CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
-_CONTACT_PARTS, _CONTACT_ROUNDS = 17, 2
+_CONTACT_PARTS = 17
+_CONTACT_ROUNDS = 2
 _SHORT_S = 1.0e-4
 
 
 def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     """Latest onset of braking such that it and every earlier one avoids the contact.
 
-    It is at most 0, and minus infinity if even braking at the VUT's start does not help.
+    It is at most 0, and minus infinity if even braking at the VUT's start does not
+    help.
 
-    Swept, not solved: paths may bend, and contact may set in, vanish and set in again with later
-    onsets. The sweep goes over onsets and times at once, coarsely where the bodies are far apart;
-    see :func:`scenarios.encounters.find_first_touch`. An onset 10 microseconds later leads to
-    contact.
+    Swept, not solved: paths may bend, and contact may set in, vanish and set in again
+    with later onsets. The sweep goes over onsets and times at once, coarsely where the
+    bodies are far apart; see :func:`scenarios.encounters.find_first_touch`. An onset 10
+    microseconds later leads to contact.
     """
-    vut, vru = encounter.vut_motion, encounter.vru_motion
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
     start = vut.start_time_s
     if start >= 0.0:
         return -np.inf
@@ -144,7 +169,9 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
     bend = encounter.max_gap_bend_mps2(rule.deceleration_mps2)
 
     def measure(cells: Cells) -> Measures:
-        onset, half_onset, half_time = cells.first_s, cells.half_first_s, cells.half_second_s
+        onset = cells.first_s
+        half_onset = cells.half_first_s
+        half_time = cells.half_second_s
         times = np.stack([cells.second_s - half_time, cells.second_s + half_time])
         since_onset = times - onset
         braking_s = np.maximum(since_onset, 0.0)
@@ -152,47 +179,63 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         driven = vut.distance_m(np.minimum(onset, times)) + braked_m
         gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
         separation = gaps.max(axis=0)
-        least_s, most_s = since_onset[0] - half_onset, since_onset[1] + half_onset
+        least_s = since_onset[0] - half_onset
+        most_s = since_onset[1] + half_onset
         braking_s = np.maximum(np.stack([least_s, most_s]), 0.0)
-        fastest, slowest = braking_speed_mps(braking_s, speed_mps=vut.speed_mps, rule=rule)
+        fastest, slowest = braking_speed_mps(
+            braking_s, speed_mps=vut.speed_mps, rule=rule
+        )
         speed = encounter.vut_reach * fastest + closing
         mean = 0.5 * (separation[0] + separation[1])
-        # Between its ends a gap sags no deeper than a parabola, while neither body sets off.
-        is_smooth = (separation[0] <= encounter.near_m) & (speed * half_time <= encounter.small_m)
+        # Between its ends a gap sags no deeper than a parabola, while neither body sets
+        # off.
+        is_smooth = (separation[0] <= encounter.near_m) & (
+            speed * half_time <= encounter.small_m
+        )
         for set_off_s in (start, vru.start_time_s):
             is_smooth &= (times[0] >= set_off_s) | (times[1] <= set_off_s)
         sagging = gaps.min(axis=1).max(axis=0) - 0.5 * bend * half_time**2
         lowest = mean - speed * half_time
         lowest = np.where(is_smooth, np.maximum(lowest, sagging), lowest)
-        # A later onset has let the VUT keep the speed that an earlier one has taken since.
+        # A later onset has let the VUT keep the speed that an earlier one has taken
+        # since.
         onset_moves = encounter.vut_reach * (vut.speed_mps - slowest) * half_onset
-        may_touch = (lowest <= onset_moves) & (since_onset[0] - half_onset <= standstill)
+        may_touch = (lowest <= onset_moves) & (
+            since_onset[0] - half_onset <= standstill
+        )
         counts = (since_onset >= 0.0) & (since_onset <= standstill + TIME_TOLERANCE_S)
         touches = ((separation <= 0.0) & counts).any(axis=0)
         touches |= may_touch & (onset_moves + speed * half_time <= GRAZING_M)
         by_onset = onset_moves >= mean - lowest
-        return Measures(may_touch=may_touch, touches=touches, is_cut_along_first=by_onset)
+        return Measures(
+            may_touch=may_touch, touches=touches, is_cut_along_first=by_onset
+        )
 
     n_onsets = int(-start / _ONSET_STEP_S) + 1
     step = -start / n_onsets
     onset = start + step * (np.arange(n_onsets) + 0.5)
     since_onset = step * np.arange(int(standstill / step) + 2)
     onsets, times = np.broadcast_arrays(onset[:, None], onset[:, None] + since_onset)
-    first, second, half = onsets.ravel(), times.ravel(), np.full(onsets.size, 0.5 * step)
+    first = onsets.ravel()
+    second = times.ravel()
+    half = np.full(onsets.size, 0.5 * step)
     cells = Cells(first_s=first, second_s=second, half_first_s=half, half_second_s=half)
     safe_s, _ = find_first_touch(cells, measure, tolerance_s=_ONSET_TOLERANCE_S)
-    return -np.inf if safe_s <= start else min(safe_s, 0.0)
+    if safe_s <= start:
+        return -np.inf
+    return min(safe_s, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
     """First contacts of the footprints for onsets of braking, each of the onsets' shape."""
 
-    # (...,): relative to the impact without braking; infinite where the footprints never touch. [s]
+    # (...,): relative to the impact without braking; infinite where the footprints
+    # never touch. [s]
     time_s: FloatArray
     speed_mps: FloatArray  # (...,): of the VUT then; 0 where they never touch. [m/s]
-    # (...,): the same less what the target does along the VUT's heading, at least 0: Euro NCAP's
-    # relative impact speed. [m/s]
+    # (...,): the same less what the target does along the VUT's heading, at least 0:
+    # Euro NCAP's relative impact speed. [m/s]
     closing_mps: FloatArray
 
 
@@ -201,12 +244,13 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
 
     An onset at or after the impact, or none, leaves the VUT its speed.
 
-    Looks every millisecond where the bodies are near enough to touch soon, and closer wherever they
-    come nearest in between: no shortcut of :func:`last_brake_time_s` is used. The first look at
-    which they touch is narrowed down to 4 microseconds.
+    Looks every millisecond where the bodies are near enough to touch soon, and closer
+    wherever they come nearest in between: no shortcut of :func:`last_brake_time_s` is
+    used. The first look at which they touch is narrowed down to 4 microseconds.
     """
     onset = np.asarray(onset_s, dtype=np.float64)
-    time_s, speed = np.zeros(onset.shape), np.full(onset.shape, encounter.vut_motion.speed_mps)
+    time_s = np.zeros(onset.shape)
+    speed = np.full(onset.shape, encounter.vut_motion.speed_mps)
     is_asked = onset < 0.0
     asked = onset[is_asked]
     before_s, look_s = _contact_looks(encounter, asked, rule)
@@ -220,31 +264,41 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
         every = np.arange(len(row))
         before_s[row], look_s[row] = times[every, first - 1], times[every, first]
     sets_off = asked >= encounter.vut_motion.start_time_s
-    left = braking_speed_mps(look_s, speed_mps=encounter.vut_motion.speed_mps, rule=rule)
+    left = braking_speed_mps(
+        look_s, speed_mps=encounter.vut_motion.speed_mps, rule=rule
+    )
     speed[is_asked] = np.where(np.isfinite(look_s) & sets_off, left, 0.0)
     with np.errstate(invalid="ignore"):
         time_s[is_asked] = np.where(np.isfinite(look_s), asked + look_s, np.inf)
     touched = np.isfinite(time_s)
     closing = speed.copy()
-    closing[touched] -= _target_ahead_mps(encounter, onset[touched], time_s[touched], rule)
-    return Contacts(time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0))
+    closing[touched] -= _target_ahead_mps(
+        encounter, onset[touched], time_s[touched], rule
+    )
+    return Contacts(
+        time_s=time_s, speed_mps=speed, closing_mps=np.maximum(closing, 0.0)
+    )
 
 
 def _target_ahead_mps(
     encounter: Encounter, onset_s: FloatArray, time_s: FloatArray, rule: AebRule
 ) -> FloatArray:
     """Speed of the target along the heading that the braking VUT has, (n,)."""
-    vut, target = encounter.vut_motion, encounter.vru_motion
+    vut = encounter.vut_motion
+    target = encounter.vru_motion
     begun = np.minimum(onset_s, time_s)
     braked_m = braking_distance_m(time_s - begun, speed_mps=vut.speed_mps, rule=rule)
     driven = vut.distance_m(begun) + braked_m
-    # By the speed along its path: what stands in a table of points is a little longer or shorter.
+    # By the speed along its path: what stands in a table of points is a little longer
+    # or shorter.
     speed = target.distance_m(time_s + _SHORT_S) - target.distance_m(time_s - _SHORT_S)
     turned = target.path.at(target.distance_m(time_s))[1] - vut.path.at(driven)[1]
     return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
 
 
-_LEVEL_STEP_S = 0.025  # from one onset to the next in the search for the last one of a speed
+_LEVEL_STEP_S = (
+    0.025  # from one onset to the next in the search for the last one of a speed
+)
 _LEVELS_TOGETHER = 16
 _QUARTERS = (0.25, 0.5, 0.75)
 _SAME_MPS = 1.0e-6
@@ -252,17 +306,24 @@ _BESIDE = 1.0 / 64.0
 
 
 def last_onsets_s(
-    encounter: Encounter, rule: AebRule, *, below_mps: Sequence[float], avoids_until_s: float
+    encounter: Encounter,
+    rule: AebRule,
+    *,
+    below_mps: Sequence[float],
+    avoids_until_s: float,
 ) -> FloatArray:
     """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
 
-    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake time. Returns
-    (n_limits,): not before `avoids_until_s`, and 10 microseconds later it is too late; 0 where the
-    impact without braking is slower, minus infinity if braking at the VUT's start leaves too much.
-    Swept in steps of 25 ms: an earlier onset that leaves more for less than that is overlooked.
+    `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake
+    time. Returns (n_limits,): not before `avoids_until_s`, and 10 microseconds later it
+    is too late; 0 where the impact without braking is slower, minus infinity if braking
+    at the VUT's start leaves too much. Swept in steps of 25 ms: an earlier onset that
+    leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
-    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS  # a limit itself is too fast
+    below = (
+        np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
+    )  # a limit itself is too fast
     n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
     grid = np.linspace(begin_s, 0.0, n_steps + 1)
     left = np.full(n_steps + 1, np.inf)
@@ -273,13 +334,18 @@ def last_onsets_s(
             break
     too_fast = left >= below[:, None]
     at = too_fast.argmax(axis=1)
-    never = begin_s if avoids_until_s > -np.inf else -np.inf
+    if avoids_until_s > -np.inf:
+        never = begin_s
+    else:
+        never = -np.inf
     last = np.where(too_fast.any(axis=1), never, 0.0)
     inner = at > 0
     at = at[inner]
     between = (grid[at - 1], grid[at], left[at - 1], left[at])
     last[inner] = _narrowed_s(encounter, rule, below[inner], *between)
-    order = np.argsort(below)  # what leaves less than a limit leaves less than a higher one
+    order = np.argsort(
+        below
+    )  # what leaves less than a limit leaves less than a higher one
     last[order] = np.maximum.accumulate(last[order])
     return last
 
@@ -300,15 +366,20 @@ def _narrowed_s(
     while (late_s - safe_s).max(initial=0.0) > _ONSET_TOLERANCE_S:
         share = (below**2 - safe_mps**2) / (late_mps**2 - safe_mps**2)
         shares = np.stack([share - _BESIDE, share + _BESIDE], axis=1)
-        shares = np.concatenate([shares, np.broadcast_to(_QUARTERS, (len(share), 3))], axis=1)
+        shares = np.concatenate(
+            [shares, np.broadcast_to(_QUARTERS, (len(share), 3))], axis=1
+        )
         shares = np.sort(np.clip(shares, 0.0, 1.0), axis=1)
         points = safe_s[:, None] + shares * (late_s - safe_s)[:, None]
         inside = find_contacts(encounter, points, rule).closing_mps
         points = np.column_stack([safe_s, points, late_s])
         speeds = np.column_stack([safe_mps, inside, late_mps])
-        row, first = np.arange(len(below)), (speeds >= below[:, None]).argmax(axis=1)
-        safe_s, late_s = points[row, first - 1], points[row, first]
-        safe_mps, late_mps = speeds[row, first - 1], speeds[row, first]
+        row = np.arange(len(below))
+        first = (speeds >= below[:, None]).argmax(axis=1)
+        safe_s = points[row, first - 1]
+        late_s = points[row, first]
+        safe_mps = speeds[row, first - 1]
+        late_mps = speeds[row, first]
     return safe_s
 
 
@@ -316,13 +387,17 @@ def _contact_looks(
     encounter: Encounter, onset_s: FloatArray, rule: AebRule
 ) -> tuple[FloatArray, FloatArray]:
     """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
-    vut, vru = encounter.vut_motion, encounter.vru_motion
-    closing_mps = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
+    closing_mps = (
+        encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
+    )
     # Times since the onset at which to look, until the VUT stands.
     standstill_s = float(standstill_time_s(vut.speed_mps, rule=rule))
     looks = np.linspace(0.0, standstill_s, int(standstill_s / _FINE_STEP_S) + 2)
     step_s = _FINE_STEP_S
-    # A look in so many first: what is farther apart there cannot touch before the next one of them.
+    # A look in so many first: what is farther apart there cannot touch before the next
+    # one of them.
     apart_m = _separation_m(encounter, onset_s[:, None], looks[::_FIRST_LOOKS], rule)
     is_near = apart_m <= closing_mps * step_s * (_FIRST_LOOKS + 1)
     row, look = np.nonzero(np.repeat(is_near, _FIRST_LOOKS, axis=1)[:, : len(looks)])
@@ -334,7 +409,9 @@ def _contact_looks(
     def note() -> None:
         touches = separation <= 0.0
         hit = np.flatnonzero(touches.any(axis=1))
-        hit = hit[np.argsort(times[hit, touches[hit].argmax(axis=1)], kind="stable")[::-1]]
+        hit = hit[
+            np.argsort(times[hit, touches[hit].argmax(axis=1)], kind="stable")[::-1]
+        ]
         first = touches[hit].argmax(axis=1)
         at_s[row[hit]] = times[hit, first]
         before_s[row[hit]] = times[hit, np.maximum(first - 1, 0)]
@@ -343,8 +420,11 @@ def _contact_looks(
         note()
         around = np.pad(separation, ((0, 0), (1, 1)), constant_values=np.inf)
         is_nearest = (separation < around[:, :-2]) & (separation <= around[:, 2:])
-        is_nearest &= (separation <= closing_mps * step_s) & ~np.isfinite(at_s)[row, None]
-        row, nearest_s = row[np.nonzero(is_nearest)[0]], times[is_nearest]
+        is_nearest &= (separation <= closing_mps * step_s) & ~np.isfinite(at_s)[
+            row, None
+        ]
+        row = row[np.nonzero(is_nearest)[0]]
+        nearest_s = times[is_nearest]
         if not len(row):
             return before_s, at_s
         times = np.clip(nearest_s[:, None] + step_s * _CLOSER, 0.0, standstill_s)
@@ -358,7 +438,8 @@ def _separation_m(
     encounter: Encounter, onset_s: ArrayLike, since_onset_s: FloatArray, rule: AebRule
 ) -> FloatArray:
     """Separation after times since onsets of braking; both broadcast."""
-    vut, onset = encounter.vut_motion, np.asarray(onset_s, dtype=np.float64)
+    vut = encounter.vut_motion
+    onset = np.asarray(onset_s, dtype=np.float64)
     speed = np.where(onset >= vut.start_time_s, vut.speed_mps, 0.0)
     braked_m = braking_distance_m(since_onset_s, speed_mps=speed, rule=rule)
     vru_m = encounter.vru_motion.distance_m(onset + since_onset_s)

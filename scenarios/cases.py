@@ -49,15 +49,19 @@ PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUP
 class VruLine:
     """On which line of the junction the VRU moves."""
 
-    # "lane": of the arm it comes from; "kerb": of the VUT's approach road; "through": the lanes by
-    # which vehicles drive straight on through the junction
+    # "lane": of the arm it comes from; "kerb": of the VUT's approach road; "through":
+    # the lanes by which vehicles drive straight on through the junction
     along: Literal["crosswalk", "lane", "kerb", "through"]
-    lane: Literal["", "inner", "outer"] = ""  # "outer": at the kerb; empty unless along a lane
+    lane: Literal["", "inner", "outer"] = (
+        ""  # "outer": at the kerb; empty unless along a lane
+    )
     left_of_lane_centre_m: float | None = None  # along a lane
     outside_kerb_m: float | None = None  # along a kerb; negative on the road
 
     def __post_init__(self) -> None:
-        if self.along == "lane" and (not self.lane or self.left_of_lane_centre_m is None):
+        if self.along == "lane" and (
+            not self.lane or self.left_of_lane_centre_m is None
+        ):
             expected = "lane and left_of_lane_centre_m, along a lane"
             raise InputError("", asdict(self), expected)
         if self.along == "kerb" and self.outside_kerb_m is None:
@@ -66,7 +70,10 @@ class VruLine:
     @property
     def left_m(self) -> float:
         """To the left of the lane's middle, or outside of the kerb."""
-        beside_m = self.left_of_lane_centre_m if self.along == "lane" else self.outside_kerb_m
+        if self.along == "lane":
+            beside_m = self.left_of_lane_centre_m
+        else:
+            beside_m = self.outside_kerb_m
         return beside_m or 0.0
 
 
@@ -75,15 +82,19 @@ class Obstruction:
     """Parked bodies, or a wall, that belong to a case."""
 
     kind: str  # "beside-vut", "beside-road", "beside-vru" or "wall"
-    bodies: tuple[Actor, ...] = ()  # from the one nearest to the meeting point; none for a wall
-    # from the first body to the VRU's flank (beside-vut) or the middle of its way (beside-road), or
-    # from the VUT's centreline to the first body or the wall
+    bodies: tuple[
+        Actor, ...
+    ] = ()  # from the one nearest to the meeting point; none for a wall
+    # from the first body to the VRU's flank (beside-vut) or the middle of its way
+    # (beside-road), or from the VUT's centreline to the first body or the wall
     first_gap_m: float
     between_gap_m: float = 0.0  # from bumper to bumper
-    # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the side of the
-    # VRU's box
+    # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the
+    # side of the VRU's box
     side_gap_m: float
-    wall_size_m: tuple[float, ...] = ()  # length, thickness, height of the wall; empty without one
+    wall_size_m: tuple[
+        float, ...
+    ] = ()  # length, thickness, height of the wall; empty without one
     max_speed_kmh: float = math.inf  # taken away where VUT or VRU is faster
 
 
@@ -92,7 +103,9 @@ class Braking:
     """How a vehicle ahead of the VUT brakes, with the VUT so far behind it."""
 
     deceleration_mps2: Annotated[float, Meta(gt=0.0)]
-    headway_s: Annotated[float, Meta(gt=0.0)]  # free gap when it begins / the VUT's speed
+    headway_s: Annotated[
+        float, Meta(gt=0.0)
+    ]  # free gap when it begins / the VUT's speed
     final_speed_kmh: Annotated[float, Meta(ge=0.0)]  # to which it slows down
 
 
@@ -106,50 +119,56 @@ class Case:
     name: str
     title: str  #: What happens, in words.
     source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
-    #: "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid` says why.
+    # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
+    # says why.
     kind: str
     vru: Actor  #: Body of the road user that is met.
-    #: Steady; 0: it stands. The first of several that go with the VUT's speeds, see `pairs_kmh`; of
-    #: a run, its own. [km/h]
+    # : Steady; 0: it stands. The first of several that go with the VUT's speeds, see
+    # `pairs_kmh`; of : a run, its own. [km/h]
     vru_speed_kmh: float = 0.0
-    #: vut_speeds_kmh and speed_limits_kmh: speeds to be driven, ascending; lowest and highest one
-    #: of the protocol. [km/h]
+    # : vut_speeds_kmh and speed_limits_kmh: speeds to be driven, ascending; lowest and
+    # highest one : of the protocol. [km/h]
     vut_speeds_kmh: tuple[float, ...] = ()
     speed_limits_kmh: tuple[float, float] = (0.0, 0.0)
-    #: impact_percent and impact_face: where the VRU meets the VUT: "front" - of its width, 0 =
-    #: right edge, 100 = left edge; "side" - of its length, 0 = rear, on the side towards which it
-    #: turns or from which the VRU comes. [%]
+    # : impact_percent and impact_face: where the VRU meets the VUT: "front" - of its
+    # width, 0 = : right edge, 100 = left edge; "side" - of its length, 0 = rear, on the
+    # side towards which it : turns or from which the VRU comes. [%]
     impact_percent: float = 50.0
     impact_face: str = "front"
-    #: The VRU's point that meets the impact position, ahead of the middle of its box. [m]
+    # : The VRU's point that meets the impact position, ahead of the middle of its box.
+    # [m]
     vru_reference_m: float = 0.0
     #: From rest to the steady speed; 0: it comes at its speed. [m]
     acceleration_distance_m: float = 0.0
-    #: One of the three: the reference point's way from rest to the nominal meeting line (the VUT's
-    #: centreline, or that of its exit lane), or the way or time at steady speed before the impact.
-    #: [m], [s]
+    # : One of the three: the reference point's way from rest to the nominal meeting
+    # line (the VUT's : centreline, or that of its exit lane), or the way or time at
+    # steady speed before the impact. : [m], [s]
     start_distance_m: float | None = None
     steady_distance_m: float | None = None
     vru_side: str = ""  #: Crossing: "near" or "far", from where the VRU comes.
-    #: turn and vru_direction: turning: "near" or "far", where the VUT turns to; "same" or
-    #: "opposite", as the VUT before its turn. Longitudinal: the latter alone.
+    # : turn and vru_direction: turning: "near" or "far", where the VUT turns to; "same"
+    # or : "opposite", as the VUT before its turn. Longitudinal: the latter alone.
     turn: str = ""
     vru_direction: str = ""
-    #: None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU ahead brakes.
+    # : None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU
+    # ahead brakes.
     vru_line: VruLine | None = None
     obstruction: Obstruction | None = None
     steady_time_s: float | None = None
-    #: pairs_kmh and extended_pairs_kmh: speeds of the VUT and the VRU that go together, empty where
-    #: the VRU has one speed; those that the extended range adds. [km/h]
+    # : pairs_kmh and extended_pairs_kmh: speeds of the VUT and the VRU that go
+    # together, empty where : the VRU has one speed; those that the extended range adds.
+    # [km/h]
     pairs_kmh: tuple[tuple[float, float], ...] = ()
     extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
-    range: Range = "standard"  #: The range to which it belongs: "standard", or "extended" only.
-    #: Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at 45 degrees,
-    #: and not the middle of its front.
+    range: Range = (
+        "standard"  #: The range to which it belongs: "standard", or "extended" only.
+    )
+    # : Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at
+    # 45 degrees, : and not the middle of its front.
     meets_corner: bool = False
     braking: Braking | None = None
-    #: (int, int); number of its impact point, and how many take turns along the arms; (0, 1), but
-    #: in "all".
+    # : (int, int); number of its impact point, and how many take turns along the arms;
+    # (0, 1), but : in "all".
     impact_turn: tuple[int, int] = (0, 1)
     not_laid: str = ""  #: Why it cannot be laid anywhere; empty: it can.
     #: Of kind "recorded": the ways that were taken; such a case is laid there alone.
@@ -175,7 +194,9 @@ class Case:
             return (self.vru_speed_kmh,)
         if vut_speed_kmh is None:
             return tuple(sorted({vru for _, vru in self.pairs_kmh}))
-        nearest = min((vut for vut, _ in self.pairs_kmh), key=lambda vut: abs(vut - vut_speed_kmh))
+        nearest = min(
+            (vut for vut, _ in self.pairs_kmh), key=lambda vut: abs(vut - vut_speed_kmh)
+        )
         return tuple(vru for vut, vru in self.pairs_kmh if vut == nearest)
 
 
@@ -190,10 +211,14 @@ def at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
 def in_range(case: Case, which: Range) -> Case | None:
     """The case with the speeds of a range; None: the range does not have it."""
     if which == "standard":
-        return case if case.range == "standard" else None
+        if case.range == "standard":
+            return case
+        return None
     if not case.extended_pairs_kmh:
         return case
-    first = case.pairs_kmh or tuple((vut, case.vru_speed_kmh) for vut in case.vut_speeds_kmh)
+    first = case.pairs_kmh or tuple(
+        (vut, case.vru_speed_kmh) for vut in case.vut_speeds_kmh
+    )
     pairs = tuple(sorted({*first, *case.extended_pairs_kmh}))
     speeds = tuple(sorted({vut for vut, _ in pairs}))
     return replace(
@@ -211,7 +236,8 @@ _OTHER_SIDE = {"left": "right", "right": "left"}
 def worded_for(case: Case, *, keeps_left: bool) -> Case:
     """The case with its title in the words of a junction's traffic.
 
-    Titles are those of traffic that keeps right; where it keeps left, left and right are exchanged.
+    Titles are those of traffic that keeps right; where it keeps left, left and right
+    are exchanged.
 
     >>> worded_for(pick_cases("CPTAfs-50", "cases")[0], keeps_left=True).title
     'VUT turns right, adult crosses from the far side, walking as the VUT drove'
@@ -250,11 +276,15 @@ class _BesideVut(Struct, frozen=True, kw_only=True, tag="beside-vut", tag_field=
     side_gap_m: float
 
 
-class _BesideRoad(_BesideVut, frozen=True, kw_only=True, tag="beside-road", tag_field="kind"):
+class _BesideRoad(
+    _BesideVut, frozen=True, kw_only=True, tag="beside-road", tag_field="kind"
+):
     max_speed_kmh: _Positive = math.inf
 
 
-class _BesideVru(_BesideVut, frozen=True, kw_only=True, tag="beside-vru", tag_field="kind"):
+class _BesideVru(
+    _BesideVut, frozen=True, kw_only=True, tag="beside-vru", tag_field="kind"
+):
     pass
 
 
@@ -271,9 +301,9 @@ class _CaseEntry(Struct, frozen=True, kw_only=True):
     source: Text
     vru: Text
     vru_reference: Literal["reference", "middle", "front", "corner"]
-    vut_speed_kmh: Annotated[_Speeds, Meta(description="a table with min, max and step")] | None = (
-        None
-    )
+    vut_speed_kmh: (
+        Annotated[_Speeds, Meta(description="a table with min, max and step")] | None
+    ) = None
     vru_speed_kmh: Annotated[float, Meta(ge=0.0)] | None = None
     vru_speeds_kmh: _Speeds | None = None
     pairs_kmh: tuple[_Pair, ...] = ()
@@ -293,7 +323,9 @@ class _CaseEntry(Struct, frozen=True, kw_only=True):
         _check_one_of(self, "vru_speed_kmh", "vru_speeds_kmh", "pairs_kmh")
         if self.start_distance_m is not None and self.acceleration_distance_m is None:
             got = Unquoted("nothing")
-            raise InputError("acceleration_distance_m", got, "metres, with start_distance_m")
+            raise InputError(
+                "acceleration_distance_m", got, "metres, with start_distance_m"
+            )
 
 
 def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
@@ -302,12 +334,16 @@ def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
         raise InputError("", given, "one of " + ", ".join(keys))
 
 
-class _Crossing(_CaseEntry, frozen=True, kw_only=True, tag="crossing", tag_field="kind"):
+class _Crossing(
+    _CaseEntry, frozen=True, kw_only=True, tag="crossing", tag_field="kind"
+):
     vru_from: _Side
     vru_line: VruLine
 
 
-class _Longitudinal(_CaseEntry, frozen=True, kw_only=True, tag="longitudinal", tag_field="kind"):
+class _Longitudinal(
+    _CaseEntry, frozen=True, kw_only=True, tag="longitudinal", tag_field="kind"
+):
     vru_direction: Literal["same", "opposite"] = "same"
     braking: Braking | None = None
 
@@ -324,7 +360,9 @@ class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="ki
     vru: Text
     vut_speed_kmh: Annotated[float, Meta(gt=0.0, le=250.0)]
     vru_speed_kmh: Annotated[float, Meta(ge=0.0, le=250.0)]
-    known_s: Annotated[float, Meta(gt=0.0, le=60.0)]  # runs begin so long before the impact
+    known_s: Annotated[
+        float, Meta(gt=0.0, le=60.0)
+    ]  # runs begin so long before the impact
     vut_way: RecordedWay
     vru_way: RecordedWay
 
@@ -366,10 +404,10 @@ def load_unlaid_cases() -> dict[str, Case]:
 def load_own_cases(path: str | Path) -> dict[str, Case]:
     """A user's own cases, by name.
 
-    TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is like that
-    case, of this file or of the package's, but for what it says itself. Raises InputError: the file
-    cannot be read or has no case, a case has the name of one of the package's, or a field is
-    missing or not of its kind.
+    TOML as ``data/cases.toml``: a table for each case. With ``as = "CPNA-25"`` it is
+    like that case, of this file or of the package's, but for what it says itself.
+    Raises InputError: the file cannot be read or has no case, a case has the name of
+    one of the package's, or a field is missing or not of its kind.
 
     A child that runs, met by cars at 30 and 40 km/h::
 
@@ -380,14 +418,22 @@ def load_own_cases(path: str | Path) -> dict[str, Case]:
         vru_speed_kmh = 10.0
         vut_speed_kmh = { min = 30, max = 40, step = 10 }
     """
-    table, known = load_toml(Path(path)), _load_tables()
+    table = load_toml(Path(path))
+    known = _load_tables()
     if not table:
         raise InputError(str(path), Unquoted("no case"), "a table for each case")
     for name, entry in table.items():
         if not isinstance(entry, dict):
             raise InputError(f"{path}: {name}", entry, "a table, which is a case")
-        if name in known or name in load_case_sets() or "," in name or not name.isprintable():
-            raise InputError(f"{path}: {name}", name, "a name that no case or set of ours has")
+        if (
+            name in known
+            or name in load_case_sets()
+            or "," in name
+            or not name.isprintable()
+        ):
+            raise InputError(
+                f"{path}: {name}", name, "a name that no case or set of ours has"
+            )
     return _read_cases({**known, **table}, table, str(path))
 
 
@@ -400,7 +446,9 @@ def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Cas
     cases = {}
     for table_name in names:
         here = f"{where}: {table_name}"
-        for name, one in _each_impact(table_name, _whole_entry(table, table_name, where)):
+        for name, one in _each_impact(
+            table_name, _whole_entry(table, table_name, where)
+        ):
             # A union is no class to mypy, but the reader takes it.
             entry = read_table(one, _ANY_CASE, here)
             build = _build_recorded if isinstance(entry, _Recorded) else _build_case
@@ -408,7 +456,9 @@ def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Cas
     return cases
 
 
-def _each_impact(name: str, entry: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _each_impact(
+    name: str, entry: dict[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
     """Cases that differ in where the VRU meets the VUT, from a table with a list of places."""
     percents = entry.get("impact_percent")
     beyond = entry.pop("extended_impact_percent", [])
@@ -416,7 +466,10 @@ def _each_impact(name: str, entry: dict[str, Any]) -> Iterator[tuple[str, dict[s
         yield name, entry
         return
     for percent in [*percents, *beyond]:
-        which = {} if percent in percents else {"range": "extended"}
+        if percent in percents:
+            which = {}
+        else:
+            which = {"range": "extended"}
         title = f"{entry.get('title')}, met at {percent} % of the VUT's width"
         # No two signs in a row: 25 % outside of the right edge is "m25".
         called = f"{name}-{percent}".replace("--", "-m")
@@ -431,17 +484,27 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
     """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
     table = load_data(__package__, "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
-    alike = {name: entries for name, entries in table.items() if isinstance(entries, str)}
+    alike = {
+        name: entries for name, entries in table.items() if isinstance(entries, str)
+    }
     for set_name in [name for name in table if name not in alike]:
-        entries, driven = table[set_name], list[Case]()
+        entries = table[set_name]
+        driven = list[Case]()
         for name, entry in entries.items():
             where = f"case_sets.toml: {set_name}.{name}"
-            speeds = read_table(entry, _Speeds, where) if entry else None
+            if entry:
+                speeds = read_table(entry, _Speeds, where)
+            else:
+                speeds = None
             found = _named(name)
             if not found:
-                raise InputError(where, name, "the name of a case, or what several begin with")
+                raise InputError(
+                    where, name, "the name of a case, or what several begin with"
+                )
             if speeds:
-                found = tuple(replace(one, vut_speeds_kmh=_speeds_kmh(speeds)) for one in found)
+                found = tuple(
+                    replace(one, vut_speeds_kmh=_speeds_kmh(speeds)) for one in found
+                )
             driven += found
         sets[set_name] = tuple(driven)
     for set_name, other in alike.items():
@@ -456,7 +519,9 @@ def _named(word: str) -> tuple[Case, ...]:
     if word in cases:
         return (cases[word],)
     whole = [case for name, case in cases.items() if _stem(name) == word]
-    return tuple(whole or [case for name, case in cases.items() if name.startswith(f"{word}-")])
+    return tuple(
+        whole or [case for name, case in cases.items() if name.startswith(f"{word}-")]
+    )
 
 
 def _stem(name: str) -> str:
@@ -465,7 +530,9 @@ def _stem(name: str) -> str:
 
 
 def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
-    return tuple(np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist())
+    return tuple(
+        np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist()
+    )
 
 
 def _whole_entry(
@@ -492,33 +559,56 @@ def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
         vru_speed_kmh=entry.vru_speed_kmh,
         vut_speeds_kmh=(speed_kmh,),
         speed_limits_kmh=(speed_kmh, speed_kmh),
-        recorded=RecordedEncounter(vut=entry.vut_way, vru=entry.vru_way, known_s=entry.known_s),
+        recorded=RecordedEncounter(
+            vut=entry.vut_way, vru=entry.vru_way, known_s=entry.known_s
+        ),
     )
 
 
 _SAME = (
-    *("title", "source", "impact_percent", "impact_face", "start_distance_m", "steady_distance_m"),
+    *(
+        "title",
+        "source",
+        "impact_percent",
+        "impact_face",
+        "start_distance_m",
+        "steady_distance_m",
+    ),
     *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
 )
 """Fields that cases have from their entries as they are, if the entry's kind has them."""
 
 
-def _build_case(name: str, entry: _Crossing | _Longitudinal | _Turning, where: str) -> Case:
+def _build_case(
+    name: str, entry: _Crossing | _Longitudinal | _Turning, where: str
+) -> Case:
     vru = pick_actor(entry.vru, f"{where}.vru")
-    pairs, steps = tuple(sorted(entry.pairs_kmh)), entry.vut_speed_kmh
-    speeds = tuple(sorted({vut for vut, _ in pairs})) if steps is None else _speeds_kmh(steps)
+    pairs = tuple(sorted(entry.pairs_kmh))
+    steps = entry.vut_speed_kmh
+    if steps is None:
+        speeds = tuple(sorted({vut for vut, _ in pairs}))
+    else:
+        speeds = _speeds_kmh(steps)
     if steps is not None and entry.vru_speeds_kmh is not None:
-        pairs = tuple((vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh))
-    same: dict[str, Any] = {key: getattr(entry, key) for key in _SAME if hasattr(entry, key)}
+        pairs = tuple(
+            (vut, vru) for vut in speeds for vru in _speeds_kmh(entry.vru_speeds_kmh)
+        )
+    same: dict[str, Any] = {
+        key: getattr(entry, key) for key in _SAME if hasattr(entry, key)
+    }
     reference_m = {"reference": vru.reference_ahead_m, "middle": 0.0}
     return Case(
         name=name,
         kind=str(type(entry).__struct_config__.tag),
         vru=vru,
-        vru_speed_kmh=pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh,
+        vru_speed_kmh=(
+            pairs[0][1] if entry.vru_speed_kmh is None else entry.vru_speed_kmh
+        ),
         vut_speeds_kmh=speeds,
         # Lowest and highest of the protocol, whatever the step between them.
-        speed_limits_kmh=(speeds[0], speeds[-1]) if steps is None else (steps.min, steps.max),
+        speed_limits_kmh=(
+            (speeds[0], speeds[-1]) if steps is None else (steps.min, steps.max)
+        ),
         vru_reference_m=reference_m.get(entry.vru_reference, 0.5 * vru.length_m),
         meets_corner=entry.vru_reference == "corner",
         acceleration_distance_m=entry.acceleration_distance_m or 0.0,
@@ -541,7 +631,9 @@ def _build_obstruction(
         fields["wall_size_m"] = tuple(fields.pop(name) for name in sides)
     else:
         names = enumerate(entry.bodies)
-        fields["bodies"] = tuple(pick_actor(one, f"{where}.bodies[{at}]") for at, one in names)
+        fields["bodies"] = tuple(
+            pick_actor(one, f"{where}.bodies[{at}]") for at, one in names
+        )
     return Obstruction(kind=str(type(entry).__struct_config__.tag), **fields)
 
 
@@ -549,15 +641,18 @@ def _build_obstruction(
 _HIGHEST_KMH = 250.0
 
 
-def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tuple[Case, ...]:
+def pick_cases(
+    text: str, where: str, *, case_range: Range = "standard"
+) -> tuple[Case, ...]:
     """Cases by the words of a user, each once, in the order named.
 
-    `text`: a set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction", "all"), names,
-    or files of one's own cases (.toml), with commas between. The part of a name before its last "-"
-    stands for all cases that share it: "CPNA" for CPNA-25 and CPNA-75, "CPNA-2026" for all impact
-    points of 2026. `where` is for the error message about an unknown name. `case_range` "extended"
-    adds cases and speeds of Euro NCAP's extended range, 2026; one that belongs to that range alone,
-    and is named in full, is picked anyway.
+    `text`: a set ("default", "study", "protocol-4.5.1", "protocol-2026", "junction",
+    "all"), names, or files of one's own cases (.toml), with commas between. The part of
+    a name before its last "-" stands for all cases that share it: "CPNA" for CPNA-25
+    and CPNA-75, "CPNA-2026" for all impact points of 2026. `where` is for the error
+    message about an unknown name. `case_range` "extended" adds cases and speeds of Euro
+    NCAP's extended range, 2026; one that belongs to that range alone, and is named in
+    full, is picked anyway.
 
     >>> [case.name for case in pick_cases("CBLA-50, CPNA", "cases")]
     ['CBLA-50', 'CPNA-25', 'CPNA-75']
@@ -576,7 +671,9 @@ def pick_cases(text: str, where: str, *, case_range: Range = "standard") -> tupl
         within = []
         for case in found:
             is_named = case.name == word and case.range == "extended"
-            if (one := in_range(case, "extended" if is_named else case_range)) is not None:
+            if (
+                one := in_range(case, "extended" if is_named else case_range)
+            ) is not None:
                 within.append(one)
         for case in _each_once(within) if word == ALL_CASES else within:
             picked.setdefault(case.name, case)
@@ -587,7 +684,9 @@ def twins(cases: Iterable[Case]) -> dict[str, Case]:
     """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
     cases = tuple(cases)
     before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
-    after = [case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh]
+    after = [
+        case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh
+    ]
     return {case.name: before[_alike(case)] for case in after if _alike(case) in before}
 
 
@@ -608,9 +707,12 @@ def _each_once(cases: Sequence[Case]) -> list[Case]:
         points.setdefault(_but_for_the_point(case), []).append(case.name)
     names_of = [points[_but_for_the_point(case)] for case in kept]
     turns = [
-        (names.index(case.name), len(names)) for case, names in zip(kept, names_of, strict=True)
+        (names.index(case.name), len(names))
+        for case, names in zip(kept, names_of, strict=True)
     ]
-    return [replace(case, impact_turn=turn) for case, turn in zip(kept, turns, strict=True)]
+    return [
+        replace(case, impact_turn=turn) for case, turn in zip(kept, turns, strict=True)
+    ]
 
 
 def _alike(case: Case) -> Case:
@@ -638,8 +740,12 @@ class Selection:
     cases: tuple[Case, ...]  # each with the speeds to be driven
     # cases none of whose speeds were asked for; with the speeds that they have
     left_out: tuple[Case, ...]
-    beyond: tuple[str, ...]  # "case: speeds" outside of what the protocol drives, which were forced
-    unprotected: tuple[Case, ...] = ()  # cases that meet somebody who is not to be protected
+    beyond: tuple[
+        str, ...
+    ]  # "case: speeds" outside of what the protocol drives, which were forced
+    unprotected: tuple[
+        Case, ...
+    ] = ()  # cases that meet somebody who is not to be protected
 
 
 def select_cases(
@@ -652,11 +758,12 @@ def select_cases(
 ) -> Selection:
     """Cases and speeds by the words of a user.
 
-    `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with commas between,
-    or ranges: "20-40" is every speed of the case in it; "30x50" are those of the VUT and of whoever
-    it meets; "all" or None: every one. `force` drives speeds that the protocol does not. `protect`
-    is "vru" or "all", see ``PROTECTED``. Raises InputError: a name or a speed cannot be read, a
-    speed lies outside of every case, or nobody is left to be protected.
+    `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with
+    commas between, or ranges: "20-40" is every speed of the case in it; "30x50" are
+    those of the VUT and of whoever it meets; "all" or None: every one. `force` drives
+    speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``.
+    Raises InputError: a name or a speed cannot be read, a speed lies outside of every
+    case, or nobody is left to be protected.
 
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
@@ -667,7 +774,9 @@ def select_cases(
     unprotected = tuple(case for case in asked if case.road_user not in counted)
     if unprotected and all(case.not_laid for case in picked):
         met = " or ".join(dict.fromkeys(case.road_user for case in unprotected))
-        raise InputError("protect", protect, f"all, where every case asked for meets a {met}")
+        raise InputError(
+            "protect", protect, f"all, where every case asked for meets a {met}"
+        )
     laid = [case for case in picked if not case.not_laid]
     if speeds is None or speeds.strip() == ALL_SPEEDS or not laid:
         return Selection(cases=picked, left_out=(), beyond=(), unprotected=unprotected)
@@ -677,14 +786,24 @@ def select_cases(
             if not any(_is_within(speed, case) for case in laid):
                 raise InputError("speeds", Unquoted(f"{speed:g}"), _limits(laid))
         for vut, vru in pair_words:
-            if not any(vru in case.vru_speeds_kmh(vut) for case in laid if _is_within(vut, case)):
-                expected = f"speeds that go together in a case; the VUT's: {_limits(laid)}"
+            if not any(
+                vru in case.vru_speeds_kmh(vut)
+                for case in laid
+                if _is_within(vut, case)
+            ):
+                expected = (
+                    f"speeds that go together in a case; the VUT's: {_limits(laid)}"
+                )
                 raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
-    kept, left_out, beyond = [], [], []
+    kept = []
+    left_out = []
+    beyond = []
     for case in laid:
         driven = {speed for speed in singles if force or _is_within(speed, case)}
         usual = case.vut_speeds_kmh
-        driven |= {speed for speed in usual for low, high in ranges if low <= speed <= high}
+        driven |= {
+            speed for speed in usual for low, high in ranges if low <= speed <= high
+        }
         pairs = [
             (vut, vru)
             for vut, vru in pair_words
@@ -697,7 +816,9 @@ def select_cases(
         driven |= {vut for vut, _ in pairs}
         outside = sorted(speed for speed in driven if not _is_within(speed, case))
         if outside:
-            beyond.append(f"{case.name}: " + ", ".join(f"{speed:g}" for speed in outside))
+            beyond.append(
+                f"{case.name}: " + ", ".join(f"{speed:g}" for speed in outside)
+            )
         if driven:
             kept.append(replace(case, vut_speeds_kmh=tuple(sorted(driven))))
         else:
@@ -721,10 +842,16 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
     ranges: _Pairs = []
     pairs: _Pairs = []
     for word in (part.strip() for part in text.split(",")):
-        separator = "x" if "x" in word else "-"
+        if "x" in word:
+            separator = "x"
+        else:
+            separator = "-"
         found = [float_of(part) for part in word.split(separator, 1)]
         if not all(0.0 < speed <= _HIGHEST_KMH for speed in found):
-            known = "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those of both"
+            known = (
+                "km/h with commas between, such as 20,30 or 20-40, or 30x50 for those"
+                " of both"
+            )
             raise InputError("speeds", word, f"{known}, up to {_HIGHEST_KMH:g}")
         if len(found) == 1:
             singles.append(found[0])

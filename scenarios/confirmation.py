@@ -37,31 +37,37 @@ def held_frames(
 ) -> BoolArray:
     """Detected frames since which the VRU has not been out of sight for longer than the memory.
 
-    A track that is confirmed in such a frame is alive at `until_s`: neither between two detections
-    from then on, nor from the last one until then, more than `memory_s` have passed. More
-    detections never make fewer frames held.
+    A track that is confirmed in such a frame is alive at `until_s`: neither between two
+    detections from then on, nor from the last one until then, more than `memory_s` have
+    passed. More detections never make fewer frames held.
 
-    `detected` (..., n_frames): of the frames that the VUT knows of when it matters. `time_s`
-    (n_frames,): ascending within a run. `until_s`: when the track must be alive; the same in all
-    frames of a run. `last_frame` (n_frames,): of each frame's run; by default there is one run.
+    `detected` (..., n_frames): of the frames that the VUT knows of when it matters.
+    `time_s` (n_frames,): ascending within a run. `until_s`: when the track must be
+    alive; the same in all frames of a run. `last_frame` (n_frames,): of each frame's
+    run; by default there is one run.
 
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
     >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)
     array([0, 0, 0, 0, 0, 1])
     """
-    seen, times = np.asarray(detected, dtype=bool), np.asarray(time_s, dtype=np.float64)
+    seen = np.asarray(detected, dtype=bool)
+    times = np.asarray(time_s, dtype=np.float64)
     n_frames = len(times)
     if memory_s == math.inf or n_frames == 0:
         return seen.copy()
-    last = np.broadcast_to(n_frames - 1 if last_frame is None else last_frame, times.shape)
+    last = np.broadcast_to(
+        n_frames - 1 if last_frame is None else last_frame, times.shape
+    )
     until = np.broadcast_to(until_s, times.shape)
     place = np.flatnonzero(seen)  # of the detections of all rows, end to end
     frame = place % n_frames
     end = place - frame + last[frame]
     following = np.append(place[1:], seen.size)
     next_s = np.where(following <= end, times[following % n_frames], until[frame])
-    lost = np.where(next_s - times[frame] > memory_s + TIME_TOLERANCE_S, place, seen.size)
+    lost = np.where(
+        next_s - times[frame] > memory_s + TIME_TOLERANCE_S, place, seen.size
+    )
     first_lost = np.minimum.accumulate(lost[::-1])[::-1]
     held = np.zeros(seen.shape, dtype=bool)
     held.reshape(-1)[place[first_lost > end]] = True
@@ -73,15 +79,18 @@ def live_confirmation_time_s(
 ) -> FloatArray:
     """When the track of one run that is alive at `until_s` was confirmed, in seconds.
 
-    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then. `until_s` is
-    the last brake time less the latency, or infinite to ask for the first confirmation of all; with
-    an infinite ``rule.track_memory_s`` it is the first one up to `until_s`: the study's reading.
-    More detections never make it later. It decides the avoidance (finite or not) and the margin,
-    `until_s` less it.
+    (..., n_frames) detections -> (...,); infinite if no confirmed track is alive then.
+    `until_s` is the last brake time less the latency, or infinite to ask for the first
+    confirmation of all; with an infinite ``rule.track_memory_s`` it is the first one up
+    to `until_s`: the study's reading. More detections never make it later. It decides
+    the avoidance (finite or not) and the margin, `until_s` less it.
     """
     times = np.asarray(time_s, dtype=np.float64)
     frames = np.asarray(detected, dtype=bool) & (times <= until_s + TIME_TOLERANCE_S)
-    memory_s = math.inf if until_s == math.inf else rule.track_memory_s
+    if until_s == math.inf:
+        memory_s = math.inf
+    else:
+        memory_s = rule.track_memory_s
     confirmed = confirmation_mask(frames, n_confirmations=rule.n_confirmations)
     confirmed &= held_frames(frames, times, until_s=until_s, memory_s=memory_s)
     result: FloatArray = np.where(confirmed, times, np.inf).min(axis=-1, initial=np.inf)

@@ -1,15 +1,17 @@
 """Traffic conflicts: pairs of recorded tracks that nearly met, and how they are replayed.
 
-A pair is an encounter if its least time to collision is short: the two would touch that soon if
-nobody changed speed or direction. It is replayed with both on their recorded ways up to that
-moment and straight on from there, each at its speed of that moment: what would have happened if
-nobody had reacted. A pair that only passes near is replayed so that both are at the same time
-where their ways cross: the post-encroachment time is taken out.
+A pair is an encounter if its least time to collision is short: the two would touch that
+soon if nobody changed speed or direction. It is replayed with both on their recorded
+ways up to that moment and straight on from there, each at its speed of that moment:
+what would have happened if nobody had reacted. A pair that only passes near is replayed
+so that both are at the same time where their ways cross: the post-encroachment time is
+taken out.
 
 References
 ----------
 .. [1] J. C. Hayward, "Near-miss determination through use of a scale of danger", 1972.
-.. [2] C. Hyden, "The development of a method for traffic safety evaluation: the Swedish Traffic
+.. [2] C. Hyden, "The development of a method for traffic safety evaluation: the Swedish
+   Traffic
    Conflicts Technique", 1987.
 """
 
@@ -46,19 +48,21 @@ def time_to_collision_s(
 ) -> FloatArray:
     """Time in seconds until two rectangles touch that move straight on without turning.
 
-    0 where they touch already, infinite where they never will. `offset_m` (..., 2) leads from the
-    middle of a to that of b, and changes by `closing_mps` (..., 2) a second. Exact: along each of
-    the sides' four normals they overlap from one time to another, and they touch while they overlap
-    along all of them.
+    0 where they touch already, infinite where they never will. `offset_m` (..., 2)
+    leads from the middle of a to that of b, and changes by `closing_mps` (..., 2) a
+    second. Exact: along each of the sides' four normals they overlap from one time to
+    another, and they touch while they overlap along all of them.
 
     >>> sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.0, width_b_m=1.0)
     >>> float(time_to_collision_s([12.5, 0.0], [-5.0, 0.0], 0.0, 90.0, sizes=sizes).round(9))
     2.0
     """
-    offset, closing = np.asarray(offset_m, dtype=float), np.asarray(closing_mps, dtype=float)
+    offset = np.asarray(offset_m, dtype=float)
+    closing = np.asarray(closing_mps, dtype=float)
     yaws = [np.radians(np.asarray(yaw, dtype=float)) for yaw in (yaw_a_deg, yaw_b_deg)]
     gaps = gaps_between(offset, yaw_a_deg, yaw_b_deg, sizes=sizes)
-    first, last = np.full(gaps.shape[1:], -np.inf), np.full(gaps.shape[1:], np.inf)
+    first = np.full(gaps.shape[1:], -np.inf)
+    last = np.full(gaps.shape[1:], np.inf)
     turns = [yaw + turn for yaw in yaws for turn in (0.0, 0.5 * np.pi)]
     normals = [(np.cos(turn), np.sin(turn)) for turn in turns]
     for gap, (east, north) in zip(gaps, normals, strict=True):
@@ -94,16 +98,19 @@ def find_encounters(
 ) -> tuple[tuple[FoundEncounter, ...], Counter[str]]:
     """Pairs of a vehicle and a VRU that come near one another, and why others are left out.
 
-    `tracks` are on one clock, in one frame. Pairs count whose least time to collision is at most
-    `ttc_s`, and others whose bodies come at most so near, `within_m`. Returned by vehicle, then by
-    VRU, in the order of `tracks`; and how many cannot be replayed, by reasons.
+    `tracks` are on one clock, in one frame. Pairs count whose least time to collision
+    is at most `ttc_s`, and others whose bodies come at most so near, `within_m`.
+    Returned by vehicle, then by VRU, in the order of `tracks`; and how many cannot be
+    replayed, by reasons.
 
     Bodies are the VUT's and those of ``geometry/data/actors.toml``, turned the way in
-    which they move. The least time to collision is looked for while the vehicle drives forwards,
-    and until the bodies first touch: those who walk beside a car are thinner than these boxes.
+    which they move. The least time to collision is looked for while the vehicle drives
+    forwards, and until the bodies first touch: those who walk beside a car are thinner
+    than these boxes.
     """
     bodies = load_trajectory_rules().bodies
-    found, left_out = [], Counter[str]()
+    found = []
+    left_out = Counter[str]()
     for vehicle in tracks:
         for vru in tracks:
             if vehicle.class_name != VEHICLE or vru.class_name not in bodies:
@@ -118,10 +125,15 @@ def find_encounters(
 
 
 def _replay(
-    vehicle: Track, vru: Track, actor: Actor, ttc_limit_s: float | None, within_m: float | None
+    vehicle: Track,
+    vru: Track,
+    actor: Actor,
+    ttc_limit_s: float | None,
+    within_m: float | None,
 ) -> FoundEncounter | str:
     """The encounter of a pair; else why it is left out, empty where it does not come near."""
-    rules, vut = load_trajectory_rules().encounters, pick_actor("vut", "vut")
+    rules = load_trajectory_rules().encounters
+    vut = pick_actor("vut", "vut")
     is_common = (vehicle.time_s >= vru.time_s[0]) & (vehicle.time_s <= vru.time_s[-1])
     time = vehicle.time_s[is_common]
     if len(time) == 0:
@@ -132,14 +144,22 @@ def _replay(
     yaws = [_yaw_deg(track, time) for track in (vehicle, vru)]
     gap = gaps_between(offset, *yaws, sizes=sizes).max(axis=0)
     untouched = np.logical_and.accumulate(gap > 0.0)
-    counts = untouched & (speeds[0] >= rules.min_vut_mps) & _is_forward(vehicle, time, yaws[0])
+    counts = (
+        untouched
+        & (speeds[0] >= rules.min_vut_mps)
+        & _is_forward(vehicle, time, yaws[0])
+    )
     if not counts.any():
         return ""
     closing = vru.velocity_mps(time) - vehicle.velocity_mps(time)
-    ttc = np.where(counts, time_to_collision_s(offset, closing, *yaws, sizes=sizes), np.inf)
-    at, least_m = int(ttc.argmin()), float(gap[counts].min())
+    ttc = np.where(
+        counts, time_to_collision_s(offset, closing, *yaws, sizes=sizes), np.inf
+    )
+    at = int(ttc.argmin())
+    least_m = float(gap[counts].min())
     if ttc_limit_s is not None and ttc[at] <= ttc_limit_s:
-        moments, ends_s = (time[at], time[at]), (-float(ttc[at]),) * 2
+        moments = (time[at], time[at])
+        ends_s = (-float(ttc[at]),) * 2
     elif within_m is not None and least_m <= within_m:
         crossing = _crossing_s(vehicle, vru, time)
         if crossing is None:
@@ -148,11 +168,13 @@ def _replay(
         if speed_mps < rules.min_vut_mps:
             return "the car is slower than walking where their ways cross"
         # The VUT's front and the middle of the VRU are there together.
-        moments, ends_s = crossing, (0.5 * vut.length_m / speed_mps, 0.0)
+        moments = crossing
+        ends_s = (0.5 * vut.length_m / speed_mps, 0.0)
     else:
         return ""
     seen_s = min(moments) - float(time[0])
-    ways, own = [], []
+    ways = []
+    own = []
     for track, moment, end_s in zip((vehicle, vru), moments, ends_s, strict=True):
         ways.append(_way(track, moment, float(time[0]), end_s))
         own.append(round(_speed(track, moment) / MPS_PER_KMH, 1))
@@ -161,9 +183,14 @@ def _replay(
     known_s = min(seen_s + max(0.0, -ends_s[0]), rules.max_known_s)
     if known_s < rules.min_known_s:
         return f"both are recorded for less than {rules.min_known_s:g} s before"
-    recorded = RecordedEncounter(vut=ways[0], vru=ways[1], known_s=round(known_s, _MILLIMETRES))
+    recorded = RecordedEncounter(
+        vut=ways[0], vru=ways[1], known_s=round(known_s, _MILLIMETRES)
+    )
     driven = recorded.as_recorded(
-        vut=vut, vut_speed_mps=own[0] * MPS_PER_KMH, vru=actor, vru_speed_mps=own[1] * MPS_PER_KMH
+        vut=vut,
+        vut_speed_mps=own[0] * MPS_PER_KMH,
+        vru=actor,
+        vru_speed_mps=own[1] * MPS_PER_KMH,
     )
     early_s = first_contact_s(driven)
     if not abs(early_s) <= rules.min_known_s:
@@ -237,7 +264,9 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
         points.append(end - rules.way_step_m * ahead)
     rounded = np.round(points[::-1], _MILLIMETRES).tolist()
     points_m = tuple((east, north) for east, north in rounded)
-    return RecordedWay(points_m=points_m, yaw_deg=round(yaw_deg, _MILLIMETRES), end_s=end_s)
+    return RecordedWay(
+        points_m=points_m, yaw_deg=round(yaw_deg, _MILLIMETRES), end_s=end_s
+    )
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:
@@ -248,7 +277,9 @@ def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> st
     for one in found:
         case = re.sub(r"[^\w.-]", "_", f"{name}-{one.vehicle.id}-{one.vru.id}")
         if case in table:
-            raise InputError("ids", case, "every vehicle and every road user once in all files")
+            raise InputError(
+                "ids", case, "every vehicle and every road user once in all files"
+            )
         near = f"time to collision {one.ttc_s:.2f} s"
         if not np.isfinite(one.ttc_s):
             near = f"{one.gap_m:.2f} m apart"

@@ -57,7 +57,8 @@ class Course:
         inside = np.clip(station, self.begin_m, self.end_m)
         beyond = (station - inside)[..., None]
         index, share = self._place(inside)
-        before, after = self.points_m[index], self.points_m[index + 1]
+        before = self.points_m[index]
+        after = self.points_m[index + 1]
         point = before + share[..., None] * (after - before)
         yaw = self.interpolate(station, self.yaw_rad)
         return point + beyond * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1), yaw
@@ -66,7 +67,9 @@ class Course:
         """Values of its points, (n,), at stations (...,); beyond the ends they stay."""
         station = np.asarray(station_m, dtype=np.float64)
         index, share = self._place(np.clip(station, self.begin_m, self.end_m))
-        between: FloatArray = values[index] + share * (values[index + 1] - values[index])
+        between: FloatArray = values[index] + share * (
+            values[index + 1] - values[index]
+        )
         return between
 
     def tangent(self, station_m: float) -> Line:
@@ -79,13 +82,16 @@ class Course:
         if left_m == 0.0:
             return self
         if self.max_bend_per_m * abs(left_m) >= 1.0:
-            raise InputError("left_m", left_m, f"less than {1.0 / self.max_bend_per_m:.1f} m")
+            raise InputError(
+                "left_m", left_m, f"less than {1.0 / self.max_bend_per_m:.1f} m"
+            )
         left = np.stack([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)], axis=-1)
         return _course_of(self.points_m + left_m * left, self.yaw_rad, self._index(0.0))
 
     def reversed(self) -> "Course":
         """Course driven the other way; the origin stays."""
-        points_m, yaw_rad = freeze(self.points_m[::-1].copy()), freeze(self.yaw_rad[::-1] + np.pi)
+        points_m = freeze(self.points_m[::-1].copy())
+        yaw_rad = freeze(self.yaw_rad[::-1] + np.pi)
         return replace(self, begin_m=-self.end_m, points_m=points_m, yaw_rad=yaw_rad)
 
     def crossings_m(self, line: Line) -> FloatArray:
@@ -104,7 +110,9 @@ class Course:
         """The part between two stations; it goes straight on from there."""
         first = self._index(begin_m)
         part = slice(first, self._index(end_m) + 2)
-        return _course(self.begin_m + _STEP_M * first, self.points_m[part], self.yaw_rad[part])
+        return _course(
+            self.begin_m + _STEP_M * first, self.points_m[part], self.yaw_rad[part]
+        )
 
     def _index(self, station_m: float) -> int:
         last = len(self.points_m) - 2
@@ -119,20 +127,22 @@ class Course:
 def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
     """The smooth course along a lane.
 
-    `centreline_m` (n, 2): points of the lane in driving direction. World frame. `is_in`: it leads
-    into the junction: its mouth, the origin of stations, is its end. Else its start. Raises
-    InputError: the line has no length.
+    `centreline_m` (n, 2): points of the lane in driving direction. World frame.
+    `is_in`: it leads into the junction: its mouth, the origin of stations, is its end.
+    Else its start. Raises InputError: the line has no length.
 
-    A map's lane is a chain of chords; driven as it is, a body would jump in yaw at every point. The
-    course is the cubic smoothing spline [1]_ of the chain's points, taken every half metre, which
-    minimises the sum of (distance to the chain)^2 + L^4 (second derivative)^2 along the line with
-    L = 2 m. It has continuous curvature; circles of radius R shrink by L^4 / R^3 (16 mm for 10 m),
-    and a corner of the chain is cut by 0.35 L times its angle (0.25 m for 20 degrees). Beyond both
-    ends it goes straight on, in the direction that the lane has there.
+    A map's lane is a chain of chords; driven as it is, a body would jump in yaw at
+    every point. The course is the cubic smoothing spline [1]_ of the chain's points,
+    taken every half metre, which minimises the sum of (distance to the chain)^2 + L^4
+    (second derivative)^2 along the line with L = 2 m. It has continuous curvature;
+    circles of radius R shrink by L^4 / R^3 (16 mm for 10 m), and a corner of the chain
+    is cut by 0.35 L times its angle (0.25 m for 20 degrees). Beyond both ends it goes
+    straight on, in the direction that the lane has there.
 
     References
     ----------
-    .. [1] C. H. Reinsch, "Smoothing by spline functions", 1967; scipy's make_smoothing_spline.
+    .. [1] C. H. Reinsch, "Smoothing by spline functions", 1967; scipy's
+       make_smoothing_spline.
     """
     points = np.asarray(centreline_m, dtype=np.float64).reshape(-1, 2).tolist()
     origin = points[-1 if is_in else 0] if points else ()
@@ -141,7 +151,8 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
 
 def follow_way(points_m: Sequence[tuple[float, float]], yaw_deg: float) -> Course:
     """The smooth course along a way, whose last point is the origin; it goes on in a direction."""
-    end, ahead = np.array(points_m[-1]), np.radians(yaw_deg)
+    end = np.array(points_m[-1])
+    ahead = np.radians(yaw_deg)
     beyond = end + 2.0 * _END_CHORD_M * np.array([np.cos(ahead), np.sin(ahead)])
     return _follow((*map(tuple, points_m), tuple(beyond.tolist())), tuple(points_m[-1]))
 
@@ -158,12 +169,18 @@ def _follow(
     if close is not None:
         ends_m = _BEYOND_M + along_m(chain)[list(close)]
         close_m = ends_m + [-_CLOSE_BESIDE_M, _CLOSE_BESIDE_M]
-    chain = apart(chain, _SAME_POINT_M) if len(chain) else chain
+    if len(chain):
+        chain = apart(chain, _SAME_POINT_M)
+    else:
+        chain = chain
     if len(chain) < 2:
         raise InputError("centreline_m", len(chain), "at least two different points")
     chain = _led_on(chain)
     along = along_m(chain)
-    step_m = _SAMPLE_M if close_m is None else _CLOSE_SAMPLE_M
+    if close_m is None:
+        step_m = _SAMPLE_M
+    else:
+        step_m = _CLOSE_SAMPLE_M
     at = np.linspace(0.0, along[-1], int(along[-1] / step_m) + 2)
     weight = None
     if close_m is not None:
@@ -174,8 +191,10 @@ def _follow(
 
 def _led_on(chain_m: FloatArray) -> FloatArray:
     """A chain that goes straight on beyond both its ends."""
-    ahead, behind = _end_direction(chain_m), _end_direction(chain_m[::-1])
-    begin, end = chain_m[:1] + _BEYOND_M * behind, chain_m[-1:] + _BEYOND_M * ahead
+    ahead = _end_direction(chain_m)
+    behind = _end_direction(chain_m[::-1])
+    begin = chain_m[:1] + _BEYOND_M * behind
+    end = chain_m[-1:] + _BEYOND_M * ahead
     return np.concatenate([begin, chain_m, end])
 
 
@@ -195,16 +214,23 @@ def _smoothed(
     speed = np.hypot(*derivative(fine).T)
     length = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)))
     even = np.interp(np.arange(0.0, length[-1], _STEP_M), length, fine)
-    place, direction = spline(even) + origin, derivative(even)
+    place = spline(even) + origin
+    direction = derivative(even)
     yaw_rad = np.unwrap(np.arctan2(direction[:, 1], direction[:, 0]))
     nearest = int(np.hypot(*(place - np.asarray(origin_m)).T).argmin())
     return _course_of(place, yaw_rad, nearest)
 
 
 def _spline(
-    at_m: FloatArray, points_m: FloatArray, *, smoothing_m: float, weight: FloatArray | None
+    at_m: FloatArray,
+    points_m: FloatArray,
+    *,
+    smoothing_m: float,
+    weight: FloatArray | None,
 ) -> Any:
-    from scipy.interpolate import make_smoothing_spline  # takes a third of a second to import
+    from scipy.interpolate import (
+        make_smoothing_spline,
+    )  # takes a third of a second to import
 
     # The sum over samples stands for an integral over the length.
     stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
@@ -214,14 +240,15 @@ def _spline(
 def _end_direction(chain_m: FloatArray) -> FloatArray:
     """Unit vector in which a chain leads at its last point.
 
-    Chords of the last metres point where the lane led in their middles; what it turned between them
-    it turns once more by half up to its end.
+    Chords of the last metres point where the lane led in their middles; what it turned
+    between them it turns once more by half up to its end.
     """
     back = chain_m[::-1]
     along = along_m(back)
     reach = min(_END_CHORD_M, 0.5 * float(along[-1]))
     end, middle, begin = points_at(back, np.array([0.0, reach, 2.0 * reach]))
-    last, before = end - middle, middle - begin
+    last = end - middle
+    before = middle - begin
     turned = np.arctan2(before[0] * last[1] - before[1] * last[0], float(before @ last))
     more = np.clip(0.5 * turned, -_MAX_END_BEND_RAD, _MAX_END_BEND_RAD)
     yaw = np.arctan2(last[1], last[0]) + more
@@ -251,7 +278,8 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
 
 
 # ---------- turns
-LEFT, RIGHT = 1, -1
+LEFT = 1
+RIGHT = -1
 _SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
 _ANGLE_TOLERANCE_DEG = 1.0e-9
 
@@ -271,7 +299,9 @@ class Turn:
     def __post_init__(self) -> None:
         check = partial(check_field, self, "turn")
         check("radius_m", 0.0 < self.radius_m < np.inf, "> 0 metres")
-        check("first_radius_m", self.first_radius_m > self.radius_m, "more than radius_m")
+        check(
+            "first_radius_m", self.first_radius_m > self.radius_m, "more than radius_m"
+        )
         check("clothoid_deg", 0.0 < self.clothoid_deg < 90.0, "0 < degrees < 90")
         is_short = 0.0 <= self.arc_deg < 180.0 - 2.0 * self.clothoid_deg
         check("arc_deg", is_short, "degrees >= 0, less than 180 with both clothoids")
@@ -307,20 +337,23 @@ class Turn:
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Position (..., 2), ahead and left of the start, and angle turned after a distance.
 
-        Before the curve and behind its end the path is straight. The angle counts in degrees,
-        counter-clockwise.
+        Before the curve and behind its end the path is straight. The angle counts in
+        degrees, counter-clockwise.
 
-        A clothoid that begins with a curvature is a piece of one that begins without; the points
-        of that one are Fresnel's integrals.
+        A clothoid that begins with a curvature is a piece of one that begins without;
+        the points of that one are Fresnel's integrals.
         """
         distance = np.asarray(distance_m, dtype=np.float64)
         total = np.radians(self.angle_deg)
         from_start = np.clip(distance, 0.0, self.length_m)
         is_second_half = from_start > 0.5 * self.length_m
         # Seen from its end, backwards, the curve is its own mirror image.
-        from_nearer_end = np.where(is_second_half, self.length_m - from_start, from_start)
+        from_nearer_end = np.where(
+            is_second_half, self.length_m - from_start, from_start
+        )
         point, angle = self._first_half(from_nearer_end)
-        half_way, turned = self._half_way(), np.exp(1j * total)
+        half_way = self._half_way()
+        turned = np.exp(1j * total)
         end = half_way + turned * np.conj(half_way)
         point = np.where(is_second_half, end - turned * np.conj(point), point)
         angle = np.where(is_second_half, total - angle, angle)
@@ -332,7 +365,8 @@ class Turn:
     def turned_by(self, angle_deg: float) -> "Turn":
         """Turn with the arc for lanes that meet at another angle, 0 to 180 degrees, or InputError.
 
-        Where the clothoids alone would turn further, they are shorter and there is no arc.
+        Where the clothoids alone would turn further, they are shorter and there is no
+        arc.
         """
         if not 0.0 < angle_deg < 180.0:
             raise InputError("angle_deg", angle_deg, "0 < degrees < 180")
@@ -347,11 +381,14 @@ class Turn:
         point, _ = self._first_half(np.array(0.5 * self.length_m))
         return complex(point)
 
-    def _first_half(self, distance: FloatArray) -> tuple[NDArray[np.complex128], FloatArray]:
+    def _first_half(
+        self, distance: FloatArray
+    ) -> tuple[NDArray[np.complex128], FloatArray]:
         """Points as complex numbers and angles in radians, as if turning left."""
         from scipy.special import fresnel
 
-        first, curvature = 1.0 / self.first_radius_m, 1.0 / self.radius_m
+        first = 1.0 / self.first_radius_m
+        curvature = 1.0 / self.radius_m
         length = self.clothoid_length_m
         growth = (curvature - first) / length  # of the curvature, per metre
         skipped = first / growth  # of the clothoid that begins straight
@@ -365,7 +402,9 @@ class Turn:
         angle = (first + 0.5 * growth * on_clothoid) * on_clothoid
 
         on_arc = np.maximum(distance - length, 0.0) * curvature
-        point = point + 1j * self.radius_m * np.exp(1j * angle) * (1.0 - np.exp(1j * on_arc))
+        point = point + 1j * self.radius_m * np.exp(1j * angle) * (
+            1.0 - np.exp(1j * on_arc)
+        )
         return point, angle + on_arc
 
 
@@ -383,7 +422,9 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
     def turn(self) -> Turn:
         """The curve."""
         same = ("first_radius_m", "radius_m", "clothoid_deg", "arc_deg")
-        return Turn(side=_SIDES[self.side], **{name: getattr(self, name) for name in same})
+        return Turn(
+            side=_SIDES[self.side], **{name: getattr(self, name) for name in same}
+        )
 
 
 @cache
@@ -396,12 +437,16 @@ def load_turns() -> dict[str, TurnAtSpeed]:
 def pick_turn(side: str, speed_kmh: float) -> Turn:
     """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
 
-    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25 km/h. Raises
-    InputError: the side is unknown, the speed not positive, or between two tabulated ones.
+    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25
+    km/h. Raises InputError: the side is unknown, the speed not positive, or between two
+    tabulated ones.
     """
     check_one_of("turn", side, _SIDES)
-    by_speed = {one.speed_kmh: one.turn for one in load_turns().values() if one.side == side}
-    slowest, fastest = min(by_speed), max(by_speed)
+    by_speed = {
+        one.speed_kmh: one.turn for one in load_turns().values() if one.side == side
+    }
+    slowest = min(by_speed)
+    fastest = max(by_speed)
     nearest_kmh = min(max(speed_kmh, slowest), fastest)
     if not 0.0 < speed_kmh < np.inf or nearest_kmh not in by_speed:
         known = ", ".join(f"{known_kmh:g}" for known_kmh in sorted(by_speed))
@@ -414,14 +459,18 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
 def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
     """The course along a lane, round a turn into another lane, and along that one.
 
-    Its origin is where the turn begins. The turn has the arc that the lanes' directions at its ends
-    ask for, and is returned with it; it begins and ends on the lanes, wherever these bend. Raises
-    InputError: the lanes do not lie so that the turn joins them.
+    Its origin is where the turn begins. The turn has the arc that the lanes' directions
+    at its ends ask for, and is returned with it; it begins and ends on the lanes,
+    wherever these bend. Raises InputError: the lanes do not lie so that the turn joins
+    them.
     """
     begin_m = end_m = 0.0
     for _ in range(_MAX_STEPS):
-        before, after = entry.tangent(begin_m), exit_course.tangent(end_m)
-        angle_deg = turn.side * ((after.yaw_deg - before.yaw_deg + 180.0) % 360.0 - 180.0)
+        before = entry.tangent(begin_m)
+        after = exit_course.tangent(end_m)
+        angle_deg = turn.side * (
+            (after.yaw_deg - before.yaw_deg + 180.0) % 360.0 - 180.0
+        )
         fitted = turn.turned_by(angle_deg)
         corner = before.crossing_with(after)
         early_m = float(before.coordinates(corner)[0]) - fitted.tangent_m
@@ -431,17 +480,24 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
         begin_m += _DAMPING * early_m
         end_m += _DAMPING * late_m
     else:
-        raise InputError("turn", turn.radius_m, "lanes that a curve of this radius joins")
-    begin_m, end_m = begin_m + early_m, end_m + late_m
+        raise InputError(
+            "turn", turn.radius_m, "lanes that a curve of this radius joins"
+        )
+    begin_m = begin_m + early_m
+    end_m = end_m + late_m
     along = np.arange(0.0, fitted.length_m, _STEP_M)
     ahead_left, turned_deg = fitted.at(along)
     start = entry.tangent(begin_m)
-    ahead, left = ahead_left[:, :1], ahead_left[:, 1:]
+    ahead = ahead_left[:, :1]
+    left = ahead_left[:, 1:]
     round_turn = start.point_m + ahead * start.direction + left * start.left
-    yaw, exit_yaw = np.radians(start.yaw_deg + turned_deg), exit_course.yaw_rad
+    yaw = np.radians(start.yaw_deg + turned_deg)
+    exit_yaw = exit_course.yaw_rad
     before_part = slice(0, max(entry._index(begin_m), 0))
     after_part = slice(exit_course._index(end_m) + 2, None)
-    yaws = np.unwrap(np.concatenate([entry.yaw_rad[before_part], yaw, exit_yaw[after_part]]))
+    yaws = np.unwrap(
+        np.concatenate([entry.yaw_rad[before_part], yaw, exit_yaw[after_part]])
+    )
     points = np.concatenate(
         [entry.points_m[before_part], round_turn, exit_course.points_m[after_part]]
     )
@@ -455,13 +511,18 @@ def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
 
 
 def follow_connection(
-    before_m: FloatArray, connection_m: FloatArray, after_m: FloatArray, *, is_origin_behind: bool
+    before_m: FloatArray,
+    connection_m: FloatArray,
+    after_m: FloatArray,
+    *,
+    is_origin_behind: bool,
 ) -> Course:
     """The course along a lane (n, 2), through a junction on its own lane, and along another one.
 
     The lane through the junction is smoothed over 0.4 m, the others over 2 m, see
-    :func:`follow_lane`: where a straight line becomes a circle of radius R, the course leaves it by
-    0.2 L^2 / R, 5 mm for 6 m. Its origin is where that lane begins, or ends.
+    :func:`follow_lane`: where a straight line becomes a circle of radius R, the course
+    leaves it by 0.2 L^2 / R, 5 mm for 6 m. Its origin is where that lane begins, or
+    ends.
     """
     chains = before_m, connection_m, after_m
     points = tuple(map(tuple, np.concatenate(chains).tolist()))
@@ -474,14 +535,18 @@ def follow_gently(
 ) -> Course:
     """The gentlest course along lanes one after the other that leaves their middles a little.
 
-    `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far it may
-    leave each of them, > 0. `origin`: the lane at whose start its origin is; their number: where
-    the last one ends.
+    `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far
+    it may leave each of them, > 0. `origin`: the lane at whose start its origin is;
+    their number: where the last one ends.
 
-    The smoothing spline of :func:`follow_lane` with L = 16 m, whose points weigh more from round to
-    round where it leaves the lanes farther than it may, and 5 m to both sides of there.
+    The smoothing spline of :func:`follow_lane` with L = 16 m, whose points weigh more
+    from round to round where it leaves the lanes farther than it may, and 5 m to both
+    sides of there.
     """
-    at_origin = chains_m[origin][0] if origin < len(chains_m) else chains_m[-1][-1]
+    if origin < len(chains_m):
+        at_origin = chains_m[origin][0]
+    else:
+        at_origin = chains_m[-1][-1]
     free = np.repeat(free_m, [len(chain) for chain in chains_m])
     points = tuple(map(tuple, np.concatenate(chains_m).tolist()))
     return _gentle(points, tuple(free.tolist()), tuple(at_origin.tolist()))
@@ -489,7 +554,9 @@ def follow_gently(
 
 @lru_cache(maxsize=256)  # as _follow
 def _gentle(
-    points: tuple[tuple[float, ...], ...], free_m: tuple[float, ...], origin_m: tuple[float, ...]
+    points: tuple[tuple[float, ...], ...],
+    free_m: tuple[float, ...],
+    origin_m: tuple[float, ...],
 ) -> Course:
     from scipy.ndimage import maximum_filter1d
 
@@ -499,7 +566,8 @@ def _gentle(
     chain = _led_on(chain[is_new])
     along = along_m(chain)
     at = np.linspace(0.0, along[-1], int(along[-1] / _SAMPLE_M) + 2)
-    samples, near = points_at(chain, at), int(_EASED_M / _SAMPLE_M)
+    samples = points_at(chain, at)
+    near = int(_EASED_M / _SAMPLE_M)
     free_at = np.interp(at, along[1:-1], free)
     weight = np.ones(len(at))
     for _ in range(_MAX_STEPS):

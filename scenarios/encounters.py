@@ -22,7 +22,9 @@ _LONGEST_S = 600.0  # contacts later than this are not looked for
 _FIRST_STEP_S = 0.25
 _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
-GRAZING_M = 1.0e-7  # nearer is contact: cells in which the bodies move less are not divided
+GRAZING_M = (
+    1.0e-7  # nearer is contact: cells in which the bodies move less are not divided
+)
 _N_PARTS = 8  # of a cell along one time
 _PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
 _N_TOGETHER = 1024  # cells to divide in one go
@@ -34,8 +36,8 @@ class Encounter:
 
     # the bodies; only their footprints count here
     vut: Actor
-    # without braking; the VUT is up to speed when it sets off. Paths are those of the middle of the
-    # footprint.
+    # without braking; the VUT is up to speed when it sets off. Paths are those of the
+    # middle of the footprint.
     vut_motion: Motion
     vru: Actor
     vru_motion: Motion
@@ -44,30 +46,44 @@ class Encounter:
     def __post_init__(self) -> None:
         check = partial(check_field, vut := self.vut_motion, "encounter.vut_motion")
         is_steady = vut.acceleration_distance_m == 0.0
-        check("acceleration_distance_m", is_steady, "0: the VUT is up to speed when it sets off")
+        check(
+            "acceleration_distance_m",
+            is_steady,
+            "0: the VUT is up to speed when it sets off",
+        )
         check("speed_mps", vut.speed_mps != 0.0, "> 0: the VUT drives")
         object.__setattr__(self, "_sizes", footprint_sizes(self.vut, self.vru))
 
-    def separation_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
+    def separation_m(
+        self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
+    ) -> FloatArray:
         """Separation of the footprints after distances that broadcast; up to zero: they touch."""
         separation: FloatArray = self.gaps_m(vut_distance_m, vru_distance_m).max(axis=0)
         return separation
 
-    def gaps_m(self, vut_distance_m: FloatArray, vru_distance_m: FloatArray) -> FloatArray:
+    def gaps_m(
+        self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
+    ) -> FloatArray:
         """Gaps along the four normals, (4, ...); see :func:`geometry.footprints.gaps_between`."""
         vut_position, vut_yaw = self.vut_motion.path.at(vut_distance_m)
         vru_position, vru_yaw = self.vru_motion.path.at(vru_distance_m)
-        return gaps_between(vru_position - vut_position, vut_yaw, vru_yaw, sizes=self._sizes)
+        return gaps_between(
+            vru_position - vut_position, vut_yaw, vru_yaw, sizes=self._sizes
+        )
 
     @property
     def vut_reach(self) -> float:
         """How far any point of the VUT may move while it drives a metre."""
-        return 1.0 + self.vut_motion.path.max_turn_rad_per_m * _half_diagonal_m(self.vut)
+        return 1.0 + self.vut_motion.path.max_turn_rad_per_m * _half_diagonal_m(
+            self.vut
+        )
 
     @property
     def vru_reach(self) -> float:
         """How far any point of the VRU may move while it moves on by a metre."""
-        return 1.0 + self.vru_motion.path.max_turn_rad_per_m * _half_diagonal_m(self.vru)
+        return 1.0 + self.vru_motion.path.max_turn_rad_per_m * _half_diagonal_m(
+            self.vru
+        )
 
     @property
     def near_m(self) -> float:
@@ -77,51 +93,73 @@ class Encounter:
     @property
     def small_m(self) -> float:
         """Neither body gets past the other while they move less than this, in metres."""
-        return 0.25 * sum(min(body.length_m, body.width_m) for body in (self.vut, self.vru))
+        return 0.25 * sum(
+            min(body.length_m, body.width_m) for body in (self.vut, self.vru)
+        )
 
     def max_gap_bend_mps2(self, deceleration_mps2: float) -> float:
         """Bound of the second time derivative of :meth:`gaps_m` while the bodies are near.
 
         `deceleration_mps2` is the most that the VUT brakes with.
 
-        A gap is n . d - r: d from middle to middle, the normal n turns with its body, the reach r
-        of both bodies along n depends on the angle between them. Near means that d is at most
-        three times the half diagonals of both together, and r once.
+        A gap is n . d - r: d from middle to middle, the normal n turns with its body,
+        the reach r of both bodies along n depends on the angle between them. Near means
+        that d is at most three times the half diagonals of both together, and r once.
         """
         bend = speed = turning = turning_change = 0.0
         for motion, acceleration_mps2 in (
             (self.vut_motion, deceleration_mps2),
             (self.vru_motion, self.vru_motion.acceleration_mps2),
         ):
-            turn, v = motion.path.max_turn_rad_per_m, motion.speed_mps
+            turn = motion.path.max_turn_rad_per_m
+            v = motion.speed_mps
             bend += acceleration_mps2 + 3.0 * turn * v**2
             speed += v
             turning += turn * v
             change = motion.path.max_turn_change_rad_per_m2
             turning_change += change * v**2 + turn * acceleration_mps2
-        return bend + 2.0 * turning * speed + (turning_change + turning**2) * 4.0 * self.near_m
+        return (
+            bend
+            + 2.0 * turning * speed
+            + (turning_change + turning**2) * 4.0 * self.near_m
+        )
 
 
 def first_contact_s(encounter: Encounter) -> float:
     """When the bodies first touch without braking, to 0.1 us; infinite: not within ten minutes."""
-    vut, vru = encounter.vut_motion, encounter.vru_motion
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
 
     def measure(cells: Cells) -> Measures:
-        time, moves = cells.first_s, speed * cells.half_first_s
+        time = cells.first_s
+        moves = speed * cells.half_first_s
         separation = encounter.separation_m(vut.distance_m(time), vru.distance_m(time))
         may_touch = separation <= moves
         touches = (separation <= 0.0) | (may_touch & (moves <= GRAZING_M))
         by_first = np.ones(len(time), dtype=bool)
-        return Measures(may_touch=may_touch, touches=touches, is_cut_along_first=by_first)
+        return Measures(
+            may_touch=may_touch, touches=touches, is_cut_along_first=by_first
+        )
 
-    # The further in the future, the longer the looks: bodies that part are far apart by then.
-    n_cells = int(np.log1p(_LONGEST_S * _STEP_GROWTH / _FIRST_STEP_S) / np.log1p(_STEP_GROWTH)) + 1
+    # The further in the future, the longer the looks: bodies that part are far apart by
+    # then.
+    n_cells = (
+        int(
+            np.log1p(_LONGEST_S * _STEP_GROWTH / _FIRST_STEP_S) / np.log1p(_STEP_GROWTH)
+        )
+        + 1
+    )
     after_s = np.expm1(np.arange(n_cells + 1) * np.log1p(_STEP_GROWTH))
-    edges = min(vut.start_time_s, vru.start_time_s) + after_s * (_FIRST_STEP_S / _STEP_GROWTH)
+    edges = min(vut.start_time_s, vru.start_time_s) + after_s * (
+        _FIRST_STEP_S / _STEP_GROWTH
+    )
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
-    half, nothing = 0.5 * np.diff(edges), np.zeros(n_cells)
-    cells = Cells(first_s=middle, second_s=nothing, half_first_s=half, half_second_s=nothing)
+    half = 0.5 * np.diff(edges)
+    nothing = np.zeros(n_cells)
+    cells = Cells(
+        first_s=middle, second_s=nothing, half_first_s=half, half_second_s=nothing
+    )
     _, touch_s = find_first_touch(cells, measure, tolerance_s=_CONTACT_TOLERANCE_S)
     return touch_s
 
@@ -141,7 +179,9 @@ class Measures:
 
     may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
     touches: BoolArray  # (n,); true: there is one at the middle of its first time
-    is_cut_along_first: BoolArray  # (n,); along which time to divide it: where more is unknown
+    is_cut_along_first: (
+        BoolArray  # (n,); along which time to divide it: where more is unknown
+    )
 
 
 def find_first_touch(
@@ -150,13 +190,13 @@ def find_first_touch(
     """Smallest first time at which there is a contact, found between two limits.
 
     There is no contact before the first limit and one at the second, which are at most
-    `tolerance_s` apart; both are infinite if there is none. `cells` cover everything to be looked
-    at, and `measure` must say of all small ones, by ``GRAZING_M``, that they do or do not touch:
-    else the search might not end.
+    `tolerance_s` apart; both are infinite if there is none. `cells` cover everything to
+    be looked at, and `measure` must say of all small ones, by ``GRAZING_M``, that they
+    do or do not touch: else the search might not end.
 
-    Branch and bound: a cell whose bodies are further apart than they can move within it holds no
-    contact, so nothing is overlooked between two looks. The others are divided, the earliest
-    first.
+    Branch and bound: a cell whose bodies are further apart than they can move within it
+    holds no contact, so nothing is overlooked between two looks. The others are
+    divided, the earliest first.
     """
     pool, touch_s = _look(np.stack(cells), measure, np.inf)
     while pool.shape[1] > 0:
@@ -176,9 +216,12 @@ def find_first_touch(
 
 def _divide(pool: FloatArray) -> FloatArray:
     """Cut each cell into equal parts. Rows: middles, halves, whether along the first time."""
-    middle, half = pool[:2], pool[2:4]
+    middle = pool[:2]
+    half = pool[2:4]
     is_cut = np.stack([pool[4] > 0.0, pool[4] == 0.0])
-    middles = middle[:, :, None] + np.where(is_cut, half, 0.0)[:, :, None] * _PART_MIDDLES
+    middles = (
+        middle[:, :, None] + np.where(is_cut, half, 0.0)[:, :, None] * _PART_MIDDLES
+    )
     halves = np.repeat(np.where(is_cut, half / _N_PARTS, half), _N_PARTS, axis=1)
     return np.concatenate([middles.reshape(2, -1), halves])
 
@@ -191,7 +234,10 @@ def _look(
     if seen.touches.any():
         touch_s = min(touch_s, float(pool[0][seen.touches].min()))
     kept = seen.may_touch & (pool[0] - pool[2] < touch_s)
-    return np.concatenate([pool[:4], seen.is_cut_along_first[None, :]])[:, kept], touch_s
+    return (
+        np.concatenate([pool[:4], seen.is_cut_along_first[None, :]])[:, kept],
+        touch_s,
+    )
 
 
 def _half_diagonal_m(body: Actor) -> float:
@@ -200,14 +246,17 @@ def _half_diagonal_m(body: Actor) -> float:
 
 # ---------- recorded ones as they are replayed: two ways that were taken, at constant speeds
 _LONGEST_WAY_M = 1000.0
-_MAX_EARLY_S = 0.3  # of a contact before the impact: more is another impact, somewhere else
+_MAX_EARLY_S = (
+    0.3  # of a contact before the impact: more is another impact, somewhere else
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedWay:
     """A way as it was taken, and when."""
 
-    # of the middle of the body; goes straight on before and after them. World frame. [m]
+    # of the middle of the body; goes straight on before and after them. World frame.
+    # [m]
     points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
     yaw_deg: float  # direction in which it goes straight on
     # when the body is at the last point; the impact is at 0. [s]
@@ -217,7 +266,9 @@ class RecordedWay:
         length_m = sum(dist(*ends) for ends in pairwise(self.points_m))
         if not 0.0 < length_m <= _LONGEST_WAY_M or not isfinite(self.yaw_deg):
             got = Unquoted(f"{length_m:g} m towards {self.yaw_deg:g} degrees")
-            raise InputError("", got, f"a way of at most {_LONGEST_WAY_M:g} m with a direction")
+            raise InputError(
+                "", got, f"a way of at most {_LONGEST_WAY_M:g} m with a direction"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -253,13 +304,20 @@ class RecordedEncounter:
         def later(motion: Motion) -> Motion:
             return replace(motion, start_time_s=motion.start_time_s - early_s)
 
-        vut_motion, vru_motion = later(found.vut_motion), later(found.vru_motion)
+        vut_motion = later(found.vut_motion)
+        vru_motion = later(found.vru_motion)
         return replace(found, vut_motion=vut_motion, vru_motion=vru_motion)
 
 
 def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
     course = follow_way(way.points_m, way.yaw_deg)
-    start_m = course.station_of(way.points_m[0]) if speed_mps > 0.0 else 0.0
-    start_s = way.end_s + start_m / speed_mps if speed_mps > 0.0 else -known_s
+    if speed_mps > 0.0:
+        start_m = course.station_of(way.points_m[0])
+    else:
+        start_m = 0.0
+    if speed_mps > 0.0:
+        start_s = way.end_s + start_m / speed_mps
+    else:
+        start_s = -known_s
     path = CoursePath(course=course, start_m=start_m)
     return Motion(path=path, speed_mps=speed_mps, start_time_s=start_s)

@@ -40,20 +40,24 @@ _POLES = ("lamp post", "traffic light")
 def make_room(staging: Staging, scene: Scene) -> Staging:
     """A staging whose obstruction stands where there is room for it.
 
-    Parked cars and walls stand outside the lanes that are driven on and outside the junction, cars
-    not on islands between them either, unless the map has a parking lane there. Where the
-    protocol's place is not free they are moved, as little as possible: aside, away from whom they
-    stand next to, and back, away from where the ways cross; how far, ``data/laying.toml`` says.
-    Raises CannotCarryError: a body has no room; names it and what stands there. NoKerbError: lanes
-    or the junction cover all places of the parked bodies.
+    Parked cars and walls stand outside the lanes that are driven on and outside the
+    junction, cars not on islands between them either, unless the map has a parking lane
+    there. Where the protocol's place is not free they are moved, as little as possible:
+    aside, away from whom they stand next to, and back, away from where the ways cross;
+    how far, ``data/laying.toml`` says. Raises CannotCarryError: a body has no room;
+    names it and what stands there. NoKerbError: lanes or the junction cover all places
+    of the parked bodies.
 
-    Looked at with rays along the middle and both flanks of the ways, and around and across the
-    parked bodies' footprints. A VRU passes next to a pole that stands on its line. What the map
-    does not show does not stand in the way.
+    Looked at with rays along the middle and both flanks of the ways, and around and
+    across the parked bodies' footprints. A VRU passes next to a pole that stands on its
+    line. What the map does not show does not stand in the way.
     """
     encounter = staging.encounter
     solid = _solid(scene, has_poles=True)
-    whose = "the target" if is_vehicle(encounter.vru) else "the VRU"
+    if is_vehicle(encounter.vru):
+        whose = "the target"
+    else:
+        whose = "the VRU"
     others = _solid(scene, has_poles=False)
     _check(others, _way(encounter.vru_motion, encounter.vru), f"{whose}'s way")
     _check(solid, _way(encounter.vut_motion, encounter.vut), "the VUT's way")
@@ -65,7 +69,10 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
         tuple(staging.aside.tolist()),
         tuple(staging.back.tolist()),
         staging.max_aside_m,
-        tuple((body.actor.name, tuple(body.footprint_m.ravel())) for body in staging.obstruction),
+        tuple(
+            (body.actor.name, tuple(body.footprint_m.ravel()))
+            for body in staging.obstruction
+        ),
     )
     if not (aside_m or back_m):
         return staging
@@ -84,8 +91,12 @@ def is_way_free(
     segments = _way(motion, body)
     if not _is_free(_solid(scene, has_poles=False), segments):
         return False
-    parked = shapely.polygons(np.array([one.footprint_m for one in obstruction]).reshape(-1, 4, 2))
-    return not bool(shapely.intersects(shapely.multilinestrings(segments), parked).any())
+    parked = shapely.polygons(
+        np.array([one.footprint_m for one in obstruction]).reshape(-1, 4, 2)
+    )
+    return not bool(
+        shapely.intersects(shapely.multilinestrings(segments), parked).any()
+    )
 
 
 @lru_cache(maxsize=256)
@@ -103,10 +114,14 @@ def _find_room(
     places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
     outlines = shapely.polygons(places)
     areas = _areas(scene)
-    off_road = np.flatnonzero(~shapely.intersects(areas.carriageway, outlines).any(axis=1))
+    off_road = np.flatnonzero(
+        ~shapely.intersects(areas.carriageway, outlines).any(axis=1)
+    )
     n_off_road = len(off_road)
     is_car = np.array([not name.startswith(_WALL) for name, _ in bodies])
-    on_island = _are_on_islands(scene, places[off_road][:, is_car], np.array(aside)).any(axis=1)
+    on_island = _are_on_islands(
+        scene, places[off_road][:, is_car], np.array(aside)
+    ).any(axis=1)
     off_road = off_road[~on_island]
     # Rays do not meet the house that is all around them.
     is_indoors = shapely.contains(areas.houses, outlines).any(axis=1)
@@ -117,7 +132,10 @@ def _find_room(
     names = [name for name, _ in bodies]
     all_names = " and ".join(dict.fromkeys(names))
     if not len(off_road):
-        where = "a traffic island" if n_off_road else "the carriageway"
+        if n_off_road:
+            where = "a traffic island"
+        else:
+            where = "the carriageway"
         raise NoKerbError(f"{all_names} {ON_ROAD} {where}")
     for name, place in zip(names, places[off_road[0]], strict=True):
         _check(solid, _sides(place[None]), f"the place of {name}")
@@ -131,16 +149,24 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
     """
     rules = load_obstruction_rules()
     behind = places_m + rules.island_m * aside
-    swept = shapely.convex_hull(shapely.multipoints(np.concatenate([places_m, behind], axis=-2)))
+    swept = shapely.convex_hull(
+        shapely.multipoints(np.concatenate([places_m, behind], axis=-2))
+    )
     has_lane = shapely.intersects(_areas(scene).parking, shapely.polygons(places_m))
     is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
     if not swept.size:
         return is_island
-    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(-1, 2)  # from rear to front
+    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(
+        -1, 2
+    )  # from rear to front
     tree, directions = _pieces(scene)
     place, piece = tree.query(swept.ravel(), predicate="intersects")
-    along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(*axes[place].T)
-    is_island.ravel()[place[along >= np.cos(np.radians(rules.max_island_skew_deg))]] = True
+    along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(
+        *axes[place].T
+    )
+    is_island.ravel()[place[along >= np.cos(np.radians(rules.max_island_skew_deg))]] = (
+        True
+    )
     is_island &= ~has_lane
     return is_island
 
@@ -148,11 +174,14 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
 @lru_cache(maxsize=8)
 def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
     """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
-    pieces, directions = [], []
+    pieces = []
+    directions = []
     parking = _areas(scene).parking
     for lane in scene.lanes:
         if lane.kind == "driving":
-            for begin, end in zip(lane.centreline_m[:-1], lane.centreline_m[1:], strict=True):
+            for begin, end in zip(
+                lane.centreline_m[:-1], lane.centreline_m[1:], strict=True
+            ):
                 side = 0.5 * lane.width_m - _MAY_OVERLAP_M
                 strip = shapely.LineString([begin, end]).buffer(side, cap_style="flat")
                 pieces.append(shapely.difference(strip, parking))
@@ -165,7 +194,9 @@ def _moves_m(max_aside_m: float) -> FloatArray:
     """Metres aside and back, (n, 2), the shortest ways first."""
     rules = load_obstruction_rules()
     step = rules.step_m
-    asides = step * np.arange(-int(rules.max_nearer_m / step), int(max_aside_m / step) + 1)
+    asides = step * np.arange(
+        -int(rules.max_nearer_m / step), int(max_aside_m / step) + 1
+    )
     backs = step * np.arange(int(rules.max_back_m / step) + 1)
     moves = np.stack(np.meshgrid(asides, backs, indexing="ij"), axis=-1).reshape(-1, 2)
     return freeze(moves[np.argsort(np.abs(moves).sum(axis=1), kind="stable")])
@@ -188,7 +219,9 @@ def _areas(scene: Scene) -> _Areas:
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
-    parking = shapely.union_all(strips_of(lane for lane in scene.lanes if lane.kind == "parking"))
+    parking = shapely.union_all(
+        strips_of(lane for lane in scene.lanes if lane.kind == "parking")
+    )
     # Some maps mark parking spaces on a lane that is wide enough for both.
     driven = shapely.difference(shapely.union_all(strips), parking)
     areas = _Areas(shapely.union(inside, driven), parking, houses_of(scene))
@@ -208,8 +241,12 @@ class _Solid(NamedTuple):
     def rays(self, segments_m: FloatArray) -> tuple[FloatRays, FloatRays]:
         """Starts and ways (n, 3) of segments at each height above the ground."""
         terrain = terrain_of(self.scene)
-        starts, ends = np.swapaxes(on_ground(segments_m, terrain) - [*self.origin_m, 0.0], 0, 1)
-        lifted = np.concatenate([starts + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M])
+        starts, ends = np.swapaxes(
+            on_ground(segments_m, terrain) - [*self.origin_m, 0.0], 0, 1
+        )
+        lifted = np.concatenate(
+            [starts + [0.0, 0.0, height_m] for height_m in _HEIGHTS_M]
+        )
         ways = np.tile(ends - starts, (len(_HEIGHTS_M), 1))
         return lifted.astype(np.float32), ways.astype(np.float32)
 
@@ -217,8 +254,11 @@ class _Solid(NamedTuple):
 @lru_cache(maxsize=8)
 def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
     passed = (GROUND,) if has_poles else (GROUND, *_POLES)
-    counts = np.array([thing.class_name not in passed for thing in scene.instances], dtype=bool)
-    kept, origin = counts[scene.triangle_instance], scene.outline_m.mean(axis=0)
+    counts = np.array(
+        [thing.class_name not in passed for thing in scene.instances], dtype=bool
+    )
+    kept = counts[scene.triangle_instance]
+    origin = scene.outline_m.mean(axis=0)
     # A few thousand rays: not worth the second that Open3D takes to load.
     near_m = scene.vertices_m - [*origin, 0.0]
     caster = build_caster(near_m, scene.triangles[kept], library="embree")
@@ -235,7 +275,9 @@ def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
     if solid.caster.is_blocked(*rays).any():
         share, triangle = solid.caster.first_triangle(*rays)
         met = solid.instance[triangle[share <= max(1.0, share.min())]]
-        raise CannotCarryError(f"{solid.scene.instances[met.min()].id} stands in {what}")
+        raise CannotCarryError(
+            f"{solid.scene.instances[met.min()].id} stands in {what}"
+        )
 
 
 def _way(motion: Motion, body: Actor) -> FloatArray:
@@ -256,7 +298,9 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
 
 def _sides(corners_m: FloatArray) -> FloatArray:
     """Segments around footprints (n, 4, 2) and, close together, across them."""
-    ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])  # four sides, two diagonals
+    ends = np.array(
+        [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]
+    )  # four sides, two diagonals
     around = corners_m[:, ends].reshape(-1, 2, 2)
     longest = np.hypot(*np.ptp(corners_m, axis=1).T).max()
     share = np.linspace(0.0, 1.0, int(longest / _ACROSS_STEP_M) + 2)[1:-1, None, None]
@@ -277,17 +321,25 @@ def hide(
     vru_m: float,
 ) -> Staging:
     """An encounter with its obstruction in place; the ways cross at the stations."""
-    vut_line, vru_line = vut_way.direction(vut_m), vru_way.direction(vru_m)
-    vut, vru = encounter.vut, encounter.vru
+    vut_line = vut_way.direction(vut_m)
+    vru_line = vru_way.direction(vru_m)
+    vut = encounter.vut
+    vru = encounter.vru
     if obstruction.kind == "beside-vut":
         side = -float(np.sign(vut_line.left @ vru_line.direction))
-        aside, back = side * vut_line.left, -vut_line.direction
-        bodies = _beside_vut(obstruction, vut=vut, vut_way=vut_way, vut_m=vut_m, vru=vru, side=side)
+        aside = side * vut_line.left
+        back = -vut_line.direction
+        bodies = _beside_vut(
+            obstruction, vut=vut, vut_way=vut_way, vut_m=vut_m, vru=vru, side=side
+        )
     else:
         # +1 if the VUT comes from the left of the VRU's way, -1 from its right
         side = -float(np.sign(vru_line.left @ vut_line.direction))
-        aside, back = side * vru_line.left, -vru_line.direction
-        bodies = _beside_vru(obstruction, vru_way=vru_way, vru_m=vru_m, vru=vru, side=side)
+        aside = side * vru_line.left
+        back = -vru_line.direction
+        bodies = _beside_vru(
+            obstruction, vru_way=vru_way, vru_m=vru_m, vru=vru, side=side
+        )
     return Staging(
         encounter=encounter,
         obstruction=bodies,
@@ -298,15 +350,21 @@ def hide(
 
 
 def park(
-    encounter: Encounter, obstruction: Obstruction, *, row_way: Way, bumper_m: float, side: float
+    encounter: Encounter,
+    obstruction: Obstruction,
+    *,
+    row_way: Way,
+    bumper_m: float,
+    side: float,
 ) -> Staging:
     """An encounter with a row of cars parked beside a lane, noses as the VUT's, flush to the road.
 
-    `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station of the first
-    front bumper; `side` is +1 to the left of it, -1 to the right.
+    `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station
+    of the first front bumper; `side` is +1 to the left of it, -1 to the right.
     """
     line = row_way.direction(bumper_m)
-    gap_m, bodies = obstruction.side_gap_m, obstruction.bodies
+    gap_m = obstruction.side_gap_m
+    bodies = obstruction.bodies
     left_m = {actor: side * (gap_m + 0.5 * actor.width_m) for actor in bodies}
     return Staging(
         encounter=encounter,
@@ -331,7 +389,13 @@ def _row(
 
 
 def _beside_vut(
-    obstruction: Obstruction, *, vut: Actor, vut_way: Way, vut_m: float, vru: Actor, side: float
+    obstruction: Obstruction,
+    *,
+    vut: Actor,
+    vut_way: Way,
+    vut_m: float,
+    vru: Actor,
+    side: float,
 ) -> tuple[PlacedActor, ...]:
     """Cars parked along the VUT's way, on the side from which the VRU comes, noses as the VUT's.
 
@@ -348,7 +412,9 @@ def _beside_vut(
             yaw_deg=line.yaw_deg,
             gap_m=obstruction.between_gap_m,
         )
-    row_m = sum(actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies)
+    row_m = sum(
+        actor.length_m + obstruction.between_gap_m for actor in obstruction.bodies
+    )
     row, bumper_m = vut_way.offset(left_m, bumper_m, back_m=row_m, ahead_m=0.0)
     return _row(obstruction, row, bumper_m, dict.fromkeys(obstruction.bodies, 0.0))
 
@@ -366,13 +432,17 @@ def _beside_vru(
         line = vru_way.direction(station_m)
         if actor.class_name != "wall":
             line = line.turned(180.0)
-        bodies.append(_placed(actor, vru_way.point(station_m, side * beside_m), line.yaw_deg))
+        bodies.append(
+            _placed(actor, vru_way.point(station_m, side * beside_m), line.yaw_deg)
+        )
         rear_m += actor.length_m + obstruction.between_gap_m
     return tuple(bodies)
 
 
 def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
-    return PlacedActor(actor=actor, pose=Pose(position_m=np.append(point_m, 0.0), yaw_deg=yaw_deg))
+    return PlacedActor(
+        actor=actor, pose=Pose(position_m=np.append(point_m, 0.0), yaw_deg=yaw_deg)
+    )
 
 
 @cache

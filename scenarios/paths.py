@@ -20,9 +20,9 @@ _TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre o
 _ODE_TOLERANCE = 1.0e-11
 _TOW_STEPS = 10  # points of a course that one step of the integration passes
 
-# A path says where a body is after a distance. The middle of its footprint never moves further than
-# the distance, and its line is never bent more than three times as much as the heading turns at
-# most.
+# A path says where a body is after a distance. The middle of its footprint never moves
+# further than the distance, and its line is never bent more than three times as much as
+# the heading turns at most.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +31,9 @@ class StraightPath:
 
     start_m: FloatArray  # (2,); east, north at distance 0
     yaw_deg: float  # direction, counter-clockwise from east
-    direction: FloatArray = field(init=False, repr=False)  # the same as a unit vector, (2,)
+    direction: FloatArray = field(
+        init=False, repr=False
+    )  # the same as a unit vector, (2,)
     # how much the heading changes in a metre, and how much that changes itself, at most
     max_turn_rad_per_m: ClassVar[float] = 0.0
     max_turn_change_rad_per_m2: ClassVar[float] = 0.0
@@ -51,8 +53,8 @@ class StraightPath:
 class TurnPath:
     """A vehicle's way: straight on, round a turn, and straight on without end.
 
-    Distances are those of the front axle's centre, the protocol's control point, which follows the
-    line. The rear axle is dragged behind it and never slips sideways.
+    Distances are those of the front axle's centre, the protocol's control point, which
+    follows the line. The rear axle is dragged behind it and never slips sideways.
     """
 
     start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
@@ -70,7 +72,9 @@ class TurnPath:
         if not 0.0 <= self.straight_m < np.inf:
             raise InputError("straight_m", self.straight_m, "metres, at least 0")
         _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
-        object.__setattr__(self, "_table", _build_table(self.turn, float(self.wheelbase_m)))
+        object.__setattr__(
+            self, "_table", _build_table(self.turn, float(self.wheelbase_m))
+        )
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -101,7 +105,9 @@ class TurnPath:
             + self.straight_m
         )
         on_left = np.interp(inside, table.distance_m, table.left_m)
-        left = on_left + after * np.sin(exit_rad) - self.front_axle_ahead_m * np.sin(body)
+        left = (
+            on_left + after * np.sin(exit_rad) - self.front_axle_ahead_m * np.sin(body)
+        )
         cosine, sine = self._direction
         east = self.start_m[0] + cosine * ahead - sine * left
         north = self.start_m[1] + sine * ahead + cosine * left
@@ -159,17 +165,22 @@ class TowedPath:
 
     def __post_init__(self) -> None:
         _check_axles(self.wheelbase_m, self.front_axle_ahead_m)
-        object.__setattr__(self, "_body_rad", _tow(self.course, float(self.wheelbase_m)))
+        object.__setattr__(
+            self, "_body_rad", _tow(self.course, float(self.wheelbase_m))
+        )
 
     @property
     def max_turn_rad_per_m(self) -> float:
         """Largest curvature of the course; so large that a third of it bounds the middle's bend.
 
-        That bend is at most the course's, and that of the body around the front axle: the second
-        derivative of the heading b is |curvature - b'| / wheelbase, its first the sine of the lag.
+        That bend is at most the course's, and that of the body around the front axle:
+        the second derivative of the heading b is |curvature - b'| / wheelbase, its
+        first the sine of the lag.
         """
         bend = self.course.max_bend_per_m
-        return bend * max(1.0, (1.0 + 3.0 * self.front_axle_ahead_m / self.wheelbase_m) / 3.0)
+        return bend * max(
+            1.0, (1.0 + 3.0 * self.front_axle_ahead_m / self.wheelbase_m) / 3.0
+        )
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
@@ -215,9 +226,12 @@ class MovedPath:
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """See :meth:`StraightPath.at`."""
-        position_m, yaw_deg = self.path.at(np.asarray(distance_m, dtype=np.float64) + self.ahead_m)
+        position_m, yaw_deg = self.path.at(
+            np.asarray(distance_m, dtype=np.float64) + self.ahead_m
+        )
         if self.is_mirrored:
-            position_m, yaw_deg = position_m * NORTH_TO_SOUTH, -yaw_deg
+            position_m = position_m * NORTH_TO_SOUTH
+            yaw_deg = -yaw_deg
         if self.turn_deg or any(self.shift_m):
             position_m = rotated(position_m, self.turn_deg) + self.shift_m
             yaw_deg = yaw_deg + self.turn_deg
@@ -229,8 +243,12 @@ Path = StraightPath | TurnPath | CoursePath | TowedPath | MovedPath
 
 def rotated(vectors_m: ArrayLike, angle_deg: float) -> FloatArray:
     """Vectors (..., 2) turned about the origin, counter-clockwise."""
-    cos, sin_ = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    turned: FloatArray = np.asarray(vectors_m, dtype=np.float64) @ [[cos, sin_], [-sin_, cos]]
+    cos = np.cos(np.radians(angle_deg))
+    sin_ = np.sin(np.radians(angle_deg))
+    turned: FloatArray = np.asarray(vectors_m, dtype=np.float64) @ [
+        [cos, sin_],
+        [-sin_, cos],
+    ]
     return turned
 
 
@@ -239,11 +257,14 @@ class Motion:
     """Stands at the path's start, sets off at `start_time_s`, then keeps its speed, or brakes."""
 
     path: Path  # where to
-    speed_mps: float  # once it is reached, and the highest; 0: it stands at the path's start
+    speed_mps: (
+        float  # once it is reached, and the highest; 0: it stands at the path's start
+    )
     start_time_s: float  # when it sets off; the impact is at 0
     # from rest to its speed, at constant acceleration; 0: at once
     acceleration_distance_m: float = 0.0
-    # when it begins to brake, which is not before it is up to speed, and how; infinite: it does not
+    # when it begins to brake, which is not before it is up to speed, and how; infinite:
+    # it does not
     brake_time_s: float = np.inf
     deceleration_mps2: float = 0.0
     final_speed_mps: float = 0.0  # which it keeps then
@@ -258,8 +279,12 @@ class Motion:
         check("deceleration_mps2", 0.0 < self.deceleration_mps2 < np.inf, "> 0 m/s^2")
         is_slower = 0.0 <= self.final_speed_mps < self.speed_mps
         check("final_speed_mps", is_slower, "0 <= it < speed_mps")
-        begin_s = self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
-        check("brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on")  # nor NaN
+        begin_s = (
+            self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
+        )
+        check(
+            "brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on"
+        )  # nor NaN
 
     @property
     def acceleration_mps2(self) -> float:
@@ -272,18 +297,24 @@ class Motion:
     def distance_m(self, time_s: ArrayLike) -> FloatArray:
         """Distance from the path's start at each time, in metres."""
         steady = self._steady_distance_m(time_s)
-        return steady if np.isposinf(self.brake_time_s) else steady - self._braked_m(time_s)
+        if np.isposinf(self.brake_time_s):
+            return steady
+        return steady - self._braked_m(time_s)
 
     def _braked_m(self, time_s: ArrayLike) -> FloatArray:
         """Distance that it is behind where it would be if it did not brake."""
-        braking_s = np.maximum(0.0, np.asarray(time_s, dtype=np.float64) - self.brake_time_s)
+        braking_s = np.maximum(
+            0.0, np.asarray(time_s, dtype=np.float64) - self.brake_time_s
+        )
         lost_mps = self.speed_mps - self.final_speed_mps
         slowing_s = np.minimum(braking_s, lost_mps / self.deceleration_mps2)
         slowed_m: FloatArray = 0.5 * self.deceleration_mps2 * slowing_s**2
         return slowed_m + lost_mps * (braking_s - slowing_s)
 
     def _steady_distance_m(self, time_s: ArrayLike) -> FloatArray:
-        moving_s = np.maximum(0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s)
+        moving_s = np.maximum(
+            0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s
+        )
         if self.acceleration_distance_m == 0.0:
             return self.speed_mps * moving_s
         up_to_speed_s = 2.0 * self.acceleration_distance_m / self.speed_mps
@@ -297,8 +328,8 @@ def travel_time_s(
 ) -> float:
     """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
 
-    With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per metre. Raises
-    InputError: the speed is not positive, or a distance is negative.
+    With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per
+    metre. Raises InputError: the speed is not positive, or a distance is negative.
 
     >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
     5.5
@@ -319,7 +350,9 @@ class _TurnTable(NamedTuple):
     left_m: FloatArray
     body_rad: FloatArray  # (n,); heading of the body
     exit_rad: float  # direction of the path after the turn
-    exit_half_lag_tan: float  # tangent of half the angle by which the body lags behind there
+    exit_half_lag_tan: (
+        float  # tangent of half the angle by which the body lags behind there
+    )
 
 
 @lru_cache(maxsize=64)  # the same few turns are driven again and again
@@ -331,16 +364,21 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     exit_rad = float(path_rad[-1])
     ahead, left = (freeze(axis.copy()) for axis in point.T)
     half_lag_tan = float(np.tan(0.5 * lag[-1]))
-    return _TurnTable(freeze(distance), ahead, left, freeze(path_rad - lag), exit_rad, half_lag_tan)
+    return _TurnTable(
+        freeze(distance), ahead, left, freeze(path_rad - lag), exit_rad, half_lag_tan
+    )
 
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
     """Angle from the body to the path: grows with the curvature, decays with the sine of itself."""
     from scipy.integrate import solve_ivp
 
-    arc_starts, arc_ends = turn.clothoid_length_m, turn.length_m - turn.clothoid_length_m
+    arc_starts = turn.clothoid_length_m
+    arc_ends = turn.length_m - turn.clothoid_length_m
     distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
-    curvatures = 1.0 / np.array([turn.first_radius_m, *2 * [turn.radius_m], turn.first_radius_m])
+    curvatures = 1.0 / np.array(
+        [turn.first_radius_m, *2 * [turn.radius_m], turn.first_radius_m]
+    )
 
     def growth(distance: float, lag: FloatArray) -> FloatArray:
         return np.interp(distance, distances, curvatures) - np.sin(lag) / wheelbase_m
@@ -353,7 +391,8 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
         t_eval=distance_m,
         rtol=_ODE_TOLERANCE,
         atol=_ODE_TOLERANCE,
-        max_step=0.25 * turn.clothoid_length_m,  # or it might step over where the arc begins
+        max_step=0.25
+        * turn.clothoid_length_m,  # or it might step over where the arc begins
     )
     return np.asarray(solution.y[0])
 
@@ -392,7 +431,9 @@ def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
     if not 0.0 < wheelbase_m < np.inf:
         raise InputError("wheelbase_m", wheelbase_m, "> 0 metres")
     if not 0.0 <= front_axle_ahead_m <= wheelbase_m:
-        raise InputError("front_axle_ahead_m", front_axle_ahead_m, "0 <= metres <= wheelbase")
+        raise InputError(
+            "front_axle_ahead_m", front_axle_ahead_m, "0 <= metres <= wheelbase"
+        )
 
 
 def _unit_vector(yaw_deg: float) -> FloatArray:

@@ -18,10 +18,11 @@ from .cases import Case
 class Position:
     """A place along the VUT's way."""
 
-    #: On the arm straight ahead, by which the VUT leaves the junction; else on the arm from which
-    #: it comes.
+    # : On the arm straight ahead, by which the VUT leaves the junction; else on the arm
+    # from which : it comes.
     is_behind: bool = False
-    #: How far before the place of the protocol, or beyond the crosswalk of the arm ahead. [m]
+    # : How far before the place of the protocol, or beyond the crosswalk of the arm
+    # ahead. [m]
     distance_m: float = 0.0
 
     @property
@@ -34,7 +35,9 @@ class Position:
     @property
     def ahead_m(self) -> float:
         """How far the place lies ahead, in driving direction, of where that arm is crossed."""
-        return self.distance_m if self.is_behind else -self.distance_m
+        if self.is_behind:
+            return self.distance_m
+        return -self.distance_m
 
 
 AT_ZERO = Position()
@@ -71,15 +74,16 @@ def is_study_set(cases: str) -> bool:
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
-    Raises InputError: a word is no distance, or one is given twice; there is none, or there are too
-    many.
+    Raises InputError: a word is no distance, or one is given twice; there is none, or
+    there are too many.
 
     >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
     rules = load_position_rules()
     expected = (
-        f"metres along the arm, 0 to {rules.max_distance_m:g}, with commas between, such as 0,15,30"
+        f"metres along the arm, 0 to {rules.max_distance_m:g}, with commas between,"
+        " such as 0,15,30"
     )
     words = [word.strip() for word in text.split(",")]
     if len(words) > (most := rules.max_distances):
@@ -90,7 +94,9 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
         if not 0.0 <= distance_m <= rules.max_distance_m or word.startswith("-"):
             raise InputError(where, word, expected)
         if f"{distance_m:g}" in {f"{other_m:g}" for other_m in distances}:
-            raise InputError(where, text, f"every distance once, and {distance_m:g} is there twice")
+            raise InputError(
+                where, text, f"every distance once, and {distance_m:g} is there twice"
+            )
         distances.append(distance_m)
     return tuple(distances)
 
@@ -98,8 +104,9 @@ def read_along_arms(text: str, where: str) -> tuple[float, ...]:
 def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     """Positions at distances along the arms.
 
-    Each distance is a position before the place of the protocol and one behind the junction; 0 is
-    that place, and where other distances are asked for, the crosswalk of the arm ahead, too.
+    Each distance is a position before the place of the protocol and one behind the
+    junction; 0 is that place, and where other distances are asked for, the crosswalk of
+    the arm ahead, too.
 
     >>> [position.name for position in build_positions([0.0])]
     ['0']
@@ -107,7 +114,9 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     ['0', '-15', '+0', '+15']
     """
     before = [Position(distance_m=distance_m) for distance_m in distances_m]
-    behind = [Position(is_behind=True, distance_m=distance_m) for distance_m in distances_m]
+    behind = [
+        Position(is_behind=True, distance_m=distance_m) for distance_m in distances_m
+    ]
     return tuple(before if tuple(distances_m) == (0.0,) else before + behind)
 
 
@@ -115,7 +124,9 @@ def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
     """Positions by the words of a user: `along_arms` if it says something, else by the `cases`."""
     if along_arms.strip():
         return build_positions(read_along_arms(along_arms, "along_arms"))
-    return (AT_ZERO,) if is_study_set(cases) else build_positions(load_position_rules().default_m)
+    if is_study_set(cases):
+        return (AT_ZERO,)
+    return build_positions(load_position_rules().default_m)
 
 
 def read_position(text: str, where: str) -> Position:
@@ -124,15 +135,18 @@ def read_position(text: str, where: str) -> Position:
     >>> read_position("-15", "position")
     Position(is_behind=False, distance_m=15.0)
     """
-    sign = text[:1] if text[:1] in ("-", "+") else ""
+    if text[:1] in ("-", "+"):
+        sign = text[:1]
+    else:
+        sign = ""
     try:
         (distance_m,) = read_along_arms(text[len(sign) :], where)
     except (InputError, ValueError):
         distance_m = math.nan
     if not (sign or distance_m == 0.0) or not math.isfinite(distance_m):
         expected = (
-            "0, or metres before it such as -15, or beyond the crosswalk of the arm ahead such as "
-            f"+0 or +15, up to {load_position_rules().max_distance_m:g}"
+            "0, or metres before it such as -15, or beyond the crosswalk of the arm"
+            f" ahead such as +0 or +15, up to {load_position_rules().max_distance_m:g}"
         )
         raise InputError(where, text, expected)
     return Position(is_behind=sign == "+", distance_m=distance_m)
@@ -162,7 +176,9 @@ def is_bound(case: Case) -> bool:
 
 def positions_of(case: Case, positions: Sequence[Position]) -> tuple[Position, ...]:
     """Where a case is laid: cases that are bound to the junction have one place."""
-    return (AT_ZERO,) if is_bound(case) else tuple(positions)
+    if is_bound(case):
+        return (AT_ZERO,)
+    return tuple(positions)
 
 
 def spread_speeds(
@@ -174,21 +190,25 @@ def spread_speeds(
 ) -> tuple[float, ...]:
     """The speeds that are driven at a position.
 
-    All at position 0; elsewhere each n-th, beginning with another one from turn to turn. Where
-    impact points take turns, each of these speeds is driven with one of them, another one from
-    speed to speed and from round to round.
-    `speeds_kmh`: of the case. `position`: where. `turn`: number of the approach plus number of the
-    position. `impact_turn`: number of the case's impact point, and how many take turns.
+    All at position 0; elsewhere each n-th, beginning with another one from turn to
+    turn. Where impact points take turns, each of these speeds is driven with one of
+    them, another one from speed to speed and from round to round. `speeds_kmh`: of the
+    case. `position`: where. `turn`: number of the approach plus number of the position.
+    `impact_turn`: number of the case's impact point, and how many take turns.
 
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), Position(distance_m=15.0), turn=0)
     (20.0, 35.0)
     >>> spread_speeds((20.0, 25.0, 30.0, 35.0), AT_ZERO, turn=1, impact_turn=(0, 2))
     (25.0, 35.0)
     """
-    stride = 1 if position == AT_ZERO else load_position_rules().every_nth_speed
+    if position == AT_ZERO:
+        stride = 1
+    else:
+        stride = load_position_rules().every_nth_speed
     number, n_points = impact_turn
     return tuple(
         speed_kmh
         for index, speed_kmh in enumerate(speeds_kmh)
-        if (index - turn) % stride == 0 and (index + turn // stride) % n_points == number
+        if (index - turn) % stride == 0
+        and (index + turn // stride) % n_points == number
     )

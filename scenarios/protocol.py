@@ -36,21 +36,23 @@ def stage_by_protocol(
 ) -> Staging:
     """Lay a case on an approach of a junction, or raise why its lanes do not allow it.
 
-    The run begins when the VRU sets off; turning: also 1 s before the VUT enters the curve. The VUT
-    comes along its lane, round its bends, and straight on backwards where the map ends. It drives
-    in the lane at the kerb; before a left turn, in the one at the road's axis; where the map has
-    connecting lanes, in the next one from there with which such a lane begins. It turns along that
-    one, or on the protocol's curve where there is none, or it bends too sharply for the speed. A
-    vehicle that is met comes by the lanes that lead straight on through the junction, at its speed.
-    Pedestrians cross at right angles to the VUT's lane where it meets the arm's crosswalk; a VRU
-    that moves ahead of the VUT is reached there. Cyclists ride on the arm's cycleway where it has
-    one.
+    The run begins when the VRU sets off; turning: also 1 s before the VUT enters the
+    curve. The VUT comes along its lane, round its bends, and straight on backwards
+    where the map ends. It drives in the lane at the kerb; before a left turn, in the
+    one at the road's axis; where the map has connecting lanes, in the next one from
+    there with which such a lane begins. It turns along that one, or on the protocol's
+    curve where there is none, or it bends too sharply for the speed. A vehicle that is
+    met comes by the lanes that lead straight on through the junction, at its speed.
+    Pedestrians cross at right angles to the VUT's lane where it meets the arm's
+    crosswalk; a VRU that moves ahead of the VUT is reached there. Cyclists ride on the
+    arm's cycleway where it has one.
 
-    At other positions all of this lies so far along the VUT's way, before or behind: on the lane by
-    which it comes, or on the one straight ahead by which it leaves. Behind the junction it drives
-    along the connecting lane, or straight where the lanes are in line, else on a smooth line from
-    one into the other. Raises CannotCarryError: the lanes do not allow it; the text says why.
-    NoRoadError: the road that the case needs does not exist. InputError: there is no such arm.
+    At other positions all of this lies so far along the VUT's way, before or behind: on
+    the lane by which it comes, or on the one straight ahead by which it leaves. Behind
+    the junction it drives along the connecting lane, or straight where the lanes are in
+    line, else on a smooth line from one into the other. Raises CannotCarryError: the
+    lanes do not allow it; the text says why. NoRoadError: the road that the case needs
+    does not exist. InputError: there is no such arm.
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
@@ -59,8 +61,12 @@ def stage_by_protocol(
     if not arm.entry_lanes:
         raise NoRoadError(f"no lane leads into the junction from the {approach}")
     if position != AT_ZERO and is_bound(case):
-        raise CannotCarryError("the case is bound to the junction: it has no other positions")
-    asked = _Asked(case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh)
+        raise CannotCarryError(
+            "the case is bound to the junction: it has no other positions"
+        )
+    asked = _Asked(
+        case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh
+    )
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
@@ -69,7 +75,9 @@ def stage_by_protocol(
     if _comes_through(case):
         return staging.first_that_fits(_crossings(asked, places), settle)
     lay = _lay_crossing if case.kind == "crossing" else _lay_longitudinal
-    return staging.first_that_fits((partial(lay, asked, place) for place in places), settle)
+    return staging.first_that_fits(
+        (partial(lay, asked, place) for place in places), settle
+    )
 
 
 def _comes_through(case: Case) -> bool:
@@ -130,8 +138,12 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
 
     Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
-    case, arm = asked.case, asked.arm
-    lane = ways.straight_lane(asked.junction, arm) if is_bound(case) else arm.entry_lanes[0]
+    case = asked.case
+    arm = asked.arm
+    if is_bound(case):
+        lane = ways.straight_lane(asked.junction, arm)
+    else:
+        lane = arm.entry_lanes[0]
     followed = asked.junction.followed(lane)
 
     def place(way: Callable[[], ways.Way], before_m: float = 0.0) -> _Place:
@@ -153,9 +165,15 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
     if ways.is_bent(followed, is_in=True):
         free_m = ways.free_aside_m(asked.vut, followed)
         lines.append(lambda: ways.CurvedWay(course=follow_lane(chain_m, is_in=True)))
-        lines.append(lambda: ways.CurvedWay(course=follow_gently([chain_m], [free_m], origin=1)))
+        lines.append(
+            lambda: ways.CurvedWay(course=follow_gently([chain_m], [free_m], origin=1))
+        )
     yield from (partial(place, way) for way in lines)
-    if position == AT_ZERO and case.obstruction and case.obstruction.kind == "beside-vut":
+    if (
+        position == AT_ZERO
+        and case.obstruction
+        and case.obstruction.kind == "beside-vut"
+    ):
         most_m = staging.load_obstruction_rules().max_before_m
         for before_m in np.arange(1.0, most_m + 0.5).tolist():
             yield from (partial(place, way, before_m) for way in lines)
@@ -188,9 +206,14 @@ def _ways_through(
 ) -> Iterator[_Lay]:
     """Ways of a vehicle from one arm straight on into another, by lane from the kerb."""
 
-    def place(entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool) -> _Place:
+    def place(
+        entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool
+    ) -> _Place:
         entry = junction.followed(entry)
-        free_m = ways.free_aside_m(body, entry, leaving) if is_gentle else None
+        if is_gentle:
+            free_m = ways.free_aside_m(body, entry, leaving)
+        else:
+            free_m = None
         way, begin_m = ways.way_across(entry, leaving, connection, free_m=free_m)
         return _Place(
             way=way,
@@ -210,25 +233,34 @@ def _ways_through(
 
 # ---------- crossing and longitudinal cases
 _MOUTH_M = 15.0  # of a lane, that tell where it leads
-_MAX_EARLY_S = 0.3  # a corner that touches before the impact position is a tenth of a second early
+_MAX_EARLY_S = (
+    0.3  # a corner that touches before the impact position is a tenth of a second early
+)
 
 
 def _side(asked: _Asked, line: Line) -> Arm:
     """The arm on the side from which the VRU comes."""
     side = ways.arm_at(asked.junction, line, to_left=asked.case.vru_side != "near")
     if side is None or not side.entry_lanes:
-        raise NoRoadError(f"no lane leads into the junction from the {asked.case.vru_side} side")
+        raise NoRoadError(
+            f"no lane leads into the junction from the {asked.case.vru_side} side"
+        )
     return side
 
 
-def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], Staging]]:
+def _crossings(
+    asked: _Asked, places: Iterable[_Lay]
+) -> Iterator[Callable[[], Staging]]:
     """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
     side = _side(asked, asked.entry_line)
-    # What counts is how the other road leads into the junction, not where it comes from.
+    # What counts is how the other road leads into the junction, not where it comes
+    # from.
     mouth, _ = lane_line(side.entry_lanes[0], is_in=True, length_m=_MOUTH_M)
     ahead = ways.arm_ahead(asked.junction, side, mouth)
     if ahead is None or not ahead.exit_lanes:
-        raise NoRoadError(f"no road leads straight across from the {asked.case.vru_side} side")
+        raise NoRoadError(
+            f"no road leads straight across from the {asked.case.vru_side} side"
+        )
     every = tuple(places)
     for across in _ways_through(asked.junction, side, ahead, asked.case.vru):
         yield from (partial(_lay_crossing, asked, place, across) for place in every)
@@ -237,12 +269,15 @@ def _crossings(asked: _Asked, places: Iterable[_Lay]) -> Iterator[Callable[[], S
 def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Staging:
     """A crossing; of a vehicle with its way, `across`."""
     place = laid()
-    case, vut, vut_way = asked.case, asked.vut, place.way
+    case = asked.case
+    vut = asked.vut
+    vut_way = place.way
     if across is None:
         vut_m, vru_way, vru_m = _crossing(asked, place)
     else:
         vut_m, vru_way, vru_m = _meet(vut_way, across().way)
-    # Far enough back for any gap between the lines; the impact lies near their crossing.
+    # Far enough back for any gap between the lines; the impact lies near their
+    # crossing.
     behind_m = 2.0 * (vut.length_m + case.vru.length_m)
     vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
@@ -256,14 +291,26 @@ def _lay_crossing(asked: _Asked, laid: _Lay, across: _Lay | None = None) -> Stag
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(driven_m)
     vut_path = vut_way.vut_path(vut_m - behind_m + vut_distance_m - driven_m, vut)
-    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m + (vru_distance_m - travel_m))
-    obstruction, fastest_kmh = case.obstruction, max(asked.vut_speed_kmh, case.vru_speed_kmh)
+    encounter = _set_off(
+        asked, vut_path, begin_s, vru_way, vru_m + (vru_distance_m - travel_m)
+    )
+    obstruction = case.obstruction
+    fastest_kmh = max(asked.vut_speed_kmh, case.vru_speed_kmh)
     if obstruction is None or fastest_kmh > obstruction.max_speed_kmh:
         return Staging(encounter=encounter, obstruction=())
     if obstruction.kind == "beside-road":
         row_way, bumper_m, side = _beside_road(asked, place, vut_m)
-        return park(encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side)
-    return hide(encounter, obstruction, vut_way=vut_way, vut_m=vut_m, vru_way=vru_way, vru_m=vru_m)
+        return park(
+            encounter, obstruction, row_way=row_way, bumper_m=bumper_m, side=side
+        )
+    return hide(
+        encounter,
+        obstruction,
+        vut_way=vut_way,
+        vut_m=vut_m,
+        vru_way=vru_way,
+        vru_m=vru_m,
+    )
 
 
 def _set_off(
@@ -278,14 +325,21 @@ def _set_off(
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at `brakes_s`
-    it brakes as the case says. Where the corner of a turning VUT would touch a moment before the
-    impact position is reached, both set off that moment later. Raises CannotCarryError: the bodies
-    do not touch, or do so long before, somewhere else.
+    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at
+    `brakes_s` it brakes as the case says. Where the corner of a turning VUT would touch
+    a moment before the impact position is reached, both set off that moment later.
+    Raises CannotCarryError: the bodies do not touch, or do so long before, somewhere
+    else.
     """
     case, vru = asked.case, asked.case.vru
-    vru_path = vru_way.vut_path(vru_m, vru) if staging.is_vehicle(vru) else vru_way.vru_path(vru_m)
-    vru_start_s = begin_s if vru_begin_s is None else vru_begin_s
+    if staging.is_vehicle(vru):
+        vru_path = vru_way.vut_path(vru_m, vru)
+    else:
+        vru_path = vru_way.vru_path(vru_m)
+    if vru_begin_s is None:
+        vru_start_s = begin_s
+    else:
+        vru_start_s = vru_begin_s
     braking = {}
     if case.braking is not None:
         braking["deceleration_mps2"] = case.braking.deceleration_mps2
@@ -315,24 +369,38 @@ def _set_off(
     if not np.isfinite(early_s):
         raise CannotCarryError("the bodies do not touch")
     if abs(early_s) > _MAX_EARLY_S:
-        raise CannotCarryError(f"the bodies would touch {-early_s:.1f} s before they should")
+        raise CannotCarryError(
+            f"the bodies would touch {-early_s:.1f} s before they should"
+        )
     return later(-early_s)
 
 
-def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, float, float]:
+def _beside_road(
+    asked: _Asked, place: _Place, vut_m: float
+) -> tuple[ways.Way, float, float]:
     """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
 
-    The station of the first one's bumper; and +1 to the left of the lane, -1 to the right.
+    The station of the first one's bumper; and +1 to the left of the lane, -1 to the
+    right.
     """
-    arm, row = asked.arm, asked.case.obstruction
+    arm = asked.arm
+    row = asked.case.obstruction
     assert row is not None
-    bumper_m, side = vut_m - row.first_gap_m, -1.0
-    lane, is_in = arm.entry_lanes[0], True
+    bumper_m = vut_m - row.first_gap_m
+    side = -1.0
+    lane = arm.entry_lanes[0]
+    is_in = True
     if asked.case.vru_side == "far":
         side = 1.0
-        lane, is_in = (arm.exit_lanes[0], False) if arm.exit_lanes else (arm.entry_lanes[-1], True)
+        if arm.exit_lanes:
+            lane, is_in = (arm.exit_lanes[0], False)
+        else:
+            lane, is_in = (arm.entry_lanes[-1], True)
     row_m = sum(body.length_m + row.between_gap_m for body in row.bodies)
-    followed = asked.junction.followed(lane) if is_in else lane
+    if is_in:
+        followed = asked.junction.followed(lane)
+    else:
+        followed = lane
     way = ways.lane_way(followed, is_in=is_in, length_m=row_m + row.first_gap_m)
     if not is_in:
         way = ways.reversed_way(way)
@@ -341,7 +409,8 @@ def _beside_road(asked: _Asked, place: _Place, vut_m: float) -> tuple[ways.Way, 
 
 def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
     """The VRU's way, and the stations of the VUT's and of it at which they cross."""
-    case, vut_way = asked.case, place.way
+    case = asked.case
+    vut_way = place.way
     assert case.vru_line is not None
     if case.vru_line.along == "crosswalk":
         vut_m, point = place.meeting_point()
@@ -362,12 +431,19 @@ _IN_JUNCTION_M = 1.0  # from the middle of a lane through it
 def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
     """Raise if a point along an arm lies in another junction's middle."""
     point = shapely.Point(point_m)
-    own = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in]
+    own = [
+        lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.lanes_in
+    ]
     for lane in junction.connections:
         begin = lane.centreline_m[0]
         is_own = any(np.hypot(*(tip - begin)) < _IN_JUNCTION_M for tip in own)
-        if not is_own and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M:
-            raise NoRoadError("another junction lies there: nobody crosses in its middle")
+        if (
+            not is_own
+            and shapely.LineString(lane.centreline_m).distance(point) < _IN_JUNCTION_M
+        ):
+            raise NoRoadError(
+                "another junction lies there: nobody crosses in its middle"
+            )
 
 
 def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]:
@@ -375,7 +451,11 @@ def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]
     if isinstance(vut_way, ways.StraightWay) and isinstance(vru_way, ways.StraightWay):
         _, point = vru_way.crossing(vut_way.line)
         line = Line(point_m=point, direction=vru_way.line.direction)
-        return float(vut_way.line.coordinates(line.point_m)[0]), ways.StraightWay(line=line), 0.0
+        return (
+            float(vut_way.line.coordinates(line.point_m)[0]),
+            ways.StraightWay(line=line),
+            0.0,
+        )
     vut_m, vru_m = ways.meeting_m(vut_way, vru_way)
     return vut_m, vru_way, vru_m
 
@@ -385,31 +465,47 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
     assert case.vru_line is not None
     if side.cycleways_in:
         return side.cycleways_in[0], 0.0
-    outer, left_m = side.entry_lanes[0], case.vru_line.left_m
+    outer = side.entry_lanes[0]
+    left_m = case.vru_line.left_m
     if case.vru_line.lane == "inner" and len(side.entry_lanes) > 1:
         # Not at the road's axis, with traffic on both sides.
-        return outer, staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m
+        return (
+            outer,
+            staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m,
+        )
     most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
     return outer, min(left_m, most_m)
 
 
 def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
     place = laid()
-    case, vut, vut_way = asked.case, asked.vut, place.way
+    case = asked.case
+    vut = asked.vut
+    vut_way = place.way
     impact_m, _ = place.meeting_point()
     travel_m, begin_s, brakes_s = _drive_ahead(case, asked.vut_speed_kmh)
     before_lane_m = travel_m + 0.5 * case.vru.length_m - impact_m + place.begin_m
-    is_led_on = staging.is_vehicle(case.vru) or asked.junction.is_led_on(place.entry_lane)
+    is_led_on = staging.is_vehicle(case.vru) or asked.junction.is_led_on(
+        place.entry_lane
+    )
     if before_lane_m > 0.0 and not is_led_on:
         # At other positions than 0 one reason for many of them.
-        how_far = f"{before_lane_m:.1f} m " if place.ahead_m == 0.0 else ""
-        raise CannotCarryError(f"the VRU would set off {how_far}before the mapped lane begins")
+        if place.ahead_m == 0.0:
+            how_far = f"{before_lane_m:.1f} m "
+        else:
+            how_far = ""
+        raise CannotCarryError(
+            f"the VRU would set off {how_far}before the mapped lane begins"
+        )
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
-    vru_way, vru_m = vut_way.offset(staging.impact_offset_m(case, vut), impact_m, back_m=travel_m)
+    vru_way, vru_m = vut_way.offset(
+        staging.impact_offset_m(case, vut), impact_m, back_m=travel_m
+    )
     if case.vru_direction == "opposite":
-        vru_way, vru_m = ways.reversed_way(vru_way), -vru_m
+        vru_way = ways.reversed_way(vru_way)
+        vru_m = -vru_m
     vut_path = vut_way.vut_path(impact_m - gap_m - driven_m, vut)
     vru_m += 0.0 - travel_m
     encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, brakes_s=brakes_s)
@@ -419,9 +515,9 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
     """How far whoever is ahead moves up to the impact, when the run begins, and when it brakes.
 
-    One that brakes does so for longer than the protocol's last seconds where the gap is wide: the
-    run begins a second before. Its time from then to the impact is that in which it falls behind
-    its own speed, which is the VUT's, by the gap.
+    One that brakes does so for longer than the protocol's last seconds where the gap is
+    wide: the run begins a second before. Its time from then to the impact is that in
+    which it falls behind its own speed, which is the VUT's, by the gap.
     """
     if case.braking is None:
         travel_m = _travel_m(case, 0.0)
@@ -432,11 +528,10 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
     lost_mps = speed_mps - case.braking.final_speed_kmh * MPS_PER_KMH
     slowing_s = lost_mps / case.braking.deceleration_mps2
     slowed_m = 0.5 * lost_mps * slowing_s
-    braking_s = (
-        float(np.sqrt(2.0 * gap_m / case.braking.deceleration_mps2))
-        if gap_m <= slowed_m
-        else slowing_s + (gap_m - slowed_m) / lost_mps
-    )
+    if gap_m <= slowed_m:
+        braking_s = float(np.sqrt(2.0 * gap_m / case.braking.deceleration_mps2))
+    else:
+        braking_s = slowing_s + (gap_m - slowed_m) / lost_mps
     before_s = max(case.steady_time_s, braking_s + 1.0)
     return speed_mps * before_s - gap_m, -before_s, -braking_s
 
@@ -444,7 +539,9 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 # ---------- turning cases
 def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
     """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
-    case, junction, arm = asked.case, asked.junction, asked.arm
+    case = asked.case
+    junction = asked.junction
+    arm = asked.arm
     is_far = case.turn == "far"
     entry = ways.straight_line(arm.entry_lanes[-1 if is_far else 0], is_in=True)
     target = ways.arm_at(junction, entry, to_left=is_far)
@@ -454,21 +551,27 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
     if _comes_through(case):
         oncoming = tuple(_oncoming(asked, entry))
         for turning in lines:
-            yield from (partial(_lay_turn_across, asked, turning, across) for across in oncoming)
+            yield from (
+                partial(_lay_turn_across, asked, turning, across) for across in oncoming
+            )
     else:
         yield from (partial(_lay_turn, asked, target, turning) for turning in lines)
 
 
 def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning]]:
     """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
-    junction, vut = asked.junction, asked.vut
+    junction = asked.junction
+    vut = asked.vut
     try:
         turn = pick_turn(asked.case.turn, asked.vut_speed_kmh)
     except InputError as error:
         raise CannotCarryError(str(error)) from None
     movement: Movement = "left" if asked.case.turn == "far" else "right"
     joined = ways.joints(junction, asked.arm, target, movement)
-    found = [(junction.followed(before), connection, after) for before, connection, after in joined]
+    found = [
+        (junction.followed(before), connection, after)
+        for before, connection, after in joined
+    ]
     lines: list[Callable[[], ways.Turning]] = [
         partial(ways.along_connection, before, connection, after, vut)
         for before, connection, after in found
@@ -482,7 +585,8 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
 
 
 def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> Staging:
-    case, turning = asked.case, turn()
+    case = asked.case
+    turning = turn()
     vru_way, vru_m = _turning_way(asked, target, turning)
     vut_distance_m, vru_distance_m = staging.find_meeting(
         case,
@@ -495,7 +599,9 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> S
     vru_begin_s = -_travel_s(case, travel_m)
     vut_path, begin_s = _turned(asked, turning, vut_distance_m, -vru_begin_s)
     vru_m += vru_distance_m - travel_m
-    encounter = _set_off(asked, vut_path, begin_s, vru_way, vru_m, vru_begin_s=vru_begin_s)
+    encounter = _set_off(
+        asked, vut_path, begin_s, vru_way, vru_m, vru_begin_s=vru_begin_s
+    )
     return Staging(encounter=encounter, obstruction=())
 
 
@@ -508,7 +614,9 @@ def _turned(
     begin_s = -max(vru_s, curve_s)
     straight_m = -begin_s * speed_mps - vut_distance_m
     if turning.is_straight:
-        ways.check_straight(ways.StraightWay(line=turning.entry), turning.entry_lane, straight_m)
+        ways.check_straight(
+            ways.StraightWay(line=turning.entry), turning.entry_lane, straight_m
+        )
     return turning.path_with(straight_m), begin_s
 
 
@@ -522,19 +630,29 @@ def _oncoming(asked: _Asked, entry: Line) -> Iterator[_Lay]:
     yield from _ways_through(asked.junction, ahead, asked.arm, asked.case.vru)
 
 
-def _lay_turn_across(asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay) -> Staging:
+def _lay_turn_across(
+    asked: _Asked, turn: Callable[[], ways.Turning], across: _Lay
+) -> Staging:
     """A turn across the way of an oncoming vehicle.
 
-    Its front is where the VUT's front axle will cross its way, when the VUT's front is short of
-    there by what the vehicle is wide at 45 degrees, or where it is to meet the middle of that
-    front, by nothing.
+    Its front is where the VUT's front axle will cross its way, when the VUT's front is
+    short of there by what the vehicle is wide at 45 degrees, or where it is to meet the
+    middle of that front, by nothing.
     """
-    case, vut, turning, vru_way = asked.case, asked.vut, turn(), across().way
+    case = asked.case
+    vut = asked.vut
+    turning = turn()
+    vru_way = across().way
     path = turning.path_with(0.0)
     search_m = turning.turn_m + vut.length_m
     crossing_m, vru_m = staging.find_crossing(vut, path, vru_way.tangent, search_m)
-    short_m = case.vru.width_m / np.sqrt(2.0) if case.meets_corner else 0.0
-    vut_distance_m = crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
+    if case.meets_corner:
+        short_m = case.vru.width_m / np.sqrt(2.0)
+    else:
+        short_m = 0.0
+    vut_distance_m = (
+        crossing_m - (0.5 * vut.length_m - vut.front_axle_ahead_m) - short_m
+    )
     vru_s = _travel_s(case, _travel_m(case, 0.0))
     vut_path, begin_s = _turned(asked, turning, vut_distance_m, vru_s)
     travel_m = -begin_s * case.vru_speed_kmh * MPS_PER_KMH
@@ -543,11 +661,18 @@ def _lay_turn_across(asked: _Asked, turn: Callable[[], ways.Turning], across: _L
     return Staging(encounter=encounter, obstruction=())
 
 
-def _turning_way(asked: _Asked, target: Arm, turning: ways.Turning) -> tuple[ways.Way, float]:
+def _turning_way(
+    asked: _Asked, target: Arm, turning: ways.Turning
+) -> tuple[ways.Way, float]:
     """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
-    case, entry, rules = asked.case, turning.entry, staging.load_way_rules()
+    case = asked.case
+    entry = turning.entry
+    rules = staging.load_way_rules()
     assert case.vru_line is not None
-    direction = entry.direction if case.vru_direction == "same" else -entry.direction
+    if case.vru_direction == "same":
+        direction = entry.direction
+    else:
+        direction = -entry.direction
     if case.vru_line.along == "crosswalk":
         exit_m, point = turning.exit_way.crossing(target.crosswalk)
         exit_line = turning.exit_way.direction(exit_m)
@@ -573,13 +698,20 @@ def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
     A lane, whether it leads into the junction, and metres to the left of its middle.
     """
     assert case.vru_line is not None
-    side, cycleways = -1.0, arm.cycleways_out
+    side = -1.0
+    cycleways = arm.cycleways_out
     if case.turn == "near":
-        lane, is_in, cycleways = arm.lanes_in[0], True, arm.cycleways_in
+        lane = arm.lanes_in[0]
+        is_in = True
+        cycleways = arm.cycleways_in
     elif arm.lanes_out:
-        lane, is_in = arm.lanes_out[0], False
+        lane = arm.lanes_out[0]
+        is_in = False
     else:  # a one-way road: the kerb is to the left of its lanes
-        lane, is_in, side, cycleways = arm.lanes_in[-1], True, 1.0, ()
+        lane = arm.lanes_in[-1]
+        is_in = True
+        side = 1.0
+        cycleways = ()
     if cycleways:
         return cycleways[0], is_in, 0.0
     return lane, is_in, side * (0.5 * lane.width_m + case.vru_line.left_m)
@@ -594,18 +726,27 @@ def _ridden_lane(asked: _Asked, entry: Line) -> ways.Way:
         is_against = not is_in
     else:
         ahead = ways.arm_ahead(asked.junction, asked.arm, entry)
-        lanes = () if ahead is None else ahead.lanes_in if case.turn == "far" else ahead.lanes_out
+        lanes = (
+            ()
+            if ahead is None
+            else ahead.lanes_in
+            if case.turn == "far"
+            else ahead.lanes_out
+        )
         if ahead is None or not lanes:
             raise NoRoadError("no lane lies ahead from which the cyclist could come")
         is_against = case.turn == "near"
         is_in = not is_against
-        lane, left_m = lanes[0], -(0.5 * lanes[0].width_m + case.vru_line.left_m)
+        lane = lanes[0]
+        left_m = -(0.5 * lanes[0].width_m + case.vru_line.left_m)
         if cycleways := ahead.cycleways_out if is_against else ahead.cycleways_in:
-            lane, left_m = cycleways[0], 0.0
+            lane = cycleways[0]
+            left_m = 0.0
     ridden_m = _travel_m(case, 0.0)
     way = ways.lane_way(lane, is_in=is_in, length_m=ridden_m)
     if is_against:
-        way, left_m = ways.reversed_way(way), -left_m
+        way = ways.reversed_way(way)
+        left_m = -left_m
     return way.offset(left_m, 0.0, back_m=ridden_m)[0]
 
 
@@ -629,7 +770,9 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
     assert case.start_distance_m is not None
     travel_m = case.start_distance_m + vru_distance_m + case.vru_reference_m
     if travel_m <= 0.0:
-        raise CannotCarryError("the VUT would come to the VRU's way before the VRU sets off")
+        raise CannotCarryError(
+            "the VUT would come to the VRU's way before the VRU sets off"
+        )
     return travel_m
 
 
@@ -637,5 +780,8 @@ def _travel_s(case: Case, travel_m: float) -> float:
     if case.vru_speed_kmh == 0.0:
         assert case.steady_time_s is not None
         return case.steady_time_s
-    speed_mps, run_up_m = case.vru_speed_kmh * MPS_PER_KMH, case.acceleration_distance_m
-    return travel_time_s(travel_m, speed_mps=speed_mps, acceleration_distance_m=run_up_m)
+    speed_mps = case.vru_speed_kmh * MPS_PER_KMH
+    run_up_m = case.acceleration_distance_m
+    return travel_time_s(
+        travel_m, speed_mps=speed_mps, acceleration_distance_m=run_up_m
+    )

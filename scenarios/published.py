@@ -33,8 +33,8 @@ class CasePlacement:
     # from the start points on
     vut_path: StraightPath
     vru_path: StraightPath
-    # distances along the paths from their starts to where the middle of the VRU is at the impact,
-    # and to the point next to it on the VUT's path
+    # distances along the paths from their starts to where the middle of the VRU is at
+    # the impact, and to the point next to it on the VUT's path
     vut_meeting_m: float
     vru_meeting_m: float
     obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only
@@ -64,7 +64,9 @@ def load_placements() -> tuple[CasePlacement, ...]:
     where = "town05_runs.toml"
     table = read_table(load_data(__package__, where), _File, where)
     rows = enumerate(table.parked_rows)
-    parked = tuple(one for at, row in rows for one in row.bodies(f"{where}: parked_rows[{at}]"))
+    parked = tuple(
+        one for at, row in rows for one in row.bodies(f"{where}: parked_rows[{at}]")
+    )
     return tuple(
         _build_placement(entry, f"{where}: placements[{index}]", table.scene, parked)
         for index, entry in enumerate(table.placements)
@@ -73,23 +75,31 @@ def load_placements() -> tuple[CasePlacement, ...]:
 
 def find_placement(scene_name: str, case: Case, approach: str) -> CasePlacement | None:
     """Where a case is driven from an approach of a scene; None if no file says."""
-    wanted, every = (scene_name, case.name, approach), load_placements()
+    wanted = (scene_name, case.name, approach)
+    every = load_placements()
     keys = ((one.scene_name, one.case.name, one.approach) for one in every)
-    return next((one for one, key in zip(every, keys, strict=True) if key == wanted), None)
+    return next(
+        (one for one, key in zip(every, keys, strict=True) if key == wanted), None
+    )
 
 
-def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor) -> Staging:
+def stage_published(
+    placement: CasePlacement, *, vut_speed_kmh: float, vut: Actor
+) -> Staging:
     """Set a run up as the study's generator does.
 
-    Both stand at their start, set off at full speed and keep it. At the impact the middle of the
-    VRU is at the meeting point, and the VUT's front at its flank (longitudinal: its rear).
+    Both stand at their start, set off at full speed and keep it. At the impact the
+    middle of the VRU is at the meeting point, and the VUT's front at its flank
+    (longitudinal: its rear).
     """
     case = placement.case
-    vut_speed, vru_speed = vut_speed_kmh * MPS_PER_KMH, case.vru_speed_kmh * MPS_PER_KMH
+    vut_speed = vut_speed_kmh * MPS_PER_KMH
+    vru_speed = case.vru_speed_kmh * MPS_PER_KMH
     gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
     vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
     # +1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path
-    ahead, walking = placement.vut_path.direction, placement.vru_path.direction
+    ahead = placement.vut_path.direction
+    walking = placement.vru_path.direction
     sign = float(np.sign(ahead[0] * walking[1] - ahead[1] * walking[0]))
     sign *= case.kind != "longitudinal"
     vru_distance = placement.vru_meeting_m + impact_offset_m(case, vut) * sign
@@ -100,7 +110,9 @@ def stage_published(placement: CasePlacement, *, vut_speed_kmh: float, vut: Acto
             (placement.vru_path, vru_speed, vru_distance),
         )
     )
-    encounter = Encounter(vut=vut, vut_motion=vut_motion, vru=case.vru, vru_motion=vru_motion)
+    encounter = Encounter(
+        vut=vut, vut_motion=vut_motion, vru=case.vru, vru_motion=vru_motion
+    )
     return Staging(encounter=encounter, obstruction=placement.obstruction)
 
 
@@ -114,8 +126,12 @@ def _build_placement(
     if case.kind == "crossing":
         vut_meeting, vru_meeting = _crossing_distances(vut_path, vru_path, where)
     else:
-        if vut_path.direction @ vru_path.direction < np.cos(np.radians(_ANGLE_TOLERANCE_DEG)):
-            got = Unquoted(f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees")
+        if vut_path.direction @ vru_path.direction < np.cos(
+            np.radians(_ANGLE_TOLERANCE_DEG)
+        ):
+            got = Unquoted(
+                f"headings {vut_path.yaw_deg:g} and {vru_path.yaw_deg:g} degrees"
+            )
             raise InputError(where, got, "one heading for VUT and VRU")
         vut_meeting = float((collision - vut_path.start_m) @ vut_path.direction)
         vru_meeting = float((collision - vru_path.start_m) @ vru_path.direction)
@@ -124,7 +140,9 @@ def _build_placement(
     beside_m = abs(vut_path.direction[0] * north - vut_path.direction[1] * east)
     if beside_m > _ON_LINE_TOLERANCE_M:
         point = entry.collision_point_m.tolist()
-        raise InputError(f"{where}.collision_point_m", point, "a point on the VUT's path")
+        raise InputError(
+            f"{where}.collision_point_m", point, "a point on the VUT's path"
+        )
     if not (vut_meeting > 0.0 and vru_meeting > 0.0):
         got = Unquoted("paths that meet behind a start")
         raise InputError(where, got, "starts before the meeting point")
@@ -141,13 +159,19 @@ def _build_placement(
 
 
 def _build_path(start_m: FloatArray, yaw_deg: float) -> StraightPath:
-    return StraightPath(start_m=from_carla_points(start_m), yaw_deg=float(from_carla_yaw(yaw_deg)))
+    return StraightPath(
+        start_m=from_carla_points(start_m), yaw_deg=float(from_carla_yaw(yaw_deg))
+    )
 
 
-def _crossing_distances(a: StraightPath, b: StraightPath, where: str) -> tuple[float, float]:
-    # At the impact the gap between the bodies' middles is half the VRU's width only if it crosses
-    # squarely.
-    angle_deg = float(np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0))))
+def _crossing_distances(
+    a: StraightPath, b: StraightPath, where: str
+) -> tuple[float, float]:
+    # At the impact the gap between the bodies' middles is half the VRU's width only if
+    # it crosses squarely.
+    angle_deg = float(
+        np.degrees(np.arccos(np.clip(abs(a.direction @ b.direction), 0.0, 1.0)))
+    )
     if angle_deg < 90.0 - _ANGLE_TOLERANCE_DEG:
         got = Unquoted(f"paths at {angle_deg:.1f} degrees")
         raise InputError(where, got, "perpendicular paths")

@@ -21,7 +21,14 @@ from .confirmation import confirmation_mask, held_frames, is_in_time
 from .encounters import Encounter, RecordedEncounter
 from .obstructions import make_room
 from .paths import MPS_PER_KMH
-from .positions import AT_ZERO, Position, is_bound, positions_of, read_position, spread_speeds
+from .positions import (
+    AT_ZERO,
+    Position,
+    is_bound,
+    positions_of,
+    read_position,
+    spread_speeds,
+)
 from .protocol import stage_by_protocol
 from .published import find_placement, stage_published
 from .staging import (
@@ -42,32 +49,37 @@ _ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one 
 class Run:
     """One drive."""
 
-    #: "case/approach/speed", by day; else "case/approach/speed/weather". At other positions than 0
-    #: the position stands behind the approach: "case/approach-15/speed". Where the case has several
-    #: speeds of whoever is met, both: "case/approach/30x50".
+    # : "case/approach/speed", by day; else "case/approach/speed/weather". At other
+    # positions than 0 : the position stands behind the approach:
+    # "case/approach-15/speed". Where the case has several : speeds of whoever is met,
+    # both: "case/approach/30x50".
     id: str
     case: Case  #: What is driven, with the speed of whoever is met in this run.
     approach: str  #: The arm from which the VUT comes.
     weather: str  #: One of ``WEATHERS``.
     vut_speed_kmh: float  #: Constant. [km/h]
     encounter: Encounter  #: Bodies and motions without braking.
-    #: (n_frames,); times of the frames, ascending, relative to the impact; the last one is 0, or at
-    #: most one frame before. [s]
+    # : (n_frames,); times of the frames, ascending, relative to the impact; the last
+    # one is 0, or at : most one frame before. [s]
     time_s: FloatArray
-    #: (n_frames, 2) and (n_frames,); middles of the footprints, world frame [m], headings [deg].
+    # : (n_frames, 2) and (n_frames,); middles of the footprints, world frame [m],
+    # headings [deg].
     vut_position_m: FloatArray
     vut_yaw_deg: FloatArray
     vru_position_m: FloatArray
     vru_yaw_deg: FloatArray
     vru_shape: IntArray  #: (n_frames,); which shape of its gait the VRU has.
-    #: obstruction and traffic: parked bodies of this run, and vehicles that drive by, frame by
-    #: frame; nobody touches VUT or VRU before the impact.
+    # : obstruction and traffic: parked bodies of this run, and vehicles that drive by,
+    # frame by : frame; nobody touches VUT or VRU before the impact.
     obstruction: tuple[PlacedActor, ...]
     last_brake_time_s: float  #: Latest onset of braking that avoids. [s]
-    #: Where along its way, see :class:`scenarios.positions.Position`: "0", "-15", "+0", "+15".
+    # : Where along its way, see :class:`scenarios.positions.Position`: "0", "-15",
+    # "+0", "+15".
     position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
-    terrain: Terrain | None = None  #: The ground on which all of them stand; None: the plane z = 0.
+    terrain: Terrain | None = (
+        None  #: The ground on which all of them stand; None: the plane z = 0.
+    )
 
     def __post_init__(self) -> None:
         for body in self.traffic:
@@ -96,35 +108,54 @@ class FrameAxis:
     vut_speed_kmh: FloatArray  #: (n_runs,), as the next two. [km/h]
     weight: FloatArray  #: They sum to 1.
     last_brake_time_s: FloatArray
-    run_start: IntArray  #: (n_runs + 1,); frames of run r are run_start[r] .. run_start[r + 1] - 1.
+    # : (n_runs + 1,); frames of run r are run_start[r] .. run_start[r + 1] - 1.
+    run_start: IntArray
     time_s: FloatArray  #: (n_frames,); relative to the impact. [s]
     #: Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
     positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n_runs = len(self.run_ids)
-        object.__setattr__(self, "positions", self.positions or (AT_ZERO.name,) * n_runs)
+        object.__setattr__(
+            self, "positions", self.positions or (AT_ZERO.name,) * n_runs
+        )
         if len(self.positions) != n_runs:
             got = Unquoted(f"{len(self.positions)} positions")
             raise InputError("positions", got, f"one per run, {n_runs}")
         for name in set(self.positions):
             if read_position(name, "positions").name != name:
-                raise InputError("positions", name, "a position by its name, such as 0, -15, +15")
+                raise InputError(
+                    "positions", name, "a position by its name, such as 0, -15, +15"
+                )
         for field in ("vut_speed_kmh", "weight"):
-            object.__setattr__(self, field, float_array(getattr(self, field), (n_runs,), field))
+            object.__setattr__(
+                self, field, float_array(getattr(self, field), (n_runs,), field)
+            )
         if (self.weight < 0.0).any() or not np.isclose(self.weight.sum(), 1.0):
-            raise InputError("weight", self.weight.tolist(), "shares >= 0 that sum to 1")
+            raise InputError(
+                "weight", self.weight.tolist(), "shares >= 0 that sum to 1"
+            )
         last_brake = np.array(self.last_brake_time_s, dtype=np.float64)  # may be -inf
         if last_brake.shape != (n_runs,) or np.isnan(last_brake).any():
-            raise InputError("last_brake_time_s", last_brake.tolist(), "one time per run")
+            raise InputError(
+                "last_brake_time_s", last_brake.tolist(), "one time per run"
+            )
         object.__setattr__(self, "last_brake_time_s", freeze(last_brake))
         run_start = np.array(self.run_start, dtype=np.int64)
         object.__setattr__(self, "run_start", freeze(run_start))
         object.__setattr__(self, "time_s", float_array(self.time_s, (-1,), "time_s"))
-        if run_start.shape != (n_runs + 1,) or run_start[0] != 0 or (np.diff(run_start) < 1).any():
-            raise InputError("run_start", run_start.tolist(), "0 and ascending, one more than runs")
+        if (
+            run_start.shape != (n_runs + 1,)
+            or run_start[0] != 0
+            or (np.diff(run_start) < 1).any()
+        ):
+            raise InputError(
+                "run_start", run_start.tolist(), "0 and ascending, one more than runs"
+            )
         if run_start[-1] != len(self.time_s):
-            raise InputError("time_s", Unquoted(f"{len(self.time_s)} frames"), str(run_start[-1]))
+            raise InputError(
+                "time_s", Unquoted(f"{len(self.time_s)} frames"), str(run_start[-1])
+            )
         falls = np.diff(self.time_s) <= 0.0
         falls[run_start[1:-1] - 1] = False  # from one run to the next
         if falls.any():
@@ -168,12 +199,15 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     )
 
 
-def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: AebRule) -> FloatArray:
+def live_confirmation_times_s(
+    detected: BoolArray, axis: FrameAxis, *, rule: AebRule
+) -> FloatArray:
     """When the track of each run that is alive at its last moment was confirmed, in seconds.
 
-    (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not avoided. The
-    last moment is the last brake time less the rule's latency. No track reaches from one run into
-    the next; see :func:`scenarios.confirmation.live_confirmation_time_s`.
+    (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not
+    avoided. The last moment is the last brake time less the rule's latency. No track
+    reaches from one run into the next; see
+    :func:`scenarios.confirmation.live_confirmation_time_s`.
     """
     last_brake_s = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     counts = np.asarray(is_in_time(axis.time_s, last_brake_s, latency_s=rule.latency_s))
@@ -184,7 +218,9 @@ def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: Aeb
         block = rows[start : start + _ROWS_TOGETHER] & counts
         live = confirmation_mask(block, n_confirmations=rule.n_confirmations) & is_whole
         live &= _held(block, axis, rule)
-        found[start : start + _ROWS_TOGETHER] = _earliest(np.where(live, axis.time_s, np.inf), axis)
+        found[start : start + _ROWS_TOGETHER] = _earliest(
+            np.where(live, axis.time_s, np.inf), axis
+        )
     return found.reshape(*detected.shape[:-1], axis.n_runs)
 
 
@@ -192,31 +228,35 @@ def live_confirmation_times_s(detected: BoolArray, axis: FrameAxis, *, rule: Aeb
 class Onsets:
     """From messages to braking, (n_runs,) each."""
 
-    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track is alive at
-    # the last moment: when one is confirmed too late, or else the first that was lost again;
-    # infinite if none is ever confirmed.
+    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track
+    # is alive at the last moment: when one is confirmed too late, or else the first
+    # that was lost again; infinite if none is ever confirmed.
     confirmation_s: FloatArray
-    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in; infinite if no
-    # track is confirmed, or the only ones were lost before the last moment
+    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in;
+    # infinite if no track is confirmed, or the only ones were lost before the last
+    # moment
     onset_s: FloatArray
-    # (n_runs,); a confirmed track is alive at the last moment, and its messages have arrived
+    # (n_runs,); a confirmed track is alive at the last moment, and its messages have
+    # arrived
     is_in_time: BoolArray
 
 
 def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
     """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
 
-    `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame; infinite where
-    there is none. A message that arrives after the last brake time does not count; the age of a
-    track is taken at the last brake time less the rule's latency, also where messages take another
-    time.
+    `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame;
+    infinite where there is none. A message that arrives after the last brake time does
+    not count; the age of a track is taken at the last brake time less the rule's
+    latency, also where messages take another time.
     """
     n_frames = np.diff(axis.run_start)
     last_brake_s = axis.last_brake_time_s.repeat(n_frames)
     # When the VUT knows of the window of frames that ends in each one, (n_frames,).
     known_s = np.full(axis.n_frames, np.inf)
     if axis.n_frames >= rule.n_confirmations:
-        windows = np.lib.stride_tricks.sliding_window_view(arrival_s, rule.n_confirmations)
+        windows = np.lib.stride_tricks.sliding_window_view(
+            arrival_s, rule.n_confirmations
+        )
         known_s[rule.n_confirmations - 1 :] = windows.max(axis=1)
     known_s[~_is_within_run(axis, rule.n_confirmations)] = np.inf
     is_known = np.asarray(is_in_time(known_s, last_brake_s, latency_s=0.0))
@@ -267,22 +307,24 @@ LeftOut = Literal["", "unprotected", "not laid", "speeds"]
 class Refusal:
     """A case that an approach does not carry at some speeds, and the reason."""
 
-    #: What is not driven, the arm from which the VUT would come, and where along its way.
+    # : What is not driven, the arm from which the VUT would come, and where along its
+    # way.
     case: Case
     approach: str
-    #: speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of whoever is met
-    #: that go with them, empty where the case has one. [km/h]
+    # : speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of
+    # whoever is met : that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
     reason: str  #: Why, in words.
-    #: The junction has the roads that the case needs, and it has the speeds asked for: what is
-    #: missing is room.
+    # : The junction has the roads that the case needs, and it has the speeds asked for:
+    # what is : missing is room.
     is_possible: bool = True
     #: The map's speed limit, where the speeds are above it; else None. [km/h]
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
     vru_speeds_kmh: tuple[float, ...] = ()
-    #: Why it is not the junction's doing: whoever is met is not to be protected, the case is laid
-    #: nowhere, or none of its speeds was asked for. Empty: the junction does not carry it.
+    # : Why it is not the junction's doing: whoever is met is not to be protected, the
+    # case is laid : nowhere, or none of its speeds was asked for. Empty: the junction
+    # does not carry it.
     left_out: LeftOut = ""
 
     @property
@@ -308,33 +350,42 @@ def build_runs(
 ) -> tuple[tuple[Run, ...], tuple[Refusal, ...]]:
     """Lay cases on every approach of a scene's junction, at the speeds that each says.
 
-    Where the study's own start and collision points are known for a case, they are taken; all else
-    follows the rules of the protocol. `approaches` are arms from which the VUT comes, by default
-    all; every run is driven once in each of the `weathers`, words of ``WEATHERS``. `positions` lie
-    along the arms; cases that are bound to the junction have one place. If `is_spread`, positions
-    other than 0 take turns with the speeds, see :func:`scenarios.positions.spread_speeds`; else
-    each drives all. If it `keeps_limits`, nothing is driven faster than the speed limit of the
-    lanes by which the VUT comes, as far as the scene has one, and vehicles that it meets no faster
+    Where the study's own start and collision points are known for a case, they are
+    taken; all else follows the rules of the protocol. `approaches` are arms from which
+    the VUT comes, by default all; every run is driven once in each of the `weathers`,
+    words of ``WEATHERS``. `positions` lie along the arms; cases that are bound to the
+    junction have one place. If `is_spread`, positions other than 0 take turns with the
+    speeds, see :func:`scenarios.positions.spread_speeds`; else each drives all. If it
+    `keeps_limits`, nothing is driven faster than the speed limit of the lanes by which
+    the VUT comes, as far as the scene has one, and vehicles that it meets no faster
     than that of any road of the junction.
 
-    Returns runs in the order of cases, approaches, positions, speeds, weathers; and what could not
-    be laid, and why. Raises InputError: the junction has no such approach, or there is no such
-    weather.
+    Returns runs in the order of cases, approaches, positions, speeds, weathers; and
+    what could not be laid, and why. Raises InputError: the junction has no such
+    approach, or there is no such weather.
     """
     junction = build_junction(scene)
     for word in approaches or ():
         check_one_of("approach", word, junction.arms)
     for word in weathers:
         check_one_of("weather", word, WEATHERS)
-    right_hand = mirrored(junction) if junction.keeps_left else junction
+    if junction.keeps_left:
+        right_hand = mirrored(junction)
+    else:
+        right_hand = junction
     runs: list[Run] = []
     refusals: list[Refusal] = []
     for case in (worded_for(case, keeps_left=junction.keeps_left) for case in cases):
         for approach in dict.fromkeys(approaches or junction.arms):
             if case.not_laid:
-                refusals.append(left_out_case(case, approach, case.not_laid, "not laid"))
+                refusals.append(
+                    left_out_case(case, approach, case.not_laid, "not laid")
+                )
                 continue
-            if case.recorded is not None and approach != nearest_arm(case.recorded, junction)[0]:
+            if (
+                case.recorded is not None
+                and approach != nearest_arm(case.recorded, junction)[0]
+            ):
                 continue
             for number, position in enumerate(positions_of(case, positions)):
                 turn = tuple(junction.arms).index(approach) + number
@@ -345,14 +396,20 @@ def build_runs(
                     right_hand=right_hand,
                     approach=approach,
                     position=position,
-                    limit_kmh=junction.arms[approach].speed_limit_kmh if keeps else None,
+                    limit_kmh=(
+                        junction.arms[approach].speed_limit_kmh if keeps else None
+                    ),
                     target_limit_kmh=_highest_limit_kmh(junction) if keeps else None,
                     vut=vut,
                     rule=rule,
                 )
                 laid, refused = drive.lay(turn if is_spread else None)
                 runs += [
-                    run if one == run.weather else replace(run, id=f"{run.id}/{one}", weather=one)
+                    (
+                        run
+                        if one == run.weather
+                        else replace(run, id=f"{run.id}/{one}", weather=one)
+                    )
                     for run in laid
                     for one in dict.fromkeys(weathers)
                 ]
@@ -364,7 +421,9 @@ def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, f
     """The arm to whose lanes the VUT's recorded way begins nearest, and how near, in metres."""
     start = Point(recorded.vut.points_m[0])
     away_m = {
-        name: min(LineString(lane.centreline_m).distance(start) for lane in arm.lanes_in)
+        name: min(
+            LineString(lane.centreline_m).distance(start) for lane in arm.lanes_in
+        )
         for name, arm in junction.arms.items()
         if arm.lanes_in
     }
@@ -376,13 +435,19 @@ def _highest_limit_kmh(junction: Junction) -> float | None:
     """Speed limit of the fastest road into the junction; None if one of them has no known limit."""
     limits = [arm.speed_limit_kmh for arm in junction.arms.values() if arm.entry_lanes]
     known = [limit for limit in limits if limit is not None]
-    return max(known) if known and len(known) == len(limits) else None
+    if known and len(known) == len(limits):
+        return max(known)
+    return None
 
 
 def left_out_case(case: Case, approach: str, reason: str, left_out: LeftOut) -> Refusal:
     """Refusal of a case at all its speeds, whatever the junction looks like."""
-    pairs = [(vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)]
-    return _refusal(case, approach, pairs, reason=reason, is_possible=False, left_out=left_out)
+    pairs = [
+        (vut, vru) for vut in case.vut_speeds_kmh for vru in case.vru_speeds_kmh(vut)
+    ]
+    return _refusal(
+        case, approach, pairs, reason=reason, is_possible=False, left_out=left_out
+    )
 
 
 def _refusal(
@@ -408,7 +473,8 @@ class _Drive:
     approach: str
     position: Position
     limit_kmh: float | None  # nothing faster is driven; None: no limit
-    # the same for vehicles that the VUT meets: the highest limit of all roads of the junction
+    # the same for vehicles that the VUT meets: the highest limit of all roads of the
+    # junction
     target_limit_kmh: float | None
     vut: Actor
     rule: AebRule
@@ -416,7 +482,8 @@ class _Drive:
     def lay(self, turn: int | None) -> tuple[list[Run], list[Refusal]]:
         """Runs at ascending speeds by day, and what could not be laid.
 
-        Speeds take turns with the positions from `turn` on; None: all of them are driven.
+        Speeds take turns with the positions from `turn` on; None: all of them are
+        driven.
         """
         runs = []
         reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
@@ -438,7 +505,9 @@ class _Drive:
         for limit_kmh, pairs in too_fast.items():
             above = f"faster than the speed limit of {limit_kmh:g} km/h", False
             # A road that does not exist is missing at every speed.
-            missing = next((one for one in reasons if not one[1] and one not in limits), above)
+            missing = next(
+                (one for one in reasons if not one[1] and one not in limits), above
+            )
             reasons.setdefault(missing, []).extend(pairs)
             limits[above] = limit_kmh
         return runs, [
@@ -458,16 +527,25 @@ class _Drive:
         """The speed limit that the VUT, or a vehicle that it meets, would break; None: none."""
         if self.limit_kmh is not None and speed_kmh > self.limit_kmh:
             return self.limit_kmh
-        is_faster = self.target_limit_kmh is not None and vru_speed_kmh > self.target_limit_kmh
-        return self.target_limit_kmh if is_faster and is_vehicle(self.case.vru) else None
+        is_faster = (
+            self.target_limit_kmh is not None and vru_speed_kmh > self.target_limit_kmh
+        )
+        if is_faster and is_vehicle(self.case.vru):
+            return self.target_limit_kmh
+        return None
 
     def _pairs(self, turn: int | None) -> list[tuple[float, float]]:
         """Speeds of the VUT and of whoever it meets, ascending."""
         case = self.case
         speeds_kmh = case.vut_speeds_kmh
         if turn is not None:
-            points = (0, 1) if is_bound(case) else case.impact_turn
-            speeds_kmh = spread_speeds(speeds_kmh, self.position, turn=turn, impact_turn=points)
+            if is_bound(case):
+                points = (0, 1)
+            else:
+                points = case.impact_turn
+            speeds_kmh = spread_speeds(
+                speeds_kmh, self.position, turn=turn, impact_turn=points
+            )
         return [(vut, vru) for vut in speeds_kmh for vru in case.vru_speeds_kmh(vut)]
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
@@ -480,7 +558,9 @@ class _Drive:
                 return stage_published(placement, vut_speed_kmh=speed_kmh, vut=self.vut)
 
         def settle(staging: Staging) -> Staging:
-            return make_room(mirror_staging(staging) if scene.keeps_left else staging, scene)
+            return make_room(
+                mirror_staging(staging) if scene.keeps_left else staging, scene
+            )
 
         # The protocol's rules are those of traffic that keeps right.
         return stage_by_protocol(
@@ -493,10 +573,14 @@ class _Drive:
             settle=settle,
         )
 
-    def _stage_recorded(self, case: Case, recorded: RecordedEncounter, speed_kmh: float) -> Staging:
+    def _stage_recorded(
+        self, case: Case, recorded: RecordedEncounter, speed_kmh: float
+    ) -> Staging:
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
         if away_m > load_way_rules().max_recorded_away_m:
-            raise NoRoadError(f"it was recorded {away_m:.0f} m from the junction's lanes")
+            raise NoRoadError(
+                f"it was recorded {away_m:.0f} m from the junction's lanes"
+            )
         encounter = recorded.encounter(
             vut=self.vut,
             vut_speed_mps=speed_kmh * MPS_PER_KMH,
@@ -504,12 +588,16 @@ class _Drive:
             vru_speed_mps=case.vru_speed_kmh * MPS_PER_KMH,
         )
         if encounter is None:
-            raise CannotCarryError("at these speeds the recorded ways do not lead to an impact")
+            raise CannotCarryError(
+                "at these speeds the recorded ways do not lead to an impact"
+            )
         return Staging(encounter=encounter, obstruction=())
 
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
-        encounter, rate_hz = staging.encounter, self.rule.frame_rate_hz
-        vut, vru = encounter.vut_motion, encounter.vru_motion
+        encounter = staging.encounter
+        rate_hz = self.rule.frame_rate_hz
+        vut = encounter.vut_motion
+        vru = encounter.vru_motion
         first_s = min(vut.start_time_s, vru.start_time_s)
         if case.recorded is not None:  # what was before, nobody knows
             first_s = -case.recorded.known_s
@@ -519,7 +607,10 @@ class _Drive:
         vru_distance = vru.distance_m(time_s)
         vru_position, vru_yaw = vru.path.at(vru_distance)
         place = self.approach + ("" if self.position == AT_ZERO else self.position.name)
-        speeds = f"{speed_kmh:g}x{case.vru_speed_kmh:g}" if case.pairs_kmh else f"{speed_kmh:g}"
+        if case.pairs_kmh:
+            speeds = f"{speed_kmh:g}x{case.vru_speed_kmh:g}"
+        else:
+            speeds = f"{speed_kmh:g}"
         return Run(
             id=f"{case.name}/{place}/{speeds}",
             case=case,

@@ -1,9 +1,9 @@
 """What a run counts that is not avoided: nothing, or by what is left of the VUT's speed at contact.
 
-A score gives a run levels: closing speeds at contact, the slower the more it counts. Of each level
-there is a last onset of braking (:func:`scenarios.aeb.last_onsets_s`), so that to an optimiser it
-is a run of its own with a later deadline; what it weighs is what it adds to the next worse level.
-``data/scores.toml`` has Euro NCAP's.
+A score gives a run levels: closing speeds at contact, the slower the more it counts. Of
+each level there is a last onset of braking (:func:`scenarios.aeb.last_onsets_s`), so
+that to an optimiser it is a run of its own with a later deadline; what it weighs is
+what it adds to the next worse level. ``data/scores.toml`` has Euro NCAP's.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,9 @@ class Criterion(Struct, frozen=True, kw_only=True):
     """How some cases are judged."""
 
     criterion: Text
-    measure: Literal["below", "lost"]  # the speed at contact, or what braking has taken of it
+    measure: Literal[
+        "below", "lost"
+    ]  # the speed at contact, or what braking has taken of it
     cases: tuple[Text, ...]
     bands: tuple[Bands, ...]
 
@@ -60,13 +62,17 @@ def load_criteria(score: str) -> tuple[Criterion, ...]:
 
 
 def bands_kmh(
-    score: str, case_name: str, vut_speed_kmh: float, *, unbraked_kmh: float | None = None
+    score: str,
+    case_name: str,
+    vut_speed_kmh: float,
+    *,
+    unbraked_kmh: float | None = None,
 ) -> tuple[tuple[float, float], ...]:
     """Closing speeds at contact and what counts below each, the best first: ((0, 1.0), ...).
 
-    The first one, below which nothing can be, stands for runs that are avoided. `unbraked_kmh` is
-    the closing speed of the impact without braking, by default the VUT's speed: where what braking
-    has taken counts, it is taken from that.
+    The first one, below which nothing can be, stands for runs that are avoided.
+    `unbraked_kmh` is the closing speed of the impact without braking, by default the
+    VUT's speed: where what braking has taken counts, it is taken from that.
 
     >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
@@ -76,12 +82,20 @@ def bands_kmh(
     names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
     criteria = load_criteria(score)
     # The criterion that names the case, or the most of what its name begins with.
-    for criterion in [one for name in names for one in criteria if name in one.cases][:1]:
+    for criterion in [one for name in names for one in criteria if name in one.cases][
+        :1
+    ]:
         reached = [one for one in criterion.bands if one.vut_from_kmh <= vut_speed_kmh]
         bands = max(reached, key=lambda one: one.vut_from_kmh)
         for limit_kmh, share in bands.limits:
-            closing_kmh = vut_speed_kmh if unbraked_kmh is None else unbraked_kmh
-            below_kmh = closing_kmh - limit_kmh if criterion.measure == "lost" else limit_kmh
+            if unbraked_kmh is None:
+                closing_kmh = vut_speed_kmh
+            else:
+                closing_kmh = unbraked_kmh
+            if criterion.measure == "lost":
+                below_kmh = closing_kmh - limit_kmh
+            else:
+                below_kmh = limit_kmh
             if below_kmh > 0.0:
                 found.append((below_kmh, share))
     return tuple(found)
@@ -92,15 +106,17 @@ class Levels:
     """Levels of runs, run by run, the best level of each first."""
 
     score: str  # By which score
-    run_index: IntArray  # (n_levels,): run of each level, ascending; each run has one at least
-    # (n_levels,): reached by closing speeds at contact below this; 0: by runs that are avoided.
-    # [km/h]
+    run_index: (
+        IntArray  # (n_levels,): run of each level, ascending; each run has one at least
+    )
+    # (n_levels,): reached by closing speeds at contact below this; 0: by runs that are
+    # avoided. [km/h]
     below_kmh: FloatArray
-    # (n_levels,): what reaching it adds to the next worse level of its run, a share of the run's
-    # weight; those of a run sum to 1
+    # (n_levels,): what reaching it adds to the next worse level of its run, a share of
+    # the run's weight; those of a run sum to 1
     gain: FloatArray
-    # (n_levels,): last onset of braking that reaches it, and so does every earlier one; of avoided
-    # runs the last brake time. [s]
+    # (n_levels,): last onset of braking that reaches it, and so does every earlier one;
+    # of avoided runs the last brake time. [s]
     deadline_s: FloatArray
 
     def __post_init__(self) -> None:
@@ -120,7 +136,9 @@ class Levels:
 
     def of_onsets(self, onset_s: FloatArray, tolerance_s: float) -> FloatArray:
         """The same by the onsets of braking in seconds, infinite where there is none."""
-        return self._of_levels(onset_s[..., self.run_index] <= self.deadline_s + tolerance_s)
+        return self._of_levels(
+            onset_s[..., self.run_index] <= self.deadline_s + tolerance_s
+        )
 
     def _of_levels(self, is_reached: BoolArray) -> FloatArray:
         gains = np.where(is_reached, self.gain, 0.0)
@@ -130,22 +148,29 @@ class Levels:
 def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | None:
     """Levels of runs by a score; None for "avoided", where each run has one alone.
 
-    A speed that the impact without braking already stays below is no level: nobody has to do
-    anything for it. Raises InputError if there is no such score.
+    A speed that the impact without braking already stays below is no level: nobody has
+    to do anything for it. Raises InputError if there is no such score.
     """
     if not load_criteria(score):
         return None
     known: dict[tuple[int, tuple[float, ...]], FloatArray] = {}
     rows: list[tuple[int, float, float, float]] = []
     for index, run in enumerate(runs):
-        unbraked_kmh = float(find_contacts(run.encounter, 0.0, rule).closing_mps) / MPS_PER_KMH
-        bands = bands_kmh(score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh)
+        unbraked_kmh = (
+            float(find_contacts(run.encounter, 0.0, rule).closing_mps) / MPS_PER_KMH
+        )
+        bands = bands_kmh(
+            score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh
+        )
         limits = tuple(below for below, _ in bands[1:])
         key = id(run.encounter), limits  # one and the same in all weathers
         if limits and key not in known:
             below_mps = [limit * MPS_PER_KMH for limit in limits]
             known[key] = last_onsets_s(
-                run.encounter, rule, below_mps=below_mps, avoids_until_s=run.last_brake_time_s
+                run.encounter,
+                rule,
+                below_mps=below_mps,
+                avoids_until_s=run.last_brake_time_s,
             )
         deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
         levels = zip(bands, deadlines, strict=True)
@@ -153,7 +178,11 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
         shares = [share for _, share, _ in told]
         gains = [one - other for one, other in pairwise([*shares, 0.0])]
         gained = zip(told, gains, strict=True)
-        rows += [(index, below, gain, at_s) for (below, _, at_s), gain in gained if gain > 0.0]
+        rows += [
+            (index, below, gain, at_s)
+            for (below, _, at_s), gain in gained
+            if gain > 0.0
+        ]
     run_index, below_kmh, gain, deadline_s = zip(*rows, strict=True)
     return Levels(
         score=score,

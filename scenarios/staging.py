@@ -49,7 +49,10 @@ class TooFastError(NoRoadError):
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
-        where = "to the target there" if is_target else "there"
+        if is_target:
+            where = "to the target there"
+        else:
+            where = "there"
         allowed = f"{limit_mps2:g} m/s^2 to the side allow {allowed_kmh} km/h {where}"
         super().__init__(f"{BENDS}: {allowed}")
 
@@ -60,26 +63,36 @@ class Staging:
 
     encounter: Encounter  # its impact is at time 0
     obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only
-    # (2,); unit vectors in which the obstruction may give way to what stands there: away from whom
-    # it stands next to, and away from where the ways cross; zero without one
+    # (2,); unit vectors in which the obstruction may give way to what stands there:
+    # away from whom it stands next to, and away from where the ways cross; zero without
+    # one
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
     max_aside_m: float = 0.0  # how far it may be moved aside
 
 
 def find_meeting(
-    case: Case, *, vut: Actor, vut_path: Path, vru_line: Line, search_m: tuple[float, float]
+    case: Case,
+    *,
+    vut: Actor,
+    vut_path: Path,
+    vru_line: Line,
+    search_m: tuple[float, float],
 ) -> tuple[float, float]:
     """Where the VUT's and the VRU's middle are when they meet at the case's impact position.
 
-    Along the VUT's path, and along the VRU's line from its point. Front: the VRU's point is
-    `impact_percent` across the VUT's width, and the VUT's front has just reached the VRU's box.
-    Side: the point is on the VUT's side. `search_m` are the first and the last distance along the
-    VUT's path to look at. Raises CannotCarryError: the VUT's path does not lead there.
+    Along the VUT's path, and along the VRU's line from its point. Front: the VRU's
+    point is `impact_percent` across the VUT's width, and the VUT's front has just
+    reached the VRU's box. Side: the point is on the VUT's side. `search_m` are the
+    first and the last distance along the VUT's path to look at. Raises
+    CannotCarryError: the VUT's path does not lead there.
     """
     from scipy.optimize import brentq
 
-    gap = _gap_to_side if case.impact_face == "side" else _gap_to_front
+    if case.impact_face == "side":
+        gap = _gap_to_side
+    else:
+        gap = _gap_to_front
     distances = np.arange(search_m[0], search_m[1] + _SCAN_STEP_M, _SCAN_STEP_M)
     gaps, _ = gap(case, vut, vut_path, vru_line, distances)
     closes = np.flatnonzero((gaps[:-1] > 0.0) & (gaps[1:] <= 0.0))
@@ -90,7 +103,9 @@ def find_meeting(
     def gap_at(distance_m: float) -> float:
         return float(gap(case, vut, vut_path, vru_line, np.array([distance_m]))[0][0])
 
-    vut_distance_m = float(brentq(gap_at, distances[first], distances[first + 1], xtol=1.0e-10))
+    vut_distance_m = float(
+        brentq(gap_at, distances[first], distances[first + 1], xtol=1.0e-10)
+    )
     _, vru_distance = gap(case, vut, vut_path, vru_line, np.array([vut_distance_m]))
     return vut_distance_m, float(vru_distance[0])
 
@@ -100,9 +115,9 @@ def find_crossing(
 ) -> tuple[float, float]:
     """Where a turning VUT's front axle crosses a target's way: along its path, and the station.
 
-    `vru_tangent`: the straight line that touches the target's way at a station, with its point
-    there. `search_m`: the last distance along the VUT's path to look at. Raises CannotCarryError:
-    they do not cross.
+    `vru_tangent`: the straight line that touches the target's way at a station, with
+    its point there. `search_m`: the last distance along the VUT's path to look at.
+    Raises CannotCarryError: they do not cross.
     """
     from scipy.optimize import brentq
 
@@ -135,7 +150,8 @@ def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
 
 def _axes(yaw_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Unit vectors ahead and to the left, (..., 2) each."""
-    cosine, sine = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    cosine = np.cos(np.radians(yaw_deg))
+    sine = np.sin(np.radians(yaw_deg))
     return np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)
 
 
@@ -156,9 +172,14 @@ def _gap_to_front(
     along = (impact_offset_m(case, vut) - offset) / across - case.vru_reference_m
     middle = vru_line.point_m + along[:, None] * vru_line.direction
     is_ahead = ((middle - position) * ahead).sum(axis=-1)
-    vru, vru_yaw_deg = case.vru, np.full(len(middle), vru_line.yaw_deg)
-    own = footprint_corners(position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m)
-    other = footprint_corners(middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m)
+    vru = case.vru
+    vru_yaw_deg = np.full(len(middle), vru_line.yaw_deg)
+    own = footprint_corners(
+        position, yaw_deg, length_m=vut.length_m, width_m=vut.width_m
+    )
+    other = footprint_corners(
+        middle, vru_yaw_deg, length_m=vru.length_m, width_m=vru.width_m
+    )
     separation = footprint_separation(own, other)
     return np.where(is_ahead > 0.0, separation, np.inf), along
 
@@ -173,10 +194,13 @@ def _gap_to_side(
     is_left = "far" in (case.turn, case.vru_side)
     left_m = 0.5 * vut.width_m * (1.0 if is_left else -1.0)
     coordinates = vru_line.coordinates(position + ahead_m * ahead + left_m * left)
-    # Positive until the VUT gets to the line: coming from its right, if it turns left next to a
-    # VRU that goes the same way, or drives straight on to one from the left.
+    # Positive until the VUT gets to the line: coming from its right, if it turns left
+    # next to a VRU that goes the same way, or drives straight on to one from the left.
     is_from_right = is_left == (case.vru_direction in ("same", ""))
-    gap = -coordinates[:, 1] if is_from_right else coordinates[:, 1]
+    if is_from_right:
+        gap = -coordinates[:, 1]
+    else:
+        gap = coordinates[:, 1]
     return gap, coordinates[:, 0] - case.vru_reference_m
 
 
@@ -189,7 +213,8 @@ _ROUND_KMH = 5
 def lateral_mps2(motion: Motion, body: Actor) -> float:
     """Largest acceleration to the side of a vehicle's front axle up to the impact, in m/s^2.
 
-    From a car's length before the start: its rear axle still turns into what the front has passed.
+    From a car's length before the start: its rear axle still turns into what the front
+    has passed.
     """
     distance = np.arange(-body.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
     steps = np.diff(_front_axle_m(body, motion.path, distance), axis=0)
@@ -204,9 +229,9 @@ Settle = Callable[[Staging], Staging]
 def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> Staging:
     """The first of some stagings that a car can drive, settled where it has room.
 
-    Each of `lays` returns a staging or raises CannotCarryError, `settle` makes room for it: where
-    there is no kerb the next one is tried. Raises the error of the one that came farthest: none
-    fits.
+    Each of `lays` returns a staging or raises CannotCarryError, `settle` makes room for
+    it: where there is no kerb the next one is tried. Raises the error of the one that
+    came farthest: none fits.
     """
     errors: list[CannotCarryError] = []
     for lay in lays:
@@ -237,7 +262,9 @@ def _check_bends(encounter: Encounter) -> None:
         if reached_mps2 > limit_mps2:
             speed_mps = motion.speed_mps * np.sqrt(limit_mps2 / reached_mps2)
             allowed_kmh = _ROUND_KMH * int(speed_mps / MPS_PER_KMH / _ROUND_KMH)
-            raise TooFastError(limit_mps2, allowed_kmh, is_target=body is not encounter.vut)
+            raise TooFastError(
+                limit_mps2, allowed_kmh, is_target=body is not encounter.vut
+            )
 
 
 def is_vehicle(body: Actor) -> bool:
@@ -249,8 +276,8 @@ def is_vehicle(body: Actor) -> bool:
 def mirror_staging(staging: Staging) -> Staging:
     """A staging in a mirror that swaps north and south.
 
-    The bodies are no mirror images: a pedestrian sets off with the same foot, and the driver's
-    side of a parked car stays.
+    The bodies are no mirror images: a pedestrian sets off with the same foot, and the
+    driver's side of a parked car stays.
     """
     encounter = staging.encounter
 
@@ -261,8 +288,11 @@ def mirror_staging(staging: Staging) -> Staging:
         position_m = pose.position_m * [1.0, -1.0, 1.0]
         return replace(pose, position_m=position_m, yaw_deg=-pose.yaw_deg)
 
-    vut_motion, vru_motion = in_mirror(encounter.vut_motion), in_mirror(encounter.vru_motion)
-    obstruction = (replace(one, pose=turned_over(one.pose)) for one in staging.obstruction)
+    vut_motion = in_mirror(encounter.vut_motion)
+    vru_motion = in_mirror(encounter.vru_motion)
+    obstruction = (
+        replace(one, pose=turned_over(one.pose)) for one in staging.obstruction
+    )
     return replace(
         staging,
         encounter=replace(encounter, vut_motion=vut_motion, vru_motion=vru_motion),
@@ -311,7 +341,9 @@ def load_way_rules() -> WayRules:
 @cache
 def load_obstruction_rules() -> ObstructionRules:
     """Rules of obstructions."""
-    return read_table(_load_table("obstructions"), ObstructionRules, "laying.toml: obstructions")
+    return read_table(
+        _load_table("obstructions"), ObstructionRules, "laying.toml: obstructions"
+    )
 
 
 def _load_table(name: str) -> Table:

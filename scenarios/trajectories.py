@@ -61,14 +61,17 @@ class Track:
     class_name: str  # "vehicle", "pedestrian", "cyclist" or "motorcyclist"
     time_s: FloatArray  # (n,), n >= 3; ascending, on the recording's clock
     position_m: FloatArray  # (n, 2); middle of the body, in the recording's frame
-    yaw_deg: FloatArray  # (n,); counter-clockwise from x; not a number where the file does not say
+    # (n,); counter-clockwise from x; not a number where the file does not say
+    yaw_deg: FloatArray
 
     def __repr__(self) -> str:
         return f"Track({self.id!r}, {self.class_name}, {len(self.time_s)} samples)"
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Positions (..., 2) at times, between samples linearly; at its ends it stays."""
-        east, north = (np.interp(time_s, self.time_s, axis) for axis in self.position_m.T)
+        east, north = (
+            np.interp(time_s, self.time_s, axis) for axis in self.position_m.T
+        )
         return np.stack([east, north], axis=-1)
 
     def velocity_mps(self, time_s: FloatArray) -> FloatArray:
@@ -76,7 +79,9 @@ class Track:
         reach_s = load_trajectory_rules().tracks.velocity_s
         before = np.maximum(time_s - reach_s, self.time_s[0])
         after = np.minimum(time_s + reach_s, self.time_s[-1])
-        return np.asarray((self.at(after) - self.at(before)) / (after - before)[..., None])
+        return np.asarray(
+            (self.at(after) - self.at(before)) / (after - before)[..., None]
+        )
 
 
 class _Sample(NamedTuple):
@@ -98,12 +103,13 @@ def read_tracks(
 ) -> tuple[tuple[Track, ...], int]:
     """Tracks of a file, and how many road users are left out: of other classes, or seen briefly.
 
-    `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV files:
-    `columns` gives their names by what they hold (id, time, frame, x, y, heading, heading_rad,
-    class), in place of those that are recognised, `frame_rate_hz` is for those that count frames,
-    and `class_name` for those without classes. Raises InputError with file and line, or element: no
-    such format or column, a number is missing or not finite, times of a track do not ascend or are
-    not whole steps of the file (mixed frame rates), or a track jumps.
+    `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV
+    files: `columns` gives their names by what they hold (id, time, frame, x, y,
+    heading, heading_rad, class), in place of those that are recognised, `frame_rate_hz`
+    is for those that count frames, and `class_name` for those without classes. Raises
+    InputError with file and line, or element: no such format or column, a number is
+    missing or not finite, times of a track do not ascend or are not whole steps of the
+    file (mixed frame rates), or a track jumps.
     """
     if class_name:
         check_one_of("class", class_name, load_trajectory_rules().classes)
@@ -124,15 +130,21 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
         before = tracks.setdefault(sample.id, [])
         if before and not sample.time_s > before[-1].time_s:
             got = Unquoted(f"{sample.time_s:g} s after {before[-1].time_s:g} s")
-            raise InputError(f"{sample.place}: time", got, f"times of {sample.id} that ascend")
+            raise InputError(
+                f"{sample.place}: time", got, f"times of {sample.id} that ascend"
+            )
         before.append(sample)
     if not tracks:
         raise InputError(str(path), Unquoted("nobody"), "trajectories of road users")
     known = {name: by_word.get(own[0].word.lower(), "") for name, own in tracks.items()}
     steps = [np.diff([sample.time_s for sample in own]) for own in tracks.values()]
     every = np.concatenate(steps)
-    step_s = float(np.median(every)) if len(every) else 1.0
-    found, n_left_out = [], 0
+    if len(every):
+        step_s = float(np.median(every))
+    else:
+        step_s = 1.0
+    found = []
+    n_left_out = 0
     for (name, own), dt in zip(tracks.items(), steps, strict=True):
         if not known[name]:
             n_left_out += 1
@@ -158,18 +170,25 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
 _FEWEST = 3  # samples of a track
 
 
-def _check(own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: float) -> None:
+def _check(
+    own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: float
+) -> None:
     """Raise InputError at the first sample that is off the file's steps, or has jumped."""
     off = np.abs(dt / step_s - np.maximum(np.rint(dt / step_s), 1.0))
     bad = np.flatnonzero(off > load_trajectory_rules().tracks.step_tolerance)
     if len(bad):
-        sample, got = own[bad[0] + 1], Unquoted(f"{dt[bad[0]]:g} s after the one before")
+        sample = own[bad[0] + 1]
+        got = Unquoted(f"{dt[bad[0]]:g} s after the one before")
         expected = f"steps of {step_s:g} s, as in most of the file: one frame rate"
         raise InputError(f"{sample.place}: time", got, expected)
-    moved = np.hypot(*np.diff([row[4:6] for row in own], axis=0).T) if len(own) > 1 else dt
+    if len(own) > 1:
+        moved = np.hypot(*np.diff([row[4:6] for row in own], axis=0).T)
+    else:
+        moved = dt
     jumps = np.flatnonzero(moved > fastest_mps * dt)
     if len(jumps):
-        sample, first = own[jumps[0] + 1], jumps[0]
+        sample = own[jumps[0] + 1]
+        first = jumps[0]
         got = Unquoted(f"{moved[first]:.1f} m in {dt[first]:g} s")
         expected = f"a track of {sample.id} without jumps, at most {fastest_mps:g} m/s"
         raise InputError(sample.place, got, expected)
@@ -191,20 +210,33 @@ def _csv_samples(
             for name, index in at.items()
             if name not in ("id", "class")
         }
-        word = row[at["class"]] if "class" in at else class_name
-        time_s = value["time"] if "time" in at else value["frame"] / (frame_rate_hz or 1.0)
+        if "class" in at:
+            word = row[at["class"]]
+        else:
+            word = class_name
+        if "time" in at:
+            time_s = value["time"]
+        else:
+            time_s = value["frame"] / (frame_rate_hz or 1.0)
         yaw_deg = value.get("heading", math.degrees(value.get("heading_rad", math.nan)))
-        yield _Sample(place, row[at["id"]], word, time_s, value["x"], value["y"], yaw_deg)
+        yield _Sample(
+            place, row[at["id"]], word, time_s, value["x"], value["y"], yaw_deg
+        )
 
 
 def _find_columns(
-    path: Path, header: list[str], columns: Mapping[str, str], frame_rate_hz: float | None
+    path: Path,
+    header: list[str],
+    columns: Mapping[str, str],
+    frame_rate_hz: float | None,
 ) -> dict[str, int]:
     """Where in a row each thing stands, by what it is."""
-    known, where = load_trajectory_rules().columns, f"{path}: line 1"
+    known = load_trajectory_rules().columns
+    where = f"{path}: line 1"
     for name in columns:
         check_one_of("columns", name, known)
-    lower, at = [name.lower() for name in header], {}
+    lower = [name.lower() for name in header]
+    at = {}
     for name, words in known.items():
         if name in columns:
             if columns[name] not in header:
@@ -240,7 +272,10 @@ _LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
 
 
 # ---------- XML
-_COMMONROAD_STATE = (*("time/exact", "position/point/x", "position/point/y"), "orientation/exact")
+_COMMONROAD_STATE = (
+    *("time/exact", "position/point/x", "position/point/y"),
+    "orientation/exact",
+)
 
 
 def _xml_samples(path: Path) -> Iterator[_Sample]:
@@ -251,21 +286,35 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
             time_s = _number(step.get("time"), f"{path}: timestep: time")
             for thing in step:
                 place = f"{path}: timestep {time_s:g}, {thing.tag} {thing.get('id')}"
-                x, y, angle = (_number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle"))
+                x, y, angle = (
+                    _number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle")
+                )
                 yaw = math.radians(90.0 - angle)  # SUMO's is clockwise from north
                 word = _sumo_class(thing.tag, thing.get("type") or "")
-                # SUMO's point of a vehicle is its front bumper; the VUT's stands there, too.
-                back_m = 0.5 * length_m if word == VEHICLE else 0.0
-                x, y = x - back_m * math.cos(yaw), y - back_m * math.sin(yaw)
+                # SUMO's point of a vehicle is its front bumper; the VUT's stands there,
+                # too.
+                if word == VEHICLE:
+                    back_m = 0.5 * length_m
+                else:
+                    back_m = 0.0
+                x = x - back_m * math.cos(yaw)
+                y = y - back_m * math.sin(yaw)
                 name = f"{thing.get('id')}"
                 yield _Sample(place, name, word, time_s, x, y, math.degrees(yaw))
     elif root.tag == "commonRoad":
         step_s = _number(root.get("timeStepSize"), f"{path}: commonRoad: timeStepSize")
         # Until version 2018b obstacles of all roles had one name.
-        for thing in (*root.iter("dynamicObstacle"), *root.iterfind("obstacle[role='dynamic']")):
+        for thing in (
+            *root.iter("dynamicObstacle"),
+            *root.iterfind("obstacle[role='dynamic']"),
+        ):
             here = f"{path}: {thing.tag} {thing.get('id')}"
-            name, word = f"{thing.get('id')}", (thing.findtext("type") or "").strip()
-            states = [*thing.findall("initialState"), *thing.findall("trajectory/state")]
+            name = f"{thing.get('id')}"
+            word = (thing.findtext("type") or "").strip()
+            states = [
+                *thing.findall("initialState"),
+                *thing.findall("trajectory/state"),
+            ]
             first: tuple[float, ...] = ()
             for number, state in enumerate(states):
                 place = f"{here}, state {number}"
@@ -274,7 +323,8 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                     for name in _COMMONROAD_STATE
                 )
                 if number == 1 and values == first:
-                    continue  # some trajectories begin with the initial state, others after it
+                    # some trajectories begin with the initial state, others after it
+                    continue
                 first = first or values
                 yield _Sample(place, name, word, time * step_s, x, y, math.degrees(yaw))
     else:
@@ -286,5 +336,9 @@ def _sumo_class(tag: str, type_name: str) -> str:
     if tag != "vehicle":
         return tag
     words = load_trajectory_rules().classes
-    is_known = any(type_name.lower() in words[name] for name in ("cyclist", "motorcyclist"))
-    return type_name if is_known else VEHICLE
+    is_known = any(
+        type_name.lower() in words[name] for name in ("cyclist", "motorcyclist")
+    )
+    if is_known:
+        return type_name
+    return VEHICLE

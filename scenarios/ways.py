@@ -73,9 +73,12 @@ class StraightWay:
     ) -> "tuple[Way, float]":
         """The way some metres to the left of it, and where one of its stations lies on that way.
 
-        It is needed so far back from the station and so far ahead; beyond it may go straight.
+        It is needed so far back from the station and so far ahead; beyond it may go
+        straight.
         """
-        beside = Line(point_m=self.line.at(station_m, left_m), direction=self.line.direction)
+        beside = Line(
+            point_m=self.line.at(station_m, left_m), direction=self.line.direction
+        )
         return StraightWay(line=beside), 0.0
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
@@ -128,7 +131,9 @@ class CurvedWay:
         except InputError:
             why = f"the lane bends too sharply for a way {abs(left_m):.1f} m beside it"
             raise CannotCarryError(why) from None
-        return CurvedWay(course=course), course.station_of(self.point(station_m, left_m))
+        return CurvedWay(course=course), course.station_of(
+            self.point(station_m, left_m)
+        )
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
         """See :meth:`StraightWay.vut_path`."""
@@ -154,7 +159,11 @@ def straight_line(lane: Lane, *, is_in: bool) -> Line:
 
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
     """How far a lane leaves its straight line, over a length from its mouth, in metres."""
-    points = lane.centreline_m[::-1] if is_in else lane.centreline_m  # the mouth comes first
+    # the mouth comes first
+    if is_in:
+        points = lane.centreline_m[::-1]
+    else:
+        points = lane.centreline_m
     along = along_m(points)
     end_m = np.clip(length_m, 0.0, along[-1])[None]
     near = np.concatenate([points[along <= end_m], points_at(points, end_m)])
@@ -168,11 +177,15 @@ def is_bent(lane: Lane, *, is_in: bool) -> bool:
     return bend_m > load_way_rules().max_lane_bend_m
 
 
-def check_straight(way: Way, lane: Lane, driven_m: float, *, is_in: bool = True) -> None:
+def check_straight(
+    way: Way, lane: Lane, driven_m: float, *, is_in: bool = True
+) -> None:
     """Raise if a straight way leaves its lane within some metres from the mouth."""
     bend_m = off_line_m(lane, is_in=is_in, length_m=driven_m)
     if isinstance(way, StraightWay) and bend_m > load_way_rules().max_lane_bend_m:
-        raise CannotCarryError(f"lane {lane.id} is not straight: {bend_m:.1f} m off its line")
+        raise CannotCarryError(
+            f"lane {lane.id} is not straight: {bend_m:.1f} m off its line"
+        )
 
 
 def free_aside_m(vut: Actor, *lanes: Lane) -> float:
@@ -183,7 +196,10 @@ def free_aside_m(vut: Actor, *lanes: Lane) -> float:
 
 def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
     """The way along a lane, in its driving direction: straight where the lane is so far."""
-    if off_line_m(lane, is_in=is_in, length_m=length_m) <= load_way_rules().max_lane_bend_m:
+    if (
+        off_line_m(lane, is_in=is_in, length_m=length_m)
+        <= load_way_rules().max_lane_bend_m
+    ):
         return StraightWay(line=straight_line(lane, is_in=is_in))
     return CurvedWay(course=courses.follow_lane(lane.centreline_m, is_in=is_in))
 
@@ -193,12 +209,13 @@ def way_across(
 ) -> tuple[Way, float]:
     """The way from a lane into the junction straight on into a lane out of it, and its begin.
 
-    Stations count from the mouth of the lane out of it; its begin is that at which the first lane
-    begins. Straight, where all its lanes stay on the first one's line; else
-    along the lanes' bends, and between them on the junction's own lane `connection`, or, where the
-    map has none, on a cubic curve with the lanes' directions at its ends. With `free_m` it is the
-    gentlest that leaves the lanes' middles by no more, and such a curve by no more than a metre.
-    Raises CannotCarryError: the lane out of the junction does not lie ahead.
+    Stations count from the mouth of the lane out of it; its begin is that at which the
+    first lane begins. Straight, where all its lanes stay on the first one's line; else
+    along the lanes' bends, and between them on the junction's own lane `connection`,
+    or, where the map has none, on a cubic curve with the lanes' directions at its ends.
+    With `free_m` it is the gentlest that leaves the lanes' middles by no more, and such
+    a curve by no more than a metre. Raises CannotCarryError: the lane out of the
+    junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
@@ -209,16 +226,25 @@ def way_across(
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
         way = StraightWay(line=Line(point_m=line.at(mouth_m), direction=line.direction))
         return way, -mouth_m - lane_length_m(entry)
-    between = _curve_between(entry, leaving) if connection is None else connection.centreline_m
-    before, after = entry.centreline_m, leaving.centreline_m
+    if connection is None:
+        between = _curve_between(entry, leaving)
+    else:
+        between = connection.centreline_m
+    before = entry.centreline_m
+    after = leaving.centreline_m
     if free_m is not None:
-        aside_m = _CUT_OFF_M if connection is None else free_m
+        if connection is None:
+            aside_m = _CUT_OFF_M
+        else:
+            aside_m = free_m
         room_m = [free_m, aside_m, free_m]
         course = courses.follow_gently([before, between, after], room_m, origin=2)
     elif connection is None:
         course = courses.follow_lanes([np.concatenate([before, between]), after])
     else:
-        course = courses.follow_connection(before, between, after, is_origin_behind=True)
+        course = courses.follow_connection(
+            before, between, after, is_origin_behind=True
+        )
     across_m = length_m(between)
     return CurvedWay(course=course), -across_m - lane_length_m(entry)
 
@@ -264,14 +290,22 @@ Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
     """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
-    side = vut_line.left if to_left else -vut_line.left
+    if to_left:
+        side = vut_line.left
+    else:
+        side = -vut_line.left
     rules = load_way_rules()
-    for skew_deg, far_m in ((rules.max_skew_deg, 50.0), (rules.max_turn_skew_deg, 15.0)):
-        best, best_cosine = None, np.cos(np.radians(skew_deg))
+    for skew_deg, far_m in (
+        (rules.max_skew_deg, 50.0),
+        (rules.max_turn_skew_deg, 15.0),
+    ):
+        best = None
+        best_cosine = np.cos(np.radians(skew_deg))
         for arm in junction.arms.values():
             cosine = float(_outwards(arm, far_m) @ side)
             if cosine >= best_cosine:
-                best, best_cosine = arm, cosine
+                best = arm
+                best_cosine = cosine
         if best is not None:
             return best
     return None
@@ -279,7 +313,8 @@ def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
 
 def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
     """The arm into which the VUT would drive straight on; None if there is none."""
-    best, best_cosine = None, np.cos(np.radians(load_way_rules().max_skew_deg))
+    best = None
+    best_cosine = np.cos(np.radians(load_way_rules().max_skew_deg))
     for arm in junction.arms.values():
         cosine = float(_outwards(arm, 15.0) @ vut_line.direction)
         is_in_line = arm is not approach and cosine >= best_cosine
@@ -288,15 +323,21 @@ def arm_ahead(junction: Junction, approach: Arm, vut_line: Line) -> Arm | None:
         ahead_m, left_m = vut_line.coordinates(np.array(mouths)).T
         # One of its lanes begins or ends no farther aside than ahead.
         if is_in_line and (np.abs(left_m) <= ahead_m).any():
-            best, best_cosine = arm, cosine
+            best = arm
+            best_cosine = cosine
     return best
 
 
 def _outwards(arm: Arm, length_m: float) -> FloatArray:
     """Direction in which an arm leads away from the junction, (2,)."""
-    lanes, is_in = (arm.lanes_in, True) if arm.lanes_in else (arm.lanes_out, False)
+    if arm.lanes_in:
+        lanes, is_in = (arm.lanes_in, True)
+    else:
+        lanes, is_in = (arm.lanes_out, False)
     line, _ = lane_line(lanes[0], is_in=is_in, length_m=length_m)
-    return -line.direction if is_in else line.direction
+    if is_in:
+        return -line.direction
+    return line.direction
 
 
 def straight_lane(junction: Junction, arm: Arm) -> Lane:
@@ -308,34 +349,51 @@ def straight_lane(junction: Junction, arm: Arm) -> Lane:
     return arm.entry_lanes[0]
 
 
-def joints(junction: Junction, arm: Arm, target: Arm, movement: Movement) -> list[Joint]:
+def joints(
+    junction: Junction, arm: Arm, target: Arm, movement: Movement
+) -> list[Joint]:
     """Lanes by which cars may drive from one arm into another, the usual ones first.
 
-    From the kerb, to the left from the axis. Where the map has lanes through the junction, those
-    that it joins. Else lanes that are marked for the movement, or without any those that bear no
-    marking; straight on the exit lane that is most in line comes first. Raises NoRoadError: no lane
-    leads there, by the lanes through the junction or by the markings.
+    From the kerb, to the left from the axis. Where the map has lanes through the
+    junction, those that it joins. Else lanes that are marked for the movement, or
+    without any those that bear no marking; straight on the exit lane that is most in
+    line comes first. Raises NoRoadError: no lane leads there, by the lanes through the
+    junction or by the markings.
     """
-    step = -1 if movement == "left" else 1
-    before, after = arm.entry_lanes[::step], target.exit_lanes[::step]
+    if movement == "left":
+        step = -1
+    else:
+        step = 1
+    before = arm.entry_lanes[::step]
+    after = target.exit_lanes[::step]
     if _has_connections(junction):
         pairs = [(lane, other) for lane in before for other in after]
-        every = [(lane, junction.connection(lane, other), other) for lane, other in pairs]
+        every = [
+            (lane, junction.connection(lane, other), other) for lane, other in pairs
+        ]
         joined: list[Joint] = [one for one in every if one[1] is not None]
         if not joined:
-            raise NoRoadError(f"by the map no lane leads from the {arm.name} to the {target.name}")
+            raise NoRoadError(
+                f"by the map no lane leads from the {arm.name} to the {target.name}"
+            )
         return joined
     marked = [lane for lane in before if movement in lane.turns]
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
-        raise NoRoadError(f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}")
+        raise NoRoadError(
+            f"by their markings no lane from the {arm.name} leads {_LEADS[movement]}"
+        )
     if movement != "through":
         return [(lane, None, other) for lane in free for other in after]
     found: list[Joint] = []
     for lane in free:
         line = straight_line(lane, is_in=True)
-        aside_m = [abs(float(line.coordinates(other.centreline_m[0])[1])) for other in after]
-        found += [(lane, None, after[index]) for index in np.argsort(aside_m, kind="stable")]
+        aside_m = [
+            abs(float(line.coordinates(other.centreline_m[0])[1])) for other in after
+        ]
+        found += [
+            (lane, None, after[index]) for index in np.argsort(aside_m, kind="stable")
+        ]
     return found
 
 
@@ -344,8 +402,14 @@ def _has_connections(junction: Junction) -> bool:
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])
-    tips = [lane.centreline_m[-1] for arm in junction.arms.values() for lane in arm.entry_lanes]
-    return any(bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in tips)
+    tips = [
+        lane.centreline_m[-1]
+        for arm in junction.arms.values()
+        for lane in arm.entry_lanes
+    ]
+    return any(
+        bool((np.hypot(*(begins - tip).T) <= _SAME_POINT_M).any()) for tip in tips
+    )
 
 
 # ---------- turns into another arm
@@ -364,7 +428,9 @@ class Turning:
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
 
 
-def on_straights(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
+def on_straights(
+    entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor
+) -> Turning:
     """The protocol's curve between the straight lines of two lanes."""
     entry = straight_line(entry_lane, is_in=True)
     exit_line = straight_line(exit_lane, is_in=False)
@@ -401,7 +467,9 @@ def on_straights(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Act
     )
 
 
-def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) -> Turning:
+def on_lanes(
+    entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor
+) -> Turning:
     """The protocol's curve between two lanes that bend."""
     entry = courses.follow_lane(entry_lane.centreline_m, is_in=True)
     exit_course = courses.follow_lane(exit_lane.centreline_m, is_in=False)
@@ -409,14 +477,18 @@ def on_lanes(entry_lane: Lane, exit_lane: Lane, turn: courses.Turn, vut: Actor) 
         course, turn = courses.join_by_turn(entry, exit_course, turn)
     except (InputError, np.linalg.LinAlgError):
         between = f"from lane {entry_lane.id} into {exit_lane.id}"
-        raise CannotCarryError(f"no turn of {turn.radius_m:g} m leads {between}") from None
+        raise CannotCarryError(
+            f"no turn of {turn.radius_m:g} m leads {between}"
+        ) from None
     _check_within(entry_lane, -entry.station_of(course.tangent(0.0).point_m), "begin")
     end = course.tangent(turn.length_m)
     _check_within(exit_lane, exit_course.station_of(end.point_m), "end")
     return _towed(entry_lane, exit_course, course, turn.length_m, vut)
 
 
-def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor) -> Turning:
+def along_connection(
+    entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: Actor
+) -> Turning:
     """Along the junction's own lane between two others."""
     chains = (lane.centreline_m for lane in (entry_lane, connection, exit_lane))
     course = courses.follow_connection(*chains, is_origin_behind=False)
@@ -425,7 +497,11 @@ def along_connection(entry_lane: Lane, connection: Lane, exit_lane: Lane, vut: A
 
 
 def _towed(
-    entry_lane: Lane, exit_course: courses.Course, course: courses.Course, turn_m: float, vut: Actor
+    entry_lane: Lane,
+    exit_course: courses.Course,
+    course: courses.Course,
+    turn_m: float,
+    vut: Actor,
 ) -> Turning:
     def path_with(straight_m: float) -> TowedPath:
         return TowedPath(
@@ -447,7 +523,9 @@ def _towed(
 
 def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
     if in_lane_m > lane_length_m(lane):
-        raise CannotCarryError(f"the turn would {what} beyond the mapped lane {lane.id}")
+        raise CannotCarryError(
+            f"the turn would {what} beyond the mapped lane {lane.id}"
+        )
 
 
 # ---------- bends that are too sharp
@@ -464,12 +542,14 @@ def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
         return
     for arm in junction.arms.values():
         bends = _bends(junction, arm)
-        speed_kmh, distance_m, lane = min(bends, key=lambda one: one[0] - _limit_kmh(one[2]))
+        speed_kmh, distance_m, lane = min(
+            bends, key=lambda one: one[0] - _limit_kmh(one[2])
+        )
         if speed_kmh < _limit_kmh(lane):
             why = (
-                f"lane {lane.id} bends {distance_m:.0f} m from the junction: "
-                f"{rules.max_lateral_mps2:g} m/s^2 to the side allow {speed_kmh:.0f} km/h there, "
-                "and what is faster is not driven past it"
+                f"lane {lane.id} bends {distance_m:.0f} m from the junction:"
+                f" {rules.max_lateral_mps2:g} m/s^2 to the side allow"
+                f" {speed_kmh:.0f} km/h there, and what is faster is not driven past it"
             )
             yield Finding(level="warning", what=f"arm {arm.name}", why=why)
 
@@ -485,14 +565,24 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
     yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]
     for is_in, lanes in ((True, arm.entry_lanes), (False, arm.exit_lanes)):
         for lane in lanes:
-            followed = junction.followed(lane) if is_in else lane
+            if is_in:
+                followed = junction.followed(lane)
+            else:
+                followed = lane
             free_m = free_aside_m(vut, followed)
-            course = courses.follow_gently([followed.centreline_m], [free_m], origin=int(is_in))
-            reach = (-_REACH_M, 0.0) if is_in else (0.0, _REACH_M)
+            course = courses.follow_gently(
+                [followed.centreline_m], [free_m], origin=int(is_in)
+            )
+            if is_in:
+                reach = (-_REACH_M, 0.0)
+            else:
+                reach = (0.0, _REACH_M)
             near = course.between(*reach)
             bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
             if not len(bend_per_m):
                 continue
             at = int(bend_per_m.argmax())
-            speed_mps = np.sqrt(load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9))
+            speed_mps = np.sqrt(
+                load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9)
+            )
             yield float(speed_mps / MPS_PER_KMH), abs(near.begin_m + 0.01 * at), lane

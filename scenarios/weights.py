@@ -1,7 +1,8 @@
 """How much each run counts: equally, per case, by accidents, statistics, points, or a CSV file.
 
-The statistics (``data/crash_types.toml``) know types of accidents and how near to a junction they
-happen; a table of one's own, by case, approach, position and weather, may know better.
+The statistics (``data/crash_types.toml``) know types of accidents and how near to a
+junction they happen; a table of one's own, by case, approach, position and weather, may
+know better.
 """
 
 import logging
@@ -18,7 +19,15 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import Text, csv_rows, float_of, load_data, read_data, read_table, read_text
+from geometry.files import (
+    Text,
+    csv_rows,
+    float_of,
+    load_data,
+    read_data,
+    read_table,
+    read_text,
+)
 
 from .accidents import (
     DAY,
@@ -45,12 +54,13 @@ _ANY = ("", "*")
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own table.
 
-    The file is UTF-8, separated by commas or semicolons, with columns case, approach, weight, and
-    if wanted position and weather; "*" or nothing in approach, position or weather stands for all,
-    and a position without sign, but for 0, lies behind the junction. The weight of a row is shared
-    equally by the runs that it names; what no row names weighs nothing. The weights sum to 1.
-    Raises InputError: the file cannot be read, a column is missing, a row names no run, or a run
-    again, or its weight is not a number >= 0; all weights are 0.
+    The file is UTF-8, separated by commas or semicolons, with columns case, approach,
+    weight, and if wanted position and weather; "*" or nothing in approach, position or
+    weather stands for all, and a position without sign, but for 0, lies behind the
+    junction. The weight of a row is shared equally by the runs that it names; what no
+    row names weighs nothing. The weights sum to 1. Raises InputError: the file cannot
+    be read, a column is missing, a row names no run, or a run again, or its weight is
+    not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
     named: dict[int, str] = {}  # by which line
@@ -73,7 +83,9 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
         named |= dict.fromkeys(members, where)
         weight[members] = amount / len(members)
     if not weight.any():
-        raise InputError(f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0")
+        raise InputError(
+            f"{path}: weight", Unquoted("0 in all rows"), "one weight more than 0"
+        )
     return _shares(weight)
 
 
@@ -95,7 +107,10 @@ def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
     if len(rows) == 1:
         refuse(str(path), "no rows", "one row per case and approach")
     none = dict.fromkeys(_OPTIONAL, "")
-    return [(here, {**none, **dict(zip(header, row, strict=True))}) for here, row in rows[1:]]
+    return [
+        (here, {**none, **dict(zip(header, row, strict=True))})
+        for here, row in rows[1:]
+    ]
 
 
 def _read_weight(text: str, where: str) -> float:
@@ -110,21 +125,30 @@ def _read_position(text: str, where: str) -> str:
     text = text.removeprefix("'")
     if text in _ANY:
         return text
-    signed = text if text[:1] in ("+", "-", "0") else f"+{text}"
+    if text[:1] in ("+", "-", "0"):
+        signed = text
+    else:
+        signed = f"+{text}"
     return read_position(signed, f"{where}: position").name
 
 
 def _words(row: Mapping[str, str]) -> str:
-    return ", ".join(repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key])
+    return ", ".join(
+        repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key]
+    )
 
 
 def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
-        return "a case that is driven: " + ", ".join(dict.fromkeys(run.case.name for run in runs))
+        return "a case that is driven: " + ", ".join(
+            dict.fromkeys(run.case.name for run in runs)
+        )
     ways = [f"{run.approach} at {run.position} by {run.weather}" for run in of_case]
     known = ", ".join(dict.fromkeys(ways))
-    return f"an approach, position and weather in which {row['case']} is driven: {known}"
+    return (
+        f"an approach, position and weather in which {row['case']} is driven: {known}"
+    )
 
 
 # ---------- weights by Euro NCAP's points of 2026; needs the extra `rating`
@@ -142,10 +166,11 @@ class _Score(Struct, frozen=True, kw_only=True):
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
-    The points that a score can earn at most (standard and extended range, robustness) are shared
-    equally by the runs that belong to it; those of scores without runs do not count. Runs without a
-    score, such as all in the rain, weigh nothing. The weights sum to 1. Raises MissingExtraError:
-    the package is not installed. InputError: no run has points.
+    The points that a score can earn at most (standard and extended range, robustness)
+    are shared equally by the runs that belong to it; those of scores without runs do
+    not count. Runs without a score, such as all in the rain, weigh nothing. The weights
+    sum to 1. Raises MissingExtraError: the package is not installed. InputError: no run
+    has points.
     """
     weight = np.zeros(len(runs))
     for (cases, weather), score in load_points().items():
@@ -153,8 +178,12 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
         members = np.flatnonzero(counts)
         weight[members] = score / max(len(members), 1)
     if not weight.any():
-        driven = ", ".join(dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs))
-        raise InputError("weights", RATING, f"a run that has points in 2026; driven: {driven}")
+        driven = ", ".join(
+            dict.fromkeys(f"{run.case.name} ({run.weather})" for run in runs)
+        )
+        raise InputError(
+            "weights", RATING, f"a run that has points in 2026; driven: {driven}"
+        )
     return _shares(weight)
 
 
@@ -162,7 +191,8 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
     """Points by cases (what our names begin with) and weather, from the installed package.
 
-    Raises MissingExtraError: it is not installed. InputError: it does not know a score any more.
+    Raises MissingExtraError: it is not installed. InputError: it does not know a score
+    any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -213,10 +243,11 @@ def load_crash_types() -> CrashTypes:
 def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     """Weights by how often accidents of each type happen (FHWA-RD-95-163).
 
-    A type's share is that of its road users' accidents, times how many of them are injured. It is
-    shared by the cases that stand for it, near the junction or away from it, as
-    :func:`weight_per_case` does. Types without runs do not count, nor do runs without a type. The
-    weights sum to 1. Raises InputError: no run is of any of the types.
+    A type's share is that of its road users' accidents, times how many of them are
+    injured. It is shared by the cases that stand for it, near the junction or away from
+    it, as :func:`weight_per_case` does. Types without runs do not count, nor do runs
+    without a type. The weights sum to 1. Raises InputError: no run is of any of the
+    types.
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
@@ -226,34 +257,44 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
             index
             for index, run in enumerate(runs)
             if run.case.family in kind.cases
-            and kind.place in ("any", "near" if away_m[index] <= table.near_m else "far")
+            and kind.place
+            in ("any", "near" if away_m[index] <= table.near_m else "far")
         ]
         if members:
             of_type = weight_per_case([runs[index] for index in members])
             weight[members] += kind.share * table.injured[kind.vru] * of_type
     if not weight.any():
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
-        raise InputError("weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}")
+        raise InputError(
+            "weights", CRASH_TYPES, f"a run of a type it has; driven: {driven}"
+        )
     return _shares(weight)
 
 
 # ---------- weights by accidents around a place
 def weight_by_accidents(
-    runs: Sequence[Run], accidents: Accidents, *, near: tuple[float, float], within_m: float
+    runs: Sequence[Run],
+    accidents: Accidents,
+    *,
+    near: tuple[float, float],
+    within_m: float,
 ) -> FloatArray:
     """Weights by the accidents that happened around a place; what is not used is logged.
 
-    Each counts the same. It is shared by the cases that stand for it (``data/accidents.toml``), as
-    :func:`weight_per_case` does: by day or by night, as it happened, where both are driven, half
-    each in twilight or where nobody knows; else light does not matter, and rain and fog weigh
-    nothing next to day or night. Runs without accidents weigh nothing. `near`: latitude and
-    longitude. The weights sum to 1. Raises InputError: no accident is so near, or none of them
-    happened as anything that is driven.
+    Each counts the same. It is shared by the cases that stand for it
+    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night, as
+    it happened, where both are driven, half each in twilight or where nobody knows;
+    else light does not matter, and rain and fog weigh nothing next to day or night.
+    Runs without accidents weigh nothing. `near`: latitude and longitude. The weights
+    sum to 1. Raises InputError: no accident is so near, or none of them happened as
+    anything that is driven.
     """
     found = accidents.near(near, within_m)
     rules = load_accident_rules()
     weathers = {run.weather for run in runs}
-    lit = [weather for weather in (DAY, NIGHT) if weather in weathers] or sorted(weathers)
+    lit = [weather for weather in (DAY, NIGHT) if weather in weathers] or sorted(
+        weathers
+    )
     counts: Counter[tuple[tuple[str, ...], str]] = Counter()
     unused: Counter[str] = Counter()
     members: dict[tuple[tuple[str, ...], str], list[int]] = {}
@@ -273,16 +314,23 @@ def weight_by_accidents(
             what = f"{one.road_user}, {one.event}"
             unused[one.unused or f"of which no case is driven ({what})"] += 1
     n_used = sum(counts.values())
-    told = f"{n_used} of {len(found)} accidents of {accidents.source} within {within_m:g} m count"
+    told = (
+        f"{n_used} of {len(found)} accidents of {accidents.source} within"
+        f" {within_m:g} m count"
+    )
     if unused:
         told += f"; not used: {reasons(unused)}"
     if not n_used:
         driven = ", ".join(dict.fromkeys(run.case.name for run in runs))
-        raise InputError("weights", Unquoted(told), f"accidents as these cases: {driven}")
+        raise InputError(
+            "weights", Unquoted(told), f"accidents as these cases: {driven}"
+        )
     _log.warning("weights: %s", told)
     weight = np.zeros(len(runs))
     for key, count in counts.items():
-        weight[members[key]] += count * weight_per_case([runs[index] for index in members[key]])
+        weight[members[key]] += count * weight_per_case(
+            [runs[index] for index in members[key]]
+        )
     return _shares(weight)
 
 
@@ -293,7 +341,9 @@ WEIGHT_WORDS = ("run", "case", CRASH_TYPES, RATING)
 
 def default_weights(cases: str) -> str:
     """The word for :func:`weigh` by default: of the study's set "run", else "case"."""
-    return "run" if is_study_set(cases) else "case"
+    if is_study_set(cases):
+        return "run"
+    return "case"
 
 
 def weigh(
@@ -307,16 +357,18 @@ def weigh(
     """Weights of runs, at least one, by the word of a user, (n_runs,); they sum to 1.
 
     `how`: "run": every run the same, as in the study; "case": every case the same, see
-    :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident statistics, see
-    :func:`scenarios.weights.weight_by_crash_types`; "euroncap-rating-2026": by its points, see
-    :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by the accidents
-    around a place, see :func:`scenarios.weights.weight_by_accidents`; else a CSV file, see
-    :func:`scenarios.weights.weight_from_csv`. `refused`: what was asked for next to the runs, and
-    could not be laid: "case" alone looks at it. `near`: latitude and longitude of the place [deg].
-    `within_m`: how far from there accidents count [m]; default: that of ``data/accidents.toml``.
+    :func:`scenarios.weights.weight_per_case`; "fhwa-crash-types": by accident
+    statistics, see :func:`scenarios.weights.weight_by_crash_types`;
+    "euroncap-rating-2026": by its points, see
+    :func:`scenarios.weights.weight_by_rating`; "unfallatlas:FILE", "stats19:FILE": by
+    the accidents around a place, see :func:`scenarios.weights.weight_by_accidents`;
+    else a CSV file, see :func:`scenarios.weights.weight_from_csv`. `refused`: what was
+    asked for next to the runs, and could not be laid: "case" alone looks at it. `near`:
+    latitude and longitude of the place [deg]. `within_m`: how far from there accidents
+    count [m]; default: that of ``data/accidents.toml``.
 
-    Raises InputError: the word is unknown and no file, the weights do not fit the runs, or nobody
-    knows the place. MissingExtraError: what the word needs is not installed.
+    Raises InputError: the word is unknown and no file, the weights do not fit the runs,
+    or nobody knows the place. MissingExtraError: what the word needs is not installed.
     """
     if how == "run":
         return weight_per_run(runs)
@@ -328,10 +380,17 @@ def weigh(
         return weight_by_rating(runs)
     if source := split_source(how):
         if near is None:
-            expected = "LATITUDE,LONGITUDE: the scene does not say where on earth it lies"
+            expected = (
+                "LATITUDE,LONGITUDE: the scene does not say where on earth it lies"
+            )
             raise InputError("near", Unquoted("nothing"), expected)
-        radius_m = load_accident_rules().default_within_m if within_m is None else within_m
-        return weight_by_accidents(runs, read_accidents(*source), near=near, within_m=radius_m)
+        if within_m is None:
+            radius_m = load_accident_rules().default_within_m
+        else:
+            radius_m = within_m
+        return weight_by_accidents(
+            runs, read_accidents(*source), near=near, within_m=radius_m
+        )
     return weight_from_csv(_weights_file(how), runs)
 
 
@@ -354,7 +413,9 @@ def weight_files(how: str) -> tuple[Path, ...]:
     if how in ("", *WEIGHT_WORDS):
         return ()
     source = split_source(how)
-    return (Path(how),) if source is None else accident_files(*source)
+    if source is None:
+        return (Path(how),)
+    return accident_files(*source)
 
 
 def _weights_file(how: str) -> Path:
@@ -365,7 +426,9 @@ def _weights_file(how: str) -> Path:
     return path
 
 
-def weight_by_function(runs: Sequence[Run], function: Callable[[Run], float]) -> FloatArray:
+def weight_by_function(
+    runs: Sequence[Run], function: Callable[[Run], float]
+) -> FloatArray:
     """Weights by a user's own function of a run; they sum to 1.
 
     Raises InputError if it gives anything but finite numbers >= 0, or 0 for all runs.
@@ -374,9 +437,13 @@ def weight_by_function(runs: Sequence[Run], function: Callable[[Run], float]) ->
     wrong = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
     if len(wrong):
         run = runs[int(wrong[0])]
-        raise InputError(f"weights: {run.id}", float(weight[wrong[0]]), "a finite number >= 0")
+        raise InputError(
+            f"weights: {run.id}", float(weight[wrong[0]]), "a finite number >= 0"
+        )
     if not weight.any():
-        raise InputError("weights", Unquoted("0 for all runs"), "one weight more than 0")
+        raise InputError(
+            "weights", Unquoted("0 for all runs"), "one weight more than 0"
+        )
     return _shares(weight)
 
 
@@ -385,17 +452,20 @@ def weight_per_run(runs: Sequence[Run]) -> FloatArray:
     return np.full(len(runs), 1.0 / len(runs))
 
 
-def weight_per_case(runs: Sequence[Run], *, refused: Sequence[Refusal] = ()) -> FloatArray:
+def weight_per_case(
+    runs: Sequence[Run], *, refused: Sequence[Refusal] = ()
+) -> FloatArray:
     """Equal weight for every case, as far as the junction carries it.
 
-    A case that is driven in full has as much weight as any other, shared equally by its approaches,
-    in these by positions, in these by runs - speeds and weathers: position 0, where every speed is
-    driven, weighs no more than another one. Runs that have no room, and approaches that do not
-    carry the case at all, take their shares away with them: the case weighs less, and the few runs
-    that remain of it no more than they would among all others. Otherwise the only turn that a map
-    allows would weigh as much as a hundred crossings. Positions that the mapped lanes do not reach
-    have no share. `runs`: at least one. `refused`: what was asked for next to them, and could not
-    be laid. Returns `weight` (n_runs,): sums to 1.
+    A case that is driven in full has as much weight as any other, shared equally by its
+    approaches, in these by positions, in these by runs - speeds and weathers: position
+    0, where every speed is driven, weighs no more than another one. Runs that have no
+    room, and approaches that do not carry the case at all, take their shares away with
+    them: the case weighs less, and the few runs that remain of it no more than they
+    would among all others. Otherwise the only turn that a map allows would weigh as
+    much as a hundred crossings. Positions that the mapped lanes do not reach have no
+    share. `runs`: at least one. `refused`: what was asked for next to them, and could
+    not be laid. Returns `weight` (n_runs,): sums to 1.
     """
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})
@@ -422,4 +492,6 @@ def weight_share(mask: ArrayLike, weight: ArrayLike) -> float:
     weights = np.asarray(weight, dtype=np.float64)
     total = math.fsum(weights.tolist())
     counted = math.fsum(weights[np.asarray(mask, dtype=bool)].tolist())
-    return counted / total if total > 0.0 else math.nan
+    if total > 0.0:
+        return counted / total
+    return math.nan

@@ -29,7 +29,9 @@ def start_browser(engine="chromium", *, folder=None):
 
     Firefox is Debian's; `folder` gets the program that starts it.
     """
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed"
+    )
     with playwright.sync_playwright() as library:
         try:
             if engine == "firefox":
@@ -37,7 +39,9 @@ def start_browser(engine="chromium", *, folder=None):
                 opened = library.firefox.launch(
                     channel="moz-firefox",
                     executable_path=program,
-                    firefox_user_prefs={"browser.download.alwaysOpenPanel": False},  # takes keys
+                    firefox_user_prefs={
+                        "browser.download.alwaysOpenPanel": False
+                    },  # takes keys
                 )
             else:
                 found = shutil.which("chromium")

@@ -29,7 +29,9 @@ def write_city(folder: Path, name: str = "tiny.osm", *, east_m: float = 0.0) -> 
         for up in (100.0,) if letter == "B" else (100.0, -100.0):
             osm.road([node, osm.node(x, y + up)], name=f"{letter} Lane")
         house = [(x + 17.0, y + 17.0), (x + 37.0, y + 17.0), (x + 37.0, y + 37.0)]
-        osm.way([*house, (x + 17.0, y + 37.0), house[0]], {"building": "yes", "height": "9"})
+        osm.way(
+            [*house, (x + 17.0, y + 37.0), house[0]], {"building": "yes", "height": "9"}
+        )
         for way in (6.0, -6.0):
             osm.node(x + way, y + way, highway="street_lamp")
     osm.node(places[2][0] + 8.0, places[2][1], highway="traffic_signals")

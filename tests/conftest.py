@@ -8,7 +8,9 @@ from pathlib import Path
 
 # Workers run side by side: a second BLAS thread of each would only spin.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-if sys.dont_write_bytecode:  # all workers and the commands they begin would compile SciPy anew
+if (
+    sys.dont_write_bytecode
+):  # all workers and the commands they begin would compile SciPy anew
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.pycache_prefix = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
@@ -27,8 +29,9 @@ from scenarios.cases import pick_cases
 from scenarios.published import load_placements
 from scenarios.runs import FrameAxis, build_runs
 
-# How long an example takes is no test. Other examples are drawn each time, fewer where little hangs
-# on geometry and search. Continuous integration draws more: pytest --hypothesis-profile thorough
+# How long an example takes is no test. Other examples are drawn each time, fewer where
+# little hangs on geometry and search. Continuous integration draws more: pytest
+# --hypothesis-profile thorough
 settings.register_profile("place-rsus", deadline=None, max_examples=12)
 settings.register_profile("place-rsus-few", deadline=None, max_examples=8)
 settings.register_profile("thorough", deadline=None, max_examples=30)
@@ -40,7 +43,8 @@ COMPILES = (  # optimiser, evaluator, table: hardly a kernel of one is another's
     "tests/placement/visibility/test_build.py",
 )
 NEEDS_NO_KERNELS = ("tests/scenarios/", "tests/geometry/")
-# The first test that compiles is told so, on a new machine: whichever that is, and however quiet.
+# The first test that compiles is told so, on a new machine: whichever that is, and
+# however quiet.
 logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
 
 
@@ -48,12 +52,17 @@ logging.getLogger("geometry.kernels").setLevel(logging.ERROR)
 def pytest_collect_file():
     """Docstrings of tests hold no examples: to look for them takes long."""
     found = yield
-    return [collector for collector in found if not isinstance(collector, DoctestModule)]
+    return [
+        collector for collector in found if not isinstance(collector, DoctestModule)
+    ]
 
 
 def pytest_collectstart(collector):
     """Tests take the number of their examples from the profile in force when they are imported."""
-    if isinstance(collector, pytest.Module) and settings.get_current_profile_name() != "thorough":
+    if (
+        isinstance(collector, pytest.Module)
+        and settings.get_current_profile_name() != "thorough"
+    ):
         is_many = not set(MANY).isdisjoint(collector.nodeid.split("/"))
         settings.load_profile("place-rsus" if is_many else "place-rsus-few")
 
@@ -61,7 +70,8 @@ def pytest_collectstart(collector):
 def pytest_collection_modifyitems(items):
     """Files that compile most come first, each what no other does, then those that need least.
 
-    What one process has compiled, the others find: two that begin alike would do so twice.
+    What one process has compiled, the others find: two that begin alike would do so
+    twice.
     """
     items.sort(key=lambda item: _turn(item.nodeid))
 
@@ -76,7 +86,8 @@ def _turn(nodeid):
 def pytest_collection_finish():
     """What is loaded by now stays: the garbage collector need not look at it again and again.
 
-    It looks seldom at the rest, too, for figures and drawn examples are many small objects.
+    It looks seldom at the rest, too, for figures and drawn examples are many small
+    objects.
     """
     gc.freeze()
     gc.set_threshold(50_000, 10, 10)
@@ -86,7 +97,8 @@ def pytest_collection_finish():
 def pytest_runtest_teardown(item, nextitem):
     """What the tests of a file have left goes before the next file.
 
-    What then remains stays, too: to look at all of it after each file would take a tenth of a run.
+    What then remains stays, too: to look at all of it after each file would take a
+    tenth of a run.
     """
     yield
     if nextitem is None or nextitem.path != item.path:
@@ -97,8 +109,12 @@ def pytest_runtest_teardown(item, nextitem):
 def pytest_addoption(parser):
     """Options of tests/faults/test_fuzz.py."""
     group = parser.getgroup("fuzz", "damaged files")
-    group.addoption("--fuzz-seconds", default=3.0, type=float, help="for all readers together")
-    group.addoption("--fuzz-seed", default=0, type=int, help="another one: other damages")
+    group.addoption(
+        "--fuzz-seconds", default=3.0, type=float, help="for all readers together"
+    )
+    group.addoption(
+        "--fuzz-seed", default=0, type=int, help="another one: other damages"
+    )
     group.addoption("--fuzz-keep", default="", help="folder for files that were found")
 
 

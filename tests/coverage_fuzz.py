@@ -1,8 +1,9 @@
 """Fuzz one reader, guided by which lines its input reaches; not part of the suite.
 
-``PYTHONPATH=tests:. uv run --with atheris==3.0.0 python tests/coverage_fuzz.py READER``, and
-options of libFuzzer such as ``-max_total_time=600``. Readers are those of ``readers.py``; it begins
-with their sound files, and ends at an input that is neither read nor refused, which it keeps.
+``PYTHONPATH=tests:. uv run --with atheris==3.0.0 python tests/coverage_fuzz.py
+READER``, and options of libFuzzer such as ``-max_total_time=600``. Readers are those of
+``readers.py``; it begins with their sound files, and ends at an input that is neither
+read nor refused, which it keeps.
 """
 
 import contextlib
@@ -43,7 +44,9 @@ def main() -> None:
         with contextlib.suppress(InputError):
             reader.read(folder / name)
 
-    with atheris.instrument_imports(include=OURS):  # much is imported by the first that needs it
+    with atheris.instrument_imports(
+        include=OURS
+    ):  # much is imported by the first that needs it
         from geometry.errors import InputError
 
         for number in range(len(seeds)):

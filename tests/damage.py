@@ -13,7 +13,18 @@ from hypothesis import strategies as st
 
 from geometry.errors import InputError
 
-_TEXTS = [b"", b"0", b"-1", b"NaN", b"1e999", b"99999999999999999999", b"[", b"{}", b"null", b"\0"]
+_TEXTS = [
+    b"",
+    b"0",
+    b"-1",
+    b"NaN",
+    b"1e999",
+    b"99999999999999999999",
+    b"[",
+    b"{}",
+    b"null",
+    b"\0",
+]
 _LENGTHS = [0, 1, 2, 4, 8, 50, 100_000]
 
 
@@ -27,9 +38,11 @@ def damaged(draw: st.DrawFn, sound: bytes) -> bytes:
         piece = draw(
             st.one_of(
                 st.sampled_from(_TEXTS),
-                st.binary(min_size=last - first, max_size=last - first)
-                if last - first < 50
-                else st.just(b""),
+                (
+                    st.binary(min_size=last - first, max_size=last - first)
+                    if last - first < 50
+                    else st.just(b"")
+                ),
                 st.just(data[first:last] * 2),
             )
         )
@@ -53,16 +66,94 @@ def read_or_refuse(path: Path, data: bytes, read: Callable[[Path], Any]) -> Any:
 
 _WORDS = [
     *_TEXTS,
-    *(b"1e308", b"-1e308", b"1e-308", b"inf", b"-0", b"0.5", b"1e400", b"true", b'""', b"[]"),
-    *(b"9" * 400, b"2147483648", b"-9223372036854775809", b"4294967296", b"1e9", b"1000000"),
-    *(b"\xff\xfe", b"\xc3\x28", b"\xed\xa0\x80", "ü".encode(), b"\n", b"\r\n", b"=1+1", b"../x"),
-    *(b"[" * 5000, b'{"a":' * 5000, b"((((", b"-", b"+", b"%s", b"{0}", b"&lt;", b"<a>", b"</a>"),
+    *(
+        b"1e308",
+        b"-1e308",
+        b"1e-308",
+        b"inf",
+        b"-0",
+        b"0.5",
+        b"1e400",
+        b"true",
+        b'""',
+        b"[]",
+    ),
+    *(
+        b"9" * 400,
+        b"2147483648",
+        b"-9223372036854775809",
+        b"4294967296",
+        b"1e9",
+        b"1000000",
+    ),
+    *(
+        b"\xff\xfe",
+        b"\xc3\x28",
+        b"\xed\xa0\x80",
+        "ü".encode(),
+        b"\n",
+        b"\r\n",
+        b"=1+1",
+        b"../x",
+    ),
+    *(
+        b"[" * 5000,
+        b'{"a":' * 5000,
+        b"((((",
+        b"-",
+        b"+",
+        b"%s",
+        b"{0}",
+        b"&lt;",
+        b"<a>",
+        b"</a>",
+    ),
 ]
 _NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
-_EDGES = [0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF]
+_EDGES = [
+    0,
+    1,
+    0x7F,
+    0x80,
+    0xFF,
+    0x7FFF,
+    0x8000,
+    0xFFFF,
+    0x7FFFFFFF,
+    0x80000000,
+    0xFFFFFFFF,
+]
 _VALUES: list[Any] = [
-    *(None, True, False, 0, -1, 1, 10**9, 10**400, 1.5, 1e308, -1e308, float("nan"), float("inf")),
-    *("", "a", "NaN", "\0", "\ud800", "x" * 10_000, "../../x", "=1+1", [], {}, [[]], [{}], [None]),
+    *(
+        None,
+        True,
+        False,
+        0,
+        -1,
+        1,
+        10**9,
+        10**400,
+        1.5,
+        1e308,
+        -1e308,
+        float("nan"),
+        float("inf"),
+    ),
+    *(
+        "",
+        "a",
+        "NaN",
+        "\0",
+        "\ud800",
+        "x" * 10_000,
+        "../../x",
+        "=1+1",
+        [],
+        {},
+        [[]],
+        [{}],
+        [None],
+    ),
     *({"a": 1}, [1e308] * 3, ["a"], [0] * 1000),
 ]
 
@@ -70,8 +161,8 @@ _VALUES: list[Any] = [
 def wounded(rng: random.Random, data: bytes, name: str = "") -> bytes:
     """A damaged file; `name` says by its ending what kind of file it is.
 
-    Of archives sometimes what they hold is damaged and packed again, so that checksums are right.
-    Of JSON sometimes a value is replaced by another kind of value.
+    Of archives sometimes what they hold is damaged and packed again, so that checksums
+    are right. Of JSON sometimes a value is replaced by another kind of value.
     """
     for _ in range(rng.choice([1, 1, 1, 2, 4])):
         kind = rng.random()
@@ -79,17 +170,25 @@ def wounded(rng: random.Random, data: bytes, name: str = "") -> bytes:
             data = _inside(rng, data)
         elif name.endswith(("json", ".gltf")) and kind < 0.5:
             data = _other_value(rng, data)
-        elif kind < 0.7 and len(numbers := list(_NUMBER.finditer(data, 0, 1_000_000))) > 1:
+        elif (
+            kind < 0.7
+            and len(numbers := list(_NUMBER.finditer(data, 0, 1_000_000))) > 1
+        ):
             at = rng.choice(numbers)
             data = (
-                data[: at.start()] + rng.choice([*_WORDS, *_plain_numbers(rng)]) + data[at.end() :]
+                data[: at.start()]
+                + rng.choice([*_WORDS, *_plain_numbers(rng)])
+                + data[at.end() :]
             )
         elif kind < 0.8 and data.count(b"\n") > 1:
             data = _other_lines(rng, data)
         elif kind < 0.9 and len(data) > 8:
             data = _other_integer(rng, data)
         else:
-            first = rng.randrange(len(data)) if data else 0
+            if data:
+                first = rng.randrange(len(data))
+            else:
+                first = 0
             last = min(len(data), first + rng.choice(_LENGTHS))
             piece = rng.choice(
                 [*_WORDS, rng.randbytes(min(50, last - first)), data[first:last] * 2]
@@ -99,7 +198,12 @@ def wounded(rng: random.Random, data: bytes, name: str = "") -> bytes:
 
 
 def _plain_numbers(rng: random.Random) -> list[bytes]:
-    return [str(rng.choice(_EDGES)).encode(), repr(rng.uniform(-1e6, 1e6)).encode(), b"0.0", b"1"]
+    return [
+        str(rng.choice(_EDGES)).encode(),
+        repr(rng.uniform(-1e6, 1e6)).encode(),
+        b"0.0",
+        b"1",
+    ]
 
 
 def _inside(rng: random.Random, data: bytes) -> bytes:
@@ -133,9 +237,15 @@ def _other_value(rng: random.Random, data: bytes) -> bytes:
     except (ValueError, RecursionError):
         return data[: len(data) // 2]
     places: list[tuple[Any, Any]] = []
-    nodes = [document] if isinstance(document, dict | list) else []
+    if isinstance(document, dict | list):
+        nodes = [document]
+    else:
+        nodes = []
     for node in nodes:  # grows while it is walked through
-        items = node.items() if isinstance(node, dict) else enumerate(node)
+        if isinstance(node, dict):
+            items = node.items()
+        else:
+            items = enumerate(node)
         for key, value in list(items):
             places.append((node, key))
             if isinstance(value, dict | list):
@@ -158,7 +268,8 @@ def _other_value(rng: random.Random, data: bytes) -> bytes:
 def _other_lines(rng: random.Random, data: bytes) -> bytes:
     """Text with a line missing, doubled, or at another place."""
     lines = data.split(b"\n")
-    first, second = rng.randrange(len(lines)), rng.randrange(len(lines))
+    first = rng.randrange(len(lines))
+    second = rng.randrange(len(lines))
     match rng.randrange(4):
         case 0:
             del lines[first]
@@ -174,7 +285,14 @@ def _other_lines(rng: random.Random, data: bytes) -> bytes:
 def _other_integer(rng: random.Random, data: bytes) -> bytes:
     """Binary data with another number of 1, 2, 4 or 8 bytes; more often near the beginning."""
     size = rng.choice([1, 2, 4, 8])
-    reach = len(data) - size if rng.random() < 0.4 else min(len(data) - size, 400)
+    if rng.random() < 0.4:
+        reach = len(data) - size
+    else:
+        reach = min(len(data) - size, 400)
     at = rng.randint(0, max(0, reach))
     value = rng.choice([*_EDGES, rng.getrandbits(8 * size)]) & ((1 << 8 * size) - 1)
-    return data[:at] + value.to_bytes(size, rng.choice(["little", "big"])) + data[at + size :]
+    return (
+        data[:at]
+        + value.to_bytes(size, rng.choice(["little", "big"]))
+        + data[at + size :]
+    )

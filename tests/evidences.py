@@ -19,7 +19,10 @@ def build_evidence(
     """One row per box; a number or a name stands for every row."""
     visible = np.array(visible_px, dtype=float).reshape(-1, 4)
     n_rows = len(visible)
-    amodal = visible if amodal_px is None else np.array(amodal_px, dtype=float).reshape(-1, 4)
+    if amodal_px is None:
+        amodal = visible
+    else:
+        amodal = np.array(amodal_px, dtype=float).reshape(-1, 4)
 
     def rows(value):
         return np.broadcast_to(np.array(value, dtype=float), n_rows)

@@ -44,9 +44,13 @@ def unit(index: int, name: str, kind: str = "camera") -> CandidatePose:
             yaw_deg=float(rng.uniform(-180.0, 180.0)),
             pitch_deg=float(rng.uniform(-60.0, 10.0)),
         ),
-        sensor=load_lidars()["carla-ncap-lidar"]
-        if kind == "lidar"
-        else load_cameras()["carla-ncap-rgb" if index % 2 else "basler-aca1920-50gc-8mm"],
+        sensor=(
+            load_lidars()["carla-ncap-lidar"]
+            if kind == "lidar"
+            else load_cameras()[
+                "carla-ncap-rgb" if index % 2 else "basler-aca1920-50gc-8mm"
+            ]
+        ),
     )
 
 
@@ -57,18 +61,29 @@ def awkward_layout() -> Layout:
     units += [
         replace(unit(10, "lidar ä", "lidar"), latency_s=0.1),
         unit(11, "lidar b", "lidar"),
-        replace(unit(12, "zoomed"), sensor=replace(varifocal, horizontal_fov_deg=100.0 / 3.0)),
-        replace(unit(13, "own"), sensor=replace(varifocal, name='my "own", camera', width_px=641)),
+        replace(
+            unit(12, "zoomed"),
+            sensor=replace(varifocal, horizontal_fov_deg=100.0 / 3.0),
+        ),
+        replace(
+            unit(13, "own"),
+            sensor=replace(varifocal, name='my "own", camera', width_px=641),
+        ),
     ]
     return Layout(name='all, "of" <them> & Ä', units=tuple(units), scene_name="town05")
 
 
 def large_layout() -> Layout:
     """Two hundred units."""
-    return Layout(name="large", units=tuple(unit(index, f"unit {index} ü") for index in range(200)))
+    return Layout(
+        name="large",
+        units=tuple(unit(index, f"unit {index} ü") for index in range(200)),
+    )
 
 
-def level_layout(yaw_deg: float, pitch_deg: float = 0.0, *, kind: str = "camera") -> Layout:
+def level_layout(
+    yaw_deg: float, pitch_deg: float = 0.0, *, kind: str = "camera"
+) -> Layout:
     """One unit 6 m above the origin."""
     one = unit(1, "one", kind)
     pose = Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)

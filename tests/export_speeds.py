@@ -20,15 +20,21 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
     from experiments.export.mcap import mcap_of_run
     from experiments.export.watched import find_run
 
-    study, scene = load_carlancap_layout(), load_study_scene()
+    study = load_carlancap_layout()
+    scene = load_study_scene()
     units = []
     for number in range(n_units):
         unit = study.units[number % len(study.units)]
         pose = replace(unit.pose, yaw_deg=unit.pose.yaw_deg + number)
         units.append(replace(unit, id=f"unit {number}", pose=pose))
-    layout, few = replace(study, units=tuple(units)), replace(study, units=tuple(units[:1]))
+    layout, few = (
+        replace(study, units=tuple(units)),
+        replace(study, units=tuple(units[:1])),
+    )
 
-    def row(name: str, what: str, write: Callable[..., str | bytes]) -> tuple[str, str, str, str]:
+    def row(
+        name: str, what: str, write: Callable[..., str | bytes]
+    ) -> tuple[str, str, str, str]:
         write(few, scene)
         begin_s = time.process_time()
         content = write(layout, scene)
@@ -38,11 +44,17 @@ def measure_exports(n_units: int = 500) -> list[tuple[str, str, str, str]]:
     rows = []
     for name in FORMAT_NAMES:
         chosen = load_format(name)
-        views = {"views": True} if "views" in chosen.options else {}
+        if "views" in chosen.options:
+            views = {"views": True}
+        else:
+            views = {}
         what = f"{n_units} units" + (", with views" if views or name == "dxf" else "")
         rows.append(row(name, what, partial(chosen.write, **views)))
     run = find_run("CPNC-50/east/40", scene)
-    return [*rows, row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run))]
+    return [
+        *rows,
+        row("mcap", f"run {run.id}", lambda _, scene: mcap_of_run(scene, run)),
+    ]
 
 
 def main(path: Path = Path("results/exports.md")) -> None:
@@ -51,7 +63,10 @@ def main(path: Path = Path("results/exports.md")) -> None:
     lines = [
         "# Sizes and times of exports",
         "",
-        "`uv run python tests/export_speeds.py` wrote this page. Libraries are loaded before.",
+        (
+            "`uv run python tests/export_speeds.py` wrote this page. Libraries are"
+            " loaded before."
+        ),
         "",
         *markdown_table(heads, measure_exports()),
     ]

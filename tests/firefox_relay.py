@@ -1,8 +1,9 @@
 """Debian's Firefox as playwright launches it: started as an executable in the browser's place.
 
-Playwright drives a released Firefox by WebDriver BiDi, but asks for a command that extended support
-releases do not know yet. This relay starts Firefox, passes all messages on, and answers that
-command itself: nothing is emulated then, which no test needs.
+Playwright drives a released Firefox by WebDriver BiDi, but asks for a command that
+extended support releases do not know yet. This relay starts Firefox, passes all
+messages on, and answers that command itself: nothing is emulated then, which no test
+needs.
 """
 
 import asyncio
@@ -21,7 +22,9 @@ LISTENS = re.compile(r"WebDriver BiDi listening on (ws://\S+)")
 def main():
     """Run Firefox with the words that are given until it ends or is ended."""
     command = [sys.argv[1], *sys.argv[2:]]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace") as firefox:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, errors="replace"
+    ) as firefox:
         for line in firefox.stderr:
             if found := LISTENS.search(line):
                 asyncio.run(relay(found[1], firefox))
@@ -37,14 +40,18 @@ async def relay(address, firefox):
         async with connect(
             f"{address}{driver.request.path}", max_size=None, compression=None
         ) as browser:
-            both = [asyncio.create_task(way(driver, browser)) for way in (forward, back)]
+            both = [
+                asyncio.create_task(way(driver, browser)) for way in (forward, back)
+            ]
             await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
 
     async with serve(talk, "127.0.0.1", 0, max_size=None, compression=None) as server:
         port = server.sockets[0].getsockname()[1]
         sys.stderr.write(f"WebDriver BiDi listening on ws://127.0.0.1:{port}\n")
         sys.stderr.flush()
-        await asyncio.to_thread(firefox.stderr.read)  # what it complains of is not wanted
+        await asyncio.to_thread(
+            firefox.stderr.read
+        )  # what it complains of is not wanted
 
 
 async def forward(driver, browser):

@@ -22,7 +22,9 @@ def build_layout(n_units, *, name="layout", middle_m=(-127.0, 0.0), ids=None):
     units = []
     for index in range(n_units):
         angle = 2.0 * np.pi * index / n_units
-        east, north = np.asarray(middle_m) + 18.0 * np.array([np.cos(angle), np.sin(angle)])
+        east, north = np.asarray(middle_m) + 18.0 * np.array(
+            [np.cos(angle), np.sin(angle)]
+        )
         units.append(
             CandidatePose(
                 id=ids[index] if ids else f"unit {index + 1}",
@@ -41,7 +43,8 @@ def build_layout(n_units, *, name="layout", middle_m=(-127.0, 0.0), ids=None):
 def build_evaluation(setting, layout, *, share=0.6, seed=0, with_vam=False):
     """Detections by lot, in stretches; the rest follows from them."""
     rng = np.random.default_rng(seed)
-    axis, rule = setting.axis, setting.rule
+    axis = setting.axis
+    rule = setting.rule
 
     def verdict(detected):
         arrival = np.where(detected, axis.time_s + rule.latency_s, np.inf)
@@ -75,7 +78,10 @@ def build_evaluation(setting, layout, *, share=0.6, seed=0, with_vam=False):
 def with_evil_names(setting):
     """The setting of a junction whose things are called what no thing should be called."""
     scene = setting.scene
-    things = [replace(thing, id=f"{EVIL} {number}") for number, thing in enumerate(scene.instances)]
+    things = [
+        replace(thing, id=f"{EVIL} {number}")
+        for number, thing in enumerate(scene.instances)
+    ]
     return replace(setting, scene=replace(scene, name=EVIL, instances=tuple(things)))
 
 
@@ -91,11 +97,13 @@ TABLE = """<table id="sorted"><thead><tr><th scope="col">name</th><th scope="col
 def page_around(part):
     """A small page with the interactive part and one more table behind it."""
     template = page_environment().from_string(
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>page</title>'
-        '<link rel="icon" href="data:,">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        "<style>body { margin: 1rem; font: 16px/1.5 sans-serif; } .scroll { overflow-x: auto; }"
-        ' h2 { overflow-wrap: anywhere; }{% include "interactive.css" %}</style></head>'
-        '<body><main>{% include "interactive.html.j2" %}' + TABLE + "</main></body></html>"
+        '<!DOCTYPE html><html lang="en"><head><meta'
+        ' charset="utf-8"><title>page</title><link rel="icon" href="data:,"><meta'
+        ' name="viewport" content="width=device-width, initial-scale=1"><style>body {'
+        " margin: 1rem; font: 16px/1.5 sans-serif; } .scroll { overflow-x: auto; } h2 {"
+        ' overflow-wrap: anywhere; }{% include "interactive.css"'
+        ' %}</style></head><body><main>{% include "interactive.html.j2" %}'
+        + TABLE
+        + "</main></body></html>"
     )
     return template.render(interactive=part)

@@ -1,7 +1,7 @@
 """Programs of others on what this project writes: exports, runs and proofs.
 
-``uv run --group judges pytest -m judges tests/experiments/test_judges.py`` asks them. uv makes the
-environments of those that cannot live in ours (``judging_apart.py``).
+``uv run --group judges pytest -m judges tests/experiments/test_judges.py`` asks them.
+uv makes the environments of those that cannot live in ours (``judging_apart.py``).
 """
 
 import json
@@ -93,8 +93,12 @@ def judge_opendrive(folder: Path) -> Any:
     """ASAM's checker on the study's roads, and on the same in traffic that keeps left."""
     scene = load_study_scene()
     flip = np.array([1.0, -1.0])
-    lanes = tuple(replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes)
-    left = replace(scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True)
+    lanes = tuple(
+        replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes
+    )
+    left = replace(
+        scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
+    )
     for side, one in (("right", scene), ("left", left)):
         text = to_opendrive(load_carlancap_layout(), one)
         (folder / f"{side}.xodr").write_text(text, encoding="utf-8")
@@ -104,8 +108,8 @@ def judge_opendrive(folder: Path) -> Any:
 def judge_carla(folder: Path) -> float:
     """Largest difference of CARLA's classes of places and turns from ours, south for north.
 
-    Of the study's 12 cameras [m; parts of a unit vector]; infinite if one is missing. Blueprints
-    and attributes are known to CARLA's server alone and not checked.
+    Of the study's 12 cameras [m; parts of a unit vector]; infinite if one is missing.
+    Blueprints and attributes are known to CARLA's server alone and not checked.
     """
     layout = load_carlancap_layout()
     (folder / "layout.json").write_text(to_carla(layout), encoding="utf-8")
@@ -123,14 +127,22 @@ def judge_carla(folder: Path) -> float:
 def judge_messages(folder: Path) -> list[bool]:
     """Whether ETSI's own modules decode each message of a run to what was written.
 
-    `folder` has the modules ``CPM-*.asn`` and a dictionary of ETSI TS 102 894-2, V2.1.1 or V2.4.1.
+    `folder` has the modules ``CPM-*.asn`` and a dictionary of ETSI TS 102 894-2, V2.1.1
+    or V2.4.1.
     """
     import asn1tools
 
     paths = sorted(folder.glob("*.asn"))
-    is_old = any("stationaryHorizontal" in path.read_text(encoding="latin-1") for path in paths)
-    release = RELEASES[0] if is_old else RELEASES[1]
-    uper = asn1tools.compile_files([str(path) for path in paths], "uper", encoding="latin-1")
+    is_old = any(
+        "stationaryHorizontal" in path.read_text(encoding="latin-1") for path in paths
+    )
+    if is_old:
+        release = RELEASES[0]
+    else:
+        release = RELEASES[1]
+    uper = asn1tools.compile_files(
+        [str(path) for path in paths], "uper", encoding="latin-1"
+    )
     layout = load_carlancap_layout()
     scene = load_study_scene()
     watched = watch_run(layout, scene, "CPNC-50/east/40")
@@ -140,7 +152,9 @@ def judge_messages(folder: Path) -> list[bool]:
             found = uper.decode("CollectivePerceptionMessage", encode(message, release))
             for container in found["payload"]["cpmContainers"]:
                 name = CONTAINERS[container["containerId"]]
-                container["containerData"] = uper.decode(name, container["containerData"])
+                container["containerData"] = uper.decode(
+                    name, container["containerData"]
+                )
             is_equal.append(_as_json(found) == message)
     return is_equal
 
@@ -171,7 +185,9 @@ def judge_impacts(runs: Sequence[Run], folder: Path, n_runs: int = 100) -> Float
         for motion in (met.vut_motion, met.vru_motion):
             position_m, yaw_deg = motion.path.at(motion.distance_m(time_s))
             pose.append(np.column_stack([position_m, np.radians(yaw_deg)]))
-        sizes = [[0.5 * body.length_m, 0.5 * body.width_m] for body in (met.vut, met.vru)]
+        sizes = [
+            [0.5 * body.length_m, 0.5 * body.width_m] for body in (met.vut, met.vru)
+        ]
         path = folder / f"{index}.npz"
         np.savez(path, id=run.id, time_s=time_s, pose=np.array(pose), half_sizes=sizes)
     touch_s = judge_apart("touch", folder)["touch_s"].values()
@@ -200,16 +216,19 @@ class Proof:
 def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     """SCIP on ``instance.npz``, read as docs/formats.md describes it.
 
-    Nothing of :mod:`placement` is called: no presolve, no bound, no rule of when a run is avoided.
-    The model has a variable per pose and per run, and rows "this run is avoided only if one of
-    these poses is chosen": all but a largest set of poses that together do not avoid it. These rows
-    hold for every layout, so SCIP's bound does, too. Rows are added until the layout found is worth
-    as much as the bound. That holds since more frames never make a run unavoided.
+    Nothing of :mod:`placement` is called: no presolve, no bound, no rule of when a run
+    is avoided. The model has a variable per pose and per run, and rows "this run is
+    avoided only if one of these poses is chosen": all but a largest set of poses that
+    together do not avoid it. These rows hold for every layout, so SCIP's bound does,
+    too. Rows are added until the layout found is worth as much as the bound. That holds
+    since more frames never make a run unavoided.
     """
     from pyscipopt import Model, quicksum
 
     answer = json.loads((path / "summary.json").read_text(encoding="utf-8"))
-    stage = (answer["highest"] or answer)["stages"][0]  # another layout may have been chosen
+    stage = (answer["highest"] or answer)["stages"][
+        0
+    ]  # another layout may have been chosen
     with np.load(path / "instance.npz", allow_pickle=False) as file:
         instance = dict(file)
     runs = _read_runs(instance)
@@ -227,7 +246,9 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
         ]
     )
     avoided = [model.addVar(ub=1.0) for _ in runs]
-    model.setObjective(quicksum(w * a for w, a in zip(counted, avoided, strict=True)), "maximize")
+    model.setObjective(
+        quicksum(w * a for w, a in zip(counted, avoided, strict=True)), "maximize"
+    )
     layout: list[int] = []
     apr = -1.0
     bound = 1.0
@@ -235,7 +256,11 @@ def prove_with_scip(path: Path = Path("results/budget-3")) -> Proof:
     while bound > apr + _EPSILON:
         rng = np.random.default_rng(n_rounds)
         for one, weight, variable in zip(runs, counted, avoided, strict=True):
-            for order in one.orders(rng) if weight and not one.avoids(one.seen_by(layout)) else ():
+            for order in (
+                one.orders(rng)
+                if weight and not one.avoids(one.seen_by(layout))
+                else ()
+            ):
                 poses = np.flatnonzero(~one.largest_without(one.seen_by(layout), order))
                 model.addCons(variable <= quicksum(chosen[pose] for pose in poses))
         model.optimize()
@@ -268,7 +293,11 @@ class _InstanceRun:
         return np.asarray(self.sees[layout].any(axis=0), dtype=bool)
 
     def avoids(self, seen: BoolArray) -> bool:
-        return bool(_avoids(seen, self.time_s, self.moment_s, self.memory_s, self.n_confirmations))
+        return bool(
+            _avoids(
+                seen, self.time_s, self.moment_s, self.memory_s, self.n_confirmations
+            )
+        )
 
     def orders(self, rng: np.random.Generator) -> list[IntArray]:
         """Orders in which poses join a set: few frames first, many first, and some at random."""
@@ -285,7 +314,10 @@ class _InstanceRun:
 
 def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
     time_s = instance["time_s"]
-    sees = np.unpackbits(instance["packed"], axis=1, bitorder="little", count=len(time_s)) > 0
+    sees = (
+        np.unpackbits(instance["packed"], axis=1, bitorder="little", count=len(time_s))
+        > 0
+    )
     runs = []
     for run, last_brake_time_s in enumerate(instance["last_brake_time_s"].tolist()):
         moment_s = last_brake_time_s - float(instance["latency_s"])
@@ -304,15 +336,20 @@ def _read_runs(instance: dict[str, Any]) -> list[_InstanceRun]:
 
 
 @njit  # type: ignore[untyped-decorator]
-def _avoids(seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: float, n: int) -> bool:
+def _avoids(
+    seen: BoolArray, time_s: FloatArray, moment_s: float, memory_s: float, n: int
+) -> bool:
     """True if a track is confirmed and alive at the last moment."""
-    in_a_row, last_s, is_confirmed = 0, -np.inf, False
+    in_a_row = 0
+    last_s = -np.inf
+    is_confirmed = False
     for frame in range(len(time_s)):
         if not seen[frame]:
             in_a_row = 0
             continue
         is_confirmed = is_confirmed and time_s[frame] - last_s <= memory_s
-        in_a_row, last_s = in_a_row + 1, time_s[frame]
+        in_a_row = in_a_row + 1
+        last_s = time_s[frame]
         is_confirmed = is_confirmed or in_a_row >= n
     return is_confirmed and moment_s - last_s <= memory_s
 

@@ -1,7 +1,8 @@
 """Judges that need an environment of their own: run by ``judging.py``, imports no other module.
 
-``python judging_apart.py KIND FOLDER`` writes what it found as JSON. The packages that each kind
-needs contradict those of this project: they ask for an older lxml, numpy or protobuf.
+``python judging_apart.py KIND FOLDER`` writes what it found as JSON. The packages that
+each kind needs contradict those of this project: they ask for an older lxml, numpy or
+protobuf.
 """
 
 import importlib.metadata
@@ -19,12 +20,15 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
     from qc_baselib import Configuration, Result  # type: ignore[import-not-found]
 
     package = {"xosc": "qc_openscenario", "xodr": "qc_opendrive"}[kind]
-    check, constants = (import_module(f"{package}.{name}") for name in ("main", "constants"))
+    check, constants = (
+        import_module(f"{package}.{name}") for name in ("main", "constants")
+    )
     statuses: Counter[str] = Counter()
     issues = []
     paths = sorted(folder.glob(f"*.{kind}"))
     for path in paths:
-        config, result = Configuration(), Result()
+        config = Configuration()
+        result = Result()
         config.set_config_param("InputFile", str(path))
         result.register_checker_bundle(
             name=constants.BUNDLE_NAME, description="", version="", summary=""
@@ -33,7 +37,9 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
         for checker_id in result.get_checker_ids(constants.BUNDLE_NAME):
             statuses[str(result.get_checker_status(checker_id).value)] += 1
             found = result.get_issues(constants.BUNDLE_NAME, checker_id)
-            issues += [f"{path.name}: {checker_id}: {issue.description}" for issue in found]
+            issues += [
+                f"{path.name}: {checker_id}: {issue.description}" for issue in found
+            ]
     name = {"xosc": "asam-qc-openscenarioxml", "xodr": "asam-qc-opendrive"}[kind]
     version = importlib.metadata.version(name)
     return {"version": version, "n": len(paths), "checks": statuses, "issues": issues}
@@ -42,8 +48,8 @@ def judge_by_asam(kind: str, folder: Path) -> dict[str, Any]:
 def judge_touches(folder: Path) -> dict[str, Any]:
     """First time at which the two rectangles of each run collide; null: never.
 
-    `folder` has ``NAME.npz`` for each run: half_sizes (2, 2) [m], time_s (n,), and for both bodies
-    pose (2, n, 3): x, y [m], yaw [rad]. Times are in seconds.
+    `folder` has ``NAME.npz`` for each run: half_sizes (2, 2) [m], time_s (n,), and for
+    both bodies pose (2, n, 3): x, y [m], yaw [rad]. Times are in seconds.
     """
     import numpy as np
     from commonroad_dc.pycrcc import RectOBB  # type: ignore[import-not-found]
@@ -87,7 +93,8 @@ def judge_transforms(folder: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    kind, folder = sys.argv[1], Path(sys.argv[2])
+    kind = sys.argv[1]
+    folder = Path(sys.argv[2])
     judges = {"touch": judge_touches, "carla": judge_transforms}
     answer = judges[kind](folder) if kind in judges else judge_by_asam(kind, folder)
     sys.stdout.write(json.dumps(answer) + "\n")

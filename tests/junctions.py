@@ -4,7 +4,9 @@ import numpy as np
 
 from geometry.scene import Instance, Lane, Scene
 
-LANE_M, MOUTH_M, ARM_M = 3.5, 11.5, 250.0  # Euro NCAP AEB/LSS VRU: intersection
+LANE_M = 3.5
+MOUTH_M = 11.5
+ARM_M = 250.0  # Euro NCAP AEB/LSS VRU: intersection
 SQUARE_M = MOUTH_M * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 ARMS = {"east": 0.0, "north": 90.0, "west": 180.0, "south": 270.0}
 
@@ -37,13 +39,13 @@ def lanes_of(arm, bearing_deg, *, n_lanes=1, arm_m=ARM_M, has_in=True, has_out=T
 
 def build_scene(lanes, *, name="protocol", boxes=(), crosswalks_m=(), outline_m=None):
     """A scene with these lanes, and boxes (id, x, y, length, width, height) on it."""
-    vertices, triangles, instance_of, instances = (
-        [],
-        [],
-        [],
-        [Instance(id="ground", class_name="ground")],
+    vertices = []
+    triangles = []
+    instance_of = []
+    instances = [Instance(id="ground", class_name="ground")]
+    vertices.append(
+        np.array([[-400.0, -400.0, 0.0], [400.0, -400.0, 0.0], [0.0, 600.0, 0.0]])
     )
-    vertices.append(np.array([[-400.0, -400.0, 0.0], [400.0, -400.0, 0.0], [0.0, 600.0, 0.0]]))
     triangles.append(np.array([[0, 1, 2]]))
     instance_of.append(np.array([0]))
     for box_id, x, y, length, width, height in boxes:

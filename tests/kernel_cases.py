@@ -13,11 +13,15 @@ N_FRAMES = 9
 
 def random_chains(rng: np.random.Generator, *, n_frames: int = N_FRAMES) -> Chains:
     """Up to four chains of up to five windows, with tails; some chains may have no windows."""
-    n_windows, n_chains = int(rng.integers(1, 7)), int(rng.integers(1, 5))
+    n_windows = int(rng.integers(1, 7))
+    n_chains = int(rng.integers(1, 5))
     n_links = rng.integers(0, 6, n_chains)
     tails: list[list[tuple[int, int]]] = []
     for most in n_links.tolist():
-        frames = rng.permutation(n_frames)[: rng.integers(0, 3)].tolist() if most else []
+        if most:
+            frames = rng.permutation(n_frames)[: rng.integers(0, 3)].tolist()
+        else:
+            frames = []
         links = sorted((int(rng.integers(1, most + 1)) for _ in frames), reverse=True)
         tails.append(list(zip(frames, links, strict=True)))
     flat = [tail for of_chain in tails for tail in of_chain]
@@ -42,12 +46,16 @@ def n_links_of(chains: Chains, chain: int) -> int:
 def tails_of(chains: Chains, chain: int) -> list[tuple[int, int]]:
     """Frame of each tail of a chain, and how many of its first windows need it."""
     mine = range(chains.tail_start[chain], chains.tail_start[chain + 1])
-    return [(int(chains.tail_frame[tail]), int(chains.tail_links[tail])) for tail in mine]
+    return [
+        (int(chains.tail_frame[tail]), int(chains.tail_links[tail])) for tail in mine
+    ]
 
 
 def needed(chains: Chains, chain: int, link: int) -> tuple[set[int], set[int]]:
     """Frames of a window of a chain, and frames of the tails without which it is not live."""
-    frames = set(chains.window_frames[chains.window[chains.start[chain] + link]].tolist())
+    frames = set(
+        chains.window_frames[chains.window[chains.start[chain] + link]].tolist()
+    )
     return frames, {frame for frame, links in tails_of(chains, chain) if links > link}
 
 
@@ -65,7 +73,9 @@ def bits_of(words: WordArray, n_bits: int) -> set[int]:
     return {bit for bit in range(n_bits) if int(words[bit // 64]) >> (bit % 64) & 1}
 
 
-def random_sights(rng: np.random.Generator, n_poses: int, *, share: float = 0.5) -> BoolArray:
+def random_sights(
+    rng: np.random.Generator, n_poses: int, *, share: float = 0.5
+) -> BoolArray:
     """What poses see, (n_poses, N_FRAMES)."""
     return rng.random((n_poses, N_FRAMES)) < share
 

@@ -11,7 +11,14 @@ MODELS = ("brown-conrady", "tsai", "fisheye")
 
 def random_lens(rng, model: str) -> Lens:
     """One of any strength; some fold the picture within it."""
-    k1, k2, k3, k4, p1, p2 = rng.uniform(-1.0, 1.0, 6) * [0.3, 0.1, 0.03, 0.01, 0.01, 0.01]
+    k1, k2, k3, k4, p1, p2 = rng.uniform(-1.0, 1.0, 6) * [
+        0.3,
+        0.1,
+        0.03,
+        0.01,
+        0.01,
+        0.01,
+    ]
     if model == "brown-conrady":
         return BrownConrady(k1=k1, k2=k2, k3=k3, p1=p1, p2=p2)
     if model == "tsai":
@@ -22,7 +29,9 @@ def random_lens(rng, model: str) -> Lens:
 def random_camera(rng, base, model: str):
     """A camera of a size and a kind, with a random lens, principal point, aspect and roll."""
     lens = random_lens(rng, model)
-    most_deg = min(np.degrees(2.0 * lens.widest_rad), 175.0 if model == "fisheye" else 120.0)
+    most_deg = min(
+        np.degrees(2.0 * lens.widest_rad), 175.0 if model == "fisheye" else 120.0
+    )
     return replace(
         base,
         horizontal_fov_deg=float(rng.uniform(0.3, 0.98) * most_deg),

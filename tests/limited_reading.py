@@ -41,14 +41,20 @@ class Process:
         process.stdin.flush()
         with selectors.DefaultSelector() as selector:
             selector.register(process.stdout, selectors.EVENT_READ)
-            line = process.stdout.readline() if selector.select(WALL_S) else ""
+            if selector.select(WALL_S):
+                line = process.stdout.readline()
+            else:
+                line = ""
         if line:
             answer: dict[str, str] = json.loads(line)
             return answer
         code = self._gone(process)
         self.end()
         words = {-27: "it took 10 s of processor time", None: f"it took {WALL_S:.0f} s"}
-        return {"outcome": "failed", "text": words.get(code, f"the process ended by {code}")}
+        return {
+            "outcome": "failed",
+            "text": words.get(code, f"the process ended by {code}"),
+        }
 
     @staticmethod
     def _gone(process: "subprocess.Popen[str]") -> int | None:
@@ -70,4 +76,6 @@ def put(folder: Path, files: Files, entry: str) -> Path:
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
-    return folder if entry == "." else folder / entry
+    if entry == ".":
+        return folder
+    return folder / entry

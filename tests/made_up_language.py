@@ -19,11 +19,49 @@ class Bracketed(Messages):
         return self.find(one if count == 1 else many)
 
 
-ALLOWED = {"APR", "AEB", "EUR", "Euro", "NCAP", "VUT", "RSU", "RSUs", "IoU", "HiGHS", "CarlaNCAP"}
-ALLOWED |= {"m", "cm", "s", "ms", "px", "km", "h", "Hz", "N", "x", "prices.toml", "cost_eur"}
-ALLOWED |= {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh", "embree"}
+ALLOWED = {
+    "APR",
+    "AEB",
+    "EUR",
+    "Euro",
+    "NCAP",
+    "VUT",
+    "RSU",
+    "RSUs",
+    "IoU",
+    "HiGHS",
+    "CarlaNCAP",
+}
+ALLOWED |= {
+    "m",
+    "cm",
+    "s",
+    "ms",
+    "px",
+    "km",
+    "h",
+    "Hz",
+    "N",
+    "x",
+    "prices.toml",
+    "cost_eur",
+}
+ALLOWED |= {
+    "place-rsus",
+    "python",
+    "cvxpy",
+    "highspy",
+    "numpy",
+    "scipy",
+    "trimesh",
+    "embree",
+}
 ALLOWED |= {"rays", *DETECTOR_NAMES, *load_cases(), *load_cameras(), *load_lidars()}
-ALLOWED |= {"carla", "ncap-rgb", "study"}  # a name cut in two, and that of a latency budget
+ALLOWED |= {
+    "carla",
+    "ncap-rgb",
+    "study",
+}  # a name cut in two, and that of a latency budget
 ALLOWED |= {thing.id for thing in load_study_scene().instances}
 ALLOWED |= {site.id for site in load_study_scene().sites}
 
@@ -32,7 +70,8 @@ def left_over(text):
     """Words of a text that no message said; ids, codes and numbers with units are none."""
     before = None
     while before != text:
-        before, text = text, re.sub(r"⟦[^⟦⟧]*⟧", " ", text)
+        before = text
+        text = re.sub(r"⟦[^⟦⟧]*⟧", " ", text)
     tokens = [re.sub(r"^\W+|\W+$", "", token) for token in text.split()]
     return [
         token

@@ -1,8 +1,8 @@
 """Detections as numpy finds them, array by array: the oracle of the loops in ``projecting``.
 
-Nothing is left out: every point of every body is projected into every camera, whether or not it is
-in the field of view. Sums are made in the same order, so that boxes are the same to the last bit
-but for points that only rounding puts outside the convex hull.
+Nothing is left out: every point of every body is projected into every camera, whether
+or not it is in the field of view. Sums are made in the same order, so that boxes are
+the same to the last bit but for points that only rounding puts outside the convex hull.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from geometry.image_boxes import clip_boxes
-from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
+from geometry.lidar import (
+    LidarModel,
+    beams_per_steradian,
+    load_lidar_detection,
+    return_probability,
+)
 from geometry.poses import body_rotation, camera_rotation
 from placement.detectors import VRU_CLASSES, Evidence
 from placement.visibility import sensing as compiled
@@ -26,15 +31,19 @@ class NumpySensing:
 
     def evidence(self, candidate) -> Evidence:
         """Evidence of a camera for every entry, at full contrast."""
-        made, camera, pose = self.sensing, candidate.sensor, candidate.pose
+        made = self.sensing
+        camera = candidate.sensor
+        pose = candidate.pose
         sight = made.sight
         eye = made.eye_m.astype(np.float32)
         x, y, z = np.moveaxis(made.world.views.points_m[sight.view_index] - eye, -1, 0)
         r = camera_rotation(pose.yaw_deg, pose.pitch_deg).astype(np.float32)
         right, down, depth = (x * r[0, i] + y * r[1, i] + z * r[2, i] for i in range(3))
         per_depth = np.float32(camera.focal_length_px) / np.maximum(depth, MIN_DEPTH_M)
-        width, height = np.float32(camera.width_px), np.float32(camera.height_px)
-        half_width, half_height = np.float32(0.5) * width, np.float32(0.5) * height
+        width = np.float32(camera.width_px)
+        height = np.float32(camera.height_px)
+        half_width = np.float32(0.5) * width
+        half_height = np.float32(0.5) * height
         columns = right * per_depth + half_width
         rows = down * per_depth + half_height
         nothing = np.zeros(columns.shape, dtype=bool)
@@ -71,8 +80,12 @@ class NumpySensing:
         evidence = self.evidence(candidate)
         found = []
         for contrast in made.contrast:
-            fields = {name: getattr(evidence, name) for name in evidence.__dataclass_fields__}
-            found.append(made.detector.is_expected(Evidence(**fields | {"contrast": contrast})))
+            fields = {
+                name: getattr(evidence, name) for name in evidence.__dataclass_fields__
+            }
+            found.append(
+                made.detector.is_expected(Evidence(**fields | {"contrast": contrast}))
+            )
         return np.array(found)
 
 
@@ -93,10 +106,12 @@ def areas(boxes_px):
 def count_points(sensing, rotation, lidar):
     """Whether a LiDAR may expect enough points on each entry, in each weather, (n_weathers, n).
 
-    Each visible point stands for the part of the surface around it: its solid angle, seen from the
-    LiDAR, times the density of beams in that direction is the number of beams that hit it.
+    Each visible point stands for the part of the surface around it: its solid angle,
+    seen from the LiDAR, times the density of beams in that direction is the number of
+    beams that hit it.
     """
-    views, sight = sensing.world.views, sensing.sight
+    views = sensing.world.views
+    sight = sensing.sight
     entries = np.arange(len(sight.view_index))
     view = sight.view_index
     offsets = views.points_m[view] - sensing.eye_m
@@ -110,7 +125,9 @@ def count_points(sensing, rotation, lidar):
         & (np.abs(elevation_deg) <= 0.5 * lidar.vertical_fov_deg)
     )
     areas = np.stack([surface.area_m2 for surface in sensing.world.surfaces])
-    area = areas[views.surface_index[view]] @ np.swapaxes(body_rotation(views.yaw_deg[view]), 1, 2)
+    area = areas[views.surface_index[view]] @ np.swapaxes(
+        body_rotation(views.yaw_deg[view]), 1, 2
+    )
     facing_m2 = np.maximum(0.0, -(area * offsets).sum(axis=-1) / distance)
     beams = is_hit * facing_m2 / distance**2 * beams_per_steradian(lidar, elevation_deg)
     cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
@@ -127,7 +144,9 @@ def count_points(sensing, rotation, lidar):
                     distance,
                     reflectivity=reflectivity[classes][:, None],
                     incidence_cos=cosine,
-                    extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+                    extinction_per_m=weather.lidar_extinction_per_m(
+                        lidar.wavelength_nm
+                    ),
                 )
             ).sum(axis=1)
             >= needed[classes]

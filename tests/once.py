@@ -9,12 +9,15 @@ from pathlib import Path
 import pytest
 
 
-def make_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+def make_once(
+    factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]
+) -> Path:
     """A folder that `make` fills, for all processes of a test run: not to be changed."""
     root = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         root = root.parent
-    folder, part = root / name, root / f"{name}.part"
+    folder = root / name
+    part = root / f"{name}.part"
     with (root / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # the others wait
         if not folder.exists():

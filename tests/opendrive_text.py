@@ -15,8 +15,8 @@ LINE = "<line/>"
 
 def document(*parts: str, header: str = "", root: str = "OpenDRIVE") -> str:
     return (
-        f'<?xml version="1.0"?><{root}><header revMajor="1" revMinor="7" name="made">{header}'
-        f"</header>{''.join(parts)}</{root.split()[0]}>"
+        f'<?xml version="1.0"?><{root}><header revMajor="1" revMinor="7"'
+        f' name="made">{header}</header>{"".join(parts)}</{root.split()[0]}>'
     )
 
 
@@ -29,12 +29,18 @@ def geometry(
     hdg: float = 0.0,
     length: float = 100.0,
 ) -> str:
-    return f'<geometry s="{s}" x="{x}" y="{y}" hdg="{hdg}" length="{length}">{shape}</geometry>'
+    return (
+        f'<geometry s="{s}" x="{x}" y="{y}" hdg="{hdg}"'
+        f' length="{length}">{shape}</geometry>'
+    )
 
 
 def cubic(tag: str, start: float, *coefficients: float) -> str:
     a, b, c, d = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:4]
-    key = "sOffset" if tag in ("width", "border") else "s"
+    if tag in ("width", "border"):
+        key = "sOffset"
+    else:
+        key = "s"
     return f'<{tag} {key}="{start}" a="{a}" b="{b}" c="{c}" d="{d}"/>'
 
 
@@ -52,14 +58,21 @@ def lane(
         for tag, other in (("predecessor", before), ("successor", after))
         if other is not None
     )
-    widths = width if isinstance(width, str) else cubic("width", 0.0, width)
-    return f'<lane id="{number}" type="{kind}" {extra}><link>{links}</link>{widths}</lane>'
-
-
-def section(*, s: float = 0.0, left: Sequence[str] = (), right: Sequence[str] = ()) -> str:
+    if isinstance(width, str):
+        widths = width
+    else:
+        widths = cubic("width", 0.0, width)
     return (
-        f'<laneSection s="{s}"><left>{"".join(left)}</left>'
-        f'<center><lane id="0" type="none"/></center><right>{"".join(right)}</right></laneSection>'
+        f'<lane id="{number}" type="{kind}" {extra}><link>{links}</link>{widths}</lane>'
+    )
+
+
+def section(
+    *, s: float = 0.0, left: Sequence[str] = (), right: Sequence[str] = ()
+) -> str:
+    return (
+        f'<laneSection s="{s}"><left>{"".join(left)}</left><center><lane id="0"'
+        f' type="none"/></center><right>{"".join(right)}</right></laneSection>'
     )
 
 
@@ -82,10 +95,17 @@ def road(
     signals: str = "",
     street: str = "",
 ) -> str:
-    plan = geometry(length=length) if plan is None else plan
-    rule = f'rule="{rule}"' if rule else ""
+    if plan is None:
+        plan = geometry(length=length)
+    else:
+        plan = plan
+    if rule:
+        rule = f'rule="{rule}"'
+    else:
+        rule = ""
     return (
-        f'<road id="{name}" name="{street}" length="{length}" junction="{junction}" {rule}>'
+        f'<road id="{name}" name="{street}" length="{length}" junction="{junction}"'
+        f" {rule}>"
         f"<link>{link}</link><planView>{plan}</planView>"
         f"<elevationProfile>{elevation}</elevationProfile><lateralProfile>{lateral}</lateralProfile>"
         f"<lanes>{offset}{sections}</lanes><objects>{objects}</objects>"
@@ -104,7 +124,8 @@ def to_junction(side: str, junction: str) -> str:
 def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") -> str:
     """Two streets that cross at the origin: four roads of 50 m, straight connecting roads only."""
     turns = {"1": 0.0, "2": 90.0, "3": 180.0, "4": 270.0}  # where the arms lie, degrees
-    roads, links = [], []
+    roads = []
+    links = []
     for name, angle in turns.items():
         unit = {0.0: (1, 0), 90.0: (0, 1), 180.0: (-1, 0), 270.0: (0, -1)}[angle]
         roads.append(
@@ -133,12 +154,16 @@ def crossing(*, rule: str = "RHT", half_m: float = 10.0, kind: str = "default") 
                 length=2.0 * half_m,
                 junction="9",
                 rule=rule,
-                link=to_road("predecessor", start, "start") + to_road("successor", end, "start"),
+                link=to_road("predecessor", start, "start")
+                + to_road("successor", end, "start"),
             )
         )
         links.append(f'<connection incomingRoad="{start}" connectingRoad="{name}"/>')
         links.append(f'<connection incomingRoad="{end}" connectingRoad="{name}"/>')
-    return "".join(roads) + f'<junction id="9" name="" type="{kind}">{"".join(links)}</junction>'
+    return (
+        "".join(roads)
+        + f'<junction id="9" name="" type="{kind}">{"".join(links)}</junction>'
+    )
 
 
 def read_text(folder: Path, text: str) -> SourceMap:
@@ -171,4 +196,6 @@ def arms_of(source: SourceMap, junction: MapJunction) -> dict[str, tuple[int, in
         keeps_left=source.keeps_left,
     )
     arms = build_junction(scene).arms
-    return {name: (len(arm.entry_lanes), len(arm.exit_lanes)) for name, arm in arms.items()}
+    return {
+        name: (len(arm.entry_lanes), len(arm.exit_lanes)) for name, arm in arms.items()
+    }

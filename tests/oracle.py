@@ -1,7 +1,7 @@
 """What the optimiser has to find on small problems: every layout, valued in plain loops.
 
-This is the specification: nothing of ``placement.optimiser`` is imported, and a problem is read as
-plain data. Tolerances are the optimiser's promise, written down once more.
+This is the specification: nothing of ``placement.optimiser`` is imported, and a problem
+is read as plain data. Tolerances are the optimiser's promise, written down once more.
 """
 
 from collections.abc import Iterator
@@ -35,7 +35,10 @@ class Oracle:
         self.run_start: list[int] = axis.run_start.tolist()
         self.site: list[int] = problem.limits.site_index.tolist()
         samples = problem.sample_index
-        self.sample = [0] * self.n_runs if samples is None else samples.tolist()
+        if samples is None:
+            self.sample = [0] * self.n_runs
+        else:
+            self.sample = samples.tolist()
         self._margins: dict[tuple[int, tuple[int, ...]], float] = {}
         self._of_units: dict[tuple[int, ...], list[float]] = {}
         self._sees = [
@@ -46,9 +49,20 @@ class Oracle:
         self.layouts = {poses: self.values(poses) for poses in self._feasible()}
 
     def _stages(self) -> list[str]:
-        goal = {"best": [], "fewest": ["units"], "cheapest": ["cost_eur"]}[self.problem.goal]
-        survived = ["apr_survived"] if self.problem.survive else []
-        usual = ["apr", "apr_one_failed", "smallest_margin_s", "mean_margin_s", "cost_eur"]
+        goal = {"best": [], "fewest": ["units"], "cheapest": ["cost_eur"]}[
+            self.problem.goal
+        ]
+        if self.problem.survive:
+            survived = ["apr_survived"]
+        else:
+            survived = []
+        usual = [
+            "apr",
+            "apr_one_failed",
+            "smallest_margin_s",
+            "mean_margin_s",
+            "cost_eur",
+        ]
         return [*goal, *survived, *(name for name in usual if name not in goal)]
 
     # ---------- one run
@@ -64,7 +78,9 @@ class Oracle:
         """
         rule = self.problem.rule
         last_moment_s = self.last_brake_s[run] - rule.latency_s
-        known = [frame for frame in seen if self.time_s[frame] <= last_moment_s + TIE_TIME_S]
+        known = [
+            frame for frame in seen if self.time_s[frame] <= last_moment_s + TIE_TIME_S
+        ]
         margin_s = -inf
         next_s = last_moment_s
         for place in range(len(known) - 1, -1, -1):
@@ -80,11 +96,16 @@ class Oracle:
         """Margins of all runs."""
         if poses not in self._of_units:
             parties = (*poses, self.n_poses)
-            together = [parties] if self.problem.fusion == "any" else [(one,) for one in parties]
+            if self.problem.fusion == "any":
+                together = [parties]
+            else:
+                together = [(one,) for one in parties]
             margins = [-inf] * self.n_runs
             for run in range(self.n_runs):
                 for units in together:
-                    seen = tuple(sorted({frame for p in units for frame in self._sees[p][run]}))
+                    seen = tuple(
+                        sorted({frame for p in units for frame in self._sees[p][run]})
+                    )
                     if (run, seen) not in self._margins:
                         self._margins[run, seen] = self._margin_s(run, seen)
                     margins[run] = max(margins[run], self._margins[run, seen])
@@ -97,7 +118,8 @@ class Oracle:
         """Mean over the worst worlds up to the tail; of all where the tail is 1."""
         margins = self.margins_s(poses)
         n_samples = max(self.sample) + 1
-        avoided, total = [0.0] * n_samples, [0.0] * n_samples
+        avoided = [0.0] * n_samples
+        total = [0.0] * n_samples
         for run in range(self.n_runs):
             total[self.sample[run]] += self.weight[run]
             if margins[run] > -inf:
@@ -105,7 +127,8 @@ class Oracle:
         all_worlds = sum(total)
         if self.problem.tail == 1.0:
             return sum(avoided) / all_worlds
-        result, left = 0.0, self.problem.tail
+        result = 0.0
+        left = self.problem.tail
         for ratio, share in sorted(
             (a / t, t / all_worlds) for a, t in zip(avoided, total, strict=True)
         ):
@@ -124,13 +147,17 @@ class Oracle:
         )
         return reached / total
 
-    def _after_failures(self, poses: tuple[int, ...], n_failures: int, share: Any) -> float:
+    def _after_failures(
+        self, poses: tuple[int, ...], n_failures: int, share: Any
+    ) -> float:
         """The least that is left when any so many units, or sites with all they carry, fail."""
         by_unit = self.problem.limits.failing == "unit"
         parts = sorted({pose if by_unit else self.site[pose] for pose in poses})
         least = inf
         for failed in combinations(parts, min(n_failures, len(parts))):
-            left = tuple(p for p in poses if (p if by_unit else self.site[p]) not in failed)
+            left = tuple(
+                p for p in poses if (p if by_unit else self.site[p]) not in failed
+            )
             least = min(least, share(left))
         return least
 
@@ -140,12 +167,16 @@ class Oracle:
         """Price of units, and of each of their sites once."""
         limits = self.problem.limits
         units = sum(float(limits.unit_cost_eur[pose]) for pose in poses)
-        return units + sum(float(limits.site_cost_eur[s]) for s in {self.site[p] for p in poses})
+        return units + sum(
+            float(limits.site_cost_eur[s]) for s in {self.site[p] for p in poses}
+        )
 
     def values(self, poses: tuple[int, ...]) -> Values:
         """What a layout is worth in every stage."""
         margins = self.margins_s(poses)
-        counts = [r for r in range(self.n_runs) if margins[r] > -inf and self.weight[r] > 0.0]
+        counts = [
+            r for r in range(self.n_runs) if margins[r] > -inf and self.weight[r] > 0.0
+        ]
         avoided = sum(self.weight[run] for run in counts)
         values = {
             "units": float(len(poses)),
@@ -153,12 +184,16 @@ class Oracle:
             "apr": self._apr(poses),
             "apr_one_failed": self._after_failures(poses, 1, self._apr),
             "smallest_margin_s": min((margins[run] for run in counts), default=0.0),
-            "mean_margin_s": sum(self.weight[run] * margins[run] for run in counts) / avoided
-            if counts
-            else 0.0,
+            "mean_margin_s": (
+                sum(self.weight[run] * margins[run] for run in counts) / avoided
+                if counts
+                else 0.0
+            ),
         }
         if self.problem.survive:
-            values["apr_survived"] = self._after_failures(poses, self.problem.survive, self._apr)
+            values["apr_survived"] = self._after_failures(
+                poses, self.problem.survive, self._apr
+            )
         return {name: values[name] for name in self.names}
 
     def _feasible(self) -> Iterator[tuple[int, ...]]:
@@ -173,7 +208,10 @@ class Oracle:
         sites = [self.site[pose] for pose in poses]
         if any(sites.count(site) > limits.site_capacity[site] for site in set(sites)):
             return False
-        if limits.budget_eur is not None and self.cost_eur(poses) > limits.budget_eur + TIE_EUR:
+        if (
+            limits.budget_eur is not None
+            and self.cost_eur(poses) > limits.budget_eur + TIE_EUR
+        ):
             return False
         for pose in range(self.n_poses):
             if (limits.is_forced[pose] and pose not in poses) or (
@@ -189,7 +227,9 @@ class Oracle:
         for floor in self.problem.floors:
 
             def share(left: tuple[int, ...], counted: Any = floor.is_counted) -> float:
-                return self._apr(left) if counted is None else self._share_of(left, counted)
+                if counted is None:
+                    return self._apr(left)
+                return self._share_of(left, counted)
 
             if self._after_failures(poses, floor.n_failures, share) < floor.share - TIE:
                 return False
@@ -197,11 +237,13 @@ class Oracle:
 
     # ---------- an answer
 
-    def check(self, poses: tuple[int, ...], stages: Any, *, largest_gap: float = inf) -> None:
+    def check(
+        self, poses: tuple[int, ...], stages: Any, *, largest_gap: float = inf
+    ) -> None:
         """Check a layout and its stages; 0 as the `largest_gap`: all must be proven best.
 
-        A bound is what no layout exceeds that is as good in all stages before; a gap of 0 says that
-        the value is the best there is.
+        A bound is what no layout exceeds that is as good in all stages before; a gap of
+        0 says that the value is the best there is.
         """
         assert poses in self.layouts, f"{poses} breaks a limit or a floor"
         assert [stage.name for stage in stages] == self.names
@@ -216,7 +258,9 @@ class Oracle:
             assert sign * stage.bound >= sign * stage.objective, where
             assert (stage.gap == 0.0) == (stage.bound == stage.objective), where
             if stage.gap == 0.0:
-                assert sign * value >= sign * best - tie, f"proven, but not best; {where}"
+                assert sign * value >= sign * best - tie, (
+                    f"proven, but not best; {where}"
+                )
             assert stage.gap <= largest_gap, f"not proven; {where}"
             rivals = {
                 units: values

@@ -29,7 +29,9 @@ def check(problem: PlacementProblem, way: str) -> None:
     effort = Effort(solver=_solver_of(way), time_limit_s=600.0, workers=1)
     with pytest.MonkeyPatch.context() as patch:
         if way in ("models", "walk"):
-            patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
+            patch.setattr(
+                "placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False)
+            )
         if way == "models":
             patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
         if way == "large":
@@ -45,7 +47,10 @@ def check(problem: PlacementProblem, way: str) -> None:
     if is_exact and not oracle.is_ambiguous(solution.pose_index):
         largest_gap = 0.0
         if is_by_model:
-            largest_gap = GAP_OF_TIES if oracle.least_weight >= TELLS_APART else inf
+            if oracle.least_weight >= TELLS_APART:
+                largest_gap = GAP_OF_TIES
+            else:
+                largest_gap = inf
     stages = solution.certificate.stages
     oracle.check(solution.pose_index, stages, largest_gap=largest_gap)
 
@@ -69,12 +74,36 @@ def _answer(problem: PlacementProblem, effort: Effort) -> tuple[Solution | None,
 def _solver_of(way: str) -> str:
     if way in SOLVERS:
         return way
-    return "auto" if way == "large" else "exact"
+    if way == "large":
+        return "auto"
+    return "exact"
 
 
 ROTATION = (
-    *("auto", "large", "relax", "auto", "greedy", "auto", "exact", "walk", "auto", "large"),
-    *("auto", "large", "relax", "auto", "greedy", "auto", "exact", "walk", "auto", "models"),
+    *(
+        "auto",
+        "large",
+        "relax",
+        "auto",
+        "greedy",
+        "auto",
+        "exact",
+        "walk",
+        "auto",
+        "large",
+    ),
+    *(
+        "auto",
+        "large",
+        "relax",
+        "auto",
+        "greedy",
+        "auto",
+        "exact",
+        "walk",
+        "auto",
+        "models",
+    ),
 )
 
 
@@ -97,7 +126,9 @@ def faults(numbers: range) -> tuple[list[str], Counter[str]]:
 def rates(kinds: Counter[str], n_problems: int) -> str:
     """A line for each kind of problem drawn: its rate, the rarest first."""
     rarest_first = sorted(kinds.items(), key=lambda kind: kind[1])
-    return "\n".join(f"{count / n_problems:7.1%}  {kind}" for kind, count in rarest_first)
+    return "\n".join(
+        f"{count / n_problems:7.1%}  {kind}" for kind, count in rarest_first
+    )
 
 
 def main() -> None:

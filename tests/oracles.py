@@ -10,7 +10,8 @@ from geometry.footprints import footprint_corners, footprint_separation
 def rectangle_polygon(centre, yaw_deg, length_m, width_m):
     """Corners of a rectangle, counter-clockwise, as plain tuples."""
     yaw = math.radians(yaw_deg)
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     return [
         (centre[0] + x * c - y * s, centre[1] + x * s + y * c)
         for x, y in (
@@ -25,18 +26,23 @@ def rectangle_polygon(centre, yaw_deg, length_m, width_m):
 def polygon_area(polygon):
     """Shoelace formula; positive for counter-clockwise corners."""
     return 0.5 * sum(
-        a[0] * b[1] - b[0] * a[1] for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True)
+        a[0] * b[1] - b[0] * a[1]
+        for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True)
     )
 
 
 def overlap_area(polygon_a, polygon_b):
     """Area that two convex polygons share: Sutherland and Hodgman's clipping, edge by edge."""
     rest = list(polygon_a)
-    for (ax, ay), (bx, by) in zip(polygon_b, polygon_b[1:] + polygon_b[:1], strict=True):
+    for (ax, ay), (bx, by) in zip(
+        polygon_b, polygon_b[1:] + polygon_b[:1], strict=True
+    ):
         side = [(bx - ax) * (y - ay) - (by - ay) * (x - ax) for x, y in rest]
         kept = []
         for index, here in enumerate(rest):
-            before, d_here, d_before = rest[index - 1], side[index], side[index - 1]
+            before = rest[index - 1]
+            d_here = side[index]
+            d_before = side[index - 1]
             if (d_here >= 0.0) != (d_before >= 0.0):
                 share = d_before / (d_before - d_here)
                 kept.append(
@@ -57,7 +63,10 @@ def polygon_distance(polygon_a, polygon_b):
     """Distance of two polygons that do not overlap: every corner to every side."""
 
     def to_side(p, a, b):
-        px, py, sx, sy = p[0] - a[0], p[1] - a[1], b[0] - a[0], b[1] - a[1]
+        px = p[0] - a[0]
+        py = p[1] - a[1]
+        sx = b[0] - a[0]
+        sy = b[1] - a[1]
         share = min(1.0, max(0.0, (px * sx + py * sy) / (sx * sx + sy * sy)))
         return math.hypot(px - share * sx, py - share * sy)
 
@@ -71,7 +80,8 @@ def polygon_distance(polygon_a, polygon_b):
 
 def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e-4):
     """Whether the bodies overlap, by stepping both forward from the onset until the VUT stands."""
-    vut, vru = encounter.vut, encounter.vru
+    vut = encounter.vut
+    vru = encounter.vru
 
     def at_onset(motion):
         yaw = math.radians(motion.path.yaw_deg)
@@ -82,8 +92,11 @@ def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e
 
     vut_at, vut_ahead = at_onset(encounter.vut_motion)
     vru_at, vru_ahead = at_onset(encounter.vru_motion)
-    speed, time = encounter.vut_motion.speed_mps, onset_s
-    reach = 0.5 * (math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m))
+    speed = encounter.vut_motion.speed_mps
+    time = onset_s
+    reach = 0.5 * (
+        math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m)
+    )
     while speed > 0.0:
         next_speed = max(0.0, speed - deceleration_mps2 * time_step_s)
         step_s = (speed - next_speed) / deceleration_mps2
@@ -93,12 +106,17 @@ def simulated_contact(encounter, onset_s, *, deceleration_mps2, time_step_s=5.0e
         for axis in (0, 1):
             vut_at[axis] += vut_ahead[axis] * 0.5 * (speed + next_speed) * step_s
             vru_at[axis] += vru_ahead[axis] * vru_step_m
-        speed, time = next_speed, time + step_s
+        speed = next_speed
+        time = time + step_s
         if math.dist(vut_at, vru_at) > reach:
             continue
         overlap = overlap_area(
-            rectangle_polygon(vut_at, encounter.vut_motion.path.yaw_deg, vut.length_m, vut.width_m),
-            rectangle_polygon(vru_at, encounter.vru_motion.path.yaw_deg, vru.length_m, vru.width_m),
+            rectangle_polygon(
+                vut_at, encounter.vut_motion.path.yaw_deg, vut.length_m, vut.width_m
+            ),
+            rectangle_polygon(
+                vru_at, encounter.vru_motion.path.yaw_deg, vru.length_m, vru.width_m
+            ),
         )
         if overlap > 1.0e-9:
             return True
@@ -113,11 +131,14 @@ def stop_tau_s(v, a):
 def crossing_tau_s(v, a, clear_s):
     """The same for one that has left the VUT's path `clear_s` after the unbraked impact.
 
-    The front covers the distance v tau to the line of impact. It may stop short, or it may reach
-    the line after the VRU is gone: v t - a t^2 / 2 = v tau at t = tau + clear_s.
+    The front covers the distance v tau to the line of impact. It may stop short, or it
+    may reach the line after the VRU is gone: v t - a t^2 / 2 = v tau at t = tau +
+    clear_s.
     """
     t = math.sqrt(2.0 * v * clear_s / a)
-    return t - clear_s if t <= v / a else stop_tau_s(v, a)
+    if t <= v / a:
+        return t - clear_s
+    return stop_tau_s(v, a)
 
 
 def slab_hits(origins, vectors, low, high):
@@ -133,26 +154,38 @@ def slab_hits(origins, vectors, low, high):
 
 def simulated_track_s(detected, time_s, *, until_s, memory_s, n):
     """Frame by frame: when the track was confirmed that is alive at a time; infinite if none is."""
-    confirmed_s, last_s, n_in_a_row = math.inf, -math.inf, 0
+    confirmed_s = math.inf
+    last_s = -math.inf
+    n_in_a_row = 0
     for is_seen, now_s in zip(detected, time_s, strict=True):
         if now_s > until_s + 1e-9:
             break
         if now_s - last_s > memory_s + 1e-9:
             confirmed_s = math.inf  # the track is lost
-        n_in_a_row = n_in_a_row + 1 if is_seen else 0
+        if is_seen:
+            n_in_a_row = n_in_a_row + 1
+        else:
+            n_in_a_row = 0
         if is_seen:
             last_s = now_s
             if n_in_a_row >= n and confirmed_s == math.inf:
                 confirmed_s = now_s
-        # A frame in which nothing is seen changes nothing: the age is asked for when it matters.
-    return math.inf if until_s - last_s > memory_s + 1e-9 else confirmed_s
+        # A frame in which nothing is seen changes nothing: the age is asked for when it
+        # matters.
+    if until_s - last_s > memory_s + 1e-9:
+        return math.inf
+    return confirmed_s
 
 
 def naive_confirmed(detected, n):
     """Confirmation frame by frame, with a counter."""
-    counter, confirmed = 0, []
+    counter = 0
+    confirmed = []
     for seen in detected:
-        counter = counter + 1 if seen else 0
+        if seen:
+            counter = counter + 1
+        else:
+            counter = 0
         confirmed.append(counter >= n)
     return confirmed
 
@@ -166,14 +199,17 @@ def separation_m(encounter, time_s):
     ):
         position, yaw = motion.path.at(motion.distance_m(time_s))
         corners.append(
-            footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
+            footprint_corners(
+                position, yaw, length_m=body.length_m, width_m=body.width_m
+            )
         )
     return footprint_separation(*corners)
 
 
 def distance_to_chain_m(points_m, chain_m):
     """Distance of points (n, 2) to the nearest side of an open chain of points, (n,)."""
-    starts, sides = chain_m[:-1], np.diff(chain_m, axis=0)
+    starts = chain_m[:-1]
+    sides = np.diff(chain_m, axis=0)
     offset = points_m[:, None] - starts
     share = np.clip((offset * sides).sum(axis=-1) / (sides**2).sum(axis=-1), 0.0, 1.0)
     return np.hypot(*np.moveaxis(offset - share[..., None] * sides, -1, 0)).min(axis=1)

@@ -31,7 +31,8 @@ from scenarios.runs import Run
 def blank_png(drawn: Axes | Figure) -> bytes:
     """A picture as large as a figure, of one colour that is told by the words in it."""
     figure = root_figure(drawn)
-    # What is written by hand: ticks are made when somebody asks for them, which takes long.
+    # What is written by hand: ticks are made when somebody asks for them, which takes
+    # long.
     artists = [figure, *figure.axes, *(axes.get_legend() for axes in figure.axes)]
     texts = [text for artist in artists if artist for text in _texts(artist)]
     words = " ".join(text.get_text() for text in texts)
@@ -51,7 +52,12 @@ def _texts(artist: Artist) -> list[Text]:
 
 
 def blank_view(
-    _backdrop: object, _run: Run, frame: int, _pose: Pose, camera: CameraModel, **_options: object
+    _backdrop: object,
+    _run: Run,
+    frame: int,
+    _pose: Pose,
+    camera: CameraModel,
+    **_options: object,
 ) -> RenderedPicture:
     """What a camera sees, of one grey that is told by the frame."""
     shape = (camera.height_px, camera.width_px)
@@ -67,7 +73,8 @@ def blank_view(
 def blank_pictures() -> Iterator[None]:
     """Reports have blank pictures: drawing takes long, and most tests look at words.
 
-    Lanes and buildings, which have no words, are left out before that; what cameras see is grey.
+    Lanes and buildings, which have no words, are left out before that; what cameras see
+    is grey.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(section, "to_png", blank_png)
@@ -82,7 +89,9 @@ def render_section(section: Section | None) -> str:
     """A section as the report has it: escaped; empty where there is none."""
     if section is None:
         return ""
-    source = '{% from "blocks.html.j2" import show_section %}{{ show_section(section) }}'
+    source = (
+        '{% from "blocks.html.j2" import show_section %}{{ show_section(section) }}'
+    )
     return page_environment().from_string(source).render(section=section)
 
 
@@ -142,11 +151,19 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
     }
     plain |= changes
     kinds = {kind: set(KINDS[kind].__struct_fields__) for kind in reversed(KINDS)}
-    kind = next(kind for kind in ("evaluation", *_KINDS) if set(changes) <= kinds[_schema(kind)])
+    kind = next(
+        kind for kind in ("evaluation", *_KINDS) if set(changes) <= kinds[_schema(kind)]
+    )
     if kind == "comparison":
         plain = {"compared": [_compared("other")], "differences": []} | plain
     if kind == "placement":
-        stage = {"name": "apr", "objective": 1.0, "bound": 1.0, "gap": 0.0, "seconds": 0.0}
+        stage = {
+            "name": "apr",
+            "objective": 1.0,
+            "bound": 1.0,
+            "gap": 0.0,
+            "seconds": 0.0,
+        }
         plain = {
             "goal": "best",
             "budget": None,
@@ -155,7 +172,9 @@ def build_result(name, layout=(A_UNIT,), **changes) -> Result:
             "stages": [stage],
             "solver": "",
             **dict.fromkeys(("bound", "gap", "apr_without_worst_site", "baseline")),
-            **dict.fromkeys(("spent_eur", "apr_without_worst_unit", "surrogate_disagreement"), 0.0),
+            **dict.fromkeys(
+                ("spent_eur", "apr_without_worst_unit", "surrogate_disagreement"), 0.0
+            ),
             "failing": "unit",
             "greedy": _compared("greedy"),
             "disagreements": [],

@@ -22,7 +22,9 @@ class InThread:
 
     def __init__(self, work, setting):
         self._tasks = None
-        self._work, self._setting, self._tell = work, setting, None
+        self._work = work
+        self._setting = setting
+        self._tell = None
         self._turn = asyncio.Lock()
         self.is_busy = False
         self.is_stopped = threading.Event()
@@ -44,7 +46,9 @@ class InThread:
                 if self._setting is not None and not self._work.question.scene:
                     self._tasks.setting = self._setting
             try:
-                return await asyncio.to_thread(getattr(self._tasks, method), *args, **kwargs)
+                return await asyncio.to_thread(
+                    getattr(self._tasks, method), *args, **kwargs
+                )
             except InputError as error:
                 raise TaskError(str(error), cause_of(error)) from None
             finally:
@@ -60,11 +64,17 @@ def small_work(folder, **asked):
 
 
 def small_session(folder, setting, *, variants=(), asked=None, **given):
-    work = small_work(folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {}))
-    plan = Plan(variants=tuple(variants)) if variants else None
+    work = small_work(
+        folder, cases="CPNC-50", along_arms="0", speeds="50", **(asked or {})
+    )
+    if variants:
+        plan = Plan(variants=tuple(variants))
+    else:
+        plan = None
     begun = work.question  # another question has other runs
     given.setdefault(
-        "make_worker", lambda work: InThread(work, setting if work.question == begun else None)
+        "make_worker",
+        lambda work: InThread(work, setting if work.question == begun else None),
     )
     return Session(work, setting, begun=plan, **given)
 
@@ -76,7 +86,9 @@ def few_poses(monkeypatch):
 
 
 def start_server(folder, setting, *, keeps_open=True, **given):
-    from experiments.planner.server import RunningServer  # only the extra plan has what it needs
+    from experiments.planner.server import (
+        RunningServer,
+    )  # only the extra plan has what it needs
 
     server = RunningServer(
         lambda: small_session(folder, setting, **given),

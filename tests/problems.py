@@ -17,14 +17,16 @@ from scenarios.runs import FrameAxis
 @st.composite
 def problems(draw: st.DrawFn) -> PlacementProblem:
     """Small tables, frames at 10 Hz that end at the impact, any deadlines and weights."""
-    # Sizes are Hypothesis's, what stands in the tables is random: small values of everything at
-    # once, as Hypothesis likes them, leave nothing to choose.
+    # Sizes are Hypothesis's, what stands in the tables is random: small values of
+    # everything at once, as Hypothesis likes them, leave nothing to choose.
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n_runs = draw(st.integers(1, 4))
     n_frames = rng.integers(draw(st.sampled_from([6, 1])), 9, size=n_runs)
     share = rng.integers(draw(st.integers(0, 1)), 4, size=n_runs).astype(np.float64)
     share[0] += 1.0
-    last_brake = rng.choice([-0.01, -0.125, -0.325, -np.inf], n_runs, p=[0.4, 0.3, 0.2, 0.1])
+    last_brake = rng.choice(
+        [-0.01, -0.125, -0.325, -np.inf], n_runs, p=[0.4, 0.3, 0.2, 0.1]
+    )
     last_brake -= rng.random(n_runs) * draw(st.sampled_from([0.0, 0.3]))
     axis = FrameAxis(
         run_ids=tuple(map(str, range(n_runs))),
@@ -38,11 +40,15 @@ def problems(draw: st.DrawFn) -> PlacementProblem:
         time_s=np.concatenate([np.arange(1 - n, 1) / 10.0 for n in n_frames]),
     )
     n_poses = draw(st.sampled_from([6, 5, 4, 3, 2, 1]))
-    detected = rng.random((n_poses, n_frames.sum())) < draw(st.sampled_from([0.6, 0.8, 0.4]))
+    detected = rng.random((n_poses, n_frames.sum())) < draw(
+        st.sampled_from([0.6, 0.8, 0.4])
+    )
     n_sites = draw(st.sampled_from(sorted({n_poses, 1 + n_poses // 2, 1})))
     site_index = rng.integers(n_sites, size=n_poses)
     site_capacity = rng.integers(1, 3, size=n_sites)
-    max_units = np.minimum(site_capacity, np.bincount(site_index, minlength=n_sites)).sum()
+    max_units = np.minimum(
+        site_capacity, np.bincount(site_index, minlength=n_sites)
+    ).sum()
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
         limits=Limits(
@@ -68,9 +74,13 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
     """Any problem with any wishes; many cannot be met."""
     problem = draw(problems())
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    limits, n_poses, n_runs = problem.limits, problem.table.n_poses, problem.table.axis.n_runs
+    limits = problem.limits
+    n_poses = problem.table.n_poses
+    n_runs = problem.table.axis.n_runs
     n_sites = limits.n_sites
-    kinds = draw(st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"])))
+    kinds = draw(
+        st.sets(st.sampled_from(["money", "wishes", "floors", "failures", "samples"]))
+    )
     if "money" in kinds:
         limits = replace(
             limits,
@@ -79,7 +89,9 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
             budget_eur=draw(st.sampled_from([None, 8.0, 5.0, 3.0])),
         )
     if "wishes" in kinds:
-        rivals = [(a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2]
+        rivals = [
+            (a, b) for a, b in combinations(range(n_sites), 2) if rng.random() < 0.2
+        ]
         limits = replace(
             limits,
             is_forced=rng.random(n_poses) < 0.15,
@@ -88,12 +100,19 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
             rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
         )
     floors: list[Floor] = []
-    n_failures = draw(st.integers(0, 3)) if "failures" in kinds else 0
+    if "failures" in kinds:
+        n_failures = draw(st.integers(0, 3))
+    else:
+        n_failures = 0
     if n_failures:
         limits = replace(limits, failing=draw(st.sampled_from(["unit", "site"])))
     if "floors" in kinds:
         floors.append(
-            Floor(name="--target", share=rng.choice([1.0, 0.75, 0.5]), n_failures=n_failures)
+            Floor(
+                name="--target",
+                share=rng.choice([1.0, 0.75, 0.5]),
+                n_failures=n_failures,
+            )
         )
         counted = rng.random(n_runs) < 0.5
         if problem.table.axis.weight[counted].sum() > 0.0:
@@ -105,7 +124,10 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
         sample_index = rng.integers(0, 2, n_runs)
         if not (np.bincount(sample_index, weights=weight, minlength=2) > 0.0).all():
             sample_index = None
-    goals = ["best", "fewest", "cheapest"] if floors else ["best"]
+    if floors:
+        goals = ["best", "fewest", "cheapest"]
+    else:
+        goals = ["best"]
     return replace(
         problem,
         limits=limits,
@@ -119,7 +141,9 @@ def questions(draw: st.DrawFn) -> PlacementProblem:
 
 def random_sight(rng: np.random.Generator, axis: FrameAxis) -> BoolArray:
     """Frames in which the VUT detects."""
-    return rng.random(axis.n_frames) < rng.choice([0.0, 0.5, 0.8, 1.0], p=[0.1, 0.4, 0.4, 0.1])
+    return rng.random(axis.n_frames) < rng.choice(
+        [0.0, 0.5, 0.8, 1.0], p=[0.1, 0.4, 0.4, 0.1]
+    )
 
 
 # ---------- without Hypothesis: many, quickly
@@ -131,16 +155,28 @@ def random_problem(rng: np.random.Generator) -> PlacementProblem:
     n_poses = int(rng.choice([1, 2, 3, 4, 5, 6, 7, 8, 10, 14]))
     n_sites = int(rng.integers(1, n_poses + 1))
     site_index = rng.integers(n_sites, size=n_poses)
-    seen_by_vut = random_sight(rng, axis) if rng.random() < 0.4 else None
+    if rng.random() < 0.4:
+        seen_by_vut = random_sight(rng, axis)
+    else:
+        seen_by_vut = None
     detected = random_detections(rng, axis, n_poses, seen_by_vut)
     sample_index = rng.integers(0, rng.integers(2, 4), axis.n_runs)
     weight_of_worlds = np.bincount(sample_index, weights=axis.weight)
     is_sampled = rng.random() < 0.5 and bool((weight_of_worlds > 0.0).all())
-    tail = float(rng.choice([1.0, 0.5, 0.3, 0.1])) if is_sampled else 1.0
+    if is_sampled:
+        tail = float(rng.choice([1.0, 0.5, 0.3, 0.1]))
+    else:
+        tail = 1.0
     n_failures = int(rng.choice([0, 0, 1, 2, 3]))
     floors = random_floors(rng, axis, n_failures)
-    goal = rng.choice(["best", "fewest", "cheapest"]).item() if floors else "best"
-    survive = n_failures if not floors and rng.random() < 0.5 else 0
+    if floors:
+        goal = rng.choice(["best", "fewest", "cheapest"]).item()
+    else:
+        goal = "best"
+    if not floors and rng.random() < 0.5:
+        survive = n_failures
+    else:
+        survive = 0
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(n_poses))), axis, detected),
         limits=random_limits(rng, site_index, n_sites),
@@ -170,7 +206,10 @@ def random_detections(
     """What poses detect, (n_poses, n_frames): some add nothing, others less than another."""
     share = rng.choice([0.25, 0.5, 0.8, 0.95])
     detected = rng.random((n_poses, axis.n_frames)) < share
-    seen = np.zeros(axis.n_frames, dtype=bool) if seen_by_vut is None else seen_by_vut
+    if seen_by_vut is None:
+        seen = np.zeros(axis.n_frames, dtype=bool)
+    else:
+        seen = seen_by_vut
     if rng.random() < 0.5:
         adds_nothing = rng.random(n_poses) < 0.4
         detected[adds_nothing] &= seen
@@ -182,7 +221,8 @@ def random_detections(
 
 def kinds_of(problem: PlacementProblem) -> frozenset[str]:
     """Names of what makes a problem hard, by which the draw is counted."""
-    limits, axis = problem.limits, problem.table.axis
+    limits = problem.limits
+    axis = problem.table.axis
     seen = problem.seen_by_vut
     detected = problem.table.detected(list(range(problem.table.n_poses)))
     if seen is not None:
@@ -197,7 +237,9 @@ def kinds_of(problem: PlacementProblem) -> frozenset[str]:
         "tail": is_tail,
         "pose adds nothing": adds_nothing,
         "tail, pose adds nothing": is_tail and adds_nothing,
-        "tail, pose adds nothing to a car that sees": is_tail and adds_nothing and seen is not None,
+        "tail, pose adds nothing to a car that sees": is_tail
+        and adds_nothing
+        and seen is not None,
         "tiny weight": bool((weight < 1.0e-8).any()),
         "levels": has_levels,
         "car sees": seen is not None,
@@ -280,9 +322,12 @@ def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Li
         site_index=site_index,
         site_capacity=rng.integers(1, 4, n_sites),
         budget_units=None if is_all else int(rng.integers(1, 4)),
-        unit_cost_eur=unit * (rng.integers(0, 5, n_poses) if has_prices else np.ones(n_poses)),
+        unit_cost_eur=unit
+        * (rng.integers(0, 5, n_poses) if has_prices else np.ones(n_poses)),
         site_cost_eur=unit * rng.integers(0, 4, n_sites) if has_prices else None,
-        budget_eur=unit * rng.integers(3, 12) if has_prices and rng.random() < 0.5 else None,
+        budget_eur=(
+            unit * rng.integers(3, 12) if has_prices and rng.random() < 0.5 else None
+        ),
         is_forced=rng.random(n_poses) < 0.15 if has_wishes else None,
         is_forbidden=rng.random(n_poses) < 0.15 if has_wishes else None,
         is_forced_site=rng.random(n_sites) < 0.25 if has_wishes else None,
@@ -291,7 +336,9 @@ def random_limits(rng: np.random.Generator, site_index: Any, n_sites: int) -> Li
     )
 
 
-def random_floors(rng: np.random.Generator, axis: FrameAxis, n_failures: int) -> tuple[Floor, ...]:
+def random_floors(
+    rng: np.random.Generator, axis: FrameAxis, n_failures: int
+) -> tuple[Floor, ...]:
     """A target, and a share of some of the runs."""
     if rng.random() < 0.6:
         return ()

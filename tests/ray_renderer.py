@@ -1,7 +1,7 @@
 """Instance image and depth with one ray per pixel centre: what the evaluator is tested against.
 
-It shares nothing with the evaluator's pixels but the scene, the poses and the meshes: rays are cast
-by Embree, in single precision, every body in its own frame.
+It shares nothing with the evaluator's pixels but the scene, the poses and the meshes:
+rays are cast by Embree, in single precision, every body in its own frame.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,9 @@ from geometry.raycast import FloatRays, ray_lengths_m
 from geometry.sensors import CameraModel
 from placement.evaluator.surroundings import Solid, Surroundings
 
-STATIC, VRU, VUT = 0, 1, 2  # instance codes; STATIC also where nothing is hit
+STATIC = 0
+VRU = 1
+VUT = 2  # instance codes; STATIC also where nothing is hit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,10 +28,11 @@ class Lens:
     """A camera at its place, with the rays of its pixels."""
 
     camera: CameraModel  # resolution, field of view, nearest distance that is drawn
-    # where it is and looks: in the world frame, or in that of the vehicle that carries it
+    # where it is and looks: in the world frame, or in that of the vehicle that carries
+    # it
     pose: Pose
-    # across, down: (width_px, 3), (height_px, 3): the ray of pixel (row, column), one metre deep,
-    # is ``across[column] + down[row]``
+    # across, down: (width_px, 3), (height_px, 3): the ray of pixel (row, column), one
+    # metre deep, is ``across[column] + down[row]``
     across: FloatRays
     down: FloatRays
 
@@ -38,10 +41,12 @@ class Lens:
 class View:
     """A part of a camera's image: instances and depths."""
 
-    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU``, or ``VUT``, as
-    # also for other vehicles
+    # (h, w): the nearest thing: ``STATIC`` (also where nothing is hit), ``VRU``, or
+    # ``VUT``, as also for other vehicles
     instance: NDArray[np.uint8]
-    depth_m: FloatRays  # (h, w): along the optical axis; infinite where nothing is hit. [m]
+    depth_m: (
+        FloatRays  # (h, w): along the optical axis; infinite where nothing is hit. [m]
+    )
     amodal_mask: BoolArray  # (h, w): pixels of the whole VRU, hidden parts too
     # x_min_px, y_min_px: where the first pixel lies in the image. [px]
     x_min_px: int
@@ -59,12 +64,15 @@ class View:
 
     def _box_px(self, mask: BoolArray) -> FloatArray:
         shift_px = np.array([self.x_min_px, self.y_min_px] * 2)
-        return mask_box(mask) + shift_px if mask.any() else np.zeros(4)
+        if mask.any():
+            return mask_box(mask) + shift_px
+        return np.zeros(4)
 
 
 def build_lens(pose: Pose, camera: CameraModel) -> Lens:
     """A camera at its place, in the frame of `pose`: the world, or the VUT."""
-    columns, rows = np.arange(camera.width_px), np.arange(camera.height_px)
+    columns = np.arange(camera.width_px)
+    rows = np.arange(camera.height_px)
     across = pixel_rays(columns, np.zeros_like(columns), pose, camera)
     down = pixel_rays(np.zeros_like(rows), rows, pose, camera)
     return Lens(
@@ -86,9 +94,10 @@ def render_view(
 ) -> View:
     """Render the image of a camera, or a part of it.
 
-    `static`, `vru`, `vut` and `traffic` come with their road poses (4,) in the lens's frame;
-    without `vut` there is no VUT, as for the VUT's own camera. `crop_px` is x_min, y_min, x_max,
-    y_max: columns x_min .. x_max - 1 and rows y_min .. y_max - 1; by default the whole image.
+    `static`, `vru`, `vut` and `traffic` come with their road poses (4,) in the lens's
+    frame; without `vut` there is no VUT, as for the VUT's own camera. `crop_px` is
+    x_min, y_min, x_max, y_max: columns x_min .. x_max - 1 and rows y_min .. y_max - 1;
+    by default the whole image.
     """
     whole = (0, 0, lens.camera.width_px, lens.camera.height_px)
     crop = np.array([crop_px or whole], dtype=np.int64)
@@ -97,7 +106,11 @@ def render_view(
     instance = np.full(shape, STATIC, dtype=np.uint8)
     depth = cast_crops(lens, static[0], static[1][None], crop)[0].reshape(shape)
     amodal_mask = np.zeros(shape, dtype=bool)
-    for code, body in ((VRU, vru), (VUT, vut), *((VUT, vehicle) for vehicle in traffic)):
+    for code, body in (
+        (VRU, vru),
+        (VUT, vut),
+        *((VUT, vehicle) for vehicle in traffic),
+    ):
         if body is None:
             continue
         body_depth = cast_crops(lens, body[0], body[1][None], crop)[0].reshape(shape)
@@ -107,7 +120,11 @@ def render_view(
         instance[is_nearer] = code
         depth[is_nearer] = body_depth[is_nearer]
     return View(
-        instance=instance, depth_m=depth, amodal_mask=amodal_mask, x_min_px=x_min, y_min_px=y_min
+        instance=instance,
+        depth_m=depth,
+        amodal_mask=amodal_mask,
+        x_min_px=x_min,
+        y_min_px=y_min,
     )
 
 
@@ -136,7 +153,9 @@ def render_frame(
         vut=vut if with_vut else None,
         traffic=[
             (surroundings.vehicles[index], pose)
-            for index, pose in zip(driving, surroundings.traffic_poses[frame_index], strict=True)
+            for index, pose in zip(
+                driving, surroundings.traffic_poses[frame_index], strict=True
+            )
             if index >= 0
         ],
         crop_px=crop_px,
@@ -151,8 +170,8 @@ def cast_crops(
 ) -> list[FloatRays]:
     """Depths of one solid at many road poses (n, 4), in a part of the image for each, in one go.
 
-    `crops_px` is (n, 4): x_min, y_min, x_max, y_max. Depths are float32, row by row, infinite where
-    nothing is hit beyond the camera's nearest distance [m].
+    `crops_px` is (n, 4): x_min, y_min, x_max, y_max. Depths are float32, row by row,
+    infinite where nothing is hit beyond the camera's nearest distance [m].
     """
     rotations, origins = _into_body(lens, road_poses)
     shapes = crops_px[:, [3, 2]] - crops_px[:, [1, 0]]

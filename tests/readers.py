@@ -27,8 +27,8 @@ class Reader:
     """A function that reads what a user gives, and what it can be given."""
 
     read: Callable[[Path], Any]
-    # Sound files by what they are, each alone in a folder but for those that belong to it; the
-    # first name is what is read, "." stands for the folder.
+    # Sound files by what they are, each alone in a folder but for those that belong to
+    # it; the first name is what is read, "." stands for the folder.
     seeds: Callable[[], Mapping[str, tuple[str, Files]]]
     covers: tuple[str, ...]  # functions behind it, by module and name
     share: int = 1  # of the time: about as many as it has formats
@@ -56,12 +56,23 @@ def _osm() -> str:
     from osm_text import OsmText, crossing
 
     osm = OsmText()
-    crossing(osm, bearings=[(1, 0), (0, 1), (-1, 0), (0, -1)], lanes="2", maxspeed="50", width="7")
-    osm.way([(20.0, 20.0), (40.0, 20.0), (40.0, 30.0), (20.0, 20.0)], {"building": "yes"})
+    crossing(
+        osm,
+        bearings=[(1, 0), (0, 1), (-1, 0), (0, -1)],
+        lanes="2",
+        maxspeed="50",
+        width="7",
+    )
+    osm.way(
+        [(20.0, 20.0), (40.0, 20.0), (40.0, 30.0), (20.0, 20.0)], {"building": "yes"}
+    )
     osm.node(8.0, 8.0, highway="street_lamp", height="6 m")
     osm.node(12.0, 0.0, highway="crossing")
     osm.way([(9.0, -30.0), (9.0, -60.0)], {"barrier": "wall", "height": "2"})
-    osm.way([(-20.0, 20.0), (-40.0, 20.0), (-40.0, 30.0), (-20.0, 20.0)], {"building:part": "yes"})
+    osm.way(
+        [(-20.0, 20.0), (-40.0, 20.0), (-40.0, 30.0), (-20.0, 20.0)],
+        {"building:part": "yes"},
+    )
     return osm.text()
 
 
@@ -82,27 +93,45 @@ def _xodr() -> str:
     from opendrive_text import crossing, document, road
 
     objects = (
-        '<object id="1" type="building" s="20" t="12" zOffset="0" hdg="0" length="8" width="6" '
-        'height="5"/><object id="2" type="pole" s="10" t="6" height="6" radius="0.1"><outline>'
-        '<cornerLocal u="1" v="0" z="0" height="2"/><cornerLocal u="0" v="1" z="0" height="2"/>'
-        '<cornerLocal u="-1" v="0" z="0" height="2"/></outline></object>'
+        '<object id="1" type="building" s="20" t="12" zOffset="0" hdg="0" length="8"'
+        ' width="6" height="5"/><object id="2" type="pole" s="10" t="6" height="6"'
+        ' radius="0.1"><outline><cornerLocal u="1" v="0" z="0" height="2"/><cornerLocal'
+        ' u="0" v="1" z="0" height="2"/><cornerLocal u="-1" v="0" z="0"'
+        ' height="2"/></outline></object>'
     )
-    signals = '<signal id="3" s="15" t="5" zOffset="4" type="1000001" dynamic="yes" height="1"/>'
+    signals = (
+        '<signal id="3" s="15" t="5" zOffset="4" type="1000001" dynamic="yes"'
+        ' height="1"/>'
+    )
     extra = road(
-        "77", objects=objects, signals=signals, offset='<laneOffset s="0" a="1" b="0" c="0" d="0"/>'
+        "77",
+        objects=objects,
+        signals=signals,
+        offset='<laneOffset s="0" a="1" b="0" c="0" d="0"/>',
     )
     header = "<geoReference><![CDATA[+proj=utm +zone=33 +datum=WGS84]]></geoReference>"
     return document(crossing(), extra, header=header)
 
 
 def _features() -> dict[str, Any]:
-    ring = [[13.36, 52.5], [13.3601, 52.5], [13.3601, 52.5001], [13.36, 52.5001], [13.36, 52.5]]
+    ring = [
+        [13.36, 52.5],
+        [13.3601, 52.5],
+        [13.3601, 52.5001],
+        [13.36, 52.5001],
+        [13.36, 52.5],
+    ]
     return {
         "type": "FeatureCollection",
         "features": [
             {
                 "type": "Feature",
-                "properties": {"id": "a", "height": 6.0, "levels": 2, "class": "building"},
+                "properties": {
+                    "id": "a",
+                    "height": 6.0,
+                    "levels": 2,
+                    "class": "building",
+                },
                 "geometry": {"type": "Polygon", "coordinates": [ring]},
             },
             {
@@ -120,7 +149,9 @@ def _features_as(driver: str, name: str) -> Files:
 
     def write(folder: Path) -> None:
         shapes = [box(390_000, 5_819_000, 390_010, 5_819_008), box(0, 0, 1, 1)]
-        frame = geopandas.GeoDataFrame({"height": [6.0, 2.5]}, geometry=shapes, crs="EPSG:25833")
+        frame = geopandas.GeoDataFrame(
+            {"height": [6.0, 2.5]}, geometry=shapes, crs="EPSG:25833"
+        )
         frame.to_file(folder / name, driver=driver)
 
     return _written(write)
@@ -135,7 +166,14 @@ def _zipped(files: Files) -> bytes:
 
 
 _CORNERS = [[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)]
-_FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+_FACES = [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+]
 
 
 def _city_json() -> dict[str, Any]:
@@ -189,8 +227,10 @@ def _city_gml() -> str:
     return (
         '<CityModel xmlns="http://www.opengis.net/citygml/2.0" '
         'xmlns:bldg="http://www.opengis.net/citygml/building/2.0" '
-        'xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
-        '<gml:boundedBy><gml:Envelope srsName="urn:ogc:def:crs:EPSG::25833"><gml:lowerCorner>'
+        'xmlns:gml="http://www.opengis.net/gml"'
+        ' xmlns:xlink="http://www.w3.org/1999/xlink">'
+        "<gml:boundedBy><gml:Envelope"
+        ' srsName="urn:ogc:def:crs:EPSG::25833"><gml:lowerCorner>'
         "0 0 0</gml:lowerCorner></gml:Envelope></gml:boundedBy>"
         '<cityObjectMember><bldg:Building gml:id="a"><bldg:measuredHeight uom="m">5'
         "</bldg:measuredHeight><bldg:lod2Solid><gml:Solid><gml:exterior><gml:CompositeSurface>"
@@ -208,7 +248,10 @@ def _mesh(suffix: str) -> Files:
             solid = trimesh.creation.box((4.0, 5.0, 6.0))
             solid.apply_translation([10.0 * index, 0.0, 3.0])
             scene.add_geometry(solid, node_name=name, geom_name=name)
-        whole = scene if suffix in ("glb", "gltf", "obj") else scene.to_geometry()
+        if suffix in ("glb", "gltf", "obj"):
+            whole = scene
+        else:
+            whole = scene.to_geometry()
         whole.export(folder / f"a.{suffix}")
 
     return _written(write)
@@ -225,8 +268,9 @@ def _points(suffix: str) -> bytes:
     points = np.concatenate([solid.sample(2000, seed=1), ground])
     if suffix == "pcd":
         head = (
-            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
-            f"WIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\n"
+            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1"
+            f" 1\nWIDTH {len(points)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS"
+            f" {len(points)}\n"
         )
         return f"{head}DATA binary\n".encode() + points.astype("<f4").tobytes()
     if suffix == "ascii.pcd":
@@ -270,7 +314,10 @@ def _things() -> Mapping[str, tuple[str, Files]]:
             suffix: (f"a.{suffix}", _mesh(suffix))
             for suffix in ("glb", "gltf", "obj", "ply", "stl", "off")
         },
-        **{suffix: _one(f"a.{suffix}", _points(suffix)) for suffix in ("las", "laz", "pcd")},
+        **{
+            suffix: _one(f"a.{suffix}", _points(suffix))
+            for suffix in ("las", "laz", "pcd")
+        },
         "pcd ascii": _one("a.pcd", _points("ascii.pcd")),
     }
 
@@ -289,7 +336,11 @@ def _read_things(path: Path) -> Any:
 
 def _sites() -> Mapping[str, tuple[str, Files]]:
     point = {"type": "Point", "coordinates": [13.38, 52.51, 35.0]}
-    feature = {"type": "Feature", "geometry": point, "properties": {"id": 7, "cost_eur": 10}}
+    feature = {
+        "type": "Feature",
+        "geometry": point,
+        "properties": {"id": 7, "cost_eur": 10},
+    }
     return {
         "csv": _one(
             "a.csv",
@@ -298,7 +349,8 @@ def _sites() -> Mapping[str, tuple[str, Files]]:
         ),
         "degrees": _one("a.csv", "id,latitude_deg,Longitude\na,52.51,13.38\n"),
         "geojson": _one(
-            "a.geojson", json.dumps({"type": "FeatureCollection", "features": [feature]})
+            "a.geojson",
+            json.dumps({"type": "FeatureCollection", "features": [feature]}),
         ),
     }
 
@@ -310,7 +362,13 @@ def _read_sites(path: Path) -> Any:
 
 
 def _places() -> Mapping[str, tuple[str, Files]]:
-    square = [[13.37, 52.5], [13.39, 52.5], [13.39, 52.52], [13.37, 52.52], [13.37, 52.5]]
+    square = [
+        [13.37, 52.5],
+        [13.39, 52.5],
+        [13.39, 52.52],
+        [13.37, 52.52],
+        [13.37, 52.5],
+    ]
     shapes = {
         "point": {"type": "Point", "coordinates": [13.38, 52.51]},
         "area": {"type": "Polygon", "coordinates": [square]},
@@ -325,7 +383,11 @@ def _places() -> Mapping[str, tuple[str, Files]]:
                 {
                     "type": "FeatureCollection",
                     "features": [
-                        {"type": "Feature", "geometry": shape, "properties": {"min_apr": 0.5}}
+                        {
+                            "type": "Feature",
+                            "geometry": shape,
+                            "properties": {"min_apr": 0.5},
+                        }
                     ],
                 }
             ),
@@ -359,7 +421,9 @@ def _city_folder() -> Mapping[str, tuple[str, Files]]:
         **dict.fromkeys(("key", "id", "name", "map", "scene", "reason"), "1"),
         **dict.fromkeys(("sites", "poses", "runs", "frames"), 1),
         front=JunctionFront(
-            points=(replace(NOTHING, apr=0.5),), by_units=((0.0, 0.5),), by_cost=((0.0, 0.5),)
+            points=(replace(NOTHING, apr=0.5),),
+            by_units=((0.0, 0.5),),
+            by_cost=((0.0, 0.5),),
         ),
         layouts=((),),
         seconds={"table": 1.0},
@@ -395,7 +459,9 @@ def _scenes() -> Mapping[str, tuple[str, Files]]:
     from geometry.notes import Note
     from geometry.scene_files import save_scene
 
-    scene = replace(_small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),))
+    scene = replace(
+        _small_scene(), notes=(Note(what="a", why="b", kind="sites", site_ids=("c",)),)
+    )
     files = _written(lambda folder: save_scene(folder, scene))
     return {"folder": (".", files), "zip": _one("a.zip", _zipped(files))}
 
@@ -409,7 +475,11 @@ def _read_scene(path: Path) -> Any:
 def _box_scene() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
-    return {"toml": _one("a.toml", (files("geometry") / "data" / "town05.toml").read_bytes())}
+    return {
+        "toml": _one(
+            "a.toml", (files("geometry") / "data" / "town05.toml").read_bytes()
+        )
+    }
 
 
 def _read_box_scene(path: Path) -> Any:
@@ -493,8 +563,9 @@ def _trajectories() -> Mapping[str, tuple[str, Files]]:
     ]
     header = "id,time,x,y,heading,class"
     things = [
-        f'<timestep time="{0.1 * step:.1f}"><vehicle id="a" x="{0.8 * step}" y="0" angle="90" '
-        f'type="car"/><person id="b" x="30" y="{0.14 * step - 6.0}" angle="0"/></timestep>'
+        f'<timestep time="{0.1 * step:.1f}"><vehicle id="a" x="{0.8 * step}" y="0"'
+        f' angle="90" type="car"/><person id="b" x="30" y="{0.14 * step - 6.0}"'
+        ' angle="0"/></timestep>'
         for step in range(25)
     ]
     states = [
@@ -504,7 +575,8 @@ def _trajectories() -> Mapping[str, tuple[str, Files]]:
     ]
     first = states[0].replace("state>", "initialState>").replace("<exact>1", "<exact>0")
     road = (
-        f'<commonRoad timeStepSize="0.1"><dynamicObstacle id="1"><type>car</type>{first}'
+        '<commonRoad timeStepSize="0.1"><dynamicObstacle'
+        f' id="1"><type>car</type>{first}'
         f"<trajectory>{''.join(states)}</trajectory></dynamicObstacle></commonRoad>"
     )
     return {
@@ -548,8 +620,11 @@ def _read_uncertainty(path: Path) -> Any:
 def _uncertainties() -> Mapping[str, tuple[str, Files]]:
     from importlib.resources import files
 
-    text = (files("placement") / "data" / "uncertainty.toml").read_text(encoding="utf-8")
-    shared, rest = text.index('[aimed."by eye"]'), text.index("[robustness]")
+    text = (files("placement") / "data" / "uncertainty.toml").read_text(
+        encoding="utf-8"
+    )
+    shared = text.index('[aimed."by eye"]')
+    rest = text.index("[robustness]")
     text = text[:shared] + text[rest:]  # no section of any of the names
     names = ("default", "robustness", "as-measured")
     starts = [text.index(f"[{name}") for name in (*names, "none")]
@@ -582,15 +657,36 @@ def _read_layout(path: Path) -> Any:
 def _layouts() -> Mapping[str, tuple[str, Files]]:
     place = {"x_m": 1.0, "y_m": 2.0, "z_m": 5.0, "yaw_deg": 90.0, "pitch_deg": -20.0}
     mine = {
-        **{"kind": "camera", "width_px": 640, "height_px": 480, "horizontal_fov_deg": 60.0},
-        **{"frame_rate_hz": 10.0, "near_m": 0.5, "price_eur": 100.0, "fov_range_deg": [30.0, 90.0]},
+        **{
+            "kind": "camera",
+            "width_px": 640,
+            "height_px": 480,
+            "horizontal_fov_deg": 60.0,
+        },
+        **{
+            "frame_rate_hz": 10.0,
+            "near_m": 0.5,
+            "price_eur": 100.0,
+            "fov_range_deg": [30.0, 90.0],
+        },
     }
     units = [
-        {"id": "U1", "site": "a", **place, "camera": "carla-ncap-rgb", "latency_s": 0.1},
+        {
+            "id": "U1",
+            "site": "a",
+            **place,
+            "camera": "carla-ncap-rgb",
+            "latency_s": 0.1,
+        },
         {"id": "U2", **place, "lidar": "carla-ncap-lidar"},
         {"id": "U3", **place, "camera": "mine", "fov_deg": 45.0},
     ]
-    layout = {"name": "a", "scene": "town05", "layout": units, "sensors": {"mine": mine}}
+    layout = {
+        "name": "a",
+        "scene": "town05",
+        "layout": units,
+        "sensors": {"mine": mine},
+    }
     return {"json": _one("a.json", json.dumps(layout))}
 
 
@@ -603,7 +699,9 @@ def _small_runs() -> Any:
     from scenarios.runs import build_runs
 
     cases = pick_cases("CPNC-50", "cases")
-    runs, _ = build_runs(load_study_scene(), cases, vut=load_actors()["vut"], rule=load_aeb_rule())
+    runs, _ = build_runs(
+        load_study_scene(), cases, vut=load_actors()["vut"], rule=load_aeb_rule()
+    )
     return runs[:4]
 
 
@@ -644,8 +742,10 @@ def _accidents() -> Mapping[str, tuple[str, Files]]:
         "stats19": (
             "collision.csv",
             {
-                "collision.csv": b"collision_index,longitude,latitude,light_conditions\n"
-                b"1,-0.12,51.5,1\n",
+                "collision.csv": (
+                    b"collision_index,longitude,latitude,light_conditions\n"
+                    b"1,-0.12,51.5,1\n"
+                ),
                 "vehicle.csv": vehicles.encode(),
                 "casualty.csv": casualties.encode(),
             },
@@ -678,7 +778,8 @@ def _private_ground() -> Mapping[str, tuple[str, Files]]:
     }
     return {
         "geojson": _one(
-            "a.geojson", json.dumps({"type": "FeatureCollection", "features": [feature]})
+            "a.geojson",
+            json.dumps({"type": "FeatureCollection", "features": [feature]}),
         )
     }
 
@@ -701,14 +802,24 @@ def _recordings() -> Mapping[str, tuple[str, Files]]:
         files[f"WorldData/{name}"] = f"{2.0 + before!r} 10.0 1.5".encode()
         line = "pedestrian 100 200 140 300"
         files |= {f"{unit}/{name}": f"{line} 20.0\n".encode() for unit in ("0", "car")}
-        files[f"Eval/{name}"] = f"0 {line} 0.9\n".encode() if 7 <= before <= 10 else b""
+        if 7 <= before <= 10:
+            files[f"Eval/{name}"] = f"0 {line} 0.9\n".encode()
+        else:
+            files[f"Eval/{name}"] = b""
     return {"one drive": (".", files)}
 
 
 def _read_boxes(path: Path) -> Any:
-    from placement.recordings.formats import WILDTRACK, find_format, read_boxes, read_wildtrack
+    from placement.recordings.formats import (
+        WILDTRACK,
+        find_format,
+        read_boxes,
+        read_wildtrack,
+    )
 
-    return read_wildtrack(path) if find_format(path) == WILDTRACK else read_boxes(path)
+    if find_format(path) == WILDTRACK:
+        return read_wildtrack(path)
+    return read_boxes(path)
 
 
 _CVML = (
@@ -730,44 +841,56 @@ _KITTI = (
 def _many_boxes() -> Mapping[str, tuple[str, Files]]:
     person = {"personID": 1, "positionID": 456826, "views": []}
     for view in range(7):
-        sides = (10, 20, 30, 40) if view else (-1, -1, -1, -1)
+        if view:
+            sides = (10, 20, 30, 40)
+        else:
+            sides = (-1, -1, -1, -1)
         names = ("xmin", "ymin", "xmax", "ymax")
         person["views"] += [{"viewNum": view} | dict(zip(names, sides, strict=True))]
     frame = json.dumps([person]).encode()
     return {
         "cvml": _one("a.xml", _CVML),
         "mot gt": _one("a.txt", "1,1,10,20,30,40,1,1,0.5\n2,1,11,20,30,40,0,1,0.5\n"),
-        "mot det": _one("a.txt", "1,-1,10,20,30,40,0.9,-1,-1,-1\n1,-1,0,0,3,4,0.1,-1,-1,-1\n"),
+        "mot det": _one(
+            "a.txt", "1,-1,10,20,30,40,0.9,-1,-1,-1\n1,-1,0,0,3,4,0.1,-1,-1,-1\n"
+        ),
         "kitti": _one("a.txt", _KITTI),
         "rrc": _one("a.txt", "0,107.7,198.4,161.2,291.5,0.73\n4,1,2,3,4,0.5\n"),
-        "pointrcnn": _one("a.txt", "0,3,753,160,927,374,6.1,1.7,0.6,1.8,1.6,1.6,5.7,-1.7,-1.9\n"),
+        "pointrcnn": _one(
+            "a.txt", "0,3,753,160,927,374,6.1,1.7,0.6,1.8,1.6,1.6,5.7,-1.7,-1.9\n"
+        ),
         "wildtrack": (".", {f"{number:08d}.json": frame for number in (0, 5, 10)}),
     }
 
 
 _TSAI = (
-    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="4.6e-3"/><Intrinsic focal="5.5" '
-    'kappa1="5e-3" cx="324" cy="282" sx="1.09"/><Extrinsic tx="828" ty="-3175" tz="35469" '
-    'rx="2.04" ry="-0.89" rz="-0.43"/></Camera>'
+    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="4.6e-3"/><Intrinsic'
+    ' focal="5.5" kappa1="5e-3" cx="324" cy="282" sx="1.09"/><Extrinsic tx="828"'
+    ' ty="-3175" tz="35469" rx="2.04" ry="-0.89" rz="-0.43"/></Camera>'
 )
 _INTRINSIC = (
-    "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0 1</data></camera_matrix>"
-    "<distortion_coefficients><data>-0.4 0.6 0.008 0.001 -0.6</data></distortion_coefficients>"
-    "</opencv_storage>"
+    "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0"
+    " 1</data></camera_matrix><distortion_coefficients><data>-0.4 0.6 0.008 0.001"
+    " -0.6</data></distortion_coefficients></opencv_storage>"
 )
-_EXTRINSIC = "<opencv_storage><rvec>1.7 0.4 -0.3</rvec><tvec>-525 45 986</tvec></opencv_storage>"
+_EXTRINSIC = (
+    "<opencv_storage><rvec>1.7 0.4 -0.3</rvec><tvec>-525 45 986</tvec></opencv_storage>"
+)
 
 
-_MATRIX = "camera_matrix: {tag}{rows: 3, cols: 3, data: [900, 0, 640, 0, 880, 360, 0, 0, 1]}"
+_MATRIX = (
+    "camera_matrix: {tag}{rows: 3, cols: 3, data: [900, 0, 640, 0, 880, 360, 0, 0, 1]}"
+)
 _ROS = (
     "image_width: 1280\nimage_height: 720\ncamera_name: a\n"
     + _MATRIX.replace("{tag}", "")
-    + "\ndistortion_model: equidistant\ndistortion_coefficients: {data: [0.1, 0, 0, 0.01]}\n"
-    "static_transform:\n  transform:\n    translation: {x: 1, y: 2, z: 6}\n"
-    "    rotation: {x: 0, y: 0.6, z: 0, w: 0.8}\n"
+    + "\ndistortion_model: equidistant\ndistortion_coefficients: {data: [0.1, 0, 0,"
+    " 0.01]}\nstatic_transform:\n  transform:\n    translation: {x: 1, y: 2, z: 6}\n "
+    "   rotation: {x: 0, y: 0.6, z: 0, w: 0.8}\n"
 )
 _FILE_STORAGE = (
-    '%YAML:1.0\n---\ncameras:\n  - id: "a"\n    image_width: 1280\n    image_height: 720\n    '
+    '%YAML:1.0\n---\ncameras:\n  - id: "a"\n    image_width: 1280\n    image_height:'
+    " 720\n    "
     + _MATRIX.replace("{tag}", "!!opencv-matrix ")
     + "\n    distortion_coefficients: !!opencv-matrix {data: [0.1, 0, 0, 0, 0]}\n"
     "    R: !!opencv-matrix {data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\n"
@@ -788,7 +911,9 @@ def _calibrations() -> Mapping[str, tuple[str, Files]]:
     return {
         "tsai": _one("tsai.xml", _TSAI),
         "opencv": ("intrinsic.xml", pair),
-        "kitti": _one("calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"),
+        "kitti": _one(
+            "calib.txt", "P0: 1\nP2: 721.5 0 609.5 44.8 0 721.5 172.8 0.2 0 0 1 0.003\n"
+        ),
         "ros": _one("ros.yaml", _ROS),
         "filestorage": _one("cameras.yaml", _FILE_STORAGE),
     }
@@ -883,11 +1008,15 @@ def _tables() -> Mapping[str, tuple[str, Files]]:
 
     units, axis = _table()
     packed = np.zeros((len(units), -(-axis.n_frames // 8)), dtype=np.uint8)
-    table = DetectionTable(pose_ids=tuple(u.id for u in units), axis=axis, packed=packed)
+    table = DetectionTable(
+        pose_ids=tuple(u.id for u in units), axis=axis, packed=packed
+    )
     return {
         "npz": (
             "a.npz",
-            _written(lambda f: save_table(f / "a.npz", table, fingerprint=_FINGERPRINT)),
+            _written(
+                lambda f: save_table(f / "a.npz", table, fingerprint=_FINGERPRINT)
+            ),
         )
     }
 
@@ -972,13 +1101,24 @@ def _rasters() -> Mapping[str, tuple[str, Files]]:
 
     def write(folder: Path) -> None:
         with rasterio.open(
-            *(folder / "a.tif", "w"),
+            folder / "a.tif",
+            "w",
             driver="GTiff",
-            **{"height": 40, "width": 40, "count": 1, "dtype": "float32", "nodata": -9999.0},
+            **{
+                "height": 40,
+                "width": 40,
+                "count": 1,
+                "dtype": "float32",
+                "nodata": -9999.0,
+            },
             crs="EPSG:32633",
-            transform=rasterio.Affine(2.0, 0.0, _CORNER_M[0] - 40, 0.0, -2.0, _CORNER_M[1] + 40),
+            transform=rasterio.Affine(
+                2.0, 0.0, _CORNER_M[0] - 40, 0.0, -2.0, _CORNER_M[1] + 40
+            ),
         ) as raster:
-            raster.write(np.linspace(0.0, 5.0, 1600, dtype=np.float32).reshape(40, 40), 1)
+            raster.write(
+                np.linspace(0.0, 5.0, 1600, dtype=np.float32).reshape(40, 40), 1
+            )
 
     return {"GeoTIFF": _one("a.tif", _written(write)["a.tif"])}
 
@@ -986,15 +1126,21 @@ def _rasters() -> Mapping[str, tuple[str, Files]]:
 def _read_raster(path: Path) -> Any:
     from geometry.maps.relief import read_elevation
 
-    return read_elevation(path, crs="EPSG:32633", middle_m=np.array(_CORNER_M), half_m=30.0)
+    return read_elevation(
+        path, crs="EPSG:32633", middle_m=np.array(_CORNER_M), half_m=30.0
+    )
 
 
 READERS: Mapping[str, Reader] = {
     "heights": Reader(_read_raster, _rasters, ("geometry.maps.relief.read_elevation",)),
     "datasets": Reader(
-        _read_manifest, _manifests, ("experiments.perception_lab.dataset.load_manifest",)
+        _read_manifest,
+        _manifests,
+        ("experiments.perception_lab.dataset.load_manifest",),
     ),
-    "demand": Reader(_read_demand, _demands, ("placement.sampling.moving.demand.load_demand",)),
+    "demand": Reader(
+        _read_demand, _demands, ("placement.sampling.moving.demand.load_demand",)
+    ),
     "street maps": Reader(
         read=_read_street_map,
         seeds=_streets,
@@ -1030,12 +1176,18 @@ READERS: Mapping[str, Reader] = {
     "sites": Reader(
         _read_sites,
         _sites,
-        ("geometry.maps.place_lists.read_sites", "geometry.maps.place_lists.read_csv_rows"),
+        (
+            "geometry.maps.place_lists.read_sites",
+            "geometry.maps.place_lists.read_csv_rows",
+        ),
     ),
     "places of a city": Reader(
         _read_places,
         _places,
-        ("geometry.maps.place_lists.read_counts", "geometry.maps.place_lists.read_areas"),
+        (
+            "geometry.maps.place_lists.read_counts",
+            "geometry.maps.place_lists.read_areas",
+        ),
     ),
     "folder of a city": Reader(
         _read_city_folder,
@@ -1063,16 +1215,22 @@ READERS: Mapping[str, Reader] = {
         lambda: {"example": _example("question.toml")},
         ("placement.question.load_question", "placement.question.load_question_values"),
     ),
-    "own cases": Reader(_read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)),
+    "own cases": Reader(
+        _read_own_cases, _own_cases, ("scenarios.cases.load_own_cases",)
+    ),
     "trajectories": Reader(
         _read_trajectories, _trajectories, ("scenarios.trajectories.read_tracks",)
     ),
     "layout lists": Reader(
         _read_layout_list, _layout_lists, ("placement.layout.read_layout_rows",)
     ),
-    "latency budget": Reader(_read_latency, _latencies, ("placement.latency.load_latency_budget",)),
+    "latency budget": Reader(
+        _read_latency, _latencies, ("placement.latency.load_latency_budget",)
+    ),
     "uncertainty": Reader(
-        _read_uncertainty, _uncertainties, ("placement.sampling.uncertainty.load_uncertainty",)
+        _read_uncertainty,
+        _uncertainties,
+        ("placement.sampling.uncertainty.load_uncertainty",),
     ),
     "detector": Reader(
         _read_detector,
@@ -1080,10 +1238,14 @@ READERS: Mapping[str, Reader] = {
         ("placement.detectors.built_in.load_detector",),
     ),
     "layout": Reader(
-        _read_layout, _layouts, ("placement.layout.load_layout", "placement.layout.find_layout")
+        _read_layout,
+        _layouts,
+        ("placement.layout.load_layout", "placement.layout.find_layout"),
     ),
     "weights": Reader(_read_weights, _weights, ("scenarios.weights.weight_from_csv",)),
-    "accidents": Reader(_read_accidents, _accidents, ("scenarios.accidents.read_accidents",)),
+    "accidents": Reader(
+        _read_accidents, _accidents, ("scenarios.accidents.read_accidents",)
+    ),
     "no-look areas": Reader(
         _read_private_ground, _private_ground, ("placement.ground.load_private_ground",)
     ),
@@ -1129,7 +1291,9 @@ READERS: Mapping[str, Reader] = {
     ),
     "certificates": Reader(
         read=_read_certificate,
-        seeds=lambda: {"json": _one("certificate.json", _certified()["certificate.json"])},
+        seeds=lambda: {
+            "json": _one("certificate.json", _certified()["certificate.json"])
+        },
         covers=("placement.verification.certificates.load_certificate",),
     ),
     "results": Reader(

@@ -1,7 +1,8 @@
 """A process that reads files on demand, within limits of memory and time: for the fuzz tests.
 
-A line of JSON comes in for each file, ``{"reader": .., "path": .., "is_sound": ..}``, and one goes
-out, ``{"outcome": "read" | "refused" | "failed", "text": ..}``. Who asks sees to the wall clock.
+A line of JSON comes in for each file, ``{"reader": .., "path": .., "is_sound": ..}``,
+and one goes out, ``{"outcome": "read" | "refused" | "failed", "text": ..}``. Who asks
+sees to the wall clock.
 """
 
 import json
@@ -31,16 +32,19 @@ def main() -> None:
     for line in sys.stdin:
         asked = json.loads(line)
         read = READERS[asked["reader"]].read
-        outcome, text = "read", ""
+        outcome = "read"
+        text = ""
         if not asked["is_sound"]:  # else it loads and compiles what it needs
             _limit(MAX_BYTES, MAX_CPU_S)
         try:
             read(Path(asked["path"]))
         except InputError as error:
-            outcome, text = "refused", str(error)
+            outcome = "refused"
+            text = str(error)
         except BaseException as error:
             _limit(None, 0.0)
-            outcome, text = "failed", "".join(traceback.format_exception(error))
+            outcome = "failed"
+            text = "".join(traceback.format_exception(error))
         _limit(None, 0.0)
         answers.write(json.dumps({"outcome": outcome, "text": text[-6000:]}) + "\n")
         answers.flush()

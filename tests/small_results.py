@@ -38,7 +38,8 @@ RUNS = (
 
 
 def build_small_setting() -> Setting:
-    scene, rule = load_study_scene(), load_aeb_rule()
+    scene = load_study_scene()
+    rule = load_aeb_rule()
     cases = pick_cases("CPNC-50,CBNA,CBLA", "cases")
     runs, _ = build_runs(scene, cases, vut=load_actors()["vut"], rule=rule)
     few = tuple(run for run in runs if run.id in RUNS)
@@ -87,7 +88,9 @@ def lay_runs_of(patch: pytest.MonkeyPatch, setting: Setting) -> None:
 
     def build(question: Question, scene: object, **options: object) -> Setting:
         cars = read_cars(question.cars)
-        return replace(setting, cars=cars) if cars else setting
+        if cars:
+            return replace(setting, cars=cars)
+        return setting
 
     for module in (placement, pipeline):
         patch.setattr(module, "build_setting", build)

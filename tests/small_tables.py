@@ -9,7 +9,9 @@ from placement.optimiser import Limits, PlacementProblem
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
-RULE = AebRule(deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0)
+RULE = AebRule(
+    deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
+)
 MARGIN_S = 0.065
 """Of a run that is avoided: its only frame in time is at -0.1 s, the last moment at -0.01 s."""
 

@@ -28,7 +28,9 @@ points_m = st.tuples(coordinates_m, coordinates_m, coordinates_m).map(np.array)
 
 @st.composite
 def poses(draw) -> Pose:
-    return Pose(position_m=draw(points_m), yaw_deg=draw(angles_deg), pitch_deg=draw(pitches_deg))
+    return Pose(
+        position_m=draw(points_m), yaw_deg=draw(angles_deg), pitch_deg=draw(pitches_deg)
+    )
 
 
 @st.composite
@@ -47,8 +49,20 @@ def cameras(draw) -> CameraModel:
 @st.composite
 def boxes_px(draw, size_px: int = 40, margin_px: int = 0) -> np.ndarray:
     """A box with whole coordinates, within an image or a margin beyond it; it may be empty."""
-    x = sorted(draw(st.lists(st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2)))
-    y = sorted(draw(st.lists(st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2)))
+    x = sorted(
+        draw(
+            st.lists(
+                st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2
+            )
+        )
+    )
+    y = sorted(
+        draw(
+            st.lists(
+                st.integers(-margin_px, size_px + margin_px), min_size=2, max_size=2
+            )
+        )
+    )
     return np.array([x[0], y[0], x[1], y[1]], dtype=float)
 
 
@@ -83,10 +97,11 @@ def build_encounter(
 ) -> Encounter:
     """An encounter in which the VUT's front first touches the VRU at time 0, at any angle.
 
-    In the VUT's frame (front at x = 0, left at +y) the VRU's rearmost corner is at x = 0 at time 0
-    and at `touch` (-1 = right edge, +1 = left edge) of the VUT's half width. The VUT is the
-    faster one, so before time 0 the whole VRU was ahead of the front. `angle_deg` is the VRU's
-    heading against the VUT's; the whole encounter is turned and moved at the end.
+    In the VUT's frame (front at x = 0, left at +y) the VRU's rearmost corner is at x =
+    0 at time 0 and at `touch` (-1 = right edge, +1 = left edge) of the VUT's half
+    width. The VUT is the faster one, so before time 0 the whole VRU was ahead of the
+    front. `angle_deg` is the VRU's heading against the VUT's; the whole encounter is
+    turned and moved at the end.
     """
     vut = load_actors()["vut"]
     assert vut_speed_mps > vru_speed_mps * np.cos(np.radians(angle_deg))
@@ -115,7 +130,9 @@ def build_encounter(
 
     return Encounter(
         vut=vut,
-        vut_motion=motion(vut_middle, np.array([1.0, 0.0]), turn_deg, vut_speed_mps, vut_drive_s),
+        vut_motion=motion(
+            vut_middle, np.array([1.0, 0.0]), turn_deg, vut_speed_mps, vut_drive_s
+        ),
         vru=vru,
         vru_motion=motion(vru_middle, along, turn_deg + angle_deg, vru_speed_mps, 12.0),
     )
@@ -161,7 +178,14 @@ def detection_tables(draw, max_poses: int = 5) -> tuple[DetectionTable, np.ndarr
     axis = draw(frame_axes())
     n_poses = draw(st.integers(1, max_poses))
     bits = draw(
-        st.lists(st.booleans(), min_size=n_poses * axis.n_frames, max_size=n_poses * axis.n_frames)
+        st.lists(
+            st.booleans(),
+            min_size=n_poses * axis.n_frames,
+            max_size=n_poses * axis.n_frames,
+        )
     )
     detected = np.array(bits, dtype=bool).reshape(n_poses, axis.n_frames)
-    return pack_table(tuple(f"pose{c}" for c in range(n_poses)), axis, detected), detected
+    return (
+        pack_table(tuple(f"pose{c}" for c in range(n_poses)), axis, detected),
+        detected,
+    )

@@ -14,7 +14,9 @@ from scenarios.runs import FrameAxis
 
 _ARM_M = 120.0
 _KERB_M = 8.0  # of the poles, from the middle of the street
-_WIDTH_PX, _MIN_HEIGHT_PX, _VRU_M = 1920, 40, 1.7
+_WIDTH_PX = 1920
+_MIN_HEIGHT_PX = 40
+_VRU_M = 1.7
 _MAX_RANGE_M = 50.0
 _ASPECT = 9.0 / 16.0
 _DECELERATION_MPS2 = 7.72
@@ -61,7 +63,9 @@ class SyntheticInstance:
         return DetectionTable(pose_ids=ids, axis=self.axis, packed=self.packed)
 
     def __repr__(self) -> str:
-        return f"SyntheticInstance({len(self.packed)} poses, {self.axis.n_frames} frames)"
+        return (
+            f"SyntheticInstance({len(self.packed)} poses, {self.axis.n_frames} frames)"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,7 +82,10 @@ def build_synthetic_instance(
     size: SyntheticSize | None = None, *, seed: int = 0, workers: int = 1
 ) -> SyntheticInstance:
     """An instance, made pole by pole, directly as bits; the default size takes 1.25 GB."""
-    size = SyntheticSize() if size is None else size
+    if size is None:
+        size = SyntheticSize()
+    else:
+        size = size
     axis, frames = _drive(size, np.random.default_rng([seed, 0]))
     packed = np.empty((size.n_poses, -(-axis.n_frames // 8)), dtype=np.uint8)
     fill = partial(_fill_mount, packed, size, axis, frames, seed)
@@ -93,7 +100,9 @@ def build_synthetic_instance(
     )
 
 
-def _drive(size: SyntheticSize, random: np.random.Generator) -> tuple[FrameAxis, _Frames]:
+def _drive(
+    size: SyntheticSize, random: np.random.Generator
+) -> tuple[FrameAxis, _Frames]:
     """Runs that end at an impact on one of the arms."""
     n_runs = size.n_runs
     shares = np.linspace(0, size.n_frames, n_runs + 1).astype(np.int64)
@@ -106,17 +115,24 @@ def _drive(size: SyntheticSize, random: np.random.Generator) -> tuple[FrameAxis,
     time_s = (np.arange(size.n_frames) - start[1:][run] + 1) / _FRAME_RATE_HZ
 
     vut_speed_kmh = 5.0 * random.integers(2, 13, size=n_runs).astype(np.float64)
-    # In a street's own axes: along it, away from the crossing; and across it, to the left.
+    # In a street's own axes: along it, away from the crossing; and across it, to the
+    # left.
     along_m = random.uniform(6.0, 70.0, size=n_runs)
     across_m = random.uniform(-5.0, 5.0, size=n_runs)
     walks_along = random.random(n_runs) < 0.25
-    speed_mps = random.uniform(1.0, 4.5, size=n_runs) * random.choice([-1.0, 1.0], size=n_runs)
-    velocity = np.where(walks_along, [[1.0], [0.0]], [[0.0], [1.0]]).T * speed_mps[:, None]
+    speed_mps = random.uniform(1.0, 4.5, size=n_runs) * random.choice(
+        [-1.0, 1.0], size=n_runs
+    )
+    velocity = (
+        np.where(walks_along, [[1.0], [0.0]], [[0.0], [1.0]]).T * speed_mps[:, None]
+    )
     # The van stands beside the lane that the VRU is about to enter.
     van_across_m = np.where(speed_mps > 0.0, across_m - 2.5, across_m + 2.5)
     van_along_m = along_m + random.uniform(1.0, 3.0, size=n_runs)
     van_start = np.column_stack([van_along_m, van_across_m])
-    van_end = van_start + np.column_stack([random.uniform(3.0, 7.0, size=n_runs), np.zeros(n_runs)])
+    van_end = van_start + np.column_stack(
+        [random.uniform(3.0, 7.0, size=n_runs), np.zeros(n_runs)]
+    )
     van_height_m = random.uniform(1.4, 3.0, size=n_runs)
     van_height_m[random.random(n_runs) > _PARKED_SHARE] = 0.0
 
@@ -125,7 +141,9 @@ def _drive(size: SyntheticSize, random: np.random.Generator) -> tuple[FrameAxis,
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
 
     def to_world(street_m: FloatArray, index: IntArray) -> FloatArray:
-        world_m: FloatArray = street_m[:, :1] * ahead[index] + street_m[:, 1:] * left[index]
+        world_m: FloatArray = (
+            street_m[:, :1] * ahead[index] + street_m[:, 1:] * left[index]
+        )
         return world_m
 
     every = np.arange(n_runs)
@@ -166,14 +184,21 @@ def _fill_mount(
     azimuth_deg = np.degrees(np.arctan2(offset_m[:, 1], offset_m[:, 0]))
     elevation_deg = np.degrees(np.arctan2(0.5 * _VRU_M - height_m, distance_m))
     seen = ~_is_hidden(_pole_m(size, site), height_m, frames)
-    seen &= ~_is_grown_over(azimuth_deg, distance_m, np.random.default_rng([seed, 1, site]))
-    missed = np.random.default_rng([seed, 2, mount]).random(axis.n_frames) < _MISSED_SHARE
+    seen &= ~_is_grown_over(
+        azimuth_deg, distance_m, np.random.default_rng([seed, 1, site])
+    )
+    missed = (
+        np.random.default_rng([seed, 2, mount]).random(axis.n_frames) < _MISSED_SHARE
+    )
     seen &= ~missed
-    n_pitches, n_zooms = len(size.pitches_deg), len(size.zooms_deg)
+    n_pitches = len(size.pitches_deg)
+    n_zooms = len(size.zooms_deg)
     rows = np.empty((size.n_yaws, n_pitches, n_zooms, packed.shape[1]), dtype=np.uint8)
     for zoom, fov_deg in enumerate(size.zooms_deg):
         focal_px = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * fov_deg))
-        half_vertical_deg = np.degrees(np.arctan(_ASPECT * np.tan(np.radians(0.5 * fov_deg))))
+        half_vertical_deg = np.degrees(
+            np.arctan(_ASPECT * np.tan(np.radians(0.5 * fov_deg)))
+        )
         range_m = min(_MAX_RANGE_M, focal_px * _VRU_M / _MIN_HEIGHT_PX)
         is_near = seen & (np.hypot(distance_m, height_m) <= range_m)
         inside = np.stack(
@@ -191,9 +216,13 @@ def _fill_mount(
 
 def _pole_m(size: SyntheticSize, site: int) -> FloatArray:
     """Foot of a pole in metres, (2,)."""
-    arm, number = site % 4, site // 4
+    arm = site % 4
+    number = site // 4
     per_arm = -(-size.n_sites // 4)
-    side = _KERB_M if number % 2 else -_KERB_M
+    if number % 2:
+        side = _KERB_M
+    else:
+        side = -_KERB_M
     along_m = _KERB_M + (_ARM_M - _KERB_M) * number / max(per_arm - 1, 1)
     turn = 0.5 * np.pi * arm
     return np.array(
@@ -204,7 +233,9 @@ def _pole_m(size: SyntheticSize, site: int) -> FloatArray:
     )
 
 
-def _aimed(azimuth_deg: FloatArray, half_deg: float, n_yaws: int) -> Iterator[BoolArray]:
+def _aimed(
+    azimuth_deg: FloatArray, half_deg: float, n_yaws: int
+) -> Iterator[BoolArray]:
     """For each yaw, the frames within a half angle of it."""
     for yaw_deg in np.arange(n_yaws) * (360.0 / n_yaws):
         away_deg = np.abs(azimuth_deg - yaw_deg)

@@ -22,7 +22,8 @@ from placement.sampling.uncertainty import load_uncertainty
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 ROOT_PAGES = [
-    ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+    ROOT / name
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
 ]
 PAGES = [*ROOT_PAGES, *sorted(DOCS.rglob("*.md"))]
 RESULT_PAGES = sorted((ROOT / "results").rglob("*.md"))
@@ -36,8 +37,11 @@ _FILE = re.compile(
     r"[\w./-]*\w"
 )
 _BARE_FILE = re.compile(r"(?<![\w/.-])[a-z]\w*\.(?:py|md)\b")
-_MODULE = re.compile(r"(?<![\w/.-])(?:geometry|scenarios|placement|experiments)(?:\.[A-Za-z_]\w*)+")
-# `placement/latency.py` (`apr_by_latency`): a file or folder, and names of what is in it.
+_MODULE = re.compile(
+    r"(?<![\w/.-])(?:geometry|scenarios|placement|experiments)(?:\.[A-Za-z_]\w*)+"
+)
+# `placement/latency.py` (`apr_by_latency`): a file or folder, and names of what is in
+# it.
 _NAMES_IN_FILE = re.compile(r"`([\w/]+(?:\.py|/))` \(((?:`\w+`(?:, )?)+)\)")
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 # SUMO's, and the benchmark's.
@@ -64,7 +68,10 @@ def _commands() -> Iterator[tuple[Path, str]]:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
         for line in text.splitlines():
             if line.startswith("```"):
-                fence = "" if fence else line.strip("`") or "text"
+                if fence:
+                    fence = ""
+                else:
+                    fence = line.strip("`") or "text"
                 continue
             if fence in ("sh", "console"):
                 found = _COMMAND.match(line)
@@ -88,7 +95,9 @@ def _parse(words: list[str]) -> None:
         found_name, found, words = command.resolve_command(context, rest)
         assert found_name is not None
         assert found is not None
-        name, command, parent = found_name, found, context
+        name = found_name
+        command = found
+        parent = context
 
 
 COMMANDS = sorted({(str(page.relative_to(ROOT)), words) for page, words in _commands()})
@@ -111,7 +120,10 @@ def test_an_option_that_does_not_exist_does_not_parse() -> None:
 
 def _missing_files(text: str, page: Path) -> list[str]:
     """Paths in a text that lead nowhere, neither from the root nor from a folder above the page."""
-    folders = [ROOT, *(folder for folder in page.parents if folder.is_relative_to(ROOT))]
+    folders = [
+        ROOT,
+        *(folder for folder in page.parents if folder.is_relative_to(ROOT)),
+    ]
     return [
         name
         for name in _FILE.findall(re.sub(r"https?://\S+", "", text))
@@ -137,7 +149,10 @@ def _missing_modules(text: str) -> list[str]:
 
 def _is_named_in(place: Path, name: str) -> bool:
     """Does a module or package have a name? Packages list theirs in ``__init__.pyi`` or ``.py``."""
-    files = [place] if place.is_file() else place.glob("__init__.py*")
+    if place.is_file():
+        files = [place]
+    else:
+        files = place.glob("__init__.py*")
     return any(re.search(rf"\b{name}\b", _text_of(file)) for file in files)
 
 
@@ -166,7 +181,10 @@ def test_files_named_alone_are_in_the_folder_named_before_them(page: Path) -> No
         folder = ROOT
         for name in re.findall(r"`([a-z][\w./-]*(?:\.py|/))`", paragraph):
             if "/" in name:
-                folder = (ROOT / name).parent if name.endswith(".py") else ROOT / name
+                if name.endswith(".py"):
+                    folder = (ROOT / name).parent
+                else:
+                    folder = ROOT / name
             elif not any(folder.rglob(name)):
                 missing.append(name)
     assert missing == []
@@ -180,7 +198,9 @@ def test_names_in_brackets_behind_a_file_are_in_it(page: Path) -> None:
             if place.endswith(".py"):
                 found = re.search(rf"\b{name}\b", _text_of(ROOT / place)) is not None
             else:
-                found = (ROOT / place / name).exists() or (ROOT / place / f"{name}.py").exists()
+                found = (ROOT / place / name).exists() or (
+                    ROOT / place / f"{name}.py"
+                ).exists()
             if not found:
                 missing.append(f"{place}: {name}")
     assert missing == []
@@ -199,7 +219,9 @@ def test_options_named_in_pages_exist() -> None:
     missing = {
         f"{_page_id(page)}: {option}"
         for page in [*PAGES, *RESULT_PAGES]
-        for line in re.sub(r"```.*?```", "", _text_of(page), flags=re.DOTALL).splitlines()
+        for line in re.sub(
+            r"```.*?```", "", _text_of(page), flags=re.DOTALL
+        ).splitlines()
         for words in re.findall(r"`([^`]+)`", line)
         if not re.search(r"\b(?:uv|pytest|python) ", words)
         for option in _OPTION.findall(words)
@@ -211,7 +233,9 @@ def test_options_named_in_pages_exist() -> None:
 def _prose(text: str) -> Iterator[str]:
     """Docstrings and comments of a module."""
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+        if isinstance(
+            node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+        ):
             yield ast.get_docstring(node, clean=False) or ""
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
@@ -225,14 +249,19 @@ def _missing_in_module(file: Path, known_names: Iterable[str]) -> list[str]:
         return [*_missing_files(text, file), *_missing_modules(text), *sorted(alone)]
 
     text = _text_of(file)
-    # Parsing all modules would take ten seconds: only those where something is missing anywhere.
-    return [name for prose in _prose(text) for name in missing(prose)] if missing(text) else []
+    # Parsing all modules would take ten seconds: only those where something is missing
+    # anywhere.
+    if missing(text):
+        return [name for prose in _prose(text) for name in missing(prose)]
+    return []
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_files_and_modules_named_in_docstrings_and_comments_exist(folder: str) -> None:
     known = {
-        file.name for inner in (*FOLDERS, "docs", "results") for file in (ROOT / inner).rglob("*")
+        file.name
+        for inner in (*FOLDERS, "docs", "results")
+        for file in (ROOT / inner).rglob("*")
     }
     known |= {*(page.name for page in ROOT_PAGES), *_FILES_OF_OTHERS}
     missing = {
@@ -246,7 +275,9 @@ def test_files_and_modules_named_in_docstrings_and_comments_exist(folder: str) -
 def test_example_files_are_what_pages_say() -> None:
     files = DOCS / "files"
     assert list(load_catalogue(files / "cameras.toml")) == ["corner-4k"]
-    assert load_latency_budget(str(files / "latency.toml")).worst_s == pytest.approx(0.072)
+    assert load_latency_budget(str(files / "latency.toml")).worst_s == pytest.approx(
+        0.072
+    )
     uncertainty = load_uncertainty(str(files / "uncertainty.toml"))
     assert uncertainty.mounting.yaw_sd_deg == 2.0
     assert uncertainty.packet_loss == 0.0

@@ -1,7 +1,7 @@
 """What the main job can load: modules that imports lead to from ``experiments.cli.place``.
 
-Imports count wherever they stand, inside functions too: what a module could need at some time is
-what a reader of it has to know.
+Imports count wherever they stand, inside functions too: what a module could need at
+some time is what a reader of it has to know.
 """
 
 import ast
@@ -36,7 +36,10 @@ def file_of(module):
 def imported_names(module):
     """Full names of what a module imports, those of other projects too."""
     path = file_of(module)
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    if path.name == "__init__.py":
+        package = module
+    else:
+        package = module.rpartition(".")[0]
     names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -1,7 +1,7 @@
 """A process that makes writers, to be killed: tests/faults/test_writing.py.
 
-For each line that comes in, a writer begins to write a cached table and a folder of results over
-and over, and its process id goes out.
+For each line that comes in, a writer begins to write a cached table and a folder of
+results over and over, and its process id goes out.
 """
 
 import os

@@ -1,12 +1,14 @@
 """What the pages need beside Sphinx's own extensions: formulas, references, figures of examples.
 
-*Formulas* are MathML, which browsers draw by themselves: no script, no font, no network. Sphinx's
-own ways are MathJax, which pages fetch from the web, and pictures, which need LaTeX. docutils
-brings a translator from LaTeX to MathML; this hands Sphinx's formulas to it.
+*Formulas* are MathML, which browsers draw by themselves: no script, no font, no
+network. Sphinx's own ways are MathJax, which pages fetch from the web, and pictures,
+which need LaTeX. docutils brings a translator from LaTeX to MathML; this hands Sphinx's
+formulas to it.
 
-*References to names by their home module*, where the pages show them under their package: a
-docstring says ``scenarios.aeb.AebRule``, and the page has it as ``scenarios.AebRule``: the link
-leads there. What exists but is not public stays without a link; what does not exist is a warning.
+*References to names by their home module*, where the pages show them under their
+package: a docstring says ``scenarios.aeb.AebRule``, and the page has it as
+``scenarios.AebRule``: the link leads there. What exists but is not public stays without
+a link; what does not exist is a warning.
 
 *The figure that ends a block of an example*, for sphinx-gallery: no pyplot is needed.
 """
@@ -52,7 +54,9 @@ def visit_inline(translator: HTML5Translator, node: nodes.math) -> None:
 
 def visit_block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """Write a formula of its own."""
-    translator.body.append(f'<div class="formula">{_as_mathml(node, as_block=True)}</div>\n')
+    translator.body.append(
+        f'<div class="formula">{_as_mathml(node, as_block=True)}</div>\n'
+    )
     raise nodes.SkipNode
 
 
@@ -60,7 +64,9 @@ def _as_mathml(node: nodes.math | nodes.math_block, *, as_block: bool) -> str:
     try:
         mathml = str(tex2mathml(node.astext(), as_block=as_block))
     except MathError as error:
-        _LOGGER.warning("formula: got %s; expected LaTeX (%s)", node.astext(), error, location=node)
+        _LOGGER.warning(
+            "formula: got %s; expected LaTeX (%s)", node.astext(), error, location=node
+        )
         return f"<code>{escape(node.astext())}</code>"
     return _BRACE.sub(r'<mo stretchy="false">\1</mo>', mathml)
 
@@ -73,7 +79,10 @@ def find_public(
         return None
     name = str(node["reftarget"])
     for prefix in ("", *_homes(node), str(node.get("py:module"))):
-        path = f"{prefix}.{name}" if prefix else name
+        if prefix:
+            path = f"{prefix}.{name}"
+        else:
+            path = name
         found = _load(path)
         if found is None:
             continue
@@ -121,7 +130,9 @@ def _load(path: str) -> Any:
     return None
 
 
-def scrape(block: tuple[Any, ...], values: Mapping[str, Any], config: Mapping[str, Any]) -> str:
+def scrape(
+    block: tuple[Any, ...], values: Mapping[str, Any], config: Mapping[str, Any]
+) -> str:
     """Save the figure that is the value of a block's last line; the rst that shows it, or "".
 
     `block`: kind, text and line. `values`: ``___`` is the value of the last line.
@@ -132,4 +143,6 @@ def scrape(block: tuple[Any, ...], values: Mapping[str, Any], config: Mapping[st
     values["example_globals"]["___"] = None  # the next block has its own, or none
     path = Path(next(values["image_path_iterator"]))
     figure.savefig(path, dpi=_DPI)
-    return str(figure_rst([str(path)], config["src_dir"], block[1].strip().splitlines()[-1]))
+    return str(
+        figure_rst([str(path)], config["src_dir"], block[1].strip().splitlines()[-1])
+    )

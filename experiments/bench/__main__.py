@@ -1,8 +1,8 @@
 """Speed as ratios to named references, measured in one run: ``python -m experiments.bench``.
 
-Absolute times depend on the machine and its load; the ratios depend on them little, because both
-sides are measured in turn. Each part runs in a process of its own, and is ended when its time is
-up.
+Absolute times depend on the machine and its load; the ratios depend on them little,
+because both sides are measured in turn. Each part runs in a process of its own, and is
+ended when its time is up.
 """
 
 import json
@@ -34,7 +34,13 @@ from placement.candidates import CandidatePose, build_candidates, load_candidate
 from placement.compute import Compute
 from placement.evaluator import evaluate_layout
 from placement.layout import Layout, load_carlancap_layout
-from placement.optimiser import Effort, PlacementProblem, presolve, run_margins_s, solve_placement
+from placement.optimiser import (
+    Effort,
+    PlacementProblem,
+    presolve,
+    run_margins_s,
+    solve_placement,
+)
 from placement.optimiser.problem import Fusion
 from placement.question import Question
 from placement.setting import Setting, build_setting
@@ -71,7 +77,9 @@ def seconds_of(*works: Callable[[], object], repeats: int = _REPEATS) -> FloatAr
     return seconds[:, 1:]
 
 
-def ratio(ours: Callable[[], object], theirs: Callable[[], object], **options: int) -> float:
+def ratio(
+    ours: Callable[[], object], theirs: Callable[[], object], **options: int
+) -> float:
     """Median of the ratios of their seconds, pair by pair."""
     ours_s, theirs_s = seconds_of(ours, theirs, **options)
     return float(np.median(ours_s / theirs_s))
@@ -79,13 +87,17 @@ def ratio(ours: Callable[[], object], theirs: Callable[[], object], **options: i
 
 @cache
 def _setting(cases: str = "") -> Setting:
-    question = Question(cases=cases, along_arms="0") if cases else Question()
+    if cases:
+        question = Question(cases=cases, along_arms="0")
+    else:
+        question = Question()
     return build_setting(question, load_study_scene())
 
 
 @cache
 def _candidates() -> tuple[CandidatePose, ...]:
-    grid, study = load_candidate_grid(), load_carlancap_layout()
+    grid = load_candidate_grid()
+    study = load_carlancap_layout()
     return build_candidates(load_study_scene(), grid, extra=study.units)
 
 
@@ -103,7 +115,9 @@ def bare_embree(
         scene.add_triangles(to_tensor(vertices), to_tensor(triangles.astype(np.uint32)))
         tensor = to_tensor(np.hstack([origins, vectors]))
         threads = Open3dCaster.n_threads
-        return lambda: scene.test_occlusions(tensor, tnear=0.0, tfar=1.0, nthreads=threads)
+        return lambda: scene.test_occlusions(
+            tensor, tnear=0.0, tfar=1.0, nthreads=threads
+        )
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -128,12 +142,14 @@ def _recorder(caster: RayCaster, calls: list[Calls]) -> Any:
 def measure_casting() -> Figures:
     """Number of the table's rays, and their time against bare Embree.
 
-    Ours are cast as when the table is built; bare Embree gets them in one call per scene and
-    thread.
+    Ours are cast as when the table is built; bare Embree gets them in one call per
+    scene and thread.
     """
     setting = _setting(_OWN_CASES)
     world = build_world(setting.scene, setting.runs, n_points=N_POINTS, seed=0)
-    mounts = list({tuple(c.pose.position_m): c for c in _candidates()}.values())[:_N_MOUNTS]
+    mounts = list({tuple(c.pose.position_m): c for c in _candidates()}.values())[
+        :_N_MOUNTS
+    ]
     of_mounts: list[Calls] = []
     cast_to = _record(world, setting, mounts, of_mounts)
 
@@ -148,12 +164,21 @@ def measure_casting() -> Figures:
             for vertices, triangles, recorder in cast_to
             for part in _split(recorder.rays, n_threads)
         ]
-        return ratio(*(partial(_run_together, calls, n_threads) for calls in (ours, theirs)))
+        return ratio(
+            *(partial(_run_together, calls, n_threads) for calls in (ours, theirs))
+        )
 
     with threadpool_limits(1):
-        ratios = {n_threads: against_bare(n_threads) for n_threads in dict.fromkeys((1, _WORKERS))}
-    n_rays = sum(len(origins) for *_, recorder in cast_to for origins, _ in recorder.rays)
-    n_views = sum(int((_distance_m(world, one) <= _MAX_DISTANCE_M).sum()) for one in mounts)
+        ratios = {
+            n_threads: against_bare(n_threads)
+            for n_threads in dict.fromkeys((1, _WORKERS))
+        }
+    n_rays = sum(
+        len(origins) for *_, recorder in cast_to for origins, _ in recorder.rays
+    )
+    n_views = sum(
+        int((_distance_m(world, one) <= _MAX_DISTANCE_M).sum()) for one in mounts
+    )
     n_points = n_views * world.views.axes_m.shape[2]
     return {
         "rays cast": n_rays,
@@ -179,9 +204,12 @@ def _record(
     )
     for mount in mounts:
         calls.append([])
-        near_m, reach_m = mount.sensor.near_m, _MAX_DISTANCE_M
+        near_m = mount.sensor.near_m
+        reach_m = _MAX_DISTANCE_M
         at_m = mount.pose.position_m
-        cast_sight(recording, at_m, near_m=near_m, max_distance_m=reach_m, for_lidar=False)
+        cast_sight(
+            recording, at_m, near_m=near_m, max_distance_m=reach_m, for_lidar=False
+        )
     shapes = [
         *zip((actor.shapes[0] for actor in world.standing.actors), parked, strict=True),
         *(
@@ -208,7 +236,9 @@ def _distance_m(world: World, mount: CandidatePose) -> FloatArray:
 
 def _split(rays: Sequence[Rays], n_parts: int) -> Iterator[Rays]:
     origins, vectors = (np.concatenate(part) for part in zip(*rays, strict=True))
-    yield from zip(np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True)
+    yield from zip(
+        np.array_split(origins, n_parts), np.array_split(vectors, n_parts), strict=True
+    )
 
 
 def _run_together(calls: Calls, n_threads: int) -> None:
@@ -220,16 +250,24 @@ def _run_together(calls: Calls, n_threads: int) -> None:
 def measure_table() -> Figures:
     """Verdicts of the table per second, over the whole build for some mounts."""
     setting, candidates = _setting(), _candidates()
-    positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[::_EVERY_MOUNT]
+    positions = list(dict.fromkeys(tuple(c.pose.position_m) for c in candidates))[
+        ::_EVERY_MOUNT
+    ]
     some = [c for c in candidates if tuple(c.pose.position_m) in set(positions)]
     seconds = float(np.median(seconds_of(lambda: _table(setting, some, Compute()))))
     per_second = len(some) * setting.axis.n_frames / seconds
-    return {"table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6}
+    return {
+        "table: million verdicts per second (before 3.4; at least 30)": per_second / 1e6
+    }
 
 
-def _table(setting: Setting, candidates: Sequence[CandidatePose], compute: Compute) -> Any:
+def _table(
+    setting: Setting, candidates: Sequence[CandidatePose], compute: Compute
+) -> Any:
     world = (setting.scene, candidates, setting.runs, setting.axis)
-    return build_detection_table(*world, detector=setting.table_detector, compute=compute)
+    return build_detection_table(
+        *world, detector=setting.table_detector, compute=compute
+    )
 
 
 def measure_evaluation() -> Figures:
@@ -245,7 +283,8 @@ def measure_evaluation() -> Figures:
 
 def _problem(budget: int, fusion: Fusion = "any") -> PlacementProblem:
     """The question of so many units, on a table that is built for it."""
-    setting, candidates = _setting(), _candidates()
+    setting = _setting()
+    candidates = _candidates()
     table = _table(setting, candidates, Compute(workers=_WORKERS))
     wishes = Wishes(budget_units=budget)
     return build_problem(setting, candidates, table, wishes=wishes, fusion=fusion)
@@ -265,7 +304,9 @@ def measure_optimiser(budget: int) -> Figures:
     }
 
 
-def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 4, 5)) -> Figures:
+def measure_budgets(
+    problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 4, 5)
+) -> Figures:
     """Presolve and all stages for growing budgets, with tracks that live on and that end."""
     figures: Figures = {}
     for memory_s in _TRACK_MEMORIES_S:
@@ -274,9 +315,13 @@ def measure_budgets(problem: PlacementProblem, *, units: Sequence[int] = (2, 3, 
             limits = replace(problem.limits, budget_units=budget)
             asked = replace(problem, rule=rule, limits=limits)
             began_s = time.perf_counter()
-            solution = solve_placement(asked, effort=Effort(time_limit_s=_BUDGET_TIME_S))
+            solution = solve_placement(
+                asked, effort=Effort(time_limit_s=_BUDGET_TIME_S)
+            )
             name = f"optimiser: track memory {memory_s:g} s, K = {budget}"
-            figures[f"{name}: seconds, presolve and all stages"] = time.perf_counter() - began_s
+            figures[f"{name}: seconds, presolve and all stages"] = (
+                time.perf_counter() - began_s
+            )
             figures[f"{name}: proven"] = solution.certificate.is_proven
     return figures
 
@@ -326,11 +371,14 @@ def measure_command(budget: int) -> Figures:
         def seconds(*arguments: str) -> float:
             began_s = time.perf_counter()
             words = [sys.executable, "-m", "experiments.main", *arguments]
-            subprocess.run(words, env=environment, stdout=subprocess.DEVNULL, check=True)
+            subprocess.run(
+                words, env=environment, stdout=subprocess.DEVNULL, check=True
+            )
             return time.perf_counter() - began_s
 
         job = ["--budget", str(budget), "--quiet", "--out", str(Path(folder) / "out")]
-        cold_s, warm_s = seconds(*job), seconds(*job)
+        cold_s = seconds(*job)
+        warm_s = seconds(*job)
         evaluate_s = seconds("evaluate", "--layout", "carlancap-12", "--quiet")
         peak_kib = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         help_s = statistics.median(seconds("--help") for _ in range(_REPEATS))
@@ -382,12 +430,20 @@ def run_part(name: str, *, budget: int, limit_s: float) -> Figures:
 @click.command()
 @click.option("--budget", default=3, show_default=True, help="Units of the main job.")
 @click.option(
-    "--parts", default=",".join(PARTS), show_default=True, help="To measure, commas between."
+    "--parts",
+    default=",".join(PARTS),
+    show_default=True,
+    help="To measure, commas between.",
 )
 @click.option(
-    "--limit", default=240.0, show_default=True, help="Seconds after which a part is ended."
+    "--limit",
+    default=240.0,
+    show_default=True,
+    help="Seconds after which a part is ended.",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="JSON file for the figures.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="JSON file for the figures."
+)
 def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
     """Measure the whole command, rays, evaluator and optimiser.
 
@@ -405,7 +461,9 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
     figures: dict[str, Figures] = {}
     if out is not None and out.exists():
         before = json.loads(out.read_text(encoding="utf-8"))
-        figures = {name: before[name] for name in PARTS if isinstance(before.get(name), dict)}
+        figures = {
+            name: before[name] for name in PARTS if isinstance(before.get(name), dict)
+        }
     machine: Figures = {"processors": os.cpu_count(), "rays by": caster_name()}
     for name in names:
         click.echo(f"{name} ...", err=True)
@@ -414,7 +472,10 @@ def main(budget: int, parts: str, limit: float, out: Path | None) -> None:
             shown = f"{value:.3g}" if isinstance(value, float) else value
             click.echo(f"{figure:<72} {shown}")
         if out is not None:  # after each part, in case a later one is interrupted
-            ordered = {"machine": machine, **{n: figures[n] for n in PARTS if n in figures}}
+            ordered = {
+                "machine": machine,
+                **{n: figures[n] for n in PARTS if n in figures},
+            }
             out.write_text(json.dumps(ordered, indent=2) + "\n", encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """Pictures of pages as browsers show them: ``python -m experiments.bench.screenshots``.
 
-``plan`` photographs the planner's page, ``junctions MAP`` the map on which its junction is chosen,
-``report REPORT.html`` a report.
+``plan`` photographs the planner's page, ``junctions MAP`` the map on which its junction
+is chosen, ``report REPORT.html`` a report.
 """
 
 import json
@@ -94,7 +94,10 @@ def main() -> None:
 
 @main.command()
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("results/plan"), show_default=True
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("results/plan"),
+    show_default=True,
 )
 def plan(out: Path) -> None:
     """Photograph the page with two of the study's cameras, its dialogs, and private ground."""
@@ -135,10 +138,13 @@ def plan(out: Path) -> None:
 def junctions(city: Path, find: str) -> None:
     """Photograph the map of a city on which the planner's junction is chosen."""
     question = Question(cases="CPNC-50", along_arms="0", speeds="50")
-    setting, file = build_setting(question, load_scene(city)), MapFile(path=city, name=city.name)
+    setting = build_setting(question, load_scene(city))
+    file = MapFile(path=city, name=city.name)
     with (
         tempfile.TemporaryDirectory() as folder,
-        _serve(setting, question, Variant(name=""), Path(folder), map_file=file) as address,
+        _serve(
+            setting, question, Variant(name=""), Path(folder), map_file=file
+        ) as address,
         _browser() as browser,
     ):
         page = browser.new_page(viewport={"width": 1280, "height": 900})
@@ -153,7 +159,10 @@ def junctions(city: Path, find: str) -> None:
 @main.command()
 @click.argument("page", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("results/report"), show_default=True
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("results/report"),
+    show_default=True,
 )
 def report(page: Path, out: Path) -> None:
     """Photograph parts of a report at the widths of a desktop and of a phone."""
@@ -162,16 +171,24 @@ def report(page: Path, out: Path) -> None:
         for name, (width_px, height_px) in _REPORT_SIZES_PX.items():
             shown = browser.new_page(viewport={"width": width_px, "height": height_px})
             shown.goto(page.resolve().as_uri())
-            if shown.get_attribute("html", "lang") != "en":  # parts have their English names
-                _save(shown, out / f"{name}-first-screen-{shown.get_attribute('html', 'lang')}.png")
+            if (
+                shown.get_attribute("html", "lang") != "en"
+            ):  # parts have their English names
+                _save(
+                    shown,
+                    out
+                    / f"{name}-first-screen-{shown.get_attribute('html', 'lang')}.png",
+                )
                 continue
             for part in _REPORT_PARTS:
                 heading = shown.locator("h1, h2").filter(has_text=part).first
-                heading.evaluate("""element => {
+                heading.evaluate(
+                    """element => {
                     const folded = element.closest("details");
                     if (folded) folded.open = true;
                     element.scrollIntoView({ behavior: "instant" });
-                }""")
+                }"""
+                )
                 shown.wait_for_timeout(400)
                 words = "-".join(part.lower().replace("?", "").split())
                 _save(shown, out / f"{name}-{words}.png")
@@ -179,7 +196,10 @@ def report(page: Path, out: Path) -> None:
 
 def _photograph_dialogs(page: Any, stem: Path) -> None:
     """A ruler and the chosen camera turned on the compass; a lost run; a camera's picture of it."""
-    poles = [page.locator(f'[data-site="corner-{name}"]').bounding_box() for name in ("ne", "sw")]
+    poles = [
+        page.locator(f'[data-site="corner-{name}"]').bounding_box()
+        for name in ("ne", "sw")
+    ]
     page.keyboard.press("m")
     for pole in poles:
         page.mouse.click(pole["x"] + pole["width"] / 2, pole["y"] + pole["height"] / 2)

@@ -1,7 +1,7 @@
 """A city's answer: the choice for each junction, its sentences, and the files it is in.
 
-``junctions/ID/front.json`` says what a junction may get, ``city.json`` what each gets, and
-``manifest.json`` which city a folder is of.
+``junctions/ID/front.json`` says what a junction may get, ``city.json`` what each gets,
+and ``manifest.json`` which city a folder is of.
 """
 
 import io
@@ -21,7 +21,13 @@ from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, refuse
 from geometry.files import parse_json, read_bytes, read_table
 from placement.city.choose import Step, choose, city_front, plan_phases
-from placement.city.fronts import JunctionFront, Options, Point, stack_bounds, stack_fronts
+from placement.city.fronts import (
+    JunctionFront,
+    Options,
+    Point,
+    stack_bounds,
+    stack_fronts,
+)
 from placement.layout import Layout
 from placement.optimiser.constants import TOLERANCE
 from placement.recordings.files import json_of
@@ -30,10 +36,21 @@ from ..language import language, tr, trn
 from ..results.numbers import euros, joined, percent
 from ..results.record import Record, Share, StageRecord, UnitRecord, build_stage_records
 from ..scene import CAUSES
-from .inputs import JUNCTIONS, PROXY, City, CityMapRecord, CitySearch, CityValues, CityWish
+from .inputs import (
+    JUNCTIONS,
+    PROXY,
+    City,
+    CityMapRecord,
+    CitySearch,
+    CityValues,
+    CityWish,
+)
 
 SCHEMA = "place-rsus/city/1"
-MANIFEST, SUMMARY, FRONT, FRONTS = "manifest.json", "city.json", "front.json", "fronts.parquet"
+MANIFEST = "manifest.json"
+SUMMARY = "city.json"
+FRONT = "front.json"
+FRONTS = "fronts.parquet"
 _CHOICE_S = 120.0
 _MAX_STEPS = 200
 _OF_POINT = ("units", "cost_eur", "apr", "apr_one_failed")
@@ -56,20 +73,26 @@ class CityFrontRecord(Record, frozen=True, kw_only=True):
     cause: str = ""  # the same as a kind of cause, where it is one of those foreseen
     is_final: bool = True  # False where another try may end otherwise
     front: JunctionFront | None = None
-    layouts: tuple[tuple[UnitRecord, ...], ...] = ()  # of each point, with the existing units
+    layouts: tuple[
+        tuple[UnitRecord, ...], ...
+    ] = ()  # of each point, with the existing units
     sites: Count = 0
     poses: Count = 0
     runs: Count = 0
     possible_runs: Count = 0  # these, and those for which there is no room
     frames: Count = 0
-    seconds: dict[str, float] = msgspec.field(default_factory=dict)  # processor time by stage
+    seconds: dict[str, float] = msgspec.field(
+        default_factory=dict
+    )  # processor time by stage
     peak_memory_mib: Amount
     notes: tuple[str, ...] = ()
 
     @property
     def points(self) -> tuple[Point, ...]:
         """Points of the front; none where there is no front."""
-        return () if self.front is None else self.front.points
+        if self.front is None:
+            return ()
+        return self.front.points
 
     def without_layouts(self) -> "CityFrontRecord":
         """A record without the parts that take memory: its layouts and notes."""
@@ -102,12 +125,16 @@ def fronts_table(records: Iterable[CityFrontRecord]) -> bytes:
     rows = []
     for record in records:
         head = {"junction": record.id, "name": record.name, "map": record.map}
-        layouts = record.layouts or ((),) * len(record.points)  # none: the file is damaged
+        layouts = record.layouts or ((),) * len(
+            record.points
+        )  # none: the file is damaged
         for point, layout in zip(record.points, layouts, strict=True):
             poses = " ".join(unit.id for unit in layout)
             rows.append(head | asdict(point) | {"layout": poses, "reason": ""})
         if not record.points:
-            rows.append(head | dict.fromkeys(values) | {"layout": "", "reason": record.reason})
+            rows.append(
+                head | dict.fromkeys(values) | {"layout": "", "reason": record.reason}
+            )
     file = io.BytesIO()
     pd.DataFrame(rows).astype(dict.fromkeys(values, "float64")).to_parquet(file)
     return file.getvalue()
@@ -129,7 +156,9 @@ class CityManifest(Record, frozen=True, kw_only=True):
     schema: str = SCHEMA
     maps: tuple[CityMapRecord, ...]
     crs: str  # of the bounds; empty: the maps' own
-    bounds: tuple[float, float, float, float]  # west, south, east and north of all junctions
+    bounds: tuple[
+        float, float, float, float
+    ]  # west, south, east and north of all junctions
     junctions: tuple[CityEntry, ...] = ()
 
 
@@ -225,7 +254,9 @@ class CityResult(Record, frozen=True, kw_only=True):
     cost_eur: Amount
     apr_before: Share  # of the existing units, by weight
     stages: tuple[StageRecord, ...]
-    bound_of_fronts: Share  # of the first stage, for all choices among the points of the fronts
+    bound_of_fronts: (
+        Share  # of the first stage, for all choices among the points of the fronts
+    )
     solver: str
     is_proven: bool
     junctions: tuple[CityJunctionRecord, ...]
@@ -237,15 +268,18 @@ class CityResult(Record, frozen=True, kw_only=True):
     front: tuple[CityStepRecord, ...]
     cheapest: str = ""  # useful choice, in words
     gain_years: float | None = None  # gain times years of what is mounted earlier
-    # accidents, where it is known in how many years they were counted: of all junctions, those
-    # prevented when all is mounted, and those prevented in the years that were asked about
+    # accidents, where it is known in how many years they were counted: of all
+    # junctions, those prevented when all is mounted, and those prevented in the years
+    # that were asked about
     accidents_per_year: Amount | None = None
     prevented_per_year: Amount | None = None
     prevented_in_years: Amount | None = None
     purchases: tuple[CityPurchaseRecord, ...] = ()
     search: CitySearchRecord
     sentences: tuple[str, ...] = ()
-    not_counted: tuple[str, ...] = ()  # junctions of the maps that were not asked about, and why
+    not_counted: tuple[
+        str, ...
+    ] = ()  # junctions of the maps that were not asked about, and why
     notes: tuple[str, ...]
     seconds: dict[str, float] = msgspec.field(default_factory=dict)
     versions: dict[str, str] = msgspec.field(default_factory=dict)
@@ -277,7 +311,8 @@ def choose_for_city(
 ) -> CityResult:
     """Choose a point of each junction's front; `done` has the fronts by their folders.
 
-    Raises InputError: no junction, or none with a weight, has a front; a wish cannot be met.
+    Raises InputError: no junction, or none with a weight, has a front; a wish cannot be
+    met.
     """
     records = [done[one.folder] for one in city.junctions]
     solved = _solved(city, records, values)
@@ -285,7 +320,8 @@ def choose_for_city(
     fronts = [front for record in records if (front := record.front) is not None]
     options = stack_fronts(fronts)
     asked = values.wishes(wish, solved)
-    by_cost, by_units = asked.budget_eur is not None, asked.budget_units is not None
+    by_cost = asked.budget_eur is not None
+    by_units = asked.budget_units is not None
     choice = choose(
         options,
         weight,
@@ -305,7 +341,10 @@ def choose_for_city(
             units_per_year=wish.units_per_year,
             years=wish.years,
         )
-    years = np.zeros_like(first) if phases is None else phases.year
+    if phases is None:
+        years = np.zeros_like(first)
+    else:
+        years = phases.year
     got = zip((choice.rows - first).tolist(), years.tolist(), strict=True)
     got_at = dict(zip(solved, got, strict=True))
     junctions = [*_junctions(out, city, values, records, existing, got=got_at)]
@@ -328,7 +367,9 @@ def choose_for_city(
         runs=sum(records[index].runs for index in solved),
         possible_runs=sum(records[index].possible_runs for index in solved),
         by="cost" if by_cost else "units",
-        front=_steps(city, solved, options, city_front(options, weight, by_cost=by_cost)),
+        front=_steps(
+            city, solved, options, city_front(options, weight, by_cost=by_cost)
+        ),
         cheapest=_cheapest(city, options, solved, share, first),
         gain_years=None if phases is None else phases.gain_years,
         search=CitySearchRecord(
@@ -343,7 +384,9 @@ def choose_for_city(
     )
     result = replace(result, **_accidents(values, junctions, wish.years))
     head = " ".join([*says("head", result), *says("undone", result)])
-    return replace(result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE)))
+    return replace(
+        result, sentences=(head, *says("rest", result, wish, phases, TOLERANCE))
+    )
 
 
 def _steps(
@@ -416,14 +459,18 @@ def _junctions(
             x=x,
             y=y,
             weight=float(values.weight[index] / values.weight.sum()),
-            district=", ".join(name for name, members in values.districts if index in members),
+            district=", ".join(
+                name for name, members in values.districts if index in members
+            ),
             reason=record.reason,
             cause=record.cause,
             **gets,
         )
 
 
-def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) -> list[int]:
+def _solved(
+    city: City, records: Sequence[CityFrontRecord], values: CityValues
+) -> list[int]:
     """Indices of the junctions that have a front; InputError if none has, or none with a weight."""
     solved = [index for index, record in enumerate(records) if not record.reason]
     if not solved:
@@ -432,9 +479,14 @@ def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) 
         refuse(
             city.records[0].name,
             f"no junction with a front; {failed.name or failed.id}: {failed.reason}",
-            "one at which runs can be laid and sites can carry units"
-            if failed.is_final
-            else "more time or memory for each: --max-junction-seconds, --worker-memory",
+            (
+                "one at which runs can be laid and sites can carry units"
+                if failed.is_final
+                else (
+                    "more time or memory for each: --max-junction-seconds,"
+                    " --worker-memory"
+                )
+            ),
         )
     if not values.weight[solved].sum() > 0.0:
         got = "weights only of junctions that have no front"
@@ -443,10 +495,16 @@ def _solved(city: City, records: Sequence[CityFrontRecord], values: CityValues) 
 
 
 def _cheapest(
-    city: City, options: Options, solved: Sequence[int], share: FloatArray, first: IntArray
+    city: City,
+    options: Options,
+    solved: Sequence[int],
+    share: FloatArray,
+    first: IntArray,
 ) -> str:
     """Cost and benefit of the cheapest useful option, in words."""
-    gain = share[options.junction] * (options.apr - options.apr[first][options.junction])
+    gain = share[options.junction] * (
+        options.apr - options.apr[first][options.junction]
+    )
     useful = np.flatnonzero(gain > TOLERANCE)
     if not len(useful):
         return says("cheapest", 0, "", 0.0, 0.0)[0]

@@ -24,7 +24,15 @@ _DRIVEN = tuple(
     name
     for name in options.JUDGED
     # Accidents count around each junction; --near is about areas here.
-    if name not in (*options.OF_SCENE, "near", "vut_sensors", "packet_loss", "vam_rate", "strict")
+    if name
+    not in (
+        *options.OF_SCENE,
+        "near",
+        "vut_sensors",
+        "packet_loss",
+        "vam_rate",
+        "strict",
+    )
 )
 _MAX_LISTED = 12
 _STAGGERED_M = 40.0  # a driver crosses both side roads in one go
@@ -42,7 +50,9 @@ Examples:
 
 
 @click.command(cls=options.SectionedCommand, epilog=_EXAMPLES)
-@click.argument("maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path))
+@click.argument(
+    "maps", nargs=-1, required=True, metavar="MAP...", type=click.Path(path_type=Path)
+)
 @options.option(
     "--budget",
     "budget_units",
@@ -63,7 +73,10 @@ Examples:
     type=click.Path(path_type=Path, file_okay=False),
     required=True,
     metavar="FOLDER",
-    help=("New folder, or one of the same city: junctions that are done are not done again."),
+    help=(
+        "New folder, or one of the same city: junctions that are done are not done"
+        " again."
+    ),
 )
 @options.option(
     "--within",
@@ -185,7 +198,10 @@ Examples:
     metavar="N",
     is_common=False,
     expected="a number of units, at least 1",
-    help=("Mounted in a year at most: the result says in which year each junction is ready."),
+    help=(
+        "Mounted in a year at most: the result says in which year each junction is"
+        " ready."
+    ),
 )
 @options.option(
     "--years",
@@ -213,7 +229,10 @@ Examples:
     "--coarse",
     "is_coarse",
     is_flag=True,
-    help=("Try a ninth of the poses: one height, every 30 degrees. Less memory, worse layouts."),
+    help=(
+        "Try a ninth of the poses: one height, every 30 degrees. Less memory, worse"
+        " layouts."
+    ),
 )
 @options.option(
     "--max-units",
@@ -277,13 +296,15 @@ def city(
 ) -> None:
     """Choose units for the junctions of a city under one budget.
 
-    Each junction of the maps is cut out, and its front is found: what each number of units, and
-    each sum of money, buys there. One exact choice over all fronts says who gets what; the folder
-    has a report with a map, what to order, and every junction's own scene and page.
+    Each junction of the maps is cut out, and its front is found: what each number of
+    units, and each sum of money, buys there. One exact choice over all fronts says who
+    gets what; the folder has a report with a map, what to order, and every junction's
+    own scene and page.
     """
     if given["budget_units"] is None and given["budget_eur"] is None:
         raise click.UsageError(
-            "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur"
+            "--budget: got nothing; expected a whole number of units, at least 0, or"
+            " --budget-eur"
         )
     job.start()
     from .inputs import CitySearch, CityWish
@@ -307,12 +328,16 @@ def city(
 
 def _of(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
     """Options that are called as the fields of a dataclass."""
-    return {field.name: given[field.name] for field in fields(kind) if field.name in given}
+    return {
+        field.name: given[field.name] for field in fields(kind) if field.name in given
+    }
 
 
 def city_text(result: "CityResult", out: Path) -> str:
     """A city's answer for the terminal: sentences, units by junction, junctions not done."""
-    served = sorted((one for one in result.junctions if one.units), key=lambda one: -one.gain)
+    served = sorted(
+        (one for one in result.junctions if one.units), key=lambda one: -one.gain
+    )
     failed = [one for one in result.junctions if one.reason]
     lines = sentences(*result.sentences)
     rows = [
@@ -326,7 +351,13 @@ def city_text(result: "CityResult", out: Path) -> str:
         for one in served[:_MAX_LISTED]
     ]
     if served:
-        heads = [tr("junction"), tr("sensors"), "EUR", tr("prevented"), tr("of the city")]
+        heads = [
+            tr("junction"),
+            tr("sensors"),
+            "EUR",
+            tr("prevented"),
+            tr("of the city"),
+        ]
         lines += ["", *table(heads, rows)]
         lines += _more(len(served))
     if failed:
@@ -336,10 +367,14 @@ def city_text(result: "CityResult", out: Path) -> str:
         lines += _more(len(failed))
     weights = tr("Weights: {source}.", source=result.weights)
     lines += ["", *sentences(weights, *result.notes, *result.warnings)]
-    written = tr("Written to {folder}: report.html, city.gpkg, poles.csv and more.", folder=out)
+    written = tr(
+        "Written to {folder}: report.html, city.gpkg, poles.csv and more.", folder=out
+    )
     return "\n".join([*lines, written])
 
 
 def _more(n: int) -> list[str]:
     left = n - _MAX_LISTED
-    return ["  " + tr("and {n} more: junctions.csv", n=left)] if left > 0 else []
+    if left > 0:
+        return ["  " + tr("and {n} more: junctions.csv", n=left)]
+    return []

@@ -38,19 +38,27 @@ class CityWish:
     budget_units: int | None = None  # new ones, at most
     budget_eur: float | None = None  # for these and their sites, at most
     within: Path | None = None  # areas in which junctions count
-    junctions: str = ""  # ids or names with semicolons between, or a file with one a line
+    junctions: str = (
+        ""  # ids or names with semicolons between, or a file with one a line
+    )
     min_arms: int = 3
     signals_only: bool = False
     # counts: geometry.maps.place_lists.read_counts; or PROXY
     weights_file: Path | None = None
     weight_column: str = ""
-    counted_years: float | None = None  # in which the accidents of `weights_file` happened
+    counted_years: float | None = (
+        None  # in which the accidents of `weights_file` happened
+    )
     snap_m: float = 50.0  # from a place that counts to its junction, at most
     districts: Path | None = None  # areas that each reach `min_district_apr`
     min_district_apr: float = 0.0
-    areas: Path | None = None  # with columns "weight" (a factor) or "min_apr" (of each junction)
+    areas: Path | None = (
+        None  # with columns "weight" (a factor) or "min_apr" (of each junction)
+    )
     near_m: float = 0.0  # a junction belongs to such an area if it is no farther away
-    keep: tuple[Path, ...] = ()  # layouts, or folders of a city, of the units mounted already
+    keep: tuple[
+        Path, ...
+    ] = ()  # layouts, or folders of a city, of the units mounted already
     units_per_year: int | None = None
     years: int | None = None  # that money is for, and in which everything is mounted
 
@@ -60,10 +68,14 @@ class CityWish:
             if value and not getattr(self, other):
                 raise InputError(name, value, f"`{other}` as well")
         if self.years and not (self.units_per_year or self.counted_years):
-            raise InputError("years", self.years, "`units_per_year` or `counted_years` as well")
+            raise InputError(
+                "years", self.years, "`units_per_year` or `counted_years` as well"
+            )
         for name in ("weight_column", "counted_years"):
             if self.weights_file == PROXY and getattr(self, name):
-                raise InputError(name, getattr(self, name), "a file of --junction-weights")
+                raise InputError(
+                    name, getattr(self, name), "a file of --junction-weights"
+                )
 
 
 # Wishes that need another one.
@@ -123,8 +135,8 @@ class CityJunction:
 class City:
     """Maps with and without roads, their files, and the junctions that count, the largest first.
 
-    `n_all` counts all junctions of the maps; `bounds` are their west, south, east and north, in the
-    coordinates of the first map's file; `notes` say what was left out.
+    `n_all` counts all junctions of the maps; `bounds` are their west, south, east and
+    north, in the coordinates of the first map's file; `notes` say what was left out.
     """
 
     roads: tuple[SourceMap, ...]
@@ -141,11 +153,13 @@ class City:
         return self.roads[0].source_crs or self.roads[0].crs
 
 
-def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: CityWish) -> City:
+def load_city(
+    paths: Sequence[Path], reading: importing.ReadingOptions, wish: CityWish
+) -> City:
     """Read maps once, and find the junctions that count.
 
-    Raises InputError: a file cannot be read, none has roads, two have the same name or overlap, or
-    no junction counts.
+    Raises InputError: a file cannot be read, none has roads, two have the same name or
+    overlap, or no junction counts.
     """
     if not paths:
         refuse("MAP", "nothing", "a map: OpenDRIVE or OpenStreetMap")
@@ -158,7 +172,9 @@ def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: Ci
     if not roads:
         refuse(", ".join(names), "no roads", "a map with roads")
     records = tuple(
-        CityMapRecord(name=source.name, sha256=sha256(path), has_roads=bool(source.lanes))
+        CityMapRecord(
+            name=source.name, sha256=sha256(path), has_roads=bool(source.lanes)
+        )
         for source, path in zip(maps, paths, strict=True)
     )
     found: list[CityJunction] = []
@@ -168,18 +184,26 @@ def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: Ci
             if source.crs != roads[0].crs:
                 if not (source.crs and roads[0].crs):
                     got = f"coordinates unlike those of {roads[0].name}"
-                    expected = "maps that all say where on earth they lie, or none of them"
+                    expected = (
+                        "maps that all say where on earth they lie, or none of them"
+                    )
                     refuse(source.name, got, expected)
                 place = transform(place, source.crs, roads[0].crs)
-            folder = _folder_name(source.name if len(roads) > 1 else "", surveyed.junction.id)
+            folder = _folder_name(
+                source.name if len(roads) > 1 else "", surveyed.junction.id
+            )
             found.append(
-                CityJunction(surveyed=surveyed, roads=source, folder=folder, position_m=place)
+                CityJunction(
+                    surveyed=surveyed, roads=source, folder=folder, position_m=place
+                )
             )
     if not found:
         refuse(", ".join(s.name for s in roads), "no junction", "some")
     _refuse_overlap(found)
     chosen, notes = _counting(found, roads[0], wish)
-    places = np.array([one.surveyed.position for one in found if one.roads.crs == roads[0].crs])
+    places = np.array(
+        [one.surveyed.position for one in found if one.roads.crs == roads[0].crs]
+    )
     return City(
         roads=roads,
         others=tuple(source for source in maps if not source.lanes),
@@ -193,7 +217,10 @@ def load_city(paths: Sequence[Path], reading: importing.ReadingOptions, wish: Ci
 
 def _folder_name(map_name: str, junction_id: str) -> str:
     """A name for a folder; ids that had to be changed, or are long, have a hash behind them."""
-    name = f"{Path(map_name).stem}-{junction_id}" if map_name else junction_id
+    if map_name:
+        name = f"{Path(map_name).stem}-{junction_id}"
+    else:
+        name = junction_id
     plain = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:60] or "junction"
     if plain == name:
         return plain
@@ -205,7 +232,8 @@ def _refuse_overlap(found: Sequence[CityJunction]) -> None:
 
     places = np.array([one.position_m for one in found])
     for one, other in sorted(cKDTree(places).query_pairs(_SAME_M)):
-        first, second = found[one], found[other]
+        first = found[one]
+        second = found[other]
         if first.roads is not second.roads:
             got = f"maps that overlap: both have a junction at {first.label}"
             expected = "maps of different places"
@@ -226,10 +254,15 @@ def _counting(
             expected = f"an area with some of the {len(found)} junctions"
             raise InputError("--within", str(wish.within), expected)
         n_outside = len(found) - len(left)
-        notes.append(tr("Junctions outside {file}: {n}.", file=wish.within.name, n=n_outside))
+        notes.append(
+            tr("Junctions outside {file}: {n}.", file=wish.within.name, n=n_outside)
+        )
     if wish.junctions:
         named = _named(left, roads, wish.junctions)
-        return named, [*notes, tr("Junctions not named: {n}.", n=len(left) - len(named))]
+        return named, [
+            *notes,
+            tr("Junctions not named: {n}.", n=len(left) - len(named)),
+        ]
     large = [one for one in left if len(one.surveyed.arms) >= wish.min_arms]
     lit = [one for one in large if one.surveyed.n_signals or not wish.signals_only]
     for few, all_of_them, said in (
@@ -243,7 +276,9 @@ def _counting(
     return lit, notes
 
 
-def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[CityJunction]:
+def _named(
+    found: Sequence[CityJunction], roads: SourceMap, text: str
+) -> list[CityJunction]:
     names = text.split(";")
     if Path(text).is_file():
         names = read_text(Path(text), "a list of junctions").splitlines()
@@ -251,7 +286,9 @@ def _named(found: Sequence[CityJunction], roads: SourceMap, text: str) -> list[C
     chosen: dict[int, CityJunction] = {}
     for name in filter(None, map(str.strip, names)):
         try:
-            surveyed = importing.choose_junction(roads, [one.surveyed for one in found], name=name)
+            surveyed = importing.choose_junction(
+                roads, [one.surveyed for one in found], name=name
+            )
         except InputError as error:
             raise InputError("--junctions", error.got, error.expected) from None
         chosen[id(surveyed)] = by_survey[id(surveyed)]
@@ -269,20 +306,30 @@ class CityValues:
     least_apr: FloatArray  # (n,)
     districts: tuple[tuple[str, tuple[int, ...]], ...]  # names and junctions
     notes: tuple[str, ...]  # Rows and districts that were not used
-    per_year: FloatArray | None = None  # (n,): accidents, where it is known in how many years
+    per_year: FloatArray | None = (
+        None  # (n,): accidents, where it is known in how many years
+    )
 
     def wishes(self, wish: CityWish, solved: Sequence[int]) -> CityWishes:
         """The wishes for the junctions that have a front, by their indices."""
         place = {index: row for row, index in enumerate(solved)}
-        districts, least_apr = [], wish.min_district_apr
+        districts = []
+        least_apr = wish.min_district_apr
         for name, members in self.districts:
-            rows = np.array([place[index] for index in members if index in place], dtype=np.int64)
+            rows = np.array(
+                [place[index] for index in members if index in place], dtype=np.int64
+            )
             if len(rows) and self.weight[list(members)].sum() > 0.0:
-                districts.append(District(name=name, junctions=rows, least_apr=least_apr))
+                districts.append(
+                    District(name=name, junctions=rows, least_apr=least_apr)
+                )
         limit = wish.budget_units
         if wish.units_per_year is not None and wish.years is not None:
             most = wish.units_per_year * wish.years
-            limit = most if limit is None else min(limit, most)
+            if limit is None:
+                limit = most
+            else:
+                limit = min(limit, most)
         return CityWishes(
             budget_units=limit,
             budget_eur=wish.budget_eur,
@@ -298,19 +345,29 @@ def load_values(city: City, wish: CityWish) -> CityValues:
     """
     places = np.array([one.position_m for one in city.junctions])
     crs = city.roads[0].crs
-    weight, source, notes = np.ones(len(places)), tr("every junction counts the same"), []
+    weight = np.ones(len(places))
+    source = tr("every junction counts the same")
+    notes = []
     if wish.weights_file == PROXY:
         weight = np.array([estimated_accidents(one.surveyed) for one in city.junctions])
-        source = tr("estimated from class and lanes of the roads and from traffic lights")
+        source = tr(
+            "estimated from class and lanes of the roads and from traffic lights"
+        )
         roads = [name for one in city.junctions for name, _ in one.surveyed.roads]
         if "" in roads:
             notes.append(
-                tr("The map does not say the class of all roads: there lanes count alone.")
+                tr(
+                    "The map does not say the class of all roads: there lanes count"
+                    " alone."
+                )
             )
     elif wish.weights_file is not None:
         weight, source, more = _weights(city, wish.weights_file, wish, places)
         notes += more
-    per_year = weight / wish.counted_years if wish.counted_years else None
+    if wish.counted_years:
+        per_year = weight / wish.counted_years
+    else:
+        per_year = None
     least = np.zeros(len(places))
     if wish.areas is not None:
         areas = read_areas(wish.areas, crs=crs)
@@ -335,7 +392,9 @@ def load_values(city: City, wish: CityWish) -> CityValues:
             else:
                 notes.append(tr("District {name}: no junction in it.", name=area.name))
         if not districts:
-            raise InputError("--districts", str(wish.districts), "areas with junctions in them")
+            raise InputError(
+                "--districts", str(wish.districts), "areas with junctions in them"
+            )
     if not weight.sum() > 0.0:
         refuse("--junction-weights", "only zeros", "a weight above 0")
     return CityValues(
@@ -351,7 +410,8 @@ def load_values(city: City, wish: CityWish) -> CityValues:
 def estimated_accidents(surveyed: importing.Surveyed) -> float:
     """Accidents at a junction in a year by its roads and signals, to compare it with others.
 
-    Formula, coefficients and traffic by class: ``experiments/data/junction_accidents.toml``.
+    Formula, coefficients and traffic by class:
+    ``experiments/data/junction_accidents.toml``.
     """
     table = load_data("experiments", "junction_accidents.toml")
     per_lane = table["vehicles_per_day_and_lane"]
@@ -364,10 +424,14 @@ def estimated_accidents(surveyed: importing.Surveyed) -> float:
     )
     if not flows:
         return 0.0
-    kind = "3 arms" if len(flows) <= 3 else "4 arms"
+    if len(flows) <= 3:
+        kind = "3 arms"
+    else:
+        kind = "4 arms"
     model = table["model"][f"{kind}, signals" if surveyed.n_signals else kind]
     # The two busiest arms are those of the major road.
-    major, minor = max(flows[0], 1), max(flows[min(2, len(flows) - 1)], 1)
+    major = max(flows[0], 1)
+    minor = max(flows[min(2, len(flows) - 1)], 1)
     return float(np.exp(model["a"]) * major ** model["b"] * minor ** model["c"])
 
 
@@ -390,7 +454,9 @@ def _weights(
             else:
                 lost.append(name)
         if len(lost) == len(counts.junctions):
-            raise InputError(f"{path}: junction", lost[0], "ids or names of junctions that count")
+            raise InputError(
+                f"{path}: junction", lost[0], "ids or names of junctions that count"
+            )
         source = tr("{file}, each row counts 1, by junction", **said)
         if counts.column:
             source = tr("{file}, column {column}, by junction", **said)
@@ -400,7 +466,13 @@ def _weights(
         return (
             weight,
             source,
-            [tr("{file}: rows of junctions that do not count, such as {first}: {n}.", **said)],
+            [
+                tr(
+                    "{file}: rows of junctions that do not count, such as {first}:"
+                    " {n}.",
+                    **said,
+                )
+            ],
         )
     nearest, distance = snap(counts.positions_m, places, within_m=wish.snap_m)
     is_near = nearest >= 0
@@ -409,15 +481,21 @@ def _weights(
         expected = f"places within {wish.snap_m:g} m (--snap) of a junction that counts"
         refuse("--junction-weights", got, expected)
     np.add.at(weight, nearest[is_near].astype(np.int64), counts.values[is_near])
-    source = tr("{file}, each place counts 1, at the nearest junction within {snap_m:g} m", **said)
+    source = tr(
+        "{file}, each place counts 1, at the nearest junction within {snap_m:g} m",
+        **said,
+    )
     if counts.column:
-        source = tr("{file}, column {column}, at the nearest junction within {snap_m:g} m", **said)
+        source = tr(
+            "{file}, column {column}, at the nearest junction within {snap_m:g} m",
+            **said,
+        )
     notes = []
     if not is_near.all():
         notes.append(
             tr(
-                "{file}: {n} of {all} places, which count {lost:g} of {total:g}, are farther than "
-                "{snap_m:g} m from every junction that counts: not used.",
+                "{file}: {n} of {all} places, which count {lost:g} of {total:g}, are"
+                " farther than {snap_m:g} m from every junction that counts: not used.",
                 n=int((~is_near).sum()),
                 all=len(is_near),
                 lost=float(counts.values[~is_near].sum()),
@@ -429,22 +507,38 @@ def _weights(
     n_zero = int((weight == 0.0).sum())
     if n_zero:
         notes.append(
-            tr("Junctions without a weight, which get nothing for themselves: {n}.", n=n_zero)
+            tr(
+                "Junctions without a weight, which get nothing for themselves: {n}.",
+                n=n_zero,
+            )
         )
     return weight, source, notes
 
 
-def _number(values: Mapping[str, object], where: str, name: str, otherwise: float) -> float:
+def _number(
+    values: Mapping[str, object], where: str, name: str, otherwise: float
+) -> float:
     """The number of a column; a least APR is a share."""
-    value, most = values.get(name), 1.0 if name == "min_apr" else np.inf
+    value = values.get(name)
+    if name == "min_apr":
+        most = 1.0
+    else:
+        most = np.inf
     if value is None:
         return otherwise
     try:
-        number = np.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+        # type: ignore[arg-type]
+        if isinstance(value, bool):
+            number = np.nan
+        else:
+            number = float(value)
     except (TypeError, ValueError):
         number = np.nan
     if not (np.isfinite(number) and 0.0 <= number <= most):
-        top = "" if most == np.inf else f" to {most:g}"
+        if most == np.inf:
+            top = ""
+        else:
+            top = f" to {most:g}"
         raise InputError(f"{where}: {name}", value, f"a number from 0{top}")
     return number
 
@@ -452,8 +546,8 @@ def _number(values: Mapping[str, object], where: str, name: str, otherwise: floa
 def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
     """Layouts of the units mounted already, by the name of the scene.
 
-    A folder of a city stands for the layouts that it chose. Raises InputError: a file is no layout,
-    two are of the same junction, or one is of none that counts.
+    A folder of a city stands for the layouts that it chose. Raises InputError: a file
+    is no layout, two are of the same junction, or one is of none that counts.
     """
     scenes = {one.scene_name for one in city.junctions}
     existing: dict[str, Layout] = {}
@@ -469,7 +563,9 @@ def load_existing(paths: Sequence[Path], city: City) -> dict[str, Layout]:
             name = layout.scene_name
             if name not in scenes:
                 expected = "a junction that counts, such as " + sorted(scenes)[0]
-                raise InputError(f"--keep {file}: scene", name or Unquoted("nothing"), expected)
+                raise InputError(
+                    f"--keep {file}: scene", name or Unquoted("nothing"), expected
+                )
             if name in existing:
                 raise InputError("--keep", str(file), f"one layout of {name}")
             existing[name] = layout

@@ -70,25 +70,39 @@ def render_city_report(
 ) -> str:
     """The city's report as one HTML page; it links the pages of the folders that have one."""
     by_cost = result.by == "cost"
-    budget = result.budget_eur if by_cost else result.budget_units
+    if by_cost:
+        budget = result.budget_eur
+    else:
+        budget = result.budget_units
     steps = result.front[:_MAX_STEPS]
     n_within = 0
     if budget is not None:
         n_within = sum(step.taken <= budget + 1e-6 for step in result.front)
     failed = [one for one in result.junctions if one.reason]
-    more = tr("What more money buys") if by_cost else tr("What more sensors buy")
+    if by_cost:
+        more = tr("What more money buys")
+    else:
+        more = tr("What more sensors buy")
     sections = [
         _section("junctions", tr("What each junction gets"), result, paged),
-        _section("front", more, result, partial(build_picture, front), steps, n_within, sums),
+        _section(
+            "front", more, result, partial(build_picture, front), steps, n_within, sums
+        ),
         _section("proof", tr("How good it is proven to be"), result),
-        *([_section("order", tr("What to order"), result, poles)] if result.purchases else []),
+        *(
+            [_section("order", tr("What to order"), result, poles)]
+            if result.purchases
+            else []
+        ),
         *([_section("not-done", tr("What was not done"), failed)] if failed else []),
         _section("assumptions", tr("What this rests on"), result, result.search),
         Section("again", tr("Make it again"), [Code(result.command)]),
     ]
     return page_template().render(
         title=tr("Roadside sensors for {maps}", maps=result.map_names),
-        overview=_templates().overview(result, partial(build_picture, city_map, narrow=narrow_map)),
+        overview=_templates().overview(
+            result, partial(build_picture, city_map, narrow=narrow_map)
+        ),
         answer=list(result.sentences[1:]),
         sections=sections,
         interactive=None,
@@ -100,9 +114,9 @@ def build_sums(
 ) -> dict[str, Any]:
     """What each sum of money or number of sensors buys, for a slider beside a map of streets.
 
-    ``stops`` are the steps of the city's front and the choice itself: what each says, and what it
-    changes at junctions, by their index, against the stop before. ``spots`` are the places of
-    these in the map: metres from its upper left corner.
+    ``stops`` are the steps of the city's front and the choice itself: what each says,
+    and what it changes at junctions, by their index, against the stop before. ``spots``
+    are the places of these in the map: metres from its upper left corner.
     """
     places = np.array(positions_m).reshape(-1, 2)
     streets, placed = build_street_map(maps, places)
@@ -114,16 +128,32 @@ def build_sums(
     for step in result.front:
         got = got | {index[step.folder]: step.units}
         states.append((step.taken, step.apr, got))
-    chosen = {number: one.units for number, one in enumerate(result.junctions) if one.units}
-    own = result.cost_eur if result.by == "cost" else float(result.units)
+    chosen = {
+        number: one.units for number, one in enumerate(result.junctions) if one.units
+    }
+    if result.by == "cost":
+        own = result.cost_eur
+    else:
+        own = float(result.units)
     best = result.stages[0].objective
-    states = [one for one in states if abs(one[0] - own) > _SAME or one[1] > best + TOLERANCE]
+    states = [
+        one for one in states if abs(one[0] - own) > _SAME or one[1] > best + TOLERANCE
+    ]
     states = sorted([*states, (own, best, chosen)], key=lambda one: one[:2])
     stops: list[dict[str, Any]] = []
     before: dict[int, int] = {}
     for taken, apr, now in states:
-        sets = {key: now.get(key, 0) for key in before | now if now.get(key) != before.get(key)}
-        at = {"taken": taken, "share": is_done * apr, "n": sum(now.values()), "served": len(now)}
+        sets = {
+            key: now.get(key, 0)
+            for key in before | now
+            if now.get(key) != before.get(key)
+        }
+        at = {
+            "taken": taken,
+            "share": is_done * apr,
+            "n": sum(now.values()),
+            "served": len(now),
+        }
         stops.append({**at, "sets": sets, "is_chosen": now is chosen})
         before = now
     used = sorted({number for stop in stops for number in stop["sets"]})
@@ -139,19 +169,29 @@ def build_sums(
 
 
 def render_junction_page(
-    one: CityJunctionRecord, record: CityFrontRecord, scene: Scene, layout: Layout, *, question: str
+    one: CityJunctionRecord,
+    record: CityFrontRecord,
+    scene: Scene,
+    layout: Layout,
+    *,
+    question: str,
 ) -> str:
     """The page of a junction: its units, its front, and how to look closer.
 
-    `question` is the name of the file of the runs that are driven, in the page's folder.
+    `question` is the name of the file of the runs that are driven, in the page's
+    folder.
     """
-    again = f"place-rsus evaluate --scene . --layout layout.json --question {question} --out report"
+    again = (
+        "place-rsus evaluate --scene . --layout layout.json --question"
+        f" {question} --out report"
+    )
     assert record.front is not None
     points = record.front.points
     chosen = next(
         index
         for index, point in enumerate(points)
-        if (point.units, point.cost_eur, point.apr) == (one.units, one.cost_eur, one.apr)
+        if (point.units, point.cost_eur, point.apr)
+        == (one.units, one.cost_eur, one.apr)
     )
     plan = partial(build_picture, _plot_units(scene, layout))
     front = partial(build_picture, plot_junction_front(record.front, chosen=chosen))
@@ -159,7 +199,12 @@ def render_junction_page(
     sections = [
         _section("plan", tr("Plan"), one, plan),
         _section(
-            *("front", tr("What money buys here"), points, points[chosen], front), macro="layouts"
+            "front",
+            tr("What money buys here"),
+            points,
+            points[chosen],
+            front,
+            macro="layouts",
         ),
         Section("closer", tr("Look closer"), [look, Code(again)]),
     ]
@@ -187,7 +232,9 @@ def _plot_units(scene: Scene, layout: Layout) -> Axes:
             arrowprops={"arrowstyle": "-|>", "color": VERMILION, "linewidth": 2.0},
             zorder=10,
         )
-        plan.plot([x], [y], marker="o", ms=7.0, mfc=VERMILION, mec="black", mew=0.6, zorder=11)
+        plan.plot(
+            [x], [y], marker="o", ms=7.0, mfc=VERMILION, mec="black", mew=0.6, zorder=11
+        )
     return plan
 
 
@@ -195,7 +242,14 @@ _AREA_PT2 = (70.0, 380.0)  # of the smallest and the largest circle
 _MAX_NAMED = 12
 _DOT: Style = {"linestyle": "none", "marker": "o"}
 _CHOSEN: Style = {
-    **{"linestyle": "none", "marker": "D", "ms": 7.5, "mfc": VERMILION, "mec": "black", "mew": 0.6},
+    **{
+        "linestyle": "none",
+        "marker": "D",
+        "ms": 7.5,
+        "mfc": VERMILION,
+        "mec": "black",
+        "mew": 0.6,
+    },
     **{"gid": "chosen", "zorder": 5},
 }
 
@@ -209,18 +263,21 @@ def plot_city_map(
 ) -> Axes:
     """Streets and buildings of the maps, and what each junction gets.
 
-    `positions_m`, (2,) of each junction of `result`, are in the first map's coordinates. Circles
-    grow with the gain and darken with the number of units, which stands in them. A small open
-    circle gets nothing, a cross was not done.
+    `positions_m`, (2,) of each junction of `result`, are in the first map's
+    coordinates. Circles grow with the gain and darken with the number of units, which
+    stands in them. A small open circle gets nothing, a cross was not done.
     """
-    places, junctions = np.array(positions_m).reshape(-1, 2), result.junctions
+    places = np.array(positions_m).reshape(-1, 2)
+    junctions = result.junctions
     axes = new_map_axes(maps, places, width_in=width_in)
     gain = np.array([max(one.gain, 0.0) for one in junctions])
     units = np.array([one.units for one in junctions])
     failed = np.array([bool(one.reason) for one in junctions])
     served = units > 0
     most = max(int(units.max(initial=1)), 1)
-    size = _AREA_PT2[0] + (_AREA_PT2[1] - _AREA_PT2[0]) * gain / max(gain.max(initial=0.0), 1e-12)
+    size = _AREA_PT2[0] + (_AREA_PT2[1] - _AREA_PT2[0]) * gain / max(
+        gain.max(initial=0.0), 1e-12
+    )
     order = np.flatnonzero(served)[np.argsort(-size[served], kind="stable")]
 
     def shade(n: int) -> Any:
@@ -239,7 +296,13 @@ def plot_city_map(
             gid=f"junction {junctions[index].id}",
         )
         dark = units[index] > 0.45 * most
-        _write(axes, units[index], places[index], fontsize=6.5, color="white" if dark else "black")
+        _write(
+            axes,
+            units[index],
+            places[index],
+            fontsize=6.5,
+            color="white" if dark else "black",
+        )
     names = [
         Label(
             text=f"{rank} {junctions[index].label}",
@@ -253,11 +316,25 @@ def plot_city_map(
     draw_labels(axes, names, marks_m=places)
     circle: Style = {**_DOT, "ms": 7.0, "mec": "black", "mew": 0.6}
     handles = [
-        Line2D([], [], mfc=shade(n), label=trn("{n} sensor", "{n} sensors", n), **circle)
+        Line2D(
+            [], [], mfc=shade(n), label=trn("{n} sensor", "{n} sensors", n), **circle
+        )
         for n in sorted(set(units[served].tolist()))
     ]
-    nothing = {"mfc": "white", "mec": "#444444", "mew": 0.9, "ms": 4.0, "label": tr("nothing")}
-    crossed = {"marker": "x", "mec": VERMILION, "mew": 1.4, "ms": 5.0, "label": tr("left out")}
+    nothing = {
+        "mfc": "white",
+        "mec": "#444444",
+        "mew": 0.9,
+        "ms": 4.0,
+        "label": tr("nothing"),
+    }
+    crossed = {
+        "marker": "x",
+        "mec": VERMILION,
+        "mew": 1.4,
+        "ms": 5.0,
+        "label": tr("left out"),
+    }
     for mask, style in ((~served & ~failed, nothing), (failed, crossed)):
         if mask.any():
             handles += axes.plot(*places[mask].T, zorder=4, **{**_DOT, **style})
@@ -274,14 +351,16 @@ def plot_city_map(
 
 def _write(axes: Axes, number: int, place: FloatArray, **style: Any) -> None:
     at: Style = {"xytext": (0.0, 0.0), "textcoords": "offset points", "zorder": 7}
-    axes.annotate(str(number), tuple(place), **{"ha": "center", "va": "center", **at, **style})
+    axes.annotate(
+        str(number), tuple(place), **{"ha": "center", "va": "center", **at, **style}
+    )
 
 
 def plot_city_front(result: CityResult) -> Axes:
     """Prevented accidents against money or units: who joins, and where the budget ends.
 
-    Each dot is the best choice for its cost. The diamond is the choice for the budget; above it,
-    the bound where that is higher.
+    Each dot is the best choice for its cost. The diamond is the choice for the budget;
+    above it, the bound where that is higher.
     """
     axes = new_axes(WIDTH_IN, 3.2)
     by_cost = result.by == "cost"
@@ -289,20 +368,37 @@ def plot_city_front(result: CityResult) -> Axes:
     y = [100.0 * result.apr_before, *(100.0 * step.apr for step in result.front)]
     axes.plot(x, y, color=BLUE, lw=1.0, zorder=2)
     axes.plot(x, y, ms=3.5, color=BLUE, zorder=3, gid="steps", **_DOT)
-    taken = result.cost_eur if by_cost else float(result.units)
+    if by_cost:
+        taken = result.cost_eur
+    else:
+        taken = float(result.units)
     stage = result.stages[0]
     axes.plot([taken], [100.0 * stage.objective], label=tr("chosen"), **_CHOSEN)
     if stage.bound is not None and stage.gap:
-        bar: Style = {"linestyle": "none", "marker": "_", "ms": 12.0, "mec": VERMILION, "mew": 2.0}
-        axes.vlines(taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0)
+        bar: Style = {
+            "linestyle": "none",
+            "marker": "_",
+            "ms": 12.0,
+            "mec": VERMILION,
+            "mew": 2.0,
+        }
+        axes.vlines(
+            taken, 100.0 * stage.objective, 100.0 * stage.bound, color=VERMILION, lw=2.0
+        )
         axes.plot([taken], [100.0 * stage.bound], label=tr("no choice is above"), **bar)
-    budget = result.budget_eur if by_cost else result.budget_units
+    if by_cost:
+        budget = result.budget_eur
+    else:
+        budget = result.budget_units
     if budget is not None:
         dotted: Style = {"color": "black", "lw": 0.8, "linestyle": (0, (2, 2))}
         axes.axvline(budget, label=tr("budget"), **dotted)
     axes.set_ylim(0.0, 104.0)
     axes.set_xlim(left=0.0)
-    label = tr("cost of sensors and poles (EUR)") if by_cost else tr("new sensors")
+    if by_cost:
+        label = tr("cost of sensors and poles (EUR)")
+    else:
+        label = tr("new sensors")
     return _finish_front(axes, label, tr("accidents prevented (%)"), by_cost=by_cost)
 
 
@@ -321,9 +417,18 @@ def plot_junction_front(front: JunctionFront, *, chosen: int) -> Axes:
         linestyle=(0, (3, 2)),
         label=tr("no layout is above"),
     )
-    axes.plot(cost, apr_percent, ms=5.0, color=BLUE, label=tr("layouts"), gid="points", **_DOT)
+    axes.plot(
+        cost, apr_percent, ms=5.0, color=BLUE, label=tr("layouts"), gid="points", **_DOT
+    )
     for x, y, point in zip(cost, apr_percent, front.points, strict=True):
-        _write(axes, point.units, np.array([x, y]), xytext=(0.0, -9.0), va="baseline", fontsize=6.5)
+        _write(
+            axes,
+            point.units,
+            np.array([x, y]),
+            xytext=(0.0, -9.0),
+            va="baseline",
+            fontsize=6.5,
+        )
     axes.plot([cost[chosen]], [apr_percent[chosen]], label=tr("chosen"), **_CHOSEN)
     axes.set_ylim(-8.0, 104.0)
     axes.set_xlim(-0.03 * end, end)

@@ -1,7 +1,8 @@
 """``place-rsus city``: fronts of many junctions, the choice among them, and a folder with all.
 
-The folder has a folder for each junction with its scene and front, written as soon as that is
-known; started again, only what is missing, or whose inputs have changed, is computed.
+The folder has a folder for each junction with its scene and front, written as soon as
+that is known; started again, only what is missing, or whose inputs have changed, is
+computed.
 """
 
 from collections import Counter
@@ -39,7 +40,13 @@ from ..language import speaking, tr
 from ..parts.bill_of_materials import build_bill
 from ..progress import WRITING, StageProgress
 from ..results.drives import versions
-from ..results.folders import LAYOUT_FILE, check_folder, sha256, write_files, write_manifest
+from ..results.folders import (
+    LAYOUT_FILE,
+    check_folder,
+    sha256,
+    write_files,
+    write_manifest,
+)
 from ..results.record import Record, to_plain
 from ..results.tables import csv_text
 from ..side_process import LocalWorkers, in_processes
@@ -64,8 +71,11 @@ from .answer import (
 )
 from .workers import JunctionTask, check_memory, run_junctions
 
-REPORT, GEOPACKAGE, QUESTION = "report.html", "city.gpkg", "question.toml"
-JUNCTION_TABLE, POLE_TABLE = "junctions.csv", "poles.csv"
+REPORT = "report.html"
+GEOPACKAGE = "city.gpkg"
+QUESTION = "question.toml"
+JUNCTION_TABLE = "junctions.csv"
+POLE_TABLE = "poles.csv"
 CITY_VERSION = 3
 """Counts up when the same inputs give another front: older ones in a folder are made anew."""
 
@@ -94,10 +104,11 @@ def run_city(
 ) -> CityResult:
     """Choose the units of each junction of a city, and write the answer.
 
-    `question` has the runs and sensors at each junction; `maps` those with roads, and others with
-    buildings; `memory` is the most of each worker; `out` is new, empty, or of the same city; `tell`
-    gets the amount of work and the workers. Raises InputError: a file cannot be read, the maps
-    overlap, no junction can be solved, a wish cannot be met, or the folder is of something else.
+    `question` has the runs and sensors at each junction; `maps` those with roads, and
+    others with buildings; `memory` is the most of each worker; `out` is new, empty, or
+    of the same city; `tell` gets the amount of work and the workers. Raises InputError:
+    a file cannot be read, the maps overlap, no junction can be solved, a wish cannot be
+    met, or the folder is of something else.
     """
     check_folder(out)
     progress.kept = f"nothing was written to {out}"
@@ -114,14 +125,29 @@ def run_city(
     task_of = _task_maker(city, question, search, grid, existing=existing, seed=seed)
     done = _find_done(out, city, task_of)
     n_todo = len(city.junctions) - len(done)
-    said = {"n": len(city.junctions), "all": city.n_all, "done": len(done), "source": values.source}
-    tell(tr("Junctions: {n} of {all}; done already: {done}. Weights: {source}.", **said))
-    progress.kept = f"junctions that are done are kept in {out}; the same command goes on"
+    said = {
+        "n": len(city.junctions),
+        "all": city.n_all,
+        "done": len(done),
+        "source": values.source,
+    }
+    tell(
+        tr("Junctions: {n} of {all}; done already: {done}. Weights: {source}.", **said)
+    )
+    progress.kept = (
+        f"junctions that are done are kept in {out}; the same command goes on"
+    )
     if n_todo:
         todo = {one.scene_name: one for one in city.junctions if one.folder not in done}
         n_processes = min(n_workers, n_todo)
         with LocalWorkers(n_processes, max_bytes=max_bytes) as started:
-            tell(tr("Workers: {n}, of at most {memory} memory each.", n=n_processes, memory=memory))
+            tell(
+                tr(
+                    "Workers: {n}, of at most {memory} memory each.",
+                    n=n_processes,
+                    memory=memory,
+                )
+            )
             progress(SOLVE, len(done), len(city.junctions))
             for task, answer in run_junctions(started, map(task_of, todo.values())):
                 one = todo[task.options.name]
@@ -132,11 +158,18 @@ def run_city(
                 progress(SOLVE, len(done), len(city.junctions))
     unchanged = _update_manifest(out, manifest, city, done)
     progress("choose", 0, 0)
-    result = choose_for_city(out, city, values, done, wish=wish, search=search, existing=existing)
+    result = choose_for_city(
+        out, city, values, done, wish=wish, search=search, existing=existing
+    )
     result = replace(result, command=command, computed=n_todo, versions=versions())
     served = _write_served(
         _served_tasks(
-            out, result, question=question, existing=existing, grid=grid, same_fronts=unchanged
+            out,
+            result,
+            question=question,
+            existing=existing,
+            grid=grid,
+            same_fronts=unchanged,
         ),
         n_workers,
         progress,
@@ -155,7 +188,9 @@ def _begin(out: Path, city: inputs.City) -> CityManifest:
     path = out / MANIFEST
     if not path.exists():
         if out.is_dir() and any(out.iterdir()):
-            refuse("--out", f"{out}, which holds other things", "a new folder, or a city's")
+            refuse(
+                "--out", f"{out}, which holds other things", "a new folder, or a city's"
+            )
         write_files(out, {MANIFEST: _json(new)})
         return new
     found = load_manifest(path)
@@ -181,7 +216,9 @@ def _json(record: Record) -> bytes:
 _TaskOf = Callable[[inputs.CityJunction], JunctionTask]
 
 
-def _find_done(out: Path, city: inputs.City, task_of: _TaskOf) -> dict[str, CityFrontRecord]:
+def _find_done(
+    out: Path, city: inputs.City, task_of: _TaskOf
+) -> dict[str, CityFrontRecord]:
     """Fronts of the same question, by their junction's folder; without layouts."""
     found = {}
     for one in city.junctions:
@@ -194,7 +231,10 @@ def _find_done(out: Path, city: inputs.City, task_of: _TaskOf) -> dict[str, City
 
 
 def _update_manifest(
-    out: Path, manifest: CityManifest, city: inputs.City, done: dict[str, CityFrontRecord]
+    out: Path,
+    manifest: CityManifest,
+    city: inputs.City,
+    done: dict[str, CityFrontRecord],
 ) -> set[str]:
     """Write the manifest with all fronts; folders whose fronts were there before."""
     before = {entry.folder: entry.sha256 for entry in manifest.junctions}
@@ -211,7 +251,11 @@ def _update_manifest(
     others = [entry for entry in manifest.junctions if entry.folder not in entries]
     junctions = (*entries.values(), *others)
     write_files(out, {MANIFEST: _json(replace(manifest, junctions=junctions))})
-    same = (folder for folder, entry in entries.items() if before.get(folder) == entry.sha256)
+    same = (
+        folder
+        for folder, entry in entries.items()
+        if before.get(folder) == entry.sha256
+    )
     return {f"{inputs.JUNCTIONS}/{folder}" for folder in same}
 
 
@@ -226,19 +270,33 @@ def _task_maker(
 ) -> _TaskOf:
     """Function of a junction: its task, made when it is asked for.
 
-    The key of each is a hash of all that the front depends on, the program's code included.
+    The key of each is a hash of all that the front depends on, the program's code
+    included.
     """
     around = {
         source.name: Neighbourhoods([source, *city.others], radius_m=search.radius_m)
         for source in city.roads
     }
     sites = Path(search.sites)
-    listed = sha256(sites) if sites.is_file() else ""
-    weighed = [sha256(path) for path in weight_files(question.weights) if path.is_file()]
+    if sites.is_file():
+        listed = sha256(sites)
+    else:
+        listed = ""
+    weighed = [
+        sha256(path) for path in weight_files(question.weights) if path.is_file()
+    ]
     code = [hash_of_files(package) for package in ALL_PACKAGES]
     prints = Fingerprints()
     same = prints.of(
-        *(CITY_VERSION, code, seed, listed, search.radius_m, search.sites, question, grid), weighed
+        CITY_VERSION,
+        code,
+        seed,
+        listed,
+        search.radius_m,
+        search.sites,
+        question,
+        grid,
+        weighed,
     )
 
     def task_of(one: inputs.CityJunction) -> JunctionTask:
@@ -249,7 +307,8 @@ def _task_maker(
             time_limit_s=search.max_junction_s,
             existing=existing.get(one.scene_name),
         )
-        # Lanes and things lie around several junctions and are hashed once; maps are cut out anew.
+        # Lanes and things lie around several junctions and are hashed once; maps are
+        # cut out anew.
         parts = [[getattr(part, field.name) for field in fields(part)] for part in maps]
         limits = (wishes.max_units, wishes.time_limit_s, wishes.existing)
         return JunctionTask(
@@ -295,7 +354,8 @@ class Served:
 
 def write_served(task: ServedTask) -> Served:
     """Write layout, question and page of a junction if they are new; returns its rows."""
-    one, question = task.one, task.question
+    one = task.one
+    question = task.question
     folder = task.out / one.folder
     scene = load_scene_folder(folder)
     layout = layout_from_records(
@@ -316,7 +376,12 @@ def write_served(task: ServedTask) -> Served:
             kept_ids=[unit.id for unit in existing if unit.id in names],
         )
         items = [
-            (item.part, item.name if item.part == "sensor" else item.kind, item.count, item.sum_eur)
+            (
+                item.part,
+                item.name if item.part == "sensor" else item.kind,
+                item.count,
+                item.sum_eur,
+            )
             for item in (*bill.sensors, *bill.sites)
             if item.count
         ]
@@ -327,12 +392,16 @@ def write_served(task: ServedTask) -> Served:
             record = load_front(folder / FRONT)
             assert record is not None
             with speaking(task.language):  # it may be in another process
-                page = pages.render_junction_page(one, record, scene, layout, question=QUESTION)
+                page = pages.render_junction_page(
+                    one, record, scene, layout, question=QUESTION
+                )
             files[REPORT] = page.encode()
         write_files(folder, files)
     head = {"junction": one.id, "name": one.name, "year": one.year}
     placed = [head | unit for unit in placed_records(layout, scene)]
-    return Served(items=tuple(items), units=tuple(placed), poles=tuple(_poles(one, scene, placed)))
+    return Served(
+        items=tuple(items), units=tuple(placed), poles=tuple(_poles(one, scene, placed))
+    )
 
 
 def _write_served(
@@ -341,7 +410,9 @@ def _write_served(
     """Write what junctions with units have, by several processes where many are new."""
     progress(SERVE, 0, len(tasks))
     served = {}
-    n_processes = min(n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS)
+    n_processes = min(
+        n_workers, sum(task.is_new for task in tasks) // _NEW_FOR_A_PROCESS
+    )
     for task, answer in in_processes(write_served, tasks, n=n_processes):
         served[task.one.folder] = answer
         progress(SERVE, len(served), len(tasks))
@@ -359,15 +430,18 @@ def _served_tasks(
 ) -> list[ServedTask]:
     """A task for each junction with units; layouts and pages of the others are removed.
 
-    `same_fronts` are folders whose fronts are those of the last call: where it chose the same,
-    nothing is written again. The junctions that gain most get pages.
+    `same_fronts` are folders whose fronts are those of the last call: where it chose
+    the same, nothing is written again. The junctions that gain most get pages.
     """
     sensors = {model.name: model for model in grid.sensors}
     for layout in existing.values():
         sensors |= {unit.sensor.name: unit.sensor for unit in layout.units}
     last = load_summary(out / SUMMARY)
     same = {}
-    if last is not None and (last.versions, last.language) == (result.versions, result.language):
+    if last is not None and (last.versions, last.language) == (
+        result.versions,
+        result.language,
+    ):
         same = {one.folder: one for one in last.junctions if one.folder in same_fronts}
     asked = question_text(question).encode()
     served = [one for one in result.junctions if one.layout and not one.reason]
@@ -412,7 +486,9 @@ def _purchases(served: Iterable[Served]) -> tuple[CityPurchaseRecord, ...]:
             count[part, name] += n
             cents[part, name] += round(100.0 * (sum_eur or 0.0))
     return tuple(
-        CityPurchaseRecord(part=key[0], name=key[1], count=n, sum_eur=cents[key] / 100.0)  # type: ignore[arg-type]
+        CityPurchaseRecord(
+            part=key[0], name=key[1], count=n, sum_eur=cents[key] / 100.0
+        )  # type: ignore[arg-type]
         for key, n in count.most_common()
     )
 
@@ -443,7 +519,9 @@ def write_city(
     }
     (out / GEOPACKAGE).unlink(missing_ok=True)
     if city.roads[0].crs:
-        tables[GEOPACKAGE] = _to_geopackage(units, poles, result.junctions, crs=city.crs)
+        tables[GEOPACKAGE] = _to_geopackage(
+            units, poles, result.junctions, crs=city.crs
+        )
     places = {one.folder: one.position_m for one in city.junctions}
     position = [places[one.folder.split("/", 1)[1]] for one in result.junctions]
     maps = [*city.roads, *city.others]
@@ -453,7 +531,9 @@ def write_city(
     tables["map.png"] = to_png(drawn)
     tables["front.png"] = to_png(front)
     write_files(out, tables)
-    paged = {one.folder for one in result.junctions if (out / one.folder / REPORT).exists()}
+    paged = {
+        one.folder for one in result.junctions if (out / one.folder / REPORT).exists()
+    }
     sums = pages.build_sums(maps, position, result)
     report = pages.render_city_report(
         result, drawn, narrow, front, sums=sums, poles=poles, paged=paged
@@ -508,10 +588,14 @@ def _to_geopackage(
     def places(rows: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
         for row in rows:
             here = [row["map_x"], row["map_y"]]
-            yield here if row["map_crs"] == crs else transform(here, row["map_crs"], crs)
+            yield (
+                here if row["map_crs"] == crs else transform(here, row["map_crs"], crs)
+            )
 
     rows = [{name: getattr(one, name) for name in columns} for one in junctions]
-    points = gpd.points_from_xy([one.x for one in junctions], [one.y for one in junctions])
+    points = gpd.points_from_xy(
+        [one.x for one in junctions], [one.y for one in junctions]
+    )
     layers = [(inputs.JUNCTIONS, "Point", rows, points)]
     if units:
         heights_m = [unit.get("map_z", unit["z_m"]) for unit in units]

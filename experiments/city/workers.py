@@ -52,19 +52,32 @@ def run_junction(task: JunctionTask) -> JunctionAnswer:
         notes = tuple(str(note) for note in imported.scene.notes)
         with tempfile.TemporaryDirectory() as folder:
             save_scene(Path(folder), imported.scene, sources=imported.sources)
-            files = {path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())}
+            files = {
+                path.name: read_bytes(path) for path in sorted(Path(folder).iterdir())
+            }
         solved = solve_junction(
-            imported.scene, task.question, task.wishes, compute=Compute(seed=task.seed, workers=1)
+            imported.scene,
+            task.question,
+            task.wishes,
+            compute=Compute(seed=task.seed, workers=1),
         )
     except (InputError, TimeUpError) as error:
-        # Another time, the machine may be less busy, and what it compiles once is compiled.
+        # Another time, the machine may be less busy, and what it compiles once is
+        # compiled.
         is_final = isinstance(error, InputError)
-        cause = cause_of(error) if isinstance(error, InputError) else "time"
+        if isinstance(error, InputError):
+            cause = cause_of(error)
+        else:
+            cause = "time"
         failed = _failed(task, str(error), cause=cause, is_final=is_final, notes=notes)
         return JunctionAnswer(failed, files)
     found = {one.name: getattr(solved, one.name) for one in fields(solved)}
-    found["layouts"] = tuple(build_unit_records(one) if one else () for one in solved.layouts)
-    return JunctionAnswer(_record(task, scene=imported.scene.name, notes=notes, **found), files)
+    found["layouts"] = tuple(
+        build_unit_records(one) if one else () for one in solved.layouts
+    )
+    return JunctionAnswer(
+        _record(task, scene=imported.scene.name, notes=notes, **found), files
+    )
 
 
 def _failed(task: JunctionTask, reason: str, **more: Any) -> CityFrontRecord:
@@ -73,11 +86,16 @@ def _failed(task: JunctionTask, reason: str, **more: Any) -> CityFrontRecord:
 
 
 def _record(task: JunctionTask, **found: Any) -> CityFrontRecord:
-    source, junction = task.maps[0].name, task.chosen.junction
+    source = task.maps[0].name
+    junction = task.chosen.junction
     peak_mib = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, 1)
     head = {"scene": f"{Path(source).stem}/{junction.id}", "peak_memory_mib": peak_mib}
     return CityFrontRecord(
-        key=task.key, id=junction.id, name=junction.name, map=source, **{**head, **found}
+        key=task.key,
+        id=junction.id,
+        name=junction.name,
+        map=source,
+        **{**head, **found},
     )
 
 
@@ -89,7 +107,9 @@ def check_memory(text: str) -> int:
         power = "kmgt".find(found[2] or "-") + 1
         size = float(found[1]) * (1024 if found[3] else 1000) ** power
     if not 2**28 <= size <= 2**60:
-        raise InputError("--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB")
+        raise InputError(
+            "--worker-memory", text, "an amount such as 1.5GiB, at least 0.25GiB"
+        )
     return int(size)
 
 
@@ -103,12 +123,19 @@ def run_junctions(
 def _unsolved(task: JunctionTask, error: BaseException) -> JunctionAnswer:
     """Answer to a task that failed for no reason of its own, or whose worker died."""
     if isinstance(error, WorkerDiedError):
-        of, cause = (f" of {error}", "memory") if str(error) else ("", "")
+        if str(error):
+            of, cause = (f" of {error}", "memory")
+        else:
+            of, cause = ("", "")
         remedy = "more --worker-memory, or fewer poses"
         reason = f"its worker died{of}, {TRIES} times: {remedy}"
     else:
         # Other errors come with their kind in the text.
-        kind = f"{type(error).__name__}: " if isinstance(error, OSError) else ""
-        text, cause = " ".join(f"{kind}{error}".split())[:200], ""
+        if isinstance(error, OSError):
+            kind = f"{type(error).__name__}: "
+        else:
+            kind = ""
+        text = " ".join(f"{kind}{error}".split())[:200]
+        cause = ""
         reason = f"an unexpected error, {TRIES} times: {text}"
     return JunctionAnswer(_failed(task, reason, cause=cause, is_final=False), {})

@@ -1,7 +1,7 @@
 """Answers of placements, evaluations and comparisons as lists of parts, for a terminal.
 
-Parts that are short fit on a screen together: what is not avoided, what to mount, the proof, and
-what it is compared with. With ``--verbose`` all are printed.
+Parts that are short fit on a screen together: what is not avoided, what to mount, the
+proof, and what it is compared with. With ``--verbose`` all are printed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,16 +33,25 @@ from ..parts.baselines import Score
 from ..parts.comparison import HIGHEST, Compared
 from ..parts.result import ComparisonResult, EvaluationResult, PlacementResult, Result
 from ..parts.section import Table
-from ..results.numbers import first_of, grouped, layout_words, number, percent, shortened
+from ..results.numbers import (
+    first_of,
+    grouped,
+    layout_words,
+    number,
+    percent,
+    shortened,
+)
 from ..results.record import EvaluationRecord, PartyAprRecord, UnitRecord
 from .terminal import basis, first_reasons
 
-_MAX_UNITS, _MAX_SHORT_UNITS = 24, 12
+_MAX_UNITS = 24
+_MAX_SHORT_UNITS = 12
 _NAME_WIDTH = 40
 _VUT_ALONE = mark("VUT alone")
 _EVALUATED = mark("Evaluated by full perception and emergency braking:")
 _NO_RUNS = mark("none")
-_MOST_ASSUMED, _MAX_DISAGREEMENTS = 4, 5
+_MOST_ASSUMED = 4
+_MAX_DISAGREEMENTS = 5
 _Apr = PartyAprRecord | Score
 
 
@@ -64,7 +73,9 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
     if result.baselines.expert is not None:
         parties[tr("expert rule, fused")] = result.baselines.expert.score
     further = explanation.next_unit_sentence(result.next_unit, proof.measure_of(result))
-    best = say("terminal.best", n=len(result.layout), poses=result.candidates, **basis(result))
+    best = say(
+        "terminal.best", n=len(result.layout), poses=result.candidates, **basis(result)
+    )
     note = tr("{fused}; greedy: units chosen one by one.", fused=_together(result))
     return [
         *_head(result),
@@ -83,7 +94,9 @@ def placement_parts(result: PlacementResult, out: Path) -> list[Part]:
         *_explained(result),
         *_besides(result),
         Part(
-            words=[say("terminal.disagree", share=percent(result.surrogate_disagreement))],
+            words=[
+                say("terminal.disagree", share=percent(result.surrogate_disagreement))
+            ],
             notes=_disagreements(result.disagreements),
         ),
         _last(out),
@@ -98,12 +111,17 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
         alone.sort(key=lambda item: item[1].all or 0.0, reverse=True)
     shown = dict(alone[:_MAX_UNITS])
     n_left = len(alone) - len(shown)
-    more = tr("and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left)
+    more = tr(
+        "and {n} more units, none of a higher APR by itself: in apr.csv", n=n_left
+    )
     if out is None:
         more = say("terminal.more_units", n=n_left)
-    units, cost = [unit for unit in result.layout if unit.id in shown], _cost(result)
+    units = [unit for unit in result.layout if unit.id in shown]
+    cost = _cost(result)
     is_long = len(units) > _MAX_SHORT_UNITS
-    in_short = tr("{name}: {n} units; {cost}.", n=len(result.layout), name=result.name, cost=cost)
+    in_short = tr(
+        "{name}: {n} units; {cost}.", n=len(result.layout), name=result.name, cost=cost
+    )
     parties: dict[str, _Apr] = {
         **shown,
         tr("all, fused"): evaluation.judged,
@@ -120,7 +138,12 @@ def evaluation_parts(result: EvaluationResult, out: Path | None) -> list[Part]:
             is_short=not is_long,
         ),
         *([_said(in_short)] if is_long else []),
-        *_judged(result, {}, parties, tr("each unit by itself; {fused}.", fused=_together(result))),
+        *_judged(
+            result,
+            {},
+            parties,
+            tr("each unit by itself; {fused}.", fused=_together(result)),
+        ),
         _said(*answer.doubts(result)),
         _said(*answer.private_ground(result)),
         _last(out),
@@ -135,7 +158,10 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
     for name, evaluation in {result.name: result.evaluation, **judged}.items():
         parties[name] = evaluation.judged
         alone = tr("{name} alone", name=name)
-        other_view = alone if result.cars else tr("{name} and VUT", name=name)
+        if result.cars:
+            other_view = alone
+        else:
+            other_view = tr("{name} and VUT", name=name)
         parties[other_view] = _other_view(evaluation)[1]
     if result.baselines and result.baselines.expert is not None:
         parties[tr(comparison.EXPERT)] = result.baselines.expert.score
@@ -154,7 +180,11 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
             )
             for name, other in others.items()
             for over, alone, runs in (
-                (mark("Runs gained over {name}:"), mark("Runs gained:"), other.runs_gained),
+                (
+                    mark("Runs gained over {name}:"),
+                    mark("Runs gained:"),
+                    other.runs_gained,
+                ),
                 (mark("Runs lost over {name}:"), mark("Runs lost:"), other.runs_lost),
             )
         ),
@@ -163,13 +193,18 @@ def comparison_parts(result: ComparisonResult, out: Path | None) -> list[Part]:
 
 
 def _judged(
-    result: Result, others: Mapping[str, Compared], parties: Mapping[str, _Apr], note: str
+    result: Result,
+    others: Mapping[str, Compared],
+    parties: Mapping[str, _Apr],
+    note: str,
 ) -> list[Part]:
     """The layout, `others`, and the APR of all `parties` by the evaluator."""
-    title, notes = tr(_EVALUATED), failure_notes(result.evaluation)
+    title = tr(_EVALUATED)
+    notes = failure_notes(result.evaluation)
     if isinstance(result, ComparisonResult):
         values = {"name": result.name, "names": ", ".join(others), **basis(result)}
-        title, notes = tr("{name} against {names} on {runs} runs{cars}:", **values), []
+        title = tr("{name} against {names} on {runs} runs{cars}:", **values)
+        notes = []
     summary = _summary_table(result, others)
     return [
         Part(title=title, table=summary, notes=notes, is_short=True),
@@ -200,13 +235,25 @@ def _impacts(result: Result, others: Mapping[str, Compared]) -> Part:
         tr(_VUT_ALONE): result.evaluation.vut,
     }
     left = ", ".join(
-        f"{name} {number(party.mean_impact_speed_kmh, 1)}" for name, party in parties.items()
+        f"{name} {number(party.mean_impact_speed_kmh, 1)}"
+        for name, party in parties.items()
     )
-    words = [tr("Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.", speeds=left)]
+    words = [
+        tr(
+            "Mean speed of the VUT at contact, avoided runs as 0: {speeds} km/h.",
+            speeds=left,
+        )
+    ]
     if result.score != AVOIDED:
-        scores = ", ".join(f"{name} {percent(party.score)}" for name, party in parties.items())
+        scores = ", ".join(
+            f"{name} {percent(party.score)}" for name, party in parties.items()
+        )
         words.append(
-            tr("Score ({score}) by the evaluator: {scores}.", score=result.score, scores=scores)
+            tr(
+                "Score ({score}) by the evaluator: {scores}.",
+                score=result.score,
+                scores=scores,
+            )
         )
     return Part(words=words, is_short=result.score != AVOIDED)
 
@@ -229,7 +276,11 @@ def _head(result: Result) -> list[Part]:
         _said(*result.driven[:1], *result.without_effect),
         Part(notes=first_reasons(result.driven)),
         *([_said(*road_users.words(groups))] if groups else []),
-        *([Part(table=road_users.table(groups))] if groups and len(groups.groups) > 1 else []),
+        *(
+            [Part(table=road_users.table(groups))]
+            if groups and len(groups.groups) > 1
+            else []
+        ),
         *assumption_parts(result),
     ]
 
@@ -245,9 +296,11 @@ def assumption_parts(result: Result) -> list[Part]:
         Part(
             title=tr("Assumed, for the map does not say it:"),
             words=assumed[:_MOST_ASSUMED],
-            notes=[tr("and {n} more: in the report and `scene show`", n=n_left)]
-            if n_left > 0
-            else [],
+            notes=(
+                [tr("and {n} more: in the report and `scene show`", n=n_left)]
+                if n_left > 0
+                else []
+            ),
         ),
     ]
 
@@ -268,14 +321,21 @@ def _explained(result: PlacementResult) -> list[Part]:
 def _sampled(result: PlacementResult | ComparisonResult) -> list[Part]:
     if result.sampled is None:
         return []
-    words, n_first = answer.uncertainty(result), 1 if result.sampled.growth is None else 2
+    words = answer.uncertainty(result)
+    if result.sampled.growth is None:
+        n_first = 1
+    else:
+        n_first = 2
     table = sampled_worlds.table(result.sampled)
     return [_said(*words[:n_first]), Part(words=words[n_first:], table=table)]
 
 
 def _last(out: Path | None) -> Part:
     """Where the rest is."""
-    written = [] if out is None else [tr("Written to {out}: report.html and more.", out=out)]
+    if out is None:
+        written = []
+    else:
+        written = [tr("Written to {out}: report.html and more.", out=out)]
     return _said(*written, tr("--verbose prints why, APR by case, and all else."))
 
 
@@ -283,9 +343,15 @@ def _units_table(units: Sequence[UnitRecord]) -> Table:
     """Units, where they are mounted and look."""
     rows = []
     for unit in units:
-        site = tr("{site} (assumed)", site=unit.site) if unit.assumed else unit.site
+        if unit.assumed:
+            site = tr("{site} (assumed)", site=unit.site)
+        else:
+            site = unit.site
         angle = abs(unit.pitch_deg)
-        tilt = tr("{angle:.1f} up", angle=angle) if angle else tr("level")
+        if angle:
+            tilt = tr("{angle:.1f} up", angle=angle)
+        else:
+            tilt = tr("level")
         if unit.pitch_deg < 0.0:
             tilt = tr("{angle:.1f} down", angle=angle)
         bearing = compass_bearing_deg(unit.yaw_deg)
@@ -301,9 +367,13 @@ def unit_notes(units: Sequence[UnitRecord]) -> list[str]:
     """How the table of units is to be read, and what they are, if not the default."""
     units_of = grouped((unit.camera or unit.lidar or "", unit.id) for unit in units)
     models = "; ".join(f"{model} ({', '.join(ids)})" for model, ids in units_of.items())
-    is_default = set(units_of) == {sensor.name for sensor in load_candidate_grid().sensors}
+    is_default = set(units_of) == {
+        sensor.name for sensor in load_candidate_grid().sensors
+    }
     bearing = tr("bearing: degrees clockwise from north")
-    return [bearing] if is_default else [bearing, tr("models: {models}", models=models)]
+    if is_default:
+        return [bearing]
+    return [bearing, tr("models: {models}", models=models)]
 
 
 def _cost(result: Result) -> str:
@@ -346,14 +416,22 @@ def _summary_table(result: Result, others: Mapping[str, Compared]) -> Table:
         rows.append([tr(name), str(len(expert.layout)), *shares, study.get(name)])
     if found is not None and found.random is not None:
         name = tr("random, mean of {n} on the table", n=found.random.layouts)
-        rows.append([name, str(found.random.units), percent(found.random.mean), "", None])
+        rows.append(
+            [name, str(found.random.units), percent(found.random.mean), "", None]
+        )
     columns = ["", *listed("layouts in short")]
-    n_columns = len(columns) if study else len(columns) - 1
+    if study:
+        n_columns = len(columns)
+    else:
+        n_columns = len(columns) - 1
     return Table(
         caption=tr("APR"),
         columns=columns[:n_columns],
         rows=[
-            [shortened(row[0] or "", _NAME_WIDTH), *(cell or "" for cell in row[1:n_columns])]
+            [
+                shortened(row[0] or "", _NAME_WIDTH),
+                *(cell or "" for cell in row[1:n_columns]),
+            ]
             for row in rows
         ],
         numeric=range(1, n_columns),
@@ -387,7 +465,10 @@ def _together(result: Result) -> str:
 
 def _announced(evaluation: EvaluationRecord) -> dict[str, PartyAprRecord]:
     """Road users who announce themselves, where there are any."""
-    parties = {tr("VAM alone"): evaluation.vam, tr("all and VAM"): evaluation.all_sources}
+    parties = {
+        tr("VAM alone"): evaluation.vam,
+        tr("all and VAM"): evaluation.all_sources,
+    }
     return {name: party for name, party in parties.items() if party is not None}
 
 
@@ -395,9 +476,15 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
     """APR by case and by position along the arms: a row for each, a column per party."""
     all_of = list(parties.values())
     first = all_of[0]
-    positions = list(first.by_position) if len(first.by_position) > 1 else []
+    if len(first.by_position) > 1:
+        positions = list(first.by_position)
+    else:
+        positions = []
     rows = [[tr("all runs"), *(percent(party.all) for party in all_of)]]
-    rows += [[case, *(percent(party.by_case[case]) for party in all_of)] for case in first.by_case]
+    rows += [
+        [case, *(percent(party.by_case[case]) for party in all_of)]
+        for case in first.by_case
+    ]
     rows += [
         [
             tr("at {position} m", position=at),
@@ -406,7 +493,9 @@ def _apr_table(parties: Mapping[str, _Apr]) -> Table:
         for at in positions
     ]
     numeric = range(1, 1 + len(parties))
-    return Table(caption=tr("APR"), columns=[tr("APR"), *parties], rows=rows, numeric=numeric)
+    return Table(
+        caption=tr("APR"), columns=[tr("APR"), *parties], rows=rows, numeric=numeric
+    )
 
 
 def failure_notes(evaluation: EvaluationRecord) -> list[str]:
@@ -420,7 +509,9 @@ def failure_notes(evaluation: EvaluationRecord) -> list[str]:
 def _disagreements(found: Sequence[Disagreement]) -> list[str]:
     """Runs that table and evaluator see differently, the first few."""
     by_table = mark("{one.party} in {one.run_id}: only the table avoids; {cause}")
-    by_evaluator = mark("{one.party} in {one.run_id}: only the evaluator avoids; {cause}")
+    by_evaluator = mark(
+        "{one.party} in {one.run_id}: only the evaluator avoids; {cause}"
+    )
     lines = [
         tr(by_table if one.on_table else by_evaluator, one=one, cause=said(one.cause))
         for one in found[:_MAX_DISAGREEMENTS]
@@ -433,7 +524,8 @@ def _more(n_left: int) -> str:
     return tr("and {n} more in summary.json", n=n_left)
 
 
-_MAX_RUNS, _MAX_MISSED = 3, 8
+_MAX_RUNS = 3
+_MAX_MISSED = 8
 
 
 def explanation_parts(explained: explanation.ExplainedRecord) -> list[Part]:
@@ -473,7 +565,9 @@ def _said_of(entry: Unavoided) -> dict[str, str]:
 
 def _missed_in_short(group: Sequence[Unavoided]) -> str:
     first = group[0]
-    values = _said_of(first) | {"runs": first_of([entry.run for entry in group], _MAX_RUNS)}
+    values = _said_of(first) | {
+        "runs": first_of([entry.run for entry in group], _MAX_RUNS)
+    }
     if first.reasons and first.rescue:
         return say("terminal.missed", **values)
     if first.reasons:

@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from ..parts.certified import CertifiedResult
 
 _ASKED = ("budget", "budget_cost", *options.fields_in(options.MOUNTED))
-_SOUGHT = ("solver", "time_limit_s", "gap", "fusion", "samples", "uncertainty", "traffic")
+_SOUGHT = (
+    "solver",
+    "time_limit_s",
+    "gap",
+    "fusion",
+    "samples",
+    "uncertainty",
+    "traffic",
+)
 
 
 _EXAMPLES = """\b
@@ -46,7 +54,8 @@ Examples:
     metavar="N",
     expected="a whole number, at least 2",
     help=(
-        "Fresh worlds to choose among these layouts in, and as many others to judge the best in."
+        "Fresh worlds to choose among these layouts in, and as many others to judge the"
+        " best in."
     ),
 )
 @options.folder_option("layout.json and certified.json")
@@ -55,14 +64,17 @@ Examples:
 def certify(job: Job, *, out: Path | None, **asked: Any) -> None:
     """The best layout over all worlds that may turn out to be, with a gap that holds with 95 %.
 
-    Worlds differ in mounting errors, traffic, misses and lost messages. In each of some blocks of
-    worlds the best layout is found, and a bound is proven. The mean of the bounds limits what any
-    layout can prevent over all worlds; the best of the layouts is judged in worlds of its own.
+    Worlds differ in mounting errors, traffic, misses and lost messages. In each of some
+    blocks of worlds the best layout is found, and a bound is proven. The mean of the
+    bounds limits what any layout can prevent over all worlds; the best of the layouts
+    is judged in worlds of its own.
     """
     job = job.begin()
     from ..parts.certified import run_certify
 
-    result = run_certify(job.question, out=out, command=command_line(), **asked, **job.means)
+    result = run_certify(
+        job.question, out=out, command=command_line(), **asked, **job.means
+    )
     job.print(result, lambda: certified_text(result, out))
 
 

@@ -35,7 +35,10 @@ def examine(cache_folder: Path) -> dict[str, Any]:
         "processors": os.cpu_count(),
         "rays": {"by": caster_name(), "problem": open3d_problem()},
         "libraries": libraries,
-        "extras": [{**extra, "version": _version(extra["package"])} for extra in known["extras"]],
+        "extras": [
+            {**extra, "version": _version(extra["package"])}
+            for extra in known["extras"]
+        ],
         "milp_solvers": ["HIGHS"] if libraries["highspy"] else [],
         "cache": cache,
         "is_well": all(libraries.values()) and cache["is_writable"],
@@ -45,8 +48,10 @@ def examine(cache_folder: Path) -> dict[str, Any]:
 def doctor_text(found: dict[str, Any]) -> str:
     """Report in words, at most 80 columns wide."""
     lines = [
-        f"place-rsus {found['version'] or '(not installed)'}, Python {found['python']}, "
-        f"{found['processors']} processors",
+        (
+            f"place-rsus {found['version'] or '(not installed)'}, Python"
+            f" {found['python']}, {found['processors']} processors"
+        ),
         f"  {found['platform']}"[:WIDTH],
         "",
         f"rays are cast by {found['rays']['by']}",
@@ -67,9 +72,14 @@ def doctor_text(found: dict[str, Any]) -> str:
             lines += sentences(f"without it: no {entry['without']}", indent=4)
     lines += ["", "mixed-integer solvers: " + ", ".join(found["milp_solvers"])]
     cache = found["cache"]
-    state = "" if cache["is_writable"] else "; it cannot be written to: tables are made anew"
+    if cache["is_writable"]:
+        state = ""
+    else:
+        state = "; it cannot be written to: tables are made anew"
     size = f"{cache['bytes'] / 2**20:,.0f} MiB"
-    lines += sentences(f"detection tables: {cache['files']} in {cache['folder']}, {size}{state}")
+    lines += sentences(
+        f"detection tables: {cache['files']} in {cache['folder']}, {size}{state}"
+    )
     return "\n".join(lines)
 
 

@@ -96,12 +96,15 @@ def compare(
 ) -> None:
     """Compare layouts on the same runs: the first against each of the others.
 
-    A layout is carlancap-12 or a layout file, such as layout.json in a folder of results. With
-    --samples, differences have a 95 % interval.
+    A layout is carlancap-12 or a layout file, such as layout.json in a folder of
+    results. With --samples, differences have a 95 % interval.
     """
     names = (*layouts, *more_layouts)
     if len(names) < 2:
-        given = "one layout" if names else "nothing"
+        if names:
+            given = "one layout"
+        else:
+            given = "nothing"
         raise click.UsageError(f"LAYOUT: got {given}; expected two layouts or more")
     from placement.layout import find_layout
 
@@ -127,10 +130,14 @@ def compare(
 def _by_folder(layouts: Sequence["Layout"], files: Sequence[str]) -> list["Layout"]:
     """Layouts; where the same name stands in other folders, by these: "best-3 of latest"."""
     folders = [Path(file).resolve().parent.name for file in files]
-    homes = grouped((one.name, folder) for one, folder in zip(layouts, folders, strict=True))
+    homes = grouped(
+        (one.name, folder) for one, folder in zip(layouts, folders, strict=True)
+    )
     return [
-        replace(layout, name=f"{layout.name} of {folder}")
-        if len(set(homes[layout.name])) > 1
-        else layout
+        (
+            replace(layout, name=f"{layout.name} of {folder}")
+            if len(set(homes[layout.name])) > 1
+            else layout
+        )
         for layout, folder in zip(layouts, folders, strict=True)
     ]

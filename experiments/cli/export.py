@@ -58,7 +58,10 @@ class _ExportCommand(click.Command):
     "--calibration",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help=("Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or Tsai."),
+    help=(
+        "Real cameras with their lenses, in place of a layout: of OpenCV, ROS, KITTI or"
+        " Tsai."
+    ),
 )
 @options.option(
     "--size",
@@ -83,7 +86,9 @@ class _ExportCommand(click.Command):
     "run_id",
     default="",
     metavar="RUN",
-    help="cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40.",
+    help=(
+        "cpm, cpm-uper, mcap: what the units detect in a run, such as CPNC-50/east/40."
+    ),
 )
 @options.option(
     "--release",
@@ -133,17 +138,24 @@ def export(
 
     chosen = load_format(format_name)
     if out is None and chosen.is_binary:
-        raise click.UsageError(f"--out: got nothing; expected a file: {format_name} is no text")
+        raise click.UsageError(
+            f"--out: got nothing; expected a file: {format_name} is no text"
+        )
     missing: list[str] = []
     if calibration is not None and layout_names:
-        raise click.UsageError("--calibration: got it with --layout; expected one of them")
+        raise click.UsageError(
+            "--calibration: got it with --layout; expected one of them"
+        )
     content: str | bytes
     if calibration is not None:
         content = _convert(calibration, format_name, size)
     else:
         layout = load_one_layout(layout_names)
         compute = Compute(progress=progress)
-        drawn = compute if pictures else None
+        if pictures:
+            drawn = compute
+        else:
+            drawn = None
         asked = {"release": release, "views": views or None}
         content = export_layout(
             layout,
@@ -151,13 +163,23 @@ def export(
             scene_path=scene,
             run_id=run_id,
             compute=compute,
-            options={k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None},
+            options={
+                k: v for k, v in {**asked, "pictures": drawn}.items() if v is not None
+            },
         )
-        missing = [] if chosen.has_lidars else lidar_ids(layout)
+        if chosen.has_lidars:
+            missing = []
+        else:
+            missing = lidar_ids(layout)
     if missing and not quiet:
         tell(f"left out, for they are no cameras: {', '.join(missing)}", err=True)
     write_result(out, content)
-    if out is not None and chosen.told is not None and isinstance(content, bytes) and not quiet:
+    if (
+        out is not None
+        and chosen.told is not None
+        and isinstance(content, bytes)
+        and not quiet
+    ):
         tell(chosen.told(content), err=True)
 
 
@@ -172,7 +194,9 @@ def _convert(path: Path, format_name: str, size_px: tuple[int, int] | None) -> s
         got = f"got {format_name} beside --calibration; expected opencv or ros"
         raise click.UsageError(f"--format: {got}")
     found = read_cameras(path, size_px=size_px or None)
-    return opencv_text(found, path.stem) if format_name == "opencv" else ros_text(found)
+    if format_name == "opencv":
+        return opencv_text(found, path.stem)
+    return ros_text(found)
 
 
 # ---------- for whoever mounts the units
@@ -196,8 +220,9 @@ Examples:
 def sheet(job: Job, *, layout_names: tuple[str, ...], out: Path) -> None:
     """Write a PDF for whoever mounts the units: a page each.
 
-    Where, how high, where it looks in words and degrees, what it will see (rendered), a plan, the
-    nearest landmarks, and how many degrees and centimetres it may be off before a run is lost.
+    Where, how high, where it looks in words and degrees, what it will see (rendered), a
+    plan, the nearest landmarks, and how many degrees and centimetres it may be off
+    before a run is lost.
     """
     job = job.begin()
     layout = job.layout(layout_names)
@@ -213,14 +238,28 @@ def sheet_text(summary: "SheetResult") -> str:
     for unit in summary.units:
         (right, left), (down, up) = unit.yaw_deg, unit.pitch_deg
         lower_m, higher_m = unit.height_m
-        degrees = [localized(f"{value:g}\N{DEGREE SIGN}") for value in (left, right, up, down)]
-        rows.append([unit.unit_id, *degrees, f"{100 * higher_m:.0f} cm", f"{100 * lower_m:.0f} cm"])
+        degrees = [
+            localized(f"{value:g}\N{DEGREE SIGN}") for value in (left, right, up, down)
+        ]
+        rows.append(
+            [
+                unit.unit_id,
+                *degrees,
+                f"{100 * higher_m:.0f} cm",
+                f"{100 * lower_m:.0f} cm",
+            ]
+        )
     lines = [
         *sentences(
-            tr("What the units of {name} may be off before a run is lost:", name=summary.layout)
+            tr(
+                "What the units of {name} may be off before a run is lost:",
+                name=summary.layout,
+            )
         ),
         *table(listed("tolerances"), rows),
-        *sentences(tr("One thing at a time; the largest of the steps tried."), indent=2),
+        *sentences(
+            tr("One thing at a time; the largest of the steps tried."), indent=2
+        ),
         "",
         tr("Written to {file}.", file=summary.written),
     ]

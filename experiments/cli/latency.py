@@ -42,7 +42,10 @@ Examples:
     type=click.FloatRange(min=0.0),
     metavar="SECONDS",
     expected="seconds, at least 0",
-    help=("Of the VUT's own sensors, which wait for no message; default: that of all others."),
+    help=(
+        "Of the VUT's own sensors, which wait for no message; default: that of all"
+        " others."
+    ),
 )
 @options.option(
     "--max",
@@ -54,14 +57,17 @@ Examples:
 )
 @options.folder_option("latency.csv and latency.png")
 @options.asking(
-    *(name for name in options.JUDGED if name not in ("latency_budget", "cars")), has_cache=False
+    *(name for name in options.JUDGED if name not in ("latency_budget", "cars")),
+    has_cache=False,
 )
-def latency(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
+def latency(
+    job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
+) -> None:
     """How much latency a layout bears: accidents prevented against the time to braking.
 
-    The layout is evaluated once. From the frame that confirms to the onset of braking it takes as
-    long as the budget says: exposure, detector, the wait for the next collective perception
-    message (CPM), radio, decision.
+    The layout is evaluated once. From the frame that confirms to the onset of braking
+    it takes as long as the budget says: exposure, detector, the wait for the next
+    collective perception message (CPM), radio, decision.
     """
     job = job.begin()
     layout = job.layout(layout_names)
@@ -84,8 +90,10 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
     """APR at some latencies, the latencies that leave some APR, and what the budget does."""
     from ..parts.latency import APR_LEVELS, STEP_S
 
-    parties, budget = summary.parties, summary.budget
-    latencies_s, main = summary.latencies_s, [parties[name] for name in _COLUMNS]
+    parties = summary.parties
+    budget = summary.budget
+    latencies_s = summary.latencies_s
+    main = [parties[name] for name in _COLUMNS]
     rows = [round(latency_s / STEP_S) for latency_s in _SHOWN_S]
     at = [
         [_ms(latencies_s[row]), *(percent(party.apr[row]) for party in main)]
@@ -99,7 +107,9 @@ def latency_text(summary: "LatencyResult", out: Path | None) -> str:
         ]
         for level in APR_LEVELS
     ]
-    names = _COLUMNS | {name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS}
+    names = _COLUMNS | {
+        name: _OTHERS.get(name, name) for name in parties if name not in _COLUMNS
+    }
     columns = [*map(tr, _COLUMNS.values())]
     within = [
         [tr(words), *map(percent, (party.at_best, party.at_mean, party.at_worst))]
@@ -130,28 +140,39 @@ def _ms(latency_s: float) -> str:
 
 def _longest(latency_s: float) -> str:
     if math.isinf(latency_s):
-        return tr("all shown") if latency_s > 0.0 else tr("none")
+        if latency_s > 0.0:
+            return tr("all shown")
+        return tr("none")
     return _ms(latency_s)
 
 
 def _budget_lines(budget: "LatencyBudget") -> list[str]:
     rows = [
         [
-            tr("{part} (assumption)", part=said(part.name))
-            if part.is_assumption
-            else said(part.name),
+            (
+                tr("{part} (assumption)", part=said(part.name))
+                if part.is_assumption
+                else said(part.name)
+            ),
             *map(_ms, (part.low_s, 0.5 * (part.low_s + part.high_s), part.high_s)),
         ]
         for part in budget.parts
     ]
     if len(rows) > 1:
-        rows.append([tr("all together"), *map(_ms, (budget.best_s, budget.mean_s, budget.worst_s))])
+        rows.append(
+            [
+                tr("all together"),
+                *map(_ms, (budget.best_s, budget.mean_s, budget.worst_s)),
+            ]
+        )
     head = tr("latency budget {name}", name=budget.name)
     return table([head, tr("least"), tr("mean"), tr("most")], rows)
 
 
 def _own_latencies(summary: "LatencyResult") -> list[str]:
-    own = {unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not None}
+    own = {
+        unit.id: unit.latency_s for unit in summary.layout if unit.latency_s is not None
+    }
     if summary.vut_latency_s is not None:
         own[tr("the VUT")] = summary.vut_latency_s
     notes = []
@@ -159,5 +180,7 @@ def _own_latencies(summary: "LatencyResult") -> list[str]:
         notes.append(tr("The VUT's own sensors take as long; see --vut-latency."))
     if own:
         words = ", ".join(f"{name} {_ms(latency_s)}" for name, latency_s in own.items())
-        notes.append(tr("Kept at every latency, as their own: {latencies}.", latencies=words))
+        notes.append(
+            tr("Kept at every latency, as their own: {latencies}.", latencies=words)
+        )
     return notes

@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 _TIME_LIMIT_S = 60.0
 # Several layouts are looked for: each in nominal conditions, on the grid.
 _SOUGHT = ("solver", "time_limit_s", "gap", "fusion")
-# A front has every APR and every number of units: what asks for one of them has no place here.
+# A front has every APR and every number of units: what asks for one of them has no
+# place here.
 _ASKED = options.fields_in(
-    options.ASKED, options.MOUNTED, but=("budget", "target", "least", "survive", "give_up")
+    options.ASKED,
+    options.MOUNTED,
+    but=("budget", "target", "least", "survive", "give_up"),
 )
 
 
@@ -62,20 +65,25 @@ Examples:
 @options.option(
     "--all-stages",
     is_flag=True,
-    help=("Optimise time to spare and cost, too, not only the APR with and without a failure."),
+    help=(
+        "Optimise time to spare and cost, too, not only the APR with and without a"
+        " failure."
+    ),
 )
 @options.folder_option("pareto.csv, pareto.json and pareto.png")
 @front_options(*_ASKED)
 def pareto(job: Job, *, out: Path | None, **asked: Any) -> None:
     """What each further unit, or more money, buys: the best layouts, each with its proof.
 
-    For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share of
-    accidents prevented (APR), and the highest that is left when any one unit fails.
+    For 1, 2, 3 .. units, or from the cheapest useful layout upwards: the highest share
+    of accidents prevented (APR), and the highest that is left when any one unit fails.
     """
     job = job.begin()
     from ..jobs.pareto import run_pareto
 
-    summary = run_pareto(job.question, out=out, command=command_line(), **asked, **job.means)
+    summary = run_pareto(
+        job.question, out=out, command=command_line(), **asked, **job.means
+    )
     job.print(summary, lambda: front_text(summary, out))
 
 
@@ -83,7 +91,10 @@ def front_text(summary: "FrontResult", out: Path | None) -> str:
     """A front: a row per layout, and what is proven of it."""
     from ..parts import front
 
-    key = "pareto.more_money" if summary.by == "cost" else "pareto.more_units"
+    if summary.by == "cost":
+        key = "pareto.more_money"
+    else:
+        key = "pareto.more_units"
     title = say(key, poses=summary.candidates, **basis(summary))
     parts = [
         Part(
@@ -111,7 +122,10 @@ def _with_head(
 
 
 # Existing units are --layout; what is added is asked for by money alone.
-_ADDED = ("budget_cost", *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")))
+_ADDED = (
+    "budget_cost",
+    *options.fields_in(options.MOUNTED, but=("keep", "within", "force_site")),
+)
 
 
 _RETROFIT_EXAMPLES = """\b
@@ -130,15 +144,20 @@ Examples:
     type=click.FloatRange(min=0.0),
     metavar="EUR",
     expected="euros, at least 0",
-    help=("Of a re-aim or a removal; default: people and a lift, by the project's assumptions."),
+    help=(
+        "Of a re-aim or a removal; default: people and a lift, by the project's"
+        " assumptions."
+    ),
 )
 @options.folder_option("retrofit.csv and retrofit.json")
 @front_options(*_ADDED)
-def retrofit(job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any) -> None:
+def retrofit(
+    job: Job, *, layout_names: tuple[str, ...], out: Path | None, **asked: Any
+) -> None:
     """What to change about units that are mounted: remove, re-aim or add one, each priced.
 
-    A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost, the best
-    re-aims and additions together for the money, too.
+    A unit keeps its pole, height and sensor when it is re-aimed. With --budget-cost,
+    the best re-aims and additions together for the money, too.
     """
     job = job.begin()
     layout = job.layout(layout_names)
@@ -157,10 +176,17 @@ def retrofit_text(summary: "RetrofitResult", out: Path | None) -> str:
     parts = [
         Part(
             title=say(
-                "pareto.what_to_change", len(summary.layout), name=summary.name, **basis(summary)
+                "pareto.what_to_change",
+                len(summary.layout),
+                name=summary.name,
+                **basis(summary),
             ),
             table=retrofit.table(summary),
-            notes=[say("pareto.columns", cost=labour.re_aim_eur, source=said(labour.source))],
+            notes=[
+                say(
+                    "pareto.columns", cost=labour.re_aim_eur, source=said(labour.source)
+                )
+            ],
         ),
         Part(words=summary.sentences),
     ]

@@ -49,7 +49,10 @@ cannot be met (one line says what), 130 interrupted, 143 terminated."""
     "--out",
     type=click.Path(path_type=Path),
     default="results/latest",
-    help=("Folder for report, layout, tables and figures; earlier results there are replaced."),
+    help=(
+        "Folder for report, layout, tables and figures; earlier results there are"
+        " replaced."
+    ),
 )
 @options.option(
     "--pdf",
@@ -72,23 +75,29 @@ def cli(
 ) -> None:
     """Where to mount roadside cameras so that pedestrians and cyclists are not hit.
 
-    Finds the best layout for the junction of the CarlaNCAP study, proves that it is, evaluates it
-    by full perception and emergency braking, compares it with the study's 12 cameras, and writes
-    a report.
+    Finds the best layout for the junction of the CarlaNCAP study, proves that it is,
+    evaluates it by full perception and emergency braking, compares it with the study's
+    12 cameras, and writes a report.
     """
-    context, question = click.get_current_context(), job.question
+    context = click.get_current_context()
+    question = job.question
     if context.invoked_subcommand is not None:
         names = [(param, str(param.name)) for param in context.command.params]
-        given = [options.option_name(param) for param, name in names if options.is_given(name)]
+        given = [
+            options.option_name(param)
+            for param, name in names
+            if options.is_given(name)
+        ]
         if given:
             raise click.UsageError(
-                f"{given[0]}: options of {context.invoked_subcommand} go behind its name"
+                f"{given[0]}: options of {context.invoked_subcommand} go behind its"
+                " name"
             )
         return
     if question.budget is None and question.budget_cost is None and not question.target:
         raise click.UsageError(
-            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
-            "--budget-cost)"
+            "--budget: got nothing; expected a whole number of units, at least 1 (or"
+            " --target, or --budget-cost)"
         )
     if recording is not None:
         asked = {"folder": recording, "min_confidence": min_confidence, "chooses": True}
@@ -98,7 +107,9 @@ def cli(
     browser = None
     if pdf is not None:
         if out.resolve() in pdf.resolve().parents:
-            raise click.UsageError(f"--pdf: got {pdf}; expected a file outside of --out")
+            raise click.UsageError(
+                f"--pdf: got {pdf}; expected a file outside of --out"
+            )
         from ..report.printing import find_browser
 
         browser = find_browser()
@@ -107,8 +118,12 @@ def cli(
     from ..jobs import READY
     from ..side_process import side_process
 
-    asks_much = not (options.is_given("cases") or question.speeds or question.approaches)
-    with side_process(asks_much and job.compute.workers > 1, **READY) as side:  # loads meanwhile
+    asks_much = not (
+        options.is_given("cases") or question.speeds or question.approaches
+    )
+    with side_process(
+        asks_much and job.compute.workers > 1, **READY
+    ) as side:  # loads meanwhile
         from ..jobs import placement
 
         result = placement.run_placement(
@@ -129,5 +144,7 @@ def cli(
         try:
             print_page(browser, out / "report.html", pdf)
         except OSError as error:
-            raise click.UsageError(f"--pdf: got {pdf}: {error.strerror or error}") from None
+            raise click.UsageError(
+                f"--pdf: got {pdf}: {error.strerror or error}"
+            ) from None
     job.print_answer(result, lambda: placement_parts(result, out))

@@ -20,7 +20,13 @@ _WITH_RECORDING = frozenset(
     ("recording", "min_confidence", "out", "sign", "as_json", "quiet")
     + ("question", "save_question_to")
     + ("budget", "fusion", "solver", "time_limit_s", "gap")
-    + ("deceleration_mps2", "build_up_s", "latency_s", "latency_budget", "n_confirmations")
+    + (
+        "deceleration_mps2",
+        "build_up_s",
+        "latency_s",
+        "latency_budget",
+        "n_confirmations",
+    )
     + ("track_memory_s",)
 )
 
@@ -31,7 +37,10 @@ recording_options = options.combined(
         metavar="DIR",
         section=options.SEEN,
         is_common=False,
-        help=("Work on recorded detections in the study's folder format; --out gets summary.json."),
+        help=(
+            "Work on recorded detections in the study's folder format; --out gets"
+            " summary.json."
+        ),
     ),
     options.option(
         "--min-confidence",
@@ -57,8 +66,8 @@ def evaluate_recording(job: Job, *, out: Path | None, **asked: Any) -> None:
     for param in click.get_current_context().command.params:
         if param.name not in _WITH_RECORDING and options.is_given(str(param.name)):
             raise click.UsageError(
-                f"{options.option_name(param)}: got it beside --recording; expected one of them: "
-                "a recording has units and drives of its own"
+                f"{options.option_name(param)}: got it beside --recording; expected one"
+                " of them: a recording has units and drives of its own"
             )
     job.start()
     from ..parts.recording import run_recording
@@ -72,7 +81,9 @@ def recording_text(summary: "RecordedResult", out: Path | None) -> str:
     from ..parts.proof import stage_conditions, stage_table
     from ..parts.recording import ALL_UNITS
 
-    lines = sentences(tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs))
+    lines = sentences(
+        tr("{recording} on {n} drives:", recording=summary.recording, n=summary.runs)
+    )
     parties = _parties_text(summary.evaluation, summary.detected_share, summary.cases)
     if summary.stages is not None and summary.baseline is not None:
         chosen = ", ".join(unit.id for unit in summary.layout)
@@ -104,18 +115,29 @@ def _parties_text(
     from ..parts.recording import ALL_UNITS
 
     parties = [
-        *((name, evaluation.units[name], share) for name, share in shares.units.items()),
+        *(
+            (name, evaluation.units[name], share)
+            for name, share in shares.units.items()
+        ),
         (ALL_UNITS, evaluation.rsu_all, shares.rsu_all),
         (tr("car"), evaluation.vut, shares.vut),
-        (tr("car + {units}", units=ALL_UNITS), evaluation.vut_and_rsus, shares.vut_and_rsus),
+        (
+            tr("car + {units}", units=ALL_UNITS),
+            evaluation.vut_and_rsus,
+            shares.vut_and_rsus,
+        ),
     ]
-    rows = [(name, ratios, share) for name, ratios, share in parties if ratios is not None]
+    rows = [
+        (name, ratios, share) for name, ratios, share in parties if ratios is not None
+    ]
     columns = {
         tr("accidents prevented"): [percent(ratios.all) for _, ratios, _ in rows],
         tr("frames detected"): [percent(share) for _, _, share in rows],
     }
     for case in cases:
-        columns[case.replace("-", " ")] = [percent(ratios.by_case[case]) for _, ratios, _ in rows]
+        columns[case.replace("-", " ")] = [
+            percent(ratios.by_case[case]) for _, ratios, _ in rows
+        ]
     return wide_table("", [name for name, _, _ in rows], columns)
 
 
@@ -131,8 +153,13 @@ def _footer(summary: "RecordedResult", out: Path | None) -> list[str]:
     )
     if frames.several_vrus_in_view:
         read += " " + say("recording.several_in_view", n=frames.several_vrus_in_view)
-    reasons = "; ".join(f"{number} {said(reason)}" for reason, number in summary.skipped.items())
-    skipped = tr("Skipped: {reasons}.", reasons=reasons) if reasons else tr("Skipped: nothing.")
+    reasons = "; ".join(
+        f"{number} {said(reason)}" for reason, number in summary.skipped.items()
+    )
+    if reasons:
+        skipped = tr("Skipped: {reasons}.", reasons=reasons)
+    else:
+        skipped = tr("Skipped: nothing.")
     lines = ["", *sentences(read, skipped, say("recording.note"))]
     if out is not None:
         lines += ["", tr("Written to {out}: {files}.", out=out, files="summary.json")]

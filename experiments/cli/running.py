@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Session(StageProgress):
     """The context object of all commands: progress, and the importer of maps.
 
-    It is handed in by the program, so that no command depends on all formats of maps, and returns
-    the folder of the scene, and what was imported in words.
+    It is handed in by the program, so that no command depends on all formats of maps,
+    and returns the folder of the scene, and what was imported in words.
     """
 
     def __init__(self, import_map: Callable[..., tuple[str, str]]) -> None:
@@ -39,7 +39,8 @@ class Session(StageProgress):
 def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Question":
     """Show what happens from here on; the question, with its map imported.
 
-    Raises InputError: options of a map stand with a scene, or the map has no such junction.
+    Raises InputError: options of a map stand with a scene, or the map has no such
+    junction.
     """
     from placement.question import map_options
 
@@ -51,19 +52,29 @@ def begin(progress: StageProgress, question: "Question", *, quiet: bool) -> "Que
     if has_scene(Path(question.scene)) and not map_options(question):
         return question
     assert isinstance(progress, Session)
-    folder, words = progress.import_map(question, cache=cache_folder(), progress=progress)
+    folder, words = progress.import_map(
+        question, cache=cache_folder(), progress=progress
+    )
     if not quiet:
         tell(words, err=True)
-    return replace(question, scene=folder, junction="", at="", sites="", driving_side="map")
+    return replace(
+        question, scene=folder, junction="", at="", sites="", driving_side="map"
+    )
 
 
-def load_one_layout(names: Sequence[str], question: "Question | None" = None) -> "Layout":
+def load_one_layout(
+    names: Sequence[str], question: "Question | None" = None
+) -> "Layout":
     """The layout of ``--layout``, given once, else click.UsageError; InputError: there is none.
 
-    With a question, a list of units with places on earth may stand in its place: CSV, or JSON.
+    With a question, a list of units with places on earth may stand in its place: CSV,
+    or JSON.
     """
     if len(names) != 1:
-        given = f"{len(names)} layouts" if names else "nothing"
+        if names:
+            given = f"{len(names)} layouts"
+        else:
+            given = "nothing"
         raise click.UsageError(f"--layout: got {given}; expected it once")
     from placement.layout import find_layout
 
@@ -109,7 +120,9 @@ class Job(Call):
 
     def begin(self) -> "Job":
         """Show what happens from here on; the job with its map imported, see :func:`begin`."""
-        return replace(self, question=begin(self.progress, self.question, quiet=self.quiet))
+        return replace(
+            self, question=begin(self.progress, self.question, quiet=self.quiet)
+        )
 
     def layout(self, names: Sequence[str]) -> "Layout":
         """The layout of ``--layout``, given once; see :func:`load_one_layout`."""
@@ -122,20 +135,26 @@ class Job(Call):
 
     def print_answer(self, result: Any, parts: Callable[[], Iterable[Part]]) -> None:
         """End a command that answers: in short, or with ``--verbose`` all of it."""
-        self.print(result, lambda: answer_text(parts(), is_verbose=self.progress.is_verbose))
+        self.print(
+            result, lambda: answer_text(parts(), is_verbose=self.progress.is_verbose)
+        )
 
 
 def command_line() -> str:
     """The command line of this call, as a shell would take it again."""
     # What the system hands over need not be text.
-    arguments = [argument.encode(errors="replace").decode() for argument in sys.argv[1:]]
+    arguments = [
+        argument.encode(errors="replace").decode() for argument in sys.argv[1:]
+    ]
     return shlex.join(["place-rsus", *arguments])
 
 
 def cache_folder() -> Path:
     """Where results are cached: PLACE_RSUS_CACHE, or the user's cache folder."""
     folder = os.environ.get("PLACE_RSUS_CACHE")
-    return Path(folder) if folder else user_cache_folder()
+    if folder:
+        return Path(folder)
+    return user_cache_folder()
 
 
 def check_address_space() -> None:
@@ -147,7 +166,8 @@ def check_address_space() -> None:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _LEAST_BYTES:
         raise click.UsageError(
-            f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or no limit"
+            f"ulimit -v: got {limit // 1000:,} kB; expected {_LEAST_BYTES // 1000:,} or"
+            " no limit"
         )
 
 
@@ -165,5 +185,6 @@ def write_result(out: Path | None, content: str | bytes) -> None:
 def unwritable(path: object, error: OSError) -> click.UsageError:
     """The error of an ``--out`` that cannot be written."""
     return click.UsageError(
-        f"--out: got {path}: {error.strerror or error}; expected a file that can be written"
+        f"--out: got {path}: {error.strerror or error}; expected a file that can be"
+        " written"
     )

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 class DrivenRow(msgspec.Struct, frozen=True, kw_only=True):
     """A case from an approach at a position along the arms: what ``--json`` prints a list of.
 
-    One last brake time per speed, relative to the impact, None where braking cannot help: the
-    earliest where whoever is met has several speeds. The reason says what is not driven and why,
-    None where every speed is driven.
+    One last brake time per speed, relative to the impact, None where braking cannot
+    help: the earliest where whoever is met has several speeds. The reason says what is
+    not driven and why, None where every speed is driven.
     """
 
     case: str
@@ -51,21 +51,29 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
     from scenarios.positions import sort_positions
 
     refusals = (*drives.refused, *drives.left_out)
-    driven = grouped(((run.case.name, run.approach, run.position), run) for run in drives.runs)
-    refused = grouped(((one.case.name, one.approach, one.position), one) for one in refusals)
+    driven = grouped(
+        ((run.case.name, run.approach, run.position), run) for run in drives.runs
+    )
+    refused = grouped(
+        ((one.case.name, one.approach, one.position), one) for one in refusals
+    )
     keys = list(dict.fromkeys((*driven, *refused)))
     # By case in the order asked for, within it by approach, and as the VUT passes them.
     cases = list(dict.fromkeys(case for case, _, _ in keys))
     pairs = list(dict.fromkeys(key[:2] for key in keys))
     positions = sort_positions(key[2] for key in keys)
-    keys.sort(key=lambda k: (cases.index(k[0]), pairs.index(k[:2]), positions.index(k[2])))
+    keys.sort(
+        key=lambda k: (cases.index(k[0]), pairs.index(k[:2]), positions.index(k[2]))
+    )
     described = {run.case.name: run.case for run in drives.runs}
     described |= {one.case.name: one.case for one in refusals}
     rows = []
     for key in keys:
-        runs, reasons = driven.get(key, []), refused.get(key, [])
+        runs = driven.get(key, [])
+        reasons = refused.get(key, [])
         n_refused = sum(len(one.speeds_kmh) for one in reasons)
-        # Several runs have the same speed and differ elsewhere: the earliest time is shown.
+        # Several runs have the same speed and differ elsewhere: the earliest time is
+        # shown.
         times = grouped((run.vut_speed_kmh, run.last_brake_time_s) for run in runs)
         earliest_s = [min(of_speed) for of_speed in times.values()]
         name, approach, position = key
@@ -78,11 +86,15 @@ def list_rows(drives: "Drives") -> list[DrivenRow]:
             speeds_kmh=tuple(times),
             vru_speeds_kmh=tuple(sorted({run.case.vru_speed_kmh for run in runs})),
             n_runs=len(runs),
-            last_brake_time_s=tuple(t if math.isfinite(t) else None for t in earliest_s),
+            last_brake_time_s=tuple(
+                t if math.isfinite(t) else None for t in earliest_s
+            ),
             reason="; ".join(
-                f"at {one.speeds_text} km/h: {one.reason}"
-                if runs or n_refused > len(one.speeds_kmh)
-                else one.reason
+                (
+                    f"at {one.speeds_text} km/h: {one.reason}"
+                    if runs or n_refused > len(one.speeds_kmh)
+                    else one.reason
+                )
                 for one in reasons
             )
             or None,
@@ -106,16 +118,24 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
             [
                 case,
                 approach,
-                _span(sorted({speed for entry in entries for speed in entry.speeds_kmh}), "g"),
+                _span(
+                    sorted({speed for entry in entries for speed in entry.speeds_kmh}),
+                    "g",
+                ),
                 *([f"{n_places} of {len(entries)}"] if has_positions else []),
                 str(sum(entry.n_runs for entry in entries)),
-                _last_moments([time for entry in entries for time in entry.last_brake_time_s]),
+                _last_moments(
+                    [time for entry in entries for time in entry.last_brake_time_s]
+                ),
             ]
         )
     for row, (before, after) in enumerate(pairwise(groups), start=1):
         if before[0] == after[0]:  # each is named once
             cells[row][0] = ""
-    places = ["places"] if has_positions else []
+    if has_positions:
+        places = ["places"]
+    else:
+        places = []
     heads = ["case", "from", "km/h", *places, "runs", "last moment to brake (s)"]
     lines = table(heads, cells, n_left=3, indent=0)
     lines += ["", *_who_meets_whom(rows)]
@@ -124,14 +144,18 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
     from ..results.drives import describe_places
 
     refused = grouped(
-        ((one.case, one.reason), (one.approach, one.position)) for one in rows if one.reason
+        ((one.case, one.reason), (one.approach, one.position))
+        for one in rows
+        if one.reason
     )
     for (case, reason), where in refused.items():
         there = describe_places(grouped(where))
         lines += sentences(f"{case} from {there} not driven: {reason}", hanging=2)
     nowhere = grouped((one.reason or "", f"{one.case} ({one.title})") for one in unlaid)
     for why, cases in nowhere.items():
-        lines += sentences(f"Not laid: {'; '.join(dict.fromkeys(cases))}: {why}", hanging=2)
+        lines += sentences(
+            f"Not laid: {'; '.join(dict.fromkeys(cases))}: {why}", hanging=2
+        )
     n_runs = sum(entry.n_runs for entry in rows)
     n_cases = len({entry.case for entry in rows})
     lines.append(f"{n_runs} runs of {several(n_cases, 'case', 'cases')}")
@@ -140,12 +164,17 @@ def scenario_table(rows: Sequence[DrivenRow]) -> str:
 
 def _who_meets_whom(rows: Sequence[DrivenRow]) -> list[str]:
     """What happens in each case: those that differ in the impact point share a sentence."""
-    speeds = grouped((entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh)
+    speeds = grouped(
+        (entry.case, speed) for entry in rows for speed in entry.vru_speeds_kmh
+    )
     alike: dict[str, dict[str, None]] = {}
     for entry in rows:
         title = entry.title.partition(", met at")[0]
         at = _span(sorted(speeds.get(entry.case, [])), "g")
-        who = f"{entry.road_user}, {at} km/h" if at else entry.road_user
+        if at:
+            who = f"{entry.road_user}, {at} km/h"
+        else:
+            who = entry.road_user
         alike.setdefault(f"{title} ({who})", {})[entry.case] = None
     lines = []
     for what, names in alike.items():
@@ -160,10 +189,13 @@ def _position_table(rows: Sequence[DrivenRow]) -> list[str]:
     cells = []
     for position in sort_positions(entry.position for entry in rows):
         there = [entry for entry in rows if entry.position == position and entry.n_runs]
-        n_runs, n_cases = sum(one.n_runs for one in there), len({one.case for one in there})
+        n_runs = sum(one.n_runs for one in there)
+        n_cases = len({one.case for one in there})
         n_approaches = len({one.approach for one in there})
         cells.append([position, str(n_runs), str(n_cases), str(n_approaches)])
-    return table(["metres along the arms", "runs", "cases", "approaches"], cells, indent=0)
+    return table(
+        ["metres along the arms", "runs", "cases", "approaches"], cells, indent=0
+    )
 
 
 def _last_moments(times: Sequence[float | None]) -> str:
@@ -177,8 +209,13 @@ def _last_moments(times: Sequence[float | None]) -> str:
 def _span(values: Sequence[float], form: str) -> str:
     if not values:
         return ""
-    low, high = f"{values[0]:{form}}", f"{values[-1]:{form}}"
-    return low if low == high else f"{low} to {high}" if form != "g" else f"{low}-{high}"
+    low = f"{values[0]:{form}}"
+    high = f"{values[-1]:{form}}"
+    if low == high:
+        return low
+    if form != "g":
+        return f"{low} to {high}"
+    return f"{low}-{high}"
 
 
 _EXAMPLES = """\b
@@ -202,16 +239,18 @@ Examples:
 
 
 @scenarios.command("list", cls=options.SectionedCommand, epilog=_LIST_EXAMPLES)
-@options.question_options(*options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"})
+@options.question_options(
+    *options.ONLY_DRIVEN, defaults={"cases": "all", "protect": "all"}
+)
 @options.calling
 def list_scenarios(call: Call, *, question: Question) -> None:
     """Cases by approach and place: speeds, runs, the last moment to brake, and why not.
 
-    The last moment is the time at which braking must have begun, relative to the impact: -1.2 is
-    1.2 seconds before it. Places lie along the arms, in metres: -15 is so far before the
-    junction, +0 the crosswalk of the arm straight ahead, +15 so far beyond it. With --json a list,
-    one entry per case, approach and position, with one last moment per speed; null where braking
-    cannot help.
+    The last moment is the time at which braking must have begun, relative to the
+    impact: -1.2 is 1.2 seconds before it. Places lie along the arms, in metres: -15 is
+    so far before the junction, +0 the crosswalk of the arm straight ahead, +15 so far
+    beyond it. With --json a list, one entry per case, approach and position, with one
+    last moment per speed; null where braking cannot help.
     """
     from geometry.scene_files import load_scene
     from placement.setting import drive
@@ -220,7 +259,10 @@ def list_scenarios(call: Call, *, question: Question) -> None:
     question = begin(call.progress, question, quiet=call.quiet)
     call.progress("lay the cases", 0, 0)
     rows = list_rows(drive(question, load_scene(question.scene)))
-    once = _driven_once() if ALL_CASES in question.cases.split(",") else []
+    if ALL_CASES in question.cases.split(","):
+        once = _driven_once()
+    else:
+        once = []
     call.print(rows, lambda: "\n".join([scenario_table(rows), *once]))
 
 
@@ -231,7 +273,8 @@ def _driven_once() -> list[str]:
     found = twins(load_case_sets()[ALL_CASES])
     named = "; ".join(f"{name} as {twin.name}" for name, twin in found.items())
     text = (
-        f"At speeds that 2023 and 2026 have in common driven once, under the name of 2023: {named}."
+        "At speeds that 2023 and 2026 have in common driven once, under the name of"
+        f" 2023: {named}."
     )
     return [*sentences(text, hanging=2), ""]
 
@@ -256,7 +299,12 @@ Examples:
 @options.quiet_option
 @click.pass_obj
 def show(
-    progress: StageProgress, *, question: Question, position: str, out: Path | None, quiet: bool
+    progress: StageProgress,
+    *,
+    question: Question,
+    position: str,
+    out: Path | None,
+    quiet: bool,
 ) -> None:
     """Draw a run from above: bodies, paths, obstruction, what the VUT has in sight."""
     from ..export.mcap import mcap_of_run
@@ -289,7 +337,9 @@ Examples:
 
 
 @scenarios.command("import", epilog=_IMPORT_EXAMPLES)
-@click.argument("paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument(
+    "paths", metavar="FILE..", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
 @options.option(
     "--ttc",
     "ttc_s",
@@ -347,15 +397,20 @@ def take_recordings(
 ) -> None:
     """Read recorded trajectories, and write those who nearly met as cases.
 
-    Files are CSV (id, time, x, y, and if wanted heading and class), CommonRoad XML, or SUMO's
-    floating car data, all of one place and clock. A pair counts if a vehicle and a vulnerable road
-    user would touch within --ttc seconds if nobody changed speed or direction. It is replayed with
-    both on their recorded ways up to that moment, and straight on from there at the same speeds.
+    Files are CSV (id, time, x, y, and if wanted heading and class), CommonRoad XML, or
+    SUMO's floating car data, all of one place and clock. A pair counts if a vehicle and
+    a vulnerable road user would touch within --ttc seconds if nobody changed speed or
+    direction. It is replayed with both on their recorded ways up to that moment, and
+    straight on from there at the same speeds.
     """
     from scenarios.conflicts import cases_text, find_encounters
     from scenarios.trajectories import read_tracks
 
-    limits = (("--ttc", ttc_s, 10.0), ("--within", within_m, 50.0), ("--rate", rate_hz, 1000.0))
+    limits = (
+        ("--ttc", ttc_s, 10.0),
+        ("--within", within_m, 50.0),
+        ("--rate", rate_hz, 1000.0),
+    )
     for where, value, most in limits:
         if value is not None and not 0.0 < value <= most:
             raise InputError(where, value, f"a number, more than 0, at most {most:g}")
@@ -371,9 +426,13 @@ def take_recordings(
     if ttc_s is None and within_m is None:
         ttc_s = 2.0
     found, why = find_encounters(tracks, ttc_s=ttc_s, within_m=within_m)
-    tell(f"{several(len(found), 'encounter', 'encounters')} of {len(tracks)} road users.")
+    tell(
+        f"{several(len(found), 'encounter', 'encounters')} of {len(tracks)} road users."
+    )
     if n_left_out:
-        tell(f"{n_left_out} road users of other classes, or seen only briefly, left out.")
+        tell(
+            f"{n_left_out} road users of other classes, or seen only briefly, left out."
+        )
     for reason, n_pairs in why.items():
         tell(f"{several(n_pairs, 'pair', 'pairs')} left out: {reason}.")
     if not found:
@@ -395,7 +454,9 @@ Examples:
     help="File to write; else stdout.",
 )
 @click.pass_obj
-def export(progress: StageProgress, *, question: Question, position: str, out: Path | None) -> None:
+def export(
+    progress: StageProgress, *, question: Question, position: str, out: Path | None
+) -> None:
     """Write a run as OpenSCENARIO XML, for the roads of an OpenDRIVE file.
 
     Where the scene names no such file, its roads are written beside --out, as .xodr.

@@ -53,7 +53,10 @@ Examples:
     type=_target,
     metavar="max|SHARE",
     expected="max, or a share of the runs, 0 to 1",
-    help=("Avoid that share of the runs, or all that can be avoided (max), with the fewest units."),
+    help=(
+        "Avoid that share of the runs, or all that can be avoided (max), with the"
+        " fewest units."
+    ),
 )
 @options.option(
     "--track-memory",
@@ -96,10 +99,15 @@ def solve(call: Call, /, *, file: Path, target: float | None, **asked: Any) -> N
     """Solve a placement problem from a file, and prove it.
 
     The problem (instance.npz of a result folder) is solved as it was asked. --budget,
-    --budget-cost, --target and --track-memory take the place of the file's own; all its other
-    demands hold. --target is reached with the fewest units, however many the file allows.
+    --budget-cost, --target and --track-memory take the place of the file's own; all its
+    other demands hold. --target is reached with the fewest units, however many the file
+    allows.
     """
-    questions = {"budget_units": "--budget", "budget_cost": "--budget-cost", "target": "--target"}
+    questions = {
+        "budget_units": "--budget",
+        "budget_cost": "--budget-cost",
+        "target": "--target",
+    }
     asked_for = [words for name, words in questions.items() if options.is_given(name)]
     if len(asked_for) > 1:
         known = ", ".join(questions.values())

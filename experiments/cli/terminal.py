@@ -13,11 +13,13 @@ from ..results.numbers import cars_words
 if TYPE_CHECKING:
     from ..parts.section import Table
 
-WIDTH, SCREEN = 80, 100
+WIDTH = 80
+SCREEN = 100
 """Columns of a terminal, and of the screen that an answer fits on."""
 _GAP = 2
 _MOST_REASONS = 5
-_HEAD_WIDTHS, _WIDEST_WORD = (12, 10, 8), 20
+_HEAD_WIDTHS = (12, 10, 8)
+_WIDEST_WORD = 20
 _NUMBER_AND_UNIT = re.compile(
     r"(?<=\d) (?=(?:%|m|cm|s|ms|km/h|m/s|EUR|deg|degrees|px|Hz|runs?|points?|units?"
     r"|Grad|Läufen?|Lauf|Prozentpunkten?|Sensor(?:en)?)(?![\w/]))"
@@ -29,8 +31,8 @@ def sentences(
 ) -> list[str]:
     """Lines of paragraphs; an empty text gives none.
 
-    `indent` spaces stand before every line, and `hanging` more before all but the first; `head`
-    stands before each text, on its first line alone.
+    `indent` spaces stand before every line, and `hanging` more before all but the
+    first; `head` stands before each text, on its first line alone.
     """
     return [
         line.replace("\N{NO-BREAK SPACE}", " ")
@@ -47,21 +49,30 @@ def sentences(
 
 def answer_text(parts: Iterable[Part], *, is_verbose: bool) -> str:
     """An answer on a screen of 100 columns; with `is_verbose` all of it, 80 columns wide."""
-    width = WIDTH if is_verbose else SCREEN
+    if is_verbose:
+        width = WIDTH
+    else:
+        width = SCREEN
     lines: list[str] = []
     was_plain = True
     for part in parts:
         if part and (is_verbose or part.is_short):
             is_plain = not (part.title or part.table)
             is_note = is_plain and not part.words  # it belongs to what stands above
-            lines += [] if is_note or (is_plain and was_plain) or not lines else [""]
+            if is_note or (is_plain and was_plain) or not lines:
+                lines += []
+            else:
+                lines += [""]
             lines += _part_lines(part, width)
             was_plain = is_plain and not part.notes
     return "\n".join(lines)
 
 
 def _part_lines(part: Part, width: int) -> list[str]:
-    indent = 2 if part.title else 0
+    if part.title:
+        indent = 2
+    else:
+        indent = 0
     return [
         *sentences(part.title, width=width),
         *sentences(*part.words, indent=indent, hanging=indent, width=width),
@@ -74,7 +85,7 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
     """A table of a part: as it is where it fits."""
     heads = list(shown.columns)
     rows = [[str(cell) for cell in row] for row in shown.rows]
-    cells = zip(*([heads, *rows]), strict=True)
+    cells = zip(heads, *rows, strict=True)
     needed = sum(_GAP + max(map(len, column)) for column in cells)
     has_text = len(heads) > 1 and len(heads) - 1 not in shown.numeric
     if has_text:
@@ -86,7 +97,9 @@ def _table_lines(shown: "Table", width: int) -> list[str]:
         return [f"{line}  {text}".rstrip() for line, text in lines]
     if needed <= width:
         return table(heads, rows, width=width)
-    columns = {head: [row[index] for row in rows] for index, head in enumerate(heads) if index}
+    columns = {
+        head: [row[index] for row in rows] for index, head in enumerate(heads) if index
+    }
     return wide_table(heads[0], [row[0] for row in rows], columns, width=width)
 
 
@@ -99,7 +112,9 @@ def basis(result: Any) -> dict[str, Any]:
     }
 
 
-def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> list[str]:
+def driven_lines(
+    driven: Sequence[str], without_effect: Sequence[str] = ()
+) -> list[str]:
     """How many possible runs are driven, reasons of most others, and what changes nothing."""
     reasons = sentences(*first_reasons(driven), indent=2, hanging=2)
     return [*sentences(*driven[:1]), *reasons, *sentences(*without_effect)]
@@ -108,7 +123,10 @@ def driven_lines(driven: Sequence[str], without_effect: Sequence[str] = ()) -> l
 def first_reasons(driven: Sequence[str]) -> list[str]:
     """Reasons why most of the other possible runs are not driven, and how many are not printed."""
     n_left = len(driven) - 1 - _MOST_REASONS
-    more = [say("terminal.more_reasons", n_left)] if n_left > 0 else []
+    if n_left > 0:
+        more = [say("terminal.more_reasons", n_left)]
+    else:
+        more = []
     return [*driven[1 : 1 + _MOST_REASONS], *more]
 
 
@@ -123,9 +141,9 @@ def table(
 ) -> list[str]:
     """Lines of a table.
 
-    The cells of the first `n_left` columns begin on the left; those of the others end on the right.
-    A left one is made narrower, and its cells go on below, where the table would be too wide.
-    `widths` of columns are by default what the cells need.
+    The cells of the first `n_left` columns begin on the left; those of the others end
+    on the right. A left one is made narrower, and its cells go on below, where the
+    table would be too wide. `widths` of columns are by default what the cells need.
     """
     from rich.console import Console
     from rich.table import Table
@@ -142,7 +160,9 @@ def table(
         )
     for row in rows:
         cells = enumerate(row)
-        shown.add_row(*(Text(cell, overflow="fold", no_wrap=n >= n_left) for n, cell in cells))
+        shown.add_row(
+            *(Text(cell, overflow="fold", no_wrap=n >= n_left) for n, cell in cells)
+        )
     output = StringIO()
     Console(file=output, width=width - indent, color_system=None).print(shown)
     lines = (line.rstrip() for line in output.getvalue().splitlines())
@@ -157,7 +177,9 @@ def listing(
     width: int = WIDTH,
 ) -> list[str]:
     """A table without cuts: a long id has its own line, and `below` stand texts under the rows."""
-    longest, *widths = (max(map(len, cells)) for cells in zip(heads, *rows, strict=True))
+    longest, *widths = (
+        max(map(len, cells)) for cells in zip(heads, *rows, strict=True)
+    )
     first = min(longest, width - 2 - sum(widths) - 2 * len(widths))
 
     def line(head: str, cells: Sequence[str]) -> str:
@@ -167,7 +189,10 @@ def listing(
     lines = [line(heads[0], heads[1:])]
     for index, row in enumerate(rows):
         is_long = len(row[0]) > first
-        lines += [f"  {row[0]}"] if is_long else []
+        if is_long:
+            lines += [f"  {row[0]}"]
+        else:
+            lines += []
         lines.append(line("" if is_long else row[0], row[1:]))
         if below and below[index]:
             lines += sentences(below[index], indent=4, width=width)
@@ -175,21 +200,32 @@ def listing(
 
 
 def wide_table(
-    head: str, rows: Sequence[str], columns: Mapping[str, Sequence[str]], *, width: int = WIDTH
+    head: str,
+    rows: Sequence[str],
+    columns: Mapping[str, Sequence[str]],
+    *,
+    width: int = WIDTH,
 ) -> list[str]:
     """Lines of a table with many columns: as many side by side as fit, the others below.
 
-    Each block repeats the first column, with `head` and `rows`. A head of several words stands on
-    several lines.
+    Each block repeats the first column, with `head` and `rows`. A head of several words
+    stands on several lines.
     """
     first = max(map(len, (head, *rows)))
     # The widest columns among those that need the fewest blocks.
-    blocks = min((_in_blocks(columns, first, widest, width) for widest in _HEAD_WIDTHS), key=len)
+    blocks = min(
+        (_in_blocks(columns, first, widest, width) for widest in _HEAD_WIDTHS), key=len
+    )
     lines: list[str] = []
     for widths in blocks:
         cells = zip(rows, *(columns[name] for name in widths), strict=True)
-        lines += [""] if lines else []
-        lines += table([head, *widths], cells, widths=[first, *widths.values()], width=width)
+        if lines:
+            lines += [""]
+        else:
+            lines += []
+        lines += table(
+            [head, *widths], cells, widths=[first, *widths.values()], width=width
+        )
     return lines
 
 
@@ -201,7 +237,9 @@ def _in_blocks(
     left = 0
     for head, cells in columns.items():
         longest_word = max(map(len, head.split()), default=0)
-        width = max(*map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), widest))
+        width = max(
+            *map(len, cells), min(longest_word, _WIDEST_WORD), min(len(head), widest)
+        )
         if width + _GAP > left:
             blocks.append({})
             left = most - 2 - first

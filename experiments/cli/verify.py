@@ -35,7 +35,8 @@ Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
     "--deep",
     is_flag=True,
     help=(
-        "Make the result anew from what was asked, as long as that takes, and compare every file."
+        "Make the result anew from what was asked, as long as that takes, and compare"
+        " every file."
     ),
 )
 @options.option(
@@ -46,31 +47,38 @@ Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."""
 )
 @options.question_options(*options.OF_SCENE, has_file=False)
 @options.calling
-def verify(call: Call, *, folder: Path, question: "Question", deep: bool, key: Path | None) -> None:
+def verify(
+    call: Call, *, folder: Path, question: "Question", deep: bool, key: Path | None
+) -> None:
     """Check a folder of results, without the optimiser.
 
-    Recomputes from certificate.json and instance.npz, by code that it does not share with the
-    optimiser: that the instance is the one that was solved, that the layout is within all limits
-    and reaches all floors, and its value in every stage. Bounds are proven again where all poses
-    together reach no more, or where there are few enough sets of poses to compare them all;
-    elsewhere they rest on the solver that the certificate names, and this says so.
+    Recomputes from certificate.json and instance.npz, by code that it does not share
+    with the optimiser: that the instance is the one that was solved, that the layout is
+    within all limits and reaches all floors, and its value in every stage. Bounds are
+    proven again where all poses together reach no more, or where there are few enough
+    sets of poses to compare them all; elsewhere they rest on the solver that the
+    certificate names, and this says so.
 
-    Every file is compared with SHA256SUMS, with the instance, which has the poses and sensors that
-    were solved, and with each other; --scene adds the scene: what was said of its map when the
-    result was made (--junction, --sites and so on) need not be said again. What cannot be compared
-    with anything is listed.
+    Every file is compared with SHA256SUMS, with the instance, which has the poses and
+    sensors that were solved, and with each other; --scene adds the scene: what was said
+    of its map when the result was made (--junction, --sites and so on) need not be said
+    again. What cannot be compared with anything is listed.
 
-    --deep makes the result anew and compares every file with it: the detection table, the search,
-    the evaluator's verdicts, the bill, the report. --key checks who has signed the folder.
+    --deep makes the result anew and compares every file with it: the detection table,
+    the search, the evaluator's verdicts, the bill, the report. --key checks who has
+    signed the folder.
     """
     from ..jobs.verify import asked_question, run_verification
 
     has_scene = bool(question.scene)
-    asked = asked_question(folder) if folder.is_dir() else None
+    if folder.is_dir():
+        asked = asked_question(folder)
+    else:
+        asked = None
     if asked is None and deep:
         raise click.UsageError(
-            f"--deep: got {folder}, which does not say what was asked; expected a placement of "
-            "this version of place-rsus"
+            f"--deep: got {folder}, which does not say what was asked; expected a"
+            " placement of this version of place-rsus"
         )
     of_result = _with_scene(asked, question)
     if has_scene or deep:
@@ -101,7 +109,9 @@ def _with_scene(asked: "Question | None", given: "Question") -> "Question":
 
     # The junction was cut out of a map before: a scene's folder has no such options.
     if has_scene(Path(given.scene)) or not Path(given.scene).exists():
-        cut = [name for name in options.OF_SCENE if name != "scene" and name not in names]
+        cut = [
+            name for name in options.OF_SCENE if name != "scene" and name not in names
+        ]
         question = replace(question, **{name: getattr(given, name) for name in cut})
     return question
 
@@ -119,12 +129,23 @@ def verification_text(summary: "VerificationResult") -> str:
     again = [stage for stage in stages if stage.is_proven_again is True]
     if again:
         told = (f"{stage.name}: {stage.reason}" for stage in again)
-        lines += ["", "Proven again, without a solver:", *sentences(*told, indent=2, hanging=2)]
+        lines += [
+            "",
+            "Proven again, without a solver:",
+            *sentences(*told, indent=2, hanging=2),
+        ]
     open_stages = [stage.name for stage in stages if stage.gap != 0.0]
     if open_stages:
         lines += ["", *sentences(f"Not claimed to be best: {', '.join(open_stages)}.")]
-    lines += ["", "Not checked here:", *sentences(*summary.not_checked, indent=2, hanging=2)]
-    end = f"{n_failed} FAILED" if n_failed else "all OK"
+    lines += [
+        "",
+        "Not checked here:",
+        *sentences(*summary.not_checked, indent=2, hanging=2),
+    ]
+    if n_failed:
+        end = f"{n_failed} FAILED"
+    else:
+        end = "all OK"
     return "\n".join([*lines, "", f"{len(checks)} checks: {end}. {_left_out(summary)}"])
 
 

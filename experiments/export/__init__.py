@@ -1,6 +1,7 @@
 """Layouts in the formats of other programs: one module per format, named after it; some share one.
 
-To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list its name here.
+To add one, write a module that has a ``FORMAT``, an :class:`ExportFormat`, and list its
+name here.
 """
 
 from collections.abc import Callable
@@ -40,13 +41,17 @@ _SHARED = {
 class ExportFormat:
     """A format: how a layout is written, and what a user should know about it."""
 
-    write: Callable[..., str | bytes]  # a layout and its scene to the content of the file
+    write: Callable[
+        ..., str | bytes
+    ]  # a layout and its scene to the content of the file
     content: str  # what the file holds, and who reads it, in a few words
     is_binary: bool = False  # it is not text and needs a file
     has_lidars: bool = True  # LiDARs are in it, too, and not only cameras
     shows_runs: bool = False  # `write` takes a :class:`.watched.WatchedRun`, too
     options: tuple[str, ...] = ()  # names of further arguments of `write`
-    told: Callable[[bytes], str] | None = None  # a sentence about the content that was written
+    told: Callable[[bytes], str] | None = (
+        None  # a sentence about the content that was written
+    )
 
 
 def load_format(name: str) -> ExportFormat:

@@ -25,7 +25,9 @@ def lens_coefficients(name: str, camera: CalibratedCamera) -> tuple[bool, FloatA
         return False, np.array([[lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]])
     if isinstance(lens, Fisheye):
         return True, np.array([[lens.k1, lens.k2, lens.k3, lens.k4]])
-    expected = "Brown-Conrady's or a fisheye: the other way round is not of the same form"
+    expected = (
+        "Brown-Conrady's or a fisheye: the other way round is not of the same form"
+    )
     refuse(f"{name}: lens", "Tsai's radial term", expected)
 
 
@@ -50,16 +52,26 @@ def calibrations(layout: Layout, format_name: str) -> dict[str, CalibratedCamera
 
 def lidar_ids(layout: Layout) -> list[str]:
     """Units that are no cameras."""
-    return [unit.id for unit in layout.units if not isinstance(unit.sensor, CameraModel)]
+    return [
+        unit.id for unit in layout.units if not isinstance(unit.sensor, CameraModel)
+    ]
 
 
 def comments(layout: Layout, scene: Scene | None) -> str:
     """Comment lines of YAML: units that are no cameras, and those at sites that are assumed."""
     named = ", ".join(lidar_ids(layout))
-    doubts = {} if scene is None else assumed_sites(scene.notes)
-    left_out = f"# Left out, for they are no cameras: {named}\n" if named else ""
+    if scene is None:
+        doubts = {}
+    else:
+        doubts = assumed_sites(scene.notes)
+    if named:
+        left_out = f"# Left out, for they are no cameras: {named}\n"
+    else:
+        left_out = ""
     assumed = (unit for unit in layout.units if unit.site_id in doubts)
-    return left_out + "".join(f"# {unit.id}: assumed: {doubts[unit.site_id]}\n" for unit in assumed)
+    return left_out + "".join(
+        f"# {unit.id}: assumed: {doubts[unit.site_id]}\n" for unit in assumed
+    )
 
 
 def refuse_lenses(layout: Layout, format_name: str) -> None:

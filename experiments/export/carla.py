@@ -21,13 +21,17 @@ from .places import metric_points
 def to_carla(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as a JSON list of sensors to spawn in CARLA.
 
-    Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute`` takes them)
-    and the transform, and "assumed" where the site is. CARLA's left-handed frame, metres, degrees,
-    from the zero of the map that the scene was made from, if it is in metres.
-    Raises InputError for lenses that distort: CARLA's own parameters are of another kind.
+    Per unit: id, blueprint, its attributes as text (as ``ActorBlueprint.set_attribute``
+    takes them) and the transform, and "assumed" where the site is. CARLA's left-handed
+    frame, metres, degrees, from the zero of the map that the scene was made from, if it
+    is in metres. Raises InputError for lenses that distort: CARLA's own parameters are
+    of another kind.
     """
     refuse_lenses(layout, "carla")
-    doubts = {} if scene is None else assumed_sites(scene.notes)
+    if scene is None:
+        doubts = {}
+    else:
+        doubts = assumed_sites(scene.notes)
     return to_json_text(
         [
             _carla_record(unit, scene)
@@ -58,9 +62,11 @@ def camera_attributes(sensor: CameraModel) -> dict[str, str]:
 
 
 def _carla_record(unit: CandidatePose, scene: Scene | None) -> dict[str, object]:
-    pose, sensor = unit.pose, unit.sensor
+    pose = unit.pose
+    sensor = unit.sensor
     if isinstance(sensor, LidarModel):
-        blueprint, half_deg = "sensor.lidar.ray_cast", 0.5 * sensor.vertical_fov_deg
+        blueprint = "sensor.lidar.ray_cast"
+        half_deg = 0.5 * sensor.vertical_fov_deg
         scan = {
             "channels": sensor.n_lines,
             "range": sensor.range_m,
@@ -72,7 +78,8 @@ def _carla_record(unit: CandidatePose, scene: Scene | None) -> dict[str, object]
         }
         attributes = {name: str(value) for name, value in scan.items()}
     else:
-        blueprint, attributes = "sensor.camera.rgb", camera_attributes(sensor)
+        blueprint = "sensor.camera.rgb"
+        attributes = camera_attributes(sensor)
     attributes["sensor_tick"] = str(1.0 / sensor.frame_rate_hz)
     (place_m,) = carla_points(pose.position_m[None], scene).tolist()
     yaw_deg = float(to_carla_yaw(pose.yaw_deg)) + 0.0
@@ -87,4 +94,6 @@ def _carla_record(unit: CandidatePose, scene: Scene | None) -> dict[str, object]
     }
 
 
-FORMAT = ExportFormat(write=to_carla, content="spawn transforms in CARLA's frame; its Python API")
+FORMAT = ExportFormat(
+    write=to_carla, content="spawn transforms in CARLA's frame; its Python API"
+)

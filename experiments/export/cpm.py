@@ -28,22 +28,32 @@ from .watched import WatchedRun
 
 RELEASES = ("2.1.1", "2.4.1")
 """Versions of the dictionary, ETSI TS 102 894-2, the usual one first."""
-_VERSION, _CPM = 2, 14  # ItsPduHeader
+_VERSION = 2
+_CPM = 14  # ItsPduHeader
 _PER_DEGREE = 1.0e7  # Latitude, Longitude
-_RSU_CONTAINER, _SENSOR_CONTAINER, _OBJECT_CONTAINER = 2, 3, 5  # CpmContainerId
-_LIDAR, _MONOVIDEO = 2, 3  # SensorType
+_RSU_CONTAINER = 2
+_SENSOR_CONTAINER = 3
+_OBJECT_CONTAINER = 5  # CpmContainerId
+_LIDAR = 2
+_MONOVIDEO = 3  # SensorType
 _MAX_SENSORS = 128  # SensorInformationContainer
 _SENSORS_EVERY_S = 1.0  # T_AddSensorInformation
 _MAX_RANGE = 4093  # StandardLength12b, in 0.1 m
 _MAX_OFFSET = 32766  # CartesianCoordinate, in 0.01 m
-_MAX_COORDINATE, _MAX_VELOCITY = 131070, 16381  # CartesianCoordinateLarge, VelocityComponentValue
+_MAX_COORDINATE = 131070
+_MAX_VELOCITY = 16381  # CartesianCoordinateLarge, VelocityComponentValue
 _TURN = 3600  # a full turn in 0.1 degrees: a value that is not used
-_SEMI_AXIS_UNKNOWN, _HEADING_UNKNOWN, _ALTITUDE_UNKNOWN = 4095, 3601, 800001
-_COORDINATE_UNKNOWN, _SPEED_UNKNOWN, _CLASS_UNKNOWN = 4096, 127, 101  # confidences
+_SEMI_AXIS_UNKNOWN = 4095
+_HEADING_UNKNOWN = 3601
+_ALTITUDE_UNKNOWN = 800001
+_COORDINATE_UNKNOWN = 4096
+_SPEED_UNKNOWN = 127
+_CLASS_UNKNOWN = 101  # confidences
 _ALTITUDES = -100_000, 800_000  # the first and the last stand for all beyond
 _SLACK = 1.0e-6  # of a unit: what rounding may add before it counts as the next one
 _STEP_S = 1.0e-3  # half of that over which a velocity is taken
-_VRU_CLASSES = {  # by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
+# by road user: kind, its profile as 2.1.1 names it, and as 2.4.1 counts it
+_VRU_CLASSES = {
     "on foot": ("pedestrian", "ordinary-pedestrian", 1),
     "bicycle": ("bicyclistAndLightVruVehicle", "bicyclist", 1),
     "motorcycle": ("motorcyclist", "motorcycle", 2),
@@ -57,15 +67,22 @@ class Station:
 
     site: str  # empty: a unit without a site
     units: tuple[str, ...]  # a sensor's id is its place here
-    messages: tuple[dict[str, Any], ...]  # CollectivePerceptionMessage each, as JSON writes it
+    messages: tuple[
+        dict[str, Any], ...
+    ]  # CollectivePerceptionMessage each, as JSON writes it
 
 
 def to_cpm(
-    layout: Layout, scene: Scene, watched: WatchedRun | None = None, *, release: str = RELEASES[0]
+    layout: Layout,
+    scene: Scene,
+    watched: WatchedRun | None = None,
+    *,
+    release: str = RELEASES[0],
 ) -> str:
     """Layout as collective perception messages, a station (RSU) per site, as JSON.
 
-    {"standard", "stations": [{"site", "units", "messages"}]}: see :func:`build_stations`.
+    {"standard", "stations": [{"site", "units", "messages"}]}: see
+    :func:`build_stations`.
     """
     standard = f"ETSI TS 103 324 V2.1.1 with ETSI TS 102 894-2 V{release}"
     stations = build_stations(layout, scene, watched, release=release)
@@ -73,42 +90,53 @@ def to_cpm(
 
 
 def build_stations(
-    layout: Layout, scene: Scene, watched: WatchedRun | None = None, *, release: str = RELEASES[0]
+    layout: Layout,
+    scene: Scene,
+    watched: WatchedRun | None = None,
+    *,
+    release: str = RELEASES[0],
 ) -> list[Station]:
     """Stations of a layout, and what they send.
 
     Without a run one message: header, reference time 0, reference position (WGS 84, 0.1
-    microdegrees; on the road in the middle of the station's units; its altitude [0.01 m] where the
-    map counts heights from the ellipsoid), the RSU's container and that of its sensors. Their
-    regions are radial shapes: reference point east, north, up of the reference position [0.01 m],
-    range [0.1 m], horizontal opening - V2.1.1: clockwise from north, V2.4.1: counter-clockwise from
-    east - and vertical opening upwards from the horizon [0.1 degrees].
+    microdegrees; on the road in the middle of the station's units; its altitude [0.01
+    m] where the map counts heights from the ellipsoid), the RSU's container and that of
+    its sensors. Their regions are radial shapes: reference point east, north, up of the
+    reference position [0.01 m], range [0.1 m], horizontal opening - V2.1.1: clockwise
+    from north, V2.4.1: counter-clockwise from east - and vertical opening upwards from
+    the horizon [0.1 degrees].
 
-    With a run a message for each frame in which a unit detects the road user, and each second one
-    with the sensors. Reference times are milliseconds since the run's first frame, after the
-    slowest unit's latency; the object's measurement is older by that. Position of the middle of its
-    box [0.01 m] and velocity [0.01 m/s] are the run's own, so their confidence is unavailable.
-    Raises InputError if the scene has no crs; a site carries more than 128 units, or units too far
-    apart, or the run leaves the standard's range; the release is unknown.
+    With a run a message for each frame in which a unit detects the road user, and each
+    second one with the sensors. Reference times are milliseconds since the run's first
+    frame, after the slowest unit's latency; the object's measurement is older by that.
+    Position of the middle of its box [0.01 m] and velocity [0.01 m/s] are the run's
+    own, so their confidence is unavailable. Raises InputError if the scene has no crs;
+    a site carries more than 128 units, or units too far apart, or the run leaves the
+    standard's range; the release is unknown.
 
     Notes
     -----
-    A camera ends where an adult is as high in the image as the least box of the default detector;
-    shadowing is left to the receiver. Most maps count heights from the sea, up to 100 m from the
-    ellipsoid: then the altitude is unavailable. A full turn has no value of its own (360.0 means
-    "not used"), so a LiDAR that scans all round opens from 0 to 359.9 degrees; if it is tilted, the
-    vertical opening is what it reaches to any side, not to each.
+    A camera ends where an adult is as high in the image as the least box of the default
+    detector; shadowing is left to the receiver. Most maps count heights from the sea,
+    up to 100 m from the ellipsoid: then the altitude is unavailable. A full turn has no
+    value of its own (360.0 means "not used"), so a LiDAR that scans all round opens
+    from 0 to 359.9 degrees; if it is tilted, the vertical opening is what it reaches to
+    any side, not to each.
 
     References
     ----------
-    .. [1] ETSI TS 103 324 V2.1.1, SensorInformationContainer; ETSI TS 102 894-2 V2.1.1, SensorType,
+    .. [1] ETSI TS 103 324 V2.1.1, SensorInformationContainer; ETSI TS 102 894-2 V2.1.1,
+       SensorType,
        RadialShape, CartesianPosition3d, Wgs84AngleValue, CartesianAngleValue.
     """
     require_crs(scene.crs, "cpm")
     check_one_of("release", release, RELEASES)
     stations: dict[tuple[str, str], list[CandidatePose]] = {}
     for unit in layout.units:
-        key = (unit.site_id, "") if unit.site_id else ("", unit.id)
+        if unit.site_id:
+            key = (unit.site_id, "")
+        else:
+            key = ("", unit.id)
         stations.setdefault(key, []).append(unit)
     middles_m = np.array(
         [
@@ -116,7 +144,9 @@ def build_stations(
             for units in stations.values()
         ]
     )
-    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * _PER_DEGREE).astype(int)
+    lon_lat = np.round(longitude_latitude(middles_m, scene.crs) * _PER_DEGREE).astype(
+        int
+    )
     # Offsets count from the rounded position, or they would be a centimetre off.
     origins_m = transform(lon_lat / _PER_DEGREE, "EPSG:4326", scene.crs)
     adult_px_m = load_actors()["adult"].height_m / load_detector().min_box_height_px
@@ -129,7 +159,9 @@ def build_stations(
         described = [
             {
                 "sensorId": number,
-                "sensorType": _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR,
+                "sensorType": (
+                    _MONOVIDEO if isinstance(unit.sensor, CameraModel) else _LIDAR
+                ),
                 "perceptionRegionShape": {
                     "radial": _radial_shape(unit, road_m, adult_px_m, where, release)
                 },
@@ -155,12 +187,22 @@ def build_stations(
 
 
 def _message(
-    station_id: int, time_ms: int, position: dict[str, Any], containers: list[dict[str, Any]]
+    station_id: int,
+    time_ms: int,
+    position: dict[str, Any],
+    containers: list[dict[str, Any]],
 ) -> dict[str, Any]:
     return {
-        "header": {"protocolVersion": _VERSION, "messageId": _CPM, "stationId": station_id},
+        "header": {
+            "protocolVersion": _VERSION,
+            "messageId": _CPM,
+            "stationId": station_id,
+        },
         "payload": {
-            "managementContainer": {"referenceTime": time_ms, "referencePosition": position},
+            "managementContainer": {
+                "referenceTime": time_ms,
+                "referencePosition": position,
+            },
             "cpmContainers": [_container(_RSU_CONTAINER, {}), *containers],
         },
     }
@@ -170,7 +212,9 @@ def _container(container_id: int, data: object) -> dict[str, Any]:
     return {"containerId": container_id, "containerData": data}
 
 
-def _reference_position(latitude: int, longitude: int, altitude_cm: int) -> dict[str, Any]:
+def _reference_position(
+    latitude: int, longitude: int, altitude_cm: int
+) -> dict[str, Any]:
     """A place of unknown confidence, as JSON writes it."""
     return {
         "latitude": latitude,
@@ -215,9 +259,12 @@ def _sent(
             yield round(1000.0 * (time_s[frame] - time_s[0] + latency_s)), containers
 
 
-def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str) -> dict[str, Any]:
+def _object(
+    run: Run, frame: int, origin_m: FloatArray, where: str, release: str
+) -> dict[str, Any]:
     """Whoever the VUT meets in a frame, east, north and up of the reference position."""
-    motion, body = run.encounter.vru_motion, run.encounter.vru
+    motion = run.encounter.vru_motion
+    body = run.encounter.vru
     around_s = run.time_s[frame] + np.array([-_STEP_S, _STEP_S])
     places_m = on_ground(motion.path.at(motion.distance_m(around_s))[0], run.terrain)
     velocity = _count_up(np.diff(places_m, axis=0)[0] / (2.0 * _STEP_S), 100.0)
@@ -234,7 +281,10 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
     return {
         "objectId": 0,
         "position": {
-            f"{axis}Coordinate": {"value": int(value), "confidence": _COORDINATE_UNKNOWN}
+            f"{axis}Coordinate": {
+                "value": int(value),
+                "confidence": _COORDINATE_UNKNOWN,
+            }
             for axis, value in zip("xyz", offset, strict=True)
         },
         "velocity": {
@@ -249,7 +299,10 @@ def _object(run: Run, frame: int, origin_m: FloatArray, where: str, release: str
 
 def _altitude_cm_at(scene: Scene, height_m: float) -> int:
     """Height above the ellipsoid of what is some metres above the scene's zero."""
-    crs = parse_crs(scene.source_crs) if scene.source_crs else None
+    if scene.source_crs:
+        crs = parse_crs(scene.source_crs)
+    else:
+        crs = None
     is_ellipsoidal = crs is not None and len(crs.axis_info) == 3 and not crs.is_compound
     if scene.zero_height_m is None or not is_ellipsoidal:
         return _ALTITUDE_UNKNOWN
@@ -259,7 +312,11 @@ def _altitude_cm_at(scene: Scene, height_m: float) -> int:
 
 
 def _radial_shape(
-    unit: CandidatePose, origin_m: FloatArray, adult_px_m: float, where: str, release: str
+    unit: CandidatePose,
+    origin_m: FloatArray,
+    adult_px_m: float,
+    where: str,
+    release: str,
 ) -> dict[str, object]:
     offset = _count_up(unit.pose.position_m - origin_m, 100.0)
     if np.abs(offset).max() > _MAX_OFFSET:
@@ -269,9 +326,10 @@ def _radial_shape(
             f"at most {_MAX_OFFSET / 100.0:g} m",
         )
     sensor = unit.sensor
-    range_m = (
-        sensor.focal_length_px * adult_px_m if isinstance(sensor, CameraModel) else sensor.range_m
-    )
+    if isinstance(sensor, CameraModel):
+        range_m = sensor.focal_length_px * adult_px_m
+    else:
+        range_m = sensor.range_m
     half_deg = 0.5 * sensor.horizontal_fov_deg
     if isinstance(sensor, CameraModel) and not sensor.is_pinhole:
         half_deg = min(half_deg, math.degrees(SEEN_RAD))
@@ -281,18 +339,25 @@ def _radial_shape(
     middle_deg = unit.pose.yaw_deg
     if is_old:
         middle_deg = float(to_carla_yaw(middle_deg)) + 90.0
-    start, end = _tenths(middle_deg - half_deg) % _TURN, _tenths(middle_deg + half_deg) % _TURN
+    start = _tenths(middle_deg - half_deg) % _TURN
+    end = _tenths(middle_deg + half_deg) % _TURN
     if is_ring(unit.sensor):
-        start, end = 0, _TURN - 1
+        start = 0
+        end = _TURN - 1
         # Tilted, its front goes down by as much as its back goes up.
-        lowest_deg, highest_deg = -abs(unit.pose.pitch_deg), abs(unit.pose.pitch_deg)
+        lowest_deg = -abs(unit.pose.pitch_deg)
+        highest_deg = abs(unit.pose.pitch_deg)
     # What looks straight down sees beyond it, but there is no steeper direction.
     low_deg = max(lowest_deg - half_vertical_deg, -90.0)
     high_deg = min(highest_deg + half_vertical_deg, 90.0)
-    horizontal = "stationaryHorizontalOpeningAngle" if is_old else "horizontalOpeningAngle"
+    if is_old:
+        horizontal = "stationaryHorizontalOpeningAngle"
+    else:
+        horizontal = "horizontalOpeningAngle"
     return {
         "shapeReferencePoint": {
-            f"{axis}Coordinate": int(value) for axis, value in zip("xyz", offset, strict=True)
+            f"{axis}Coordinate": int(value)
+            for axis, value in zip("xyz", offset, strict=True)
         },
         "range": min(_tenths(range_m), _MAX_RANGE),
         f"{horizontal}Start": start,

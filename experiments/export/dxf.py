@@ -15,17 +15,20 @@ from .places import find_views, metric_points
 _LAYERS = {"LANES": 8, "CROSSWALKS": 9, "POLES": 3, "UNITS": 5, "UNSEEN": 1}
 _VIEWS = 140
 _METRES = 6  # $INSUNITS
-_TEXT_M, _POLE_M, _ARROW_M = 0.6, 0.3, 4.0
+_TEXT_M = 0.6
+_POLE_M = 0.3
+_ARROW_M = 4.0
 
 
 def to_dxf(layout: Layout, scene: Scene) -> str:
     """Layout as a DXF drawing in metres, in the coordinates of the scene's map if these are metres.
 
-    Layers: LANES and CROSSWALKS (lines), POLES (circles: all sites, with their ids), UNITS (arrows
-    along the view at the height of the unit, with their ids), VIEWS (outlines of what each camera
-    sees, with its id as layer VIEWS-ID), UNSEEN (road that no camera sees). Maps in degrees are
-    drawn in the world frame. Not in it: buildings, and the ground's heights. Raises
-    MissingExtraError if ezdxf is not installed.
+    Layers: LANES and CROSSWALKS (lines), POLES (circles: all sites, with their ids),
+    UNITS (arrows along the view at the height of the unit, with their ids), VIEWS
+    (outlines of what each camera sees, with its id as layer VIEWS-ID), UNSEEN (road
+    that no camera sees). Maps in degrees are drawn in the world frame. Not in it:
+    buildings, and the ground's heights. Raises MissingExtraError if ezdxf is not
+    installed.
     """
     ezdxf = load_extra("ezdxf", "dxf needs ezdxf", "dxf")
     drawing = ezdxf.new("R2010", units=_METRES)
@@ -56,13 +59,18 @@ def to_dxf(layout: Layout, scene: Scene) -> str:
     for view in find_views(layout, scene, place):
         # Without what the format forbids in names.
         name = re.sub(r'[<>/\\":;?*|=`,]', "_", view.unit)
-        layer = f"VIEWS-{name}" if view.unit else "UNSEEN"
+        if view.unit:
+            layer = f"VIEWS-{name}"
+        else:
+            layer = "UNSEEN"
         if layer not in drawing.layers:
             drawing.layers.add(layer, color=_VIEWS)
         for polygon in getattr(view.area, "geoms", [view.area]):
             for ring in (polygon.exterior, *polygon.interiors):
                 points = list(ring.coords)[:-1]
-                space.add_lwpolyline(points, format="xy", close=True, dxfattribs={"layer": layer})
+                space.add_lwpolyline(
+                    points, format="xy", close=True, dxfattribs={"layer": layer}
+                )
     file = io.StringIO()
     drawing.write(file)
     return file.getvalue()

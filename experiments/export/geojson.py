@@ -23,11 +23,11 @@ def to_geojson(
 ) -> str:
     """Layout as GeoJSON: points in WGS 84, with the fields of the layout as properties.
 
-    A FeatureCollection. Coordinates are longitude, latitude [deg] and the height [m]: that of the
-    map where the ground is not flat and the map tells it, else above the road. x_m and y_m among
-    the properties stay in the world frame. Views, in WGS 84, are further features, multipolygons.
-    Raises InputError if pyproj does not know `crs`, or the layout lies outside of where it is
-    defined.
+    A FeatureCollection. Coordinates are longitude, latitude [deg] and the height [m]:
+    that of the map where the ground is not flat and the map tells it, else above the
+    road. x_m and y_m among the properties stay in the world frame. Views, in WGS 84,
+    are further features, multipolygons. Raises InputError if pyproj does not know
+    `crs`, or the layout lies outside of where it is defined.
 
     References
     ----------
@@ -41,19 +41,31 @@ def to_geojson(
         shapes.append((record, {"type": "Point", "coordinates": [*lon_lat, height_m]}))
     shapes += [(view.record(), view.area.__geo_interface__) for view in views]
     features = [
-        {"type": "Feature", "id": record["id"], "geometry": geometry, "properties": record}
+        {
+            "type": "Feature",
+            "id": record["id"],
+            "geometry": geometry,
+            "properties": record,
+        }
         for record, geometry in shapes
     ]
-    return to_json_text({"type": "FeatureCollection", "name": layout.name, "features": features})
+    return to_json_text(
+        {"type": "FeatureCollection", "name": layout.name, "features": features}
+    )
 
 
 def _write(layout: Layout, scene: Scene, *, views: bool = False) -> str:
     require_crs(scene.crs, "geojson")
     place = partial(longitude_latitude, crs=scene.crs)
-    found = find_views(layout, scene, place) if views else []
+    if views:
+        found = find_views(layout, scene, place)
+    else:
+        found = []
     return to_geojson(layout, scene.crs, scene, views=found)
 
 
 FORMAT = ExportFormat(
-    write=_write, content="points in WGS 84; QGIS, geopandas, web maps", options=("views",)
+    write=_write,
+    content="points in WGS 84; QGIS, geopandas, web maps",
+    options=("views",),
 )

@@ -20,7 +20,9 @@ from .places import (
 )
 
 
-def geopackage(layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs: str) -> bytes:
+def geopackage(
+    layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs: str
+) -> bytes:
     """Layers of one database: name, kind of geometry (empty: areas), records and their places.
 
     References
@@ -35,7 +37,9 @@ def geopackage(layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs
         for name, kind, records, shapes in layers:
             pyogrio.write_dataframe(
                 gpd.GeoDataFrame(records, geometry=shapes, crs=crs),
-                *(path, name, "GPKG"),
+                path,
+                name,
+                "GPKG",
                 geometry_type=kind or None,
                 promote_to_multi=not kind,
                 append=path.exists(),
@@ -46,11 +50,11 @@ def geopackage(layers: Iterable[tuple[str, str, list[dict[str, Any]], Any]], crs
 def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes:
     """Layout as a GeoPackage: points in the coordinates of the map that the scene was made from.
 
-    A SQLite database with the layer "units": points with the height as z (that
-    of the map where the ground is not flat and the map tells it, else above the road), and the
-    fields of the layout; x_m and y_m among them stay in the world frame. With `views` also the
-    layer "views": see :func:`.places.find_views`. Raises InputError if the scene
-    has no crs, or one that pyproj does not know.
+    A SQLite database with the layer "units": points with the height as z (that of the
+    map where the ground is not flat and the map tells it, else above the road), and the
+    fields of the layout; x_m and y_m among them stay in the world frame. With `views`
+    also the layer "views": see :func:`.places.find_views`. Raises InputError if the
+    scene has no crs, or one that pyproj does not know.
     """
     import geopandas as gpd
 
@@ -59,12 +63,16 @@ def to_geopackage(layout: Layout, scene: Scene, *, views: bool = False) -> bytes
     position = map_points(positions_m(layout)[:, :2], scene)
     records = placed_records(layout, scene)
     points = gpd.points_from_xy(
-        position[:, 0], position[:, 1], z=[record.get("map_z", record["z_m"]) for record in records]
+        position[:, 0],
+        position[:, 1],
+        z=[record.get("map_z", record["z_m"]) for record in records],
     )
     layers = [("units", "Point Z", records, points)]
     if views:
         found = find_views(layout, scene, partial(map_points, scene=scene))
-        layers.append(("views", "", [one.record() for one in found], [one.area for one in found]))
+        layers.append(
+            ("views", "", [one.record() for one in found], [one.area for one in found])
+        )
     return geopackage(layers, scene.source_crs or scene.crs)
 
 

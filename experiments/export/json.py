@@ -25,9 +25,13 @@ def to_json_text(document: object) -> str:
 
 def to_json(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as the JSON file that ``--layout`` reads; with a scene, what is assumed of sites."""
-    doubts = {} if scene is None else assumed_sites(scene.notes)
+    if scene is None:
+        doubts = {}
+    else:
+        doubts = assumed_sites(scene.notes)
     units = [
-        record | ({"assumed": doubts[record["site"]]} if record["site"] in doubts else {})
+        record
+        | ({"assumed": doubts[record["site"]]} if record["site"] in doubts else {})
         for record in layout_records(layout)
     ]
     document = {

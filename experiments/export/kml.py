@@ -20,21 +20,28 @@ from .places import (
 def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
     """Layout as KML: a placemark per unit, at its height above ground, with a pole below it.
 
-    An XML document. Every field of the layout is in the placemark's ExtendedData; the placemark's
-    camera looks from the unit's place along its optical axis. With `views` also what each camera
-    sees, see :func:`.places.find_views`, as polygons on the ground. Raises InputError if
-    the scene has no crs, or one that pyproj does not know, or if a name is not printable.
+    An XML document. Every field of the layout is in the placemark's ExtendedData; the
+    placemark's camera looks from the unit's place along its optical axis. With `views`
+    also what each camera sees, see :func:`.places.find_views`, as polygons on the
+    ground. Raises InputError if the scene has no crs, or one that pyproj does not know,
+    or if a name is not printable.
 
     References
     ----------
-    .. [1] OGC 07-147r2, "KML 2.2": Placemark, ExtendedData, and Camera, whose heading is clockwise
+    .. [1] OGC 07-147r2, "KML 2.2": Placemark, ExtendedData, and Camera, whose heading
+       is clockwise
        from north and whose tilt counts from straight down.
     """
     require_crs(scene.crs, "kml")
     records = placed_records(layout, scene)
-    texts = [("name", layout.name), *(field for record in records for field in record.items())]
+    texts = [
+        ("name", layout.name),
+        *(field for record in records for field in record.items()),
+    ]
     for name, value in texts:
-        if isinstance(value, str) and not value.isprintable():  # XML has no words for most others
+        if (
+            isinstance(value, str) and not value.isprintable()
+        ):  # XML has no words for most others
             raise InputError(f"kml: {name}", value, "printable text")
     place = partial(longitude_latitude, crs=scene.crs)
     return xml_text(
@@ -44,7 +51,8 @@ def to_kml(layout: Layout, scene: Scene, *, views: bool = False) -> str:
         records=records,
         places_deg=longitude_latitude(positions_m(layout), scene.crs).tolist(),
         headings_deg=[
-            float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0 for unit in layout.units
+            float(to_carla_yaw(unit.pose.yaw_deg) + 90.0) % 360.0
+            for unit in layout.units
         ],
         views=find_views(layout, scene, place) if views else [],
     )

@@ -34,7 +34,9 @@ _COLOURS = {
     "vru": (0.9, 0.5, 0.1, 0.9), "seen": (0.1, 0.8, 0.2, 1.0), "other": (0.6, 0.6, 0.65, 1.0),
 }  # fmt: skip
 _FRUSTUM_M = 4.0  # how far ahead its far side is drawn
-_WIDEST_DEG = 150.0  # of what is drawn: the sides of wider ones would be kilometres away
+_WIDEST_DEG = (
+    150.0  # of what is drawn: the sides of wider ones would be kilometres away
+)
 _WIDEST_PX = 640  # of pictures
 _NANO = 1_000_000_000
 
@@ -49,12 +51,13 @@ def to_mcap(
     """Layout, if any, as an MCAP file; with a run its frames, from time 0 on.
 
     Topics: /scene (meshes), /units (a frustum per camera, a ball per LiDAR), /tf and
-    /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each unit that
-    detects) and /state (JSON: time to the impact, units that detect, whether a track is confirmed
-    and braking would have begun). Frame "map": x east, y north, z up. Nobody brakes in it. With
-    `pictures`, what to draw with, /image/UNIT has what each camera sees of a run, reduced, and
-    /calibration/UNIT is of these pictures. Not in it: point clouds. Raises InputError for pictures
-    without a run, MissingExtraError if foxglove-sdk is not installed.
+    /calibration/UNIT (cameras); of a run /bodies (boxes), /detections (a line from each
+    unit that detects) and /state (JSON: time to the impact, units that detect, whether
+    a track is confirmed and braking would have begun). Frame "map": x east, y north, z
+    up. Nobody brakes in it. With `pictures`, what to draw with, /image/UNIT has what
+    each camera sees of a run, reduced, and /calibration/UNIT is of these pictures. Not
+    in it: point clouds. Raises InputError for pictures without a run, MissingExtraError
+    if foxglove-sdk is not installed.
     """
     if pictures is not None:
         if watched is None or layout is None:
@@ -73,11 +76,12 @@ def to_mcap(
         def log(topic: str, message: Any, time_s: float) -> None:
             if topic not in channels:
                 maker = getattr(kinds, f"{type(message).__name__}Channel", None)
-                channels[topic] = (
-                    foxglove.Channel(topic, message_encoding="json", context=context)
-                    if maker is None
-                    else maker(topic, context=context)
-                )
+                if maker is None:
+                    channels[topic] = foxglove.Channel(
+                        topic, message_encoding="json", context=context
+                    )
+                else:
+                    channels[topic] = maker(topic, context=context)
             channels[topic].log(message, log_time=round(time_s * _NANO))
 
         log("/scene", m.SceneUpdate(entities=list(_meshes(m, scene))), 0.0)
@@ -93,13 +97,19 @@ def to_mcap(
             for unit in units
         ]
         log("/tf", m.FrameTransforms(transforms=transforms), 0.0)
-        if layout is not None and any(isinstance(unit.sensor, CameraModel) for unit in units):
+        if layout is not None and any(
+            isinstance(unit.sensor, CameraModel) for unit in units
+        ):
             for name, camera in calibrations(layout, "mcap").items():
                 log(f"/calibration/{name}", _calibration(m, name, camera), 0.0)
-        for topic, message, time_s in [] if watched is None else _frames(m, units, watched):
+        for topic, message, time_s in (
+            [] if watched is None else _frames(m, units, watched)
+        ):
             log(topic, message, time_s)
         if pictures is not None and watched is not None:
-            for topic, message, time_s in _pictures(m, units, scene, watched.run, pictures):
+            for topic, message, time_s in _pictures(
+                m, units, scene, watched.run, pictures
+            ):
                 log(topic, message, time_s)
     return file.getvalue()
 
@@ -142,7 +152,9 @@ def _units(m: Any, units: Sequence[CandidatePose]) -> Iterator[Any]:
         label = m.TextPrimitive(pose=above, text=unit.id, font_size=0.5, billboard=True)
         if not isinstance(unit.sensor, CameraModel):
             size = _vector(m, [0.3, 0.3, 0.3])
-            ball = m.SpherePrimitive(pose=_pose(m, position_m), size=size, color=_colour(m, "unit"))
+            ball = m.SpherePrimitive(
+                pose=_pose(m, position_m), size=size, color=_colour(m, "unit")
+            )
             yield _entity(m, unit.id, spheres=[ball], texts=[label])
             continue
         corners = _corners(unit.sensor)
@@ -162,9 +174,13 @@ def _corners(camera: CameraModel) -> list[list[float]]:
     half = 0.5 * np.array([camera.width_px, camera.height_px])
     x_m, y_m = _FRUSTUM_M * half / camera.focal_length_px
     if not camera.is_pinhole:
-        fovs_deg = np.minimum([camera.horizontal_fov_deg, camera.vertical_fov_deg], _WIDEST_DEG)
+        fovs_deg = np.minimum(
+            [camera.horizontal_fov_deg, camera.vertical_fov_deg], _WIDEST_DEG
+        )
         x_m, y_m = _FRUSTUM_M * np.tan(np.radians(0.5 * fovs_deg))
-    return [[x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return [
+        [x * x_m, y * y_m, _FRUSTUM_M] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
 
 
 def _vector(m: Any, values: Any) -> Any:
@@ -177,7 +193,9 @@ def _turn(m: Any, quaternion: Sequence[float]) -> Any:
     return m.Quaternion(x=x, y=y, z=z, w=w)
 
 
-def _pose(m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:
+def _pose(
+    m: Any, position_m: Any, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)
+) -> Any:
     return m.Pose(position=_vector(m, position_m), orientation=_turn(m, quaternion))
 
 
@@ -201,17 +219,31 @@ def _frames(
 ) -> Iterator[tuple[str, Any, float]]:
     run = watched.run
     axis = build_frame_axis((run,), np.ones(1))
-    parties = [(watched.detected[unit.id], unit.latency(watched.rule)) for unit in units]
+    parties = [
+        (watched.detected[unit.id], unit.latency(watched.rule)) for unit in units
+    ]
     onsets = find_onsets(earliest_arrival_s(parties, axis), axis, rule=watched.rule)
-    confirmed_s, onset_s = float(onsets.confirmation_s[0]), float(onsets.onset_s[0])
-    met, last_s = run.encounter.vru, run.last_brake_time_s
+    confirmed_s = float(onsets.confirmation_s[0])
+    onset_s = float(onsets.onset_s[0])
+    met = run.encounter.vru
+    last_s = run.last_brake_time_s
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
         time_s = to_impact_s - float(run.time_s[0])
         bodies: list[tuple[str, Actor, Any, float]] = [
-            ("vut", run.encounter.vut, run.vut_position_m[frame], run.vut_yaw_deg[frame]),
+            (
+                "vut",
+                run.encounter.vut,
+                run.vut_position_m[frame],
+                run.vut_yaw_deg[frame],
+            ),
             ("vru", met, run.vru_position_m[frame], run.vru_yaw_deg[frame]),
             *(
-                (f"obstruction-{n}", one.actor, one.pose.position_m[:2], one.pose.yaw_deg)
+                (
+                    f"obstruction-{n}",
+                    one.actor,
+                    one.pose.position_m[:2],
+                    one.pose.yaw_deg,
+                )
                 for n, one in enumerate(run.obstruction, 1)
             ),
             *(
@@ -227,7 +259,9 @@ def _frames(
         at_m = ground_m + [0.0, 0.0, 0.5 * met.height_m]
         rays = m.LinePrimitive(
             type=m.LinePrimitiveLineType.LineList,
-            points=_points(m, [p for unit in seeing for p in (unit.pose.position_m, at_m)]),
+            points=_points(
+                m, [p for unit in seeing for p in (unit.pose.position_m, at_m)]
+            ),
             thickness=0.05,
             color=_colour(m, "seen"),
         )
@@ -254,14 +288,23 @@ def _reduced(unit: CandidatePose) -> CandidatePose:
 def _pictures(
     m: Any, units: Sequence[CandidatePose], scene: Scene, run: Run, compute: Compute
 ) -> Iterator[tuple[str, Any, float]]:
-    backdrop, weather = build_backdrop(scene, run.obstruction), pick_weather(run.weather, "weather")
-    cameras = [(unit, unit.sensor) for unit in units if isinstance(unit.sensor, CameraModel)]
+    backdrop = build_backdrop(scene, run.obstruction)
+    weather = pick_weather(run.weather, "weather")
+    cameras = [
+        (unit, unit.sensor) for unit in units if isinstance(unit.sensor, CameraModel)
+    ]
     for frame, to_impact_s in enumerate(run.time_s.tolist()):
         compute.progress("draw pictures", frame, len(run.time_s))
         time_s = to_impact_s - float(run.time_s[0])
         for unit, camera in cameras:
             picture = draw_picture(
-                *(backdrop, run, frame, unit.pose, camera), weather=weather, compute=compute
+                backdrop,
+                run,
+                frame,
+                unit.pose,
+                camera,
+                weather=weather,
+                compute=compute,
             )
             image = m.CompressedImage(
                 timestamp=m.Timestamp.from_epoch_secs(time_s),
@@ -272,13 +315,19 @@ def _pictures(
             yield f"/image/{unit.id}", image, time_s
 
 
-def _box(m: Any, run: Run, name: str, actor: Actor, position_m: Any, yaw_deg: float) -> Any:
+def _box(
+    m: Any, run: Run, name: str, actor: Actor, position_m: Any, yaw_deg: float
+) -> Any:
     half_rad = 0.5 * np.radians(yaw_deg)
     turn = (0.0, 0.0, float(np.sin(half_rad)), float(np.cos(half_rad)))
     middle_m = on_ground(position_m, run.terrain) + [0.0, 0.0, 0.5 * actor.height_m]
     size = _vector(m, [actor.length_m, actor.width_m, actor.height_m])
-    cube = m.CubePrimitive(pose=_pose(m, middle_m, turn), size=size, color=_colour(m, name))
-    return _entity(m, name, cubes=[cube], metadata=[m.KeyValuePair(key="body", value=actor.name)])
+    cube = m.CubePrimitive(
+        pose=_pose(m, middle_m, turn), size=size, color=_colour(m, name)
+    )
+    return _entity(
+        m, name, cubes=[cube], metadata=[m.KeyValuePair(key="body", value=actor.name)]
+    )
 
 
 FORMAT = ExportFormat(

@@ -51,42 +51,63 @@ class _Road:
     def pieces(self) -> Iterator[tuple[float, FloatArray, FloatArray]]:
         """Of each piece its length, and its coefficients along and across its first tangent.
 
-        They are cubics of a parameter from 0 to 1: Hermite's, through both ends along their
-        tangents, so that the line has no corners.
+        They are cubics of a parameter from 0 to 1: Hermite's, through both ends along
+        their tangents, so that the line has no corners.
         """
         for begin, end, out, into in zip(
-            self.points_m, self.points_m[1:], self.tangent, self.tangent[1:], strict=False
+            self.points_m,
+            self.points_m[1:],
+            self.tangent,
+            self.tangent[1:],
+            strict=False,
         ):
             frame = np.array([out, [-out[1], out[0]]])
-            way, turn = frame @ (end - begin), frame @ into
+            way = frame @ (end - begin)
+            turn = frame @ into
             chord_m = float(np.hypot(*way))
-            first, last = np.array([chord_m, 0.0]), chord_m * turn
+            first = np.array([chord_m, 0.0])
+            last = chord_m * turn
             cubic = np.array(
-                [np.zeros(2), first, 3.0 * way - 2.0 * first - last, first + last - 2.0 * way]
+                [
+                    np.zeros(2),
+                    first,
+                    3.0 * way - 2.0 * first - last,
+                    first + last - 2.0 * way,
+                ]
             )
             nodes, weights = _LENGTH_NODES
             at = 0.5 * (nodes + 1.0)
-            rate = cubic[1] + 2.0 * at[:, None] * cubic[2] + 3.0 * at[:, None] ** 2 * cubic[3]
+            rate = (
+                cubic[1]
+                + 2.0 * at[:, None] * cubic[2]
+                + 3.0 * at[:, None] ** 2 * cubic[3]
+            )
             yield float(0.5 * weights @ np.hypot(*rate.T)), *cubic.T
 
 
 def to_opendrive(layout: Layout | None, scene: Scene) -> str:
     """The scene's roads as an OpenDRIVE 1.7 file, in the world frame of the scene.
 
-    Each lane is a road of its own that ends at the junction, each lane through it a connecting one;
-    where the map has none, those are assumed that lead from each lane to each other arm. Heights
-    are those of the ground. Poles with the units of the layout are objects of the nearest road. Not
-    in it: markings, signals, lanes that are only assumed to lead on beyond the map.
+    Each lane is a road of its own that ends at the junction, each lane through it a
+    connecting one; where the map has none, those are assumed that lead from each lane
+    to each other arm. Heights are those of the ground. Poles with the units of the
+    layout are objects of the nearest road. Not in it: markings, signals, lanes that are
+    only assumed to lead on beyond the map.
 
     References
     ----------
-    .. [1] ASAM OpenDRIVE 1.7.0: 7.6 (parametric cubic curves), 10.3 (junctions), 11.1 (objects).
+    .. [1] ASAM OpenDRIVE 1.7.0: 7.6 (parametric cubic curves), 10.3 (junctions), 11.1
+       (objects).
     """
     junction = build_junction(scene)
-    lanes = [lane for lane in scene.lanes if lane.kind in _TYPES and lane.kind != ASSUMED]
+    lanes = [
+        lane for lane in scene.lanes if lane.kind in _TYPES and lane.kind != ASSUMED
+    ]
     if not any(lane.kind == CONNECTING for lane in lanes):
         lanes += _assumed(junction)
-    roads = {str(number): _road(str(number), lane) for number, lane in enumerate(lanes, 1)}
+    roads = {
+        str(number): _road(str(number), lane) for number, lane in enumerate(lanes, 1)
+    }
     outside = [road for road in roads.values() if road.lane.kind == "driving"]
     ways = {}
     for road in [*roads.values()]:
@@ -94,7 +115,9 @@ def to_opendrive(layout: Layout | None, scene: Scene) -> str:
             continue
         before = _end_at(outside, road.points_m[0], -1)
         after = _end_at(outside, road.points_m[-1], 0)
-        if before is None or after is None:  # through another junction: it leads nowhere here
+        if (
+            before is None or after is None
+        ):  # through another junction: it leads nowhere here
             del roads[road.id]
             continue
         ways[road.id] = before.id, after.id
@@ -127,7 +150,9 @@ def _road(road_id: str, lane: Lane) -> _Road:
     tangent = np.where(length[:, None] > 1e-6, tangent, follows)
     tangent /= np.hypot(*tangent.T)[:, None]
     widths_m = lane.width_m, lane.width_m
-    return _Road(id=road_id, lane=lane, points_m=points_m, tangent=tangent, width_m=widths_m)
+    return _Road(
+        id=road_id, lane=lane, points_m=points_m, tangent=tangent, width_m=widths_m
+    )
 
 
 def _assumed(junction: Junction) -> Iterator[Lane]:
@@ -156,13 +181,19 @@ def _assumed(junction: Junction) -> Iterator[Lane]:
 def _end_at(roads: Sequence[_Road], point_m: FloatArray, end: int) -> _Road | None:
     """The road that ends (-1) or begins (0) nearest to a point; None where none does."""
     gaps_m = [float(np.hypot(*(road.points_m[end] - point_m))) for road in roads]
-    nearest = int(np.argmin(gaps_m)) if gaps_m else 0
-    return roads[nearest] if gaps_m and gaps_m[nearest] <= _SAME_M else None
+    if gaps_m:
+        nearest = int(np.argmin(gaps_m))
+    else:
+        nearest = 0
+    if gaps_m and gaps_m[nearest] <= _SAME_M:
+        return roads[nearest]
+    return None
 
 
 def _fitted(road: _Road, before: _Road, after: _Road) -> _Road:
     """A way that leaves one road and enters another without a corner, a gap, or a jump in width."""
-    points_m, tangent = road.points_m.copy(), road.tangent.copy()
+    points_m = road.points_m.copy()
+    tangent = road.tangent.copy()
     points_m[[0, -1]] = before.points_m[-1], after.points_m[0]
     tangent[[0, -1]] = before.tangent[-1], after.tangent[0]
     widths_m = before.width_m[1], after.width_m[0]
@@ -180,9 +211,13 @@ def _line(road: _Road, scene: Scene) -> dict[str, Any]:
     begin_m, end_m = road.width_m
     return {
         "starts_m": starts_m,
-        "pieces": list(zip(starts_m, road.points_m, headings_rad, pieces, strict=False)),
+        "pieces": list(
+            zip(starts_m, road.points_m, headings_rad, pieces, strict=False)
+        ),
         "profile": list(
-            zip(starts_m[:-1][is_new], height_m[:-1][is_new], slope[is_new], strict=True)
+            zip(
+                starts_m[:-1][is_new], height_m[:-1][is_new], slope[is_new], strict=True
+            )
         ),
         "width_m": round(begin_m, _DIGITS) + 0.0,
         "widens": (end_m - begin_m) / starts_m[-1],
@@ -202,7 +237,8 @@ def _poles(
         (*_, s_m, t_m), road_id = min(
             (_beside(road, line["starts_m"], place_m), road.id) for road, line in roads
         )
-        names, pole = ", ".join(unit.id for unit in there), there[0].site_id
+        names = ", ".join(unit.id for unit in there)
+        pole = there[0].site_id
         beside[road_id].append(
             {
                 **{"number": number, "name": f"{pole}: {names}" if pole else names},
@@ -221,7 +257,8 @@ def _beside(
     `starts_m`, (n,), has the s of each of its points.
     Nothing but a place beside the line, not beyond its ends, can be told by s and t.
     """
-    begin, step = road.points_m[:-1], np.diff(road.points_m, axis=0)
+    begin = road.points_m[:-1]
+    step = np.diff(road.points_m, axis=0)
     length_m = np.hypot(*step.T)
     ahead = step / length_m[:, None]
     off = np.array(place_m) - begin
@@ -229,7 +266,10 @@ def _beside(
     left = ahead[:, 0] * off[:, 1] - ahead[:, 1] * off[:, 0]
     beyond = np.maximum(np.maximum(-along, along - length_m), 0.0)
     at = int(np.argmin(np.hypot(beyond, left)))
-    s_m = starts_m[at] + np.clip(along[at] / length_m[at], 0.0, 1.0) * np.diff(starts_m)[at]
+    s_m = (
+        starts_m[at]
+        + np.clip(along[at] / length_m[at], 0.0, 1.0) * np.diff(starts_m)[at]
+    )
     return round(beyond[at], 1), abs(left[at]), s_m, left[at]
 
 

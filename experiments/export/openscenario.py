@@ -22,12 +22,17 @@ from scenarios.runs import Run
 
 from . import load_extra, xml_text
 
-VUT, VRU = "vut", "vru"
-_DECIMALS = 6  # of metres, seconds, radians: what differs in the last bits gives the same file
-_DISTRIBUTION, _SCHEMA = "scenariogeneration", "OpenSCENARIO_1_3_1.xsd"
+VUT = "vut"
+VRU = "vru"
+_DECIMALS = (
+    6  # of metres, seconds, radians: what differs in the last bits gives the same file
+)
+_DISTRIBUTION = "scenariogeneration"
+_SCHEMA = "OpenSCENARIO_1_3_1.xsd"
 _SPEED_DECIMALS = 3
 _SPEED_STEP_S = 1.0e-6
-_TURN_DEG, _TURN_STEP_S = 0.1, 0.02  # between two frames: from which turn on, and how often
+_TURN_DEG = 0.1
+_TURN_STEP_S = 0.02  # between two frames: from which turn on, and how often
 _EPSILON_S = 1.0e-6
 _Place = tuple[float, float, float, float]
 """East, north, up [m] and heading [rad] of a point of reference."""
@@ -37,7 +42,9 @@ _Place = tuple[float, float, float, float]
 def load_xosc() -> Any:
     """The library's module for OpenSCENARIO, or MissingExtraError."""
     return load_extra(
-        "scenariogeneration.xosc", "OpenSCENARIO needs scenariogeneration", "openscenario"
+        "scenariogeneration.xosc",
+        "OpenSCENARIO needs scenariogeneration",
+        "openscenario",
     )
 
 
@@ -50,7 +57,10 @@ def _tables() -> Table:
 def _body(actor: Actor) -> Table:
     """Properties of a body that the standard asks for."""
     bodies = _tables()["bodies"]
-    name = actor.name if actor.name in bodies else actor.class_name
+    if actor.name in bodies:
+        name = actor.name
+    else:
+        name = actor.class_name
     found: Table = pick(bodies, name, "class_name")
     return found
 
@@ -59,19 +69,27 @@ def _axles_m(actor: Actor) -> tuple[float, float]:
     """Front and rear axle of a vehicle, ahead of the middle of its box."""
     body = _body(actor)
     if "wheelbase_m" in body:  # of a bicycle
-        return body["front_axle_ahead_m"], body["front_axle_ahead_m"] - body["wheelbase_m"]
+        return (
+            body["front_axle_ahead_m"],
+            body["front_axle_ahead_m"] - body["wheelbase_m"],
+        )
     if not actor.wheelbase_m > 0.0:
-        raise InputError(f"actor {actor.name}.wheelbase_m", actor.wheelbase_m, "> 0 metres")
+        raise InputError(
+            f"actor {actor.name}.wheelbase_m", actor.wheelbase_m, "> 0 metres"
+        )
     return actor.front_axle_ahead_m, actor.front_axle_ahead_m - actor.wheelbase_m
 
 
 def reference_ahead_m(actor: Actor) -> float:
     """Distance of a body's point of reference ahead of the middle of its box, in metres.
 
-    The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and walls. Raises
-    InputError if ``data/openscenario.toml`` does not know it, or a car has no axles.
+    The rear axle of cars, motorcycles and bicycles; 0, the middle, of pedestrians and
+    walls. Raises InputError if ``data/openscenario.toml`` does not know it, or a car
+    has no axles.
     """
-    return _axles_m(actor)[1] if _body(actor)["entity"] == "Vehicle" else 0.0
+    if _body(actor)["entity"] == "Vehicle":
+        return _axles_m(actor)[1]
+    return 0.0
 
 
 def _described(name: str, actor: Actor) -> tuple[str, Actor, Table, Table]:
@@ -93,16 +111,18 @@ def _radians(angle_deg: float) -> float:
 def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str:
     """Run as an OpenSCENARIO 1.3 file: nobody brakes; it ends at the impact, or `after_s` later.
 
-    XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow the run's
-    frames; "obstruction-1" .. stand. The header's properties say what the run is; the parameters
-    "impact_time_s" and, unless no braking avoids, "last_brake_time_s" are scenario times. The same
-    run gives the same text. Raises InputError if there is no road network, or the standard's schema
-    rejects the result. Raises MissingExtraError if scenariogeneration is not installed.
+    XML. Scenario time 0 is the run's first frame. The entities "vut" and "vru" follow
+    the run's frames; "obstruction-1" .. stand. The header's properties say what the run
+    is; the parameters "impact_time_s" and, unless no braking avoids,
+    "last_brake_time_s" are scenario times. The same run gives the same text. Raises
+    InputError if there is no road network, or the standard's schema rejects the result.
+    Raises MissingExtraError if scenariogeneration is not installed.
 
     Notes
     -----
-    Reference points are those of the standard: the middle of the rear axle of cars and bicycles,
-    the middle of the footprint of pedestrians and walls. The gait is left to the simulator.
+    Reference points are those of the standard: the middle of the rear axle of cars and
+    bicycles, the middle of the footprint of pedestrians and walls. The gait is left to
+    the simulator.
 
     References
     ----------
@@ -113,7 +133,9 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
         raise InputError("road_network", road_network, "the name of an OpenDRIVE file")
     met = run.encounter
     bodies = [(VUT, met.vut), (VRU, met.vru)]
-    bodies += [(f"obstruction-{n}", one.actor) for n, one in enumerate(run.obstruction, 1)]
+    bodies += [
+        (f"obstruction-{n}", one.actor) for n, one in enumerate(run.obstruction, 1)
+    ]
     described = [_described(*one) for one in bodies]
     sky = pick(_tables()["weather"], run.weather, "weather")
     light = pick_weather(run.weather, "weather")
@@ -142,11 +164,18 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
         bodies=described,
         sky=sky,
         light=light,
-        azimuth_rad=_radians((90.0 - light.sun_yaw_deg) % 360.0),  # clockwise from north
+        azimuth_rad=_radians(
+            (90.0 - light.sun_yaw_deg) % 360.0
+        ),  # clockwise from north
         elevation_rad=_radians(light.sun_elevation_deg),
         tracks=[_build_track(name, run, after_s) for name in (VUT, VRU)],
         standing=[
-            _places(one.actor, one.pose.position_m[None, :2], [one.pose.yaw_deg], run.terrain)[0]
+            _places(
+                one.actor,
+                one.pose.position_m[None, :2],
+                [one.pose.yaw_deg],
+                run.terrain,
+            )[0]
             for one in run.obstruction
         ],
         end_s=impact_s + after_s,
@@ -158,14 +187,16 @@ def to_openscenario(run: Run, *, road_network: str, after_s: float = 0.0) -> str
 def validate_openscenario(text: str) -> None:
     """Check a file against the schema of OpenSCENARIO 1.3.1, which comes with scenariogeneration.
 
-    Raises InputError where it is not XML, or the schema rejects it; or MissingExtraError.
+    Raises InputError where it is not XML, or the schema rejects it; or
+    MissingExtraError.
     """
     expected = f"XML that {_SCHEMA} accepts"
     try:
         ET.fromstring(text)
     except ET.ParseError as error:
         raise InputError("OpenSCENARIO", Unquoted(error), expected) from None
-    lxml, schema = importlib.import_module("lxml.etree"), _schema()
+    lxml = importlib.import_module("lxml.etree")
+    schema = _schema()
     parser = lxml.XMLParser(resolve_entities=False)
     if not schema.validate(lxml.fromstring(text.encode(), parser)):
         first = schema.error_log[0]
@@ -178,7 +209,9 @@ def _schema() -> Any:
     load_xosc()
     for file in importlib.metadata.files(_DISTRIBUTION) or ():
         if file.name == _SCHEMA:
-            return importlib.import_module("lxml.etree").XMLSchema(file=str(file.locate()))
+            return importlib.import_module("lxml.etree").XMLSchema(
+                file=str(file.locate())
+            )
     raise MissingExtraError(
         f"OpenSCENARIO needs {_SCHEMA}, which this {_DISTRIBUTION} lacks: "
         "pip install --force-reinstall place-rsus[openscenario]"
@@ -188,8 +221,10 @@ def _schema() -> Any:
 def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
     """An entity's way from the first frame (time 0) on, and the speed with which it leaves it."""
     # Names of entities are those of the run's fields.
-    actor, motion = getattr(run.encounter, name), getattr(run.encounter, f"{name}_motion")
-    position_m, yaw_deg = getattr(run, f"{name}_position_m"), getattr(run, f"{name}_yaw_deg")
+    actor = getattr(run.encounter, name)
+    motion = getattr(run.encounter, f"{name}_motion")
+    position_m = getattr(run, f"{name}_position_m")
+    yaw_deg = getattr(run, f"{name}_yaw_deg")
     first_s, last_s = run.time_s[[0, -1]]
     # Between two frames lies the impact: the last frame may be before it.
     ends_s = [end_s for end_s in sorted({0.0, after_s}) if end_s > last_s]
@@ -198,7 +233,9 @@ def _build_track(name: str, run: Run, after_s: float) -> dict[str, Any]:
     steps_deg = wrap_deg(np.diff(motion.path.at(motion.distance_m(bounds_s))[1]))
     between_s = [
         np.arange(start_s + _TURN_STEP_S, end_s - _EPSILON_S, _TURN_STEP_S)
-        for (start_s, end_s), step_deg in zip(pairwise(bounds_s), steps_deg, strict=True)
+        for (start_s, end_s), step_deg in zip(
+            pairwise(bounds_s), steps_deg, strict=True
+        )
         if abs(step_deg) > _TURN_DEG
     ]
     more_s = np.concatenate([*between_s, ends_s])
@@ -227,4 +264,7 @@ def _places(
     points_m = on_ground(position_m + reference_ahead_m(actor) * ahead, terrain)
     # Adding zero turns -0.0 into 0.0.
     points = (points_m.round(_DECIMALS) + 0.0).tolist()
-    return [(*at, _radians(yaw)) for at, yaw in zip(points, np.asarray(yaw_deg), strict=True)]
+    return [
+        (*at, _radians(yaw))
+        for at, yaw in zip(points, np.asarray(yaw_deg), strict=True)
+    ]

@@ -27,27 +27,40 @@ def positions_m(layout: Layout) -> FloatArray:
 def placed_records(layout: Layout, scene: Scene | None) -> list[dict[str, Any]]:
     """Units as records, with their place in the map that a scene was made from.
 
-    As :func:`placement.layout.layout_records`; in addition map_x, map_y (longitude and latitude
-    where the map has degrees) and map_crs, which is empty if the map does not say where on earth it
-    lies. Where the ground is not flat, height_m is that above the ground below the unit, and map_z
-    that of the map. Where sites are assumed, "assumed" says what, and is empty for the others.
+    As :func:`placement.layout.layout_records`; in addition map_x, map_y (longitude and
+    latitude where the map has degrees) and map_crs, which is empty if the map does not
+    say where on earth it lies. Where the ground is not flat, height_m is that above the
+    ground below the unit, and map_z that of the map. Where sites are assumed, "assumed"
+    says what, and is empty for the others.
     """
     records = layout_records(layout)
-    doubts = {} if scene is None else assumed_sites(scene.notes)
+    if scene is None:
+        doubts = {}
+    else:
+        doubts = assumed_sites(scene.notes)
     if any(unit.site_id in doubts for unit in layout.units):
-        records = [record | {"assumed": doubts.get(record["site"], "")} for record in records]
+        records = [
+            record | {"assumed": doubts.get(record["site"], "")} for record in records
+        ]
     if scene is not None and terrain_of(scene) is not None:
         zero_m = scene.zero_height_m
         records = [
             record
-            | {"height_m": round(float(above_ground(unit, scene).pose.position_m[2]), 3)}
+            | {
+                "height_m": round(
+                    float(above_ground(unit, scene).pose.position_m[2]), 3
+                )
+            }
             | ({} if zero_m is None else {"map_z": round(record["z_m"] + zero_m, 3)})
             for record, unit in zip(records, layout.units, strict=True)
         ]
     if scene is None or not (scene.source_crs or scene.source_origin_m.any()):
         return records
     points_m = positions_m(layout)[:, :2]
-    position = map_points(points_m, scene) if scene.crs else points_m + scene.source_origin_m
+    if scene.crs:
+        position = map_points(points_m, scene)
+    else:
+        position = points_m + scene.source_origin_m
     return [
         record | {"map_x": float(x), "map_y": float(y), "map_crs": scene.source_crs}
         for record, (x, y) in zip(records, position, strict=True)
@@ -73,27 +86,37 @@ def metric_points(points_m: FloatArray, scene: Scene) -> FloatArray:
 def require_crs(crs: str, format_name: str) -> None:
     """Raise InputError for a scene that does not say where on earth it lies."""
     if not crs:
-        refuse(format_name, "a scene without crs", "one that says where on earth it lies")
+        refuse(
+            format_name, "a scene without crs", "one that says where on earth it lies"
+        )
 
 
 def longitude_latitude(points_m: FloatArray, crs: str) -> FloatArray:
     """Points of the world frame, (n, 2) or (n, 3), in WGS 84: longitude, latitude, (n, 2) degrees.
 
-    Raises InputError if pyproj does not know `crs`, or they lie outside of where it is defined.
+    Raises InputError if pyproj does not know `crs`, or they lie outside of where it is
+    defined.
     """
     from pyproj.exceptions import CRSError, ProjError
 
     try:
         lon_lat_deg = to_geographic(points_m, crs)
     except (CRSError, ProjError):
-        raise InputError("crs", crs, "a coordinate reference system that pyproj knows") from None
+        raise InputError(
+            "crs", crs, "a coordinate reference system that pyproj knows"
+        ) from None
     if not np.isfinite(lon_lat_deg).all():
-        raise InputError("crs", crs, "a coordinate reference system that contains the layout")
+        raise InputError(
+            "crs", crs, "a coordinate reference system that contains the layout"
+        )
     return lon_lat_deg
 
 
 UNSEEN = "unseen"
-NOTE = f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the middle"
+NOTE = (
+    f"squares of 1 m, {LOOK_AT_M:g} m above the road, up to {REACH_M:g} m from the"
+    " middle"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +144,8 @@ def find_views(
 ) -> list[View]:
     """Views of a layout's cameras, in its order, then the road that none sees.
 
-    `move` takes points of the world frame, (n, 2), all at once to the coordinates that are wanted.
+    `move` takes points of the world frame, (n, 2), all at once to the coordinates that
+    are wanted.
     """
     import shapely
 

@@ -21,10 +21,11 @@ WORLD_FRAME = "map"
 def to_ros(layout: Layout, scene: Scene | None = None) -> str:
     """Layout as YAML: one document per camera; comments name LiDARs left out and assumed sites.
 
-    A document has the fields that ``camera_calibration_parsers`` reads - it takes the first
-    document of a file -, the unit's id, and under static_transform what
-    ``geometry_msgs/TransformStamped`` holds: from "map" (x east, y north, z up) to the camera's
-    optical frame (x right, y down, z ahead). Raises InputError if there is no camera.
+    A document has the fields that ``camera_calibration_parsers`` reads - it takes the
+    first document of a file -, the unit's id, and under static_transform what
+    ``geometry_msgs/TransformStamped`` holds: from "map" (x east, y north, z up) to the
+    camera's optical frame (x right, y down, z ahead). Raises InputError if there is no
+    camera.
 
     References
     ----------
@@ -37,7 +38,9 @@ def ros_text(cameras: Mapping[str, CalibratedCamera], comment: str = "") -> str:
     """Calibrations as such documents; a fisheye's model is "equidistant"."""
     documents = [
         _camera_record(unit, camera, name)
-        for (unit, camera), name in zip(cameras.items(), camera_names(cameras), strict=True)
+        for (unit, camera), name in zip(
+            cameras.items(), camera_names(cameras), strict=True
+        )
     ]
     text: str = yaml.safe_dump_all(
         documents,
@@ -55,10 +58,15 @@ def camera_names(units: Iterable[str]) -> list[str]:
     names: list[str] = []
     for unit in units:
         word = re.sub(r"[^A-Za-z0-9]+", "_", unit).strip("_").lower()
-        stem = word if word[:1].isalpha() else f"rsu_{word}".rstrip("_")
-        name, number = stem, 2
+        if word[:1].isalpha():
+            stem = word
+        else:
+            stem = f"rsu_{word}".rstrip("_")
+        name = stem
+        number = 2
         while name in names:
-            name, number = f"{stem}_{number}", number + 1
+            name = f"{stem}_{number}"
+            number = number + 1
         names.append(name)
     return names
 

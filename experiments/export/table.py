@@ -24,7 +24,9 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
     table = pd.DataFrame(placed_records(layout, scene))
     if scene.crs:
         lon_lat_deg = longitude_latitude(positions_m(layout), scene.crs)
-        table = table.assign(longitude_deg=lon_lat_deg[:, 0], latitude_deg=lon_lat_deg[:, 1])
+        table = table.assign(
+            longitude_deg=lon_lat_deg[:, 0], latitude_deg=lon_lat_deg[:, 1]
+        )
     file = io.BytesIO()
     table.to_parquet(file, index=False)
     return file.getvalue()
@@ -32,5 +34,7 @@ def to_parquet(layout: Layout, scene: Scene) -> bytes:
 
 CSV = ExportFormat(write=to_csv, content="a row per unit; spreadsheets, pandas")
 PARQUET = ExportFormat(
-    write=to_parquet, content="the same table, typed; pandas, Arrow, DuckDB", is_binary=True
+    write=to_parquet,
+    content="the same table, typed; pandas, Arrow, DuckDB",
+    is_binary=True,
 )

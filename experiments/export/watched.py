@@ -24,8 +24,8 @@ from scenarios.runs import WEATHERS, Run, build_frame_axis
 from . import load_format
 
 _RUN_ID = (
-    "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night or, away "
-    "from the junction, CPNC-50/east-15/40"
+    "case/approach/speed or case/approach/speed/weather, such as CPNC-50/east/40/night"
+    " or, away from the junction, CPNC-50/east-15/40"
 )
 
 
@@ -58,7 +58,8 @@ class WatchedRun:
     """A run, and what a layout's units detect of whoever the VUT meets."""
 
     run: Run
-    # by unit's id (n_frames,): frames in which the evaluator's detector finds the road user
+    # by unit's id (n_frames,): frames in which the evaluator's detector finds the road
+    # user
     detected: Mapping[str, BoolArray]
     rule: AebRule  # from detected frames to braking
 
@@ -69,7 +70,8 @@ def watch_run(
     """Run that an id names, or InputError, watched by a layout with the default detector."""
     from placement.evaluator.evaluate import unit_key, watch
 
-    run, rule = find_run(run_id, scene), load_aeb_rule()
+    run = find_run(run_id, scene)
+    rule = load_aeb_rule()
     setting = Setting(
         scene=scene,
         runs=(run,),
@@ -78,7 +80,9 @@ def watch_run(
         detector=load_detector(),
         table_detector=load_planning_detector(),
     )
-    found = watch(setting, {unit_key(unit): unit for unit in layout.units}, compute=compute)
+    found = watch(
+        setting, {unit_key(unit): unit for unit in layout.units}, compute=compute
+    )
     detected = {unit.id: found[unit_key(unit)] for unit in layout.units}
     return WatchedRun(run=run, detected=detected, rule=rule)
 
@@ -94,10 +98,11 @@ def export_layout(
 ) -> str | bytes:
     """Content of a layout's file for another program.
 
-    `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`: folder or .zip
-    file of the layout's scene; empty: the study's junction. `run_id`: a run to show as the units
-    see it; empty: none. Raises InputError: the layout does not fit the scene, or the format needs a
-    place on earth, shows no runs, or lacks an option.
+    `format_name` is one of ``FORMAT_NAMES``, `options` are its own. `scene_path`:
+    folder or .zip file of the layout's scene; empty: the study's junction. `run_id`: a
+    run to show as the units see it; empty: none. Raises InputError: the layout does not
+    fit the scene, or the format needs a place on earth, shows no runs, or lacks an
+    option.
     """
     chosen = load_format(format_name)
     if run_id and not chosen.shows_runs:
@@ -105,11 +110,16 @@ def export_layout(
     given = options or {}
     for name, value in given.items():
         if name not in chosen.options:
-            got = value if isinstance(value, str | float) else Unquoted("it")
+            if isinstance(value, str | float):
+                got = value
+            else:
+                got = Unquoted("it")
             option = f"--{name.replace('_', '-')}"
             raise InputError(option, got, f"none: {format_name} has no such option")
     scene = load_scene(scene_path)
     check_layout(layout, scene)
     if not run_id:
         return chosen.write(layout, scene, **given)
-    return chosen.write(layout, scene, watch_run(layout, scene, run_id, compute=compute), **given)
+    return chosen.write(
+        layout, scene, watch_run(layout, scene, run_id, compute=compute), **given
+    )

@@ -19,8 +19,13 @@ from scenarios.runs import FrameAxis
 from ..language import language, localized, said, say
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008): distinct with any colour vision.
-BLUE, SKY, GREEN = "#0072B2", "#56B4E9", "#009E73"
-ORANGE, VERMILION, PINK, GREY = "#E69F00", "#D55E00", "#CC79A7", "#999999"
+BLUE = "#0072B2"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+ORANGE = "#E69F00"
+VERMILION = "#D55E00"
+PINK = "#CC79A7"
+GREY = "#999999"
 
 PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PINK, SKY)
 UNIT_COLOURS = (BLUE, VERMILION, GREEN, PINK, ORANGE, SKY)
@@ -35,10 +40,15 @@ _DPI = 160
 _MAX_LABEL_LENGTH = 8
 
 
-def new_figure(width_in: float, height_in: float, *, dpi: float | None = None) -> Figure:
+def new_figure(
+    width_in: float, height_in: float, *, dpi: float | None = None
+) -> Figure:
     """An empty figure, drawn by Agg, in inches; a narrow one has as many pixels as a usual one."""
     if dpi is None:
-        dpi = WIDTH_IN * _DPI / width_in if width_in == NARROW_IN else _DPI
+        if width_in == NARROW_IN:
+            dpi = WIDTH_IN * _DPI / width_in
+        else:
+            dpi = _DPI
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -72,7 +82,12 @@ def finish_axes(
 
 
 def write_beside(
-    axes: Axes, text: str, at: tuple[float, float], *, away_pt: tuple[float, float], **style: Any
+    axes: Axes,
+    text: str,
+    at: tuple[float, float],
+    *,
+    away_pt: tuple[float, float],
+    **style: Any,
 ) -> None:
     """Write a text so many points away from a point of the axes."""
     drawn: Style = {"va": "center", "fontsize": 8} | style
@@ -134,7 +149,9 @@ def _localize_ticks(figure: Figure) -> None:
 def literal(name: str) -> str:
     """A name for matplotlib to draw letter by letter: no mathematics, and never left out."""
     escaped = name.replace("$", r"\$")
-    return f" {escaped}" if escaped.startswith("_") else escaped
+    if escaped.startswith("_"):
+        return f" {escaped}"
+    return escaped
 
 
 def unit_labels(layout: Layout) -> dict[str, str]:
@@ -147,13 +164,19 @@ def unit_labels(layout: Layout) -> dict[str, str]:
 
 def describe_run(axis: FrameAxis, run_index: int) -> str:
     """A run in words: case, approach, position unless 0, speed, and the weather unless day."""
-    weather, position = axis.weathers[run_index], axis.positions[run_index]
+    weather = axis.weathers[run_index]
+    position = axis.positions[run_index]
     where = said(axis.approaches[run_index])
-    where = where if position == AT_ZERO.name else f"{where} ({position} m)"
+    if position == AT_ZERO.name:
+        where = where
+    else:
+        where = f"{where} ({position} m)"
     words = say(
         "axes.run",
         case=axis.cases[run_index],
         approach=where,
         speed_kmh=float(axis.vut_speed_kmh[run_index]),
     )
-    return words if weather == "day" else f"{words}, {said(weather)}"
+    if weather == "day":
+        return words
+    return f"{words}, {said(weather)}"

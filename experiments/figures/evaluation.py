@@ -28,18 +28,26 @@ _TIME_LABEL = mark("time before the impact without braking (s)")
 _RED = "#CC0000"
 _LAST_MOMENT: Style = {"color": _RED, "linestyle": (0, (3.0, 1.5)), "linewidth": 1.8}
 _DIAMOND: Style = {"marker": "D", "markersize": 5.0, "linestyle": "none"}
-_CONFIRMATION: Style = _DIAMOND | {"markerfacecolor": "white", "markeredgecolor": "black"}
-_DETECTED, _MISSED = BLUE, "#e6e6e6"
+_CONFIRMATION: Style = _DIAMOND | {
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+}
+_DETECTED = BLUE
+_MISSED = "#e6e6e6"
 
 
 def plot_heatmaps(evaluation: Evaluation, run_indices: Sequence[int]) -> list[Axes]:
     """Who detects the VRU when, one pair of axes per run, in a new figure.
 
-    Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before the impact.
-    The dashed red line is the last brake time; a diamond is a confirmation.
+    Rows: the VUT, each RSU, all RSUs together. Columns: frames, by their time before
+    the impact. The dashed red line is the last brake time; a diamond is a confirmation.
     """
-    labels, units = unit_labels(evaluation.layout), evaluation.units
-    rows = {"VUT": evaluation.vut, **{labels[name]: unit for name, unit in units.items()}}
+    labels = unit_labels(evaluation.layout)
+    units = evaluation.units
+    rows = {
+        "VUT": evaluation.vut,
+        **{labels[name]: unit for name, unit in units.items()},
+    }
     rows[tr("all RSUs")] = evaluation.rsu_all
     figure = new_figure(WIDTH_IN, 0.75 + len(run_indices) * (0.85 + 0.21 * len(rows)))
     panels = figure.subplots(len(run_indices), 1, squeeze=False)[:, 0]
@@ -58,7 +66,9 @@ def _draw_heatmap(
     frames = axis.frames_of(run_index)
     times = axis.time_s[frames]
     half = 0.5 * (float(times[1] - times[0]) if len(times) > 1 else 0.1)
-    detected: BoolArray = np.array([verdict.detected[frames] for verdict in rows.values()])
+    detected: BoolArray = np.array(
+        [verdict.detected[frames] for verdict in rows.values()]
+    )
     axes.imshow(
         detected.astype(np.uint8),
         cmap=ListedColormap([_MISSED, _DETECTED]),
@@ -95,13 +105,17 @@ def _draw_last_moment(axes: Axes, last_brake_s: float) -> None:
         style: Style = {"xycoords": "axes fraction", "va": "baseline", "color": _RED}
         write_beside(axes, words, (0.0, 1.0), away_pt=(0.0, 3.0), **style)
         return
-    # White below the gaps between the dashes: it stands out from dark cells without colour, too.
+    # White below the gaps between the dashes: it stands out from dark cells without
+    # colour, too.
     axes.axvline(last_brake_s, color="white", linewidth=3.2, zorder=4)
     axes.axvline(last_brake_s, zorder=4, gid="last brake time", **_LAST_MOMENT)
     is_right = last_brake_s > 0.5 * (first_s + last_s)
     time = localized(f"{last_brake_s:.2f}".replace("-", "\N{MINUS SIGN}"))
     words = tr("last moment to brake: {time} s", time=time)
-    away, ha = (-4.0, "right") if is_right else (4.0, "left")
+    if is_right:
+        away, ha = (-4.0, "right")
+    else:
+        away, ha = (4.0, "left")
     style = {"away_pt": (away, 3.0), "ha": ha, "va": "bottom", "color": _RED}
     write_beside(axes, words, (last_brake_s, -0.5), **style)
 

@@ -27,15 +27,26 @@ from scenarios.positions import AT_ZERO
 from scenarios.runs import Run
 
 from ..language import localized, said, say, tr
-from .axes import BLUE, SKY, VERMILION, Style, drawing_any_name, literal, new_figure, show_square
+from .axes import (
+    BLUE,
+    SKY,
+    VERMILION,
+    Style,
+    drawing_any_name,
+    literal,
+    new_figure,
+    show_square,
+)
 from .plan import PARKED_STYLE, draw_parked, draw_scene
 
 STILLS = (".png", ".svg", ".pdf")
 ANIMATION = ".gif"
 _DPI = 130
 _PANEL_IN = 3.4
-_ROWS, _COLUMNS = 2, 3
-_SHOWN_S = 4.0  # a strip begins so long before the last moment to brake, or when the VRU sets off
+_ROWS = 2
+_COLUMNS = 3
+# a strip begins so long before the last moment to brake, or when the VRU sets off
+_SHOWN_S = 4.0
 _MARGIN_M = 6.0
 _LEAST_SIZE_M = 24.0
 _FAR_M = 500.0
@@ -50,31 +61,40 @@ _BLOCKED_STYLE: Style = {"color": "black", "linewidth": 1.0, "linestyle": (0, (1
 def plot_film(scene: Scene, run: Run) -> list[Axes]:
     """Film strip of a run in which nobody brakes: six plan views, in metres, north up.
 
-    The fourth shows the last frame in which braking still helps, the last one the impact.
+    The fourth shows the last frame in which braking still helps, the last one the
+    impact.
     """
     figure = new_figure(_COLUMNS * _PANEL_IN, _ROWS * (_PANEL_IN + 0.3) + 1.0, dpi=_DPI)
     figure.suptitle(_title(run), fontsize=11)
     instants = _instants(run)
     stage = _Stage(scene, run, instants)
-    panels = [figure.add_subplot(_ROWS, _COLUMNS, number + 1) for number in range(len(instants))]
+    panels = [
+        figure.add_subplot(_ROWS, _COLUMNS, number + 1)
+        for number in range(len(instants))
+    ]
     for axes, frame in zip(panels, instants, strict=True):
         stage.draw(axes, frame)
     _draw_legend(figure, run, ncols=4, fontsize=8)
     return panels
 
 
-def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent) -> None:
+def save_film(
+    path: Path, scene: Scene, run: Run, *, progress: Progress = silent
+) -> None:
     """Write a run as a film strip or, to a ``.gif``, as an animation in real time.
 
-    `progress` gets the frames of an animation. Raises InputError if the suffix is unknown, OSError
-    if the file cannot be written.
+    `progress` gets the frames of an animation. Raises InputError if the suffix is
+    unknown, OSError if the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix == ANIMATION:
         data = _animate(scene, run, progress)
     elif suffix in STILLS:
         buffer = BytesIO()
-        metadata = {"Software": None} if suffix == ".png" else {}
+        if suffix == ".png":
+            metadata = {"Software": None}
+        else:
+            metadata = {}
         with drawing_any_name():
             figure = plot_film(scene, run)[0].get_figure(root=True)
             assert figure is not None  # it was made for these axes
@@ -87,7 +107,9 @@ def save_film(path: Path, scene: Scene, run: Run, *, progress: Progress = silent
 
 
 def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
-    frames = [frame for frame in range(len(run.time_s)) if run.time_s[frame] >= _first_s(run)]
+    frames = [
+        frame for frame in range(len(run.time_s)) if run.time_s[frame] >= _first_s(run)
+    ]
     figure = new_figure(5.6, 6.6, dpi=100)
     figure.suptitle(_title(run), fontsize=9)
     _draw_legend(figure, run, ncols=2, fontsize=7)
@@ -100,7 +122,10 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
         return []
 
     animation = FuncAnimation(figure, draw, frames=frames, init_func=list)
-    with TemporaryDirectory() as folder, drawing_any_name():  # the library writes to names only
+    with (
+        TemporaryDirectory() as folder,
+        drawing_any_name(),
+    ):  # the library writes to names only
         name = Path(folder) / "film.gif"
         rate_hz = round(1.0 / float(np.diff(run.time_s[-2:])[0]))
         tell = partial(progress, "draw")
@@ -110,7 +135,10 @@ def _animate(scene: Scene, run: Run, progress: Progress) -> bytes:
 
 def _title(run: Run) -> str:
     approach = said(run.approach)
-    approach = approach if run.position == AT_ZERO.name else f"{approach} ({run.position} m)"
+    if run.position == AT_ZERO.name:
+        approach = approach
+    else:
+        approach = f"{approach} ({run.position} m)"
     speeds = [localized(f"{run.vut_speed_kmh:g}")]
     if run.case.pairs_kmh:
         speeds.append(localized(f"{run.case.vru_speed_kmh:g}"))
@@ -127,7 +155,9 @@ def _title(run: Run) -> str:
 def _first_s(run: Run) -> float:
     last_s = run.last_brake_time_s
     moves_s = max(run.encounter.vru_motion.start_time_s, float(run.time_s[0]))
-    return max(moves_s, last_s - _SHOWN_S) if np.isfinite(last_s) else moves_s
+    if np.isfinite(last_s):
+        return max(moves_s, last_s - _SHOWN_S)
+    return moves_s
 
 
 def _instants(run: Run) -> list[int]:
@@ -135,7 +165,10 @@ def _instants(run: Run) -> list[int]:
     final = len(run.time_s) - 1
     first = int(np.searchsorted(run.time_s, _first_s(run) - 1e-9))
     usable = np.flatnonzero(run.time_s <= run.last_brake_time_s)
-    last = int(usable[-1]) if len(usable) else final - 2
+    if len(usable):
+        last = int(usable[-1])
+    else:
+        last = final - 2
     before = np.linspace(min(first, last), last, 4).round().astype(int)
     after = (last + final + 1) // 2
     return [*before.tolist(), after, final]
@@ -145,29 +178,47 @@ class _Stage:
     """Draws one instant of a run after the other, all in the same window."""
 
     def __init__(self, scene: Scene, run: Run, frames: list[int]) -> None:
-        self.scene, self.run = scene, run
+        self.scene = scene
+        self.run = run
         self.middle_m, self.half_size_m = _window(run, frames)
-        last_s, motion = run.last_brake_time_s, run.encounter.vut_motion
-        self.brake_m = motion.path.at(motion.distance_m(last_s))[0] if np.isfinite(last_s) else None
+        last_s = run.last_brake_time_s
+        motion = run.encounter.vut_motion
+        self.brake_m = (
+            motion.path.at(motion.distance_m(last_s))[0]
+            if np.isfinite(last_s)
+            else None
+        )
         vut_camera = load_vut_camera()
         self.camera = vut_camera.camera
         self.lens = vut_camera.pose_on(run.encounter.vut).position_m
         seen = perceive_frames(build_surroundings(scene, (run,)), vut_camera)
-        self.share = np.broadcast_to(seen.visible_share * seen.inside_share, len(run.time_s))
+        self.share = np.broadcast_to(
+            seen.visible_share * seen.inside_share, len(run.time_s)
+        )
 
     def draw(self, axes: Axes, frame: int) -> None:
         """Everything at one instant."""
         run = self.run
         draw_scene(axes, self.scene)
         draw_parked(axes, run.obstruction)
-        for positions, dashes in ((run.vut_position_m, "-"), (run.vru_position_m, (0, (3, 1.5)))):
+        for positions, dashes in (
+            (run.vut_position_m, "-"),
+            (run.vru_position_m, (0, (3, 1.5))),
+        ):
             way: Style = {"linestyle": dashes}
             axes.plot(*positions.T, color="#777777", linewidth=0.8, zorder=3, **way)
-            axes.plot(*positions[: frame + 1].T, color="black", linewidth=1.8, zorder=3.1, **way)
+            axes.plot(
+                *positions[: frame + 1].T,
+                color="black",
+                linewidth=1.8,
+                zorder=3.1,
+                **way,
+            )
         if self.brake_m is not None:
             axes.plot(*self.brake_m, zorder=6.8, **_BRAKE_STYLE)
         share = self._draw_sight(axes, frame)
-        vut, vru = run.encounter.vut, run.encounter.vru
+        vut = run.encounter.vut
+        vru = run.encounter.vru
         _draw_body(axes, vut, run.vut_position_m[frame], run.vut_yaw_deg[frame], **_VUT)
         _draw_body(axes, vru, run.vru_position_m[frame], run.vru_yaw_deg[frame], **_VRU)
         show_square(axes, self.middle_m, self.half_size_m)
@@ -175,7 +226,9 @@ class _Stage:
         time_s = run.time_s[frame]
         when = localized(f"{time_s:.1f} s".replace("-", "\N{MINUS SIGN}"))
         seen = say(
-            "film.visible", when=when if time_s < 0.0 else tr("impact"), percent=100.0 * share
+            "film.visible",
+            when=when if time_s < 0.0 else tr("impact"),
+            percent=100.0 * share,
         )
         axes.set_title(seen, fontsize=9)
         self._point_at_vut(axes, frame)
@@ -190,9 +243,16 @@ class _Stage:
         half_deg = 0.5 * self.camera.horizontal_fov_deg
         sides = np.radians([yaw_deg + half_deg, yaw_deg - half_deg])
         edges = eye[:2] + _FAR_M * np.stack([np.cos(sides), np.sin(sides)], axis=1)
-        axes.add_patch(Polygon([eye[:2], *edges], facecolor=SKY, alpha=0.18, zorder=2.4))
-        style = _FREE_STYLE if share > 0.0 else _BLOCKED_STYLE
-        axes.plot(*np.stack([eye[:2], run.vru_position_m[frame]]).T, zorder=6.9, **style)
+        axes.add_patch(
+            Polygon([eye[:2], *edges], facecolor=SKY, alpha=0.18, zorder=2.4)
+        )
+        if share > 0.0:
+            style = _FREE_STYLE
+        else:
+            style = _BLOCKED_STYLE
+        axes.plot(
+            *np.stack([eye[:2], run.vru_position_m[frame]]).T, zorder=6.9, **style
+        )
         return share
 
     def _point_at_vut(self, axes: Axes, frame: int) -> None:
@@ -215,13 +275,17 @@ class _Stage:
 def _draw_body(
     axes: Axes, actor: Actor, position_m: FloatArray, yaw_deg: float, **colours: Any
 ) -> None:
-    corners = footprint_corners(position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m)
+    corners = footprint_corners(
+        position_m, yaw_deg, length_m=actor.length_m, width_m=actor.width_m
+    )
     axes.add_patch(Polygon(corners, linewidth=0.9, zorder=7.5, **colours))
     # A white wedge from the middle of the flanks to the nose says where it is heading.
     front_left, rear_left, rear_right, front_right = corners
     flanks = (front_left + rear_left, front_right + rear_right)
     wedge = [0.5 * ends for ends in (front_left + front_right, *flanks)]
-    axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="black", linewidth=0.6, zorder=7.6))
+    axes.add_patch(
+        Polygon(wedge, facecolor="white", edgecolor="black", linewidth=0.6, zorder=7.6)
+    )
 
 
 def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
@@ -232,7 +296,8 @@ def _window(run: Run, frames: list[int]) -> tuple[FloatArray, float]:
         motion = run.encounter.vut_motion
         shown.append(motion.path.at(motion.distance_m([run.last_brake_time_s]))[0])
     points = np.concatenate(shown)
-    low, high = points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+    low = points.min(axis=0) - _MARGIN_M
+    high = points.max(axis=0) + _MARGIN_M
     return 0.5 * (low + high), max(0.5 * float((high - low).max()), 0.5 * _LEAST_SIZE_M)
 
 
@@ -248,5 +313,7 @@ def _draw_legend(figure: Figure, run: Run, **options: Any) -> None:
         line(label=tr("nothing of it in sight"), **_BLOCKED_STYLE),
     ]
     if run.obstruction:
-        handles.append(Patch(label=tr("parked body or wall of this case"), **PARKED_STYLE))
+        handles.append(
+            Patch(label=tr("parked body or wall of this case"), **PARKED_STYLE)
+        )
     figure.legend(handles=handles, loc="outside lower center", frameon=False, **options)

@@ -25,7 +25,8 @@ from .axes import Style, literal, root_figure, unit_labels, write_beside
 
 HALO = withStroke(linewidth=3.0, foreground="white")
 _POINTS_PER_INCH = 72.0
-_LETTER, _LINE = 0.64, 1.3  # width and height of a letter, in font sizes
+_LETTER = 0.64
+_LINE = 1.3  # width and height of a letter, in font sizes
 _APART = 1.5  # points around a label
 _TURNS_DEG = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
 _MORE_POINTS = (0.0, 7.0, 15.0, 26.0)
@@ -35,7 +36,8 @@ _NAMES_AT = 0.8  # of the way to the frame
 _NEAR_ITS_MOUTH = 0.77  # cosine of the angle to the mouth, seen from the middle
 ARROW_POINTS = 13.0
 """From a pole to the tip of its unit's arrow."""
-_SAME_PLACE_M, _SAME_WAY_DEG = 1.0, 30.0
+_SAME_PLACE_M = 1.0
+_SAME_WAY_DEG = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +46,9 @@ class Label:
 
     text: str
     point_m: tuple[float, float]  # in the axes' data. [m]
-    toward_deg: float = 45.0  # side that it is put on if free, counter-clockwise from east
+    toward_deg: float = (
+        45.0  # side that it is put on if free, counter-clockwise from east
+    )
     gap: float = 4.0  # from the point to the text. [points]
     size: float = 8.0  # of the letters. [points]
     is_kept: bool = True  # drawn where no side is free, too
@@ -52,23 +56,32 @@ class Label:
 
 
 def draw_labels(
-    axes: Axes, labels: Sequence[Label], *, marks_m: FloatArray | None = None, mark: float = 6.0
+    axes: Axes,
+    labels: Sequence[Label],
+    *,
+    marks_m: FloatArray | None = None,
+    mark: float = 6.0,
 ) -> None:
     """Write labels, the first ones first, each where it hides no other and no mark.
 
-    The axes have their final limits and are as long in east as in north; labels beyond are left
-    out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is `mark` [points].
+    The axes have their final limits and are as long in east as in north; labels beyond
+    are left out. `marks_m` are the middles of marks, (n, 2) [m], half of whose size is
+    `mark` [points].
     """
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position()
     width_in, height_in = root_figure(axes).get_size_inches()
-    # Before the figure is laid out axes are a little smaller: what is apart then stays apart.
+    # Before the figure is laid out axes are a little smaller: what is apart then stays
+    # apart.
     scale = _POINTS_PER_INCH * min(
         box.width * width_in / (east - west), box.height * height_in / (north - south)
     )
     corner = np.array([west, south])
     frame = np.array([east - west, north - south]) * scale
-    marks = np.empty((0, 2)) if marks_m is None else (marks_m - corner) * scale
+    if marks_m is None:
+        marks = np.empty((0, 2))
+    else:
+        marks = (marks_m - corner) * scale
     taken = [np.concatenate([place - mark, place + mark]) for place in marks]
     for label in labels:
         point = (np.array(label.point_m) - corner) * scale
@@ -76,7 +89,11 @@ def draw_labels(
             continue
         half = 0.5 * label.size * np.array([_LETTER * len(label.text), _LINE]) + _APART
         most = np.maximum(frame - half, half)
-        shifts = [_shift(label, half, more, way) for more in _MORE_POINTS for way in _TURNS_DEG]
+        shifts = [
+            _shift(label, half, more, way)
+            for more in _MORE_POINTS
+            for way in _TURNS_DEG
+        ]
         middles = np.clip(point + shifts, half, most)  # moved into the frame
         boxes = np.hstack([middles - half, middles + half])
         hidden = _overlaps(np.reshape(taken, (-1, 4)), boxes).sum(axis=0)
@@ -95,14 +112,18 @@ def _shift(label: Label, half: FloatArray, more: float, turn_deg: float) -> Floa
     """From the point to the middle of the text, in points."""
     angle = math.radians(label.toward_deg + turn_deg)
     way = np.array([math.cos(angle), math.sin(angle)])
-    shift: FloatArray = way * (label.gap + more) + np.sign(np.round(way, 6)) * half * np.abs(way)
+    shift: FloatArray = way * (label.gap + more) + np.sign(
+        np.round(way, 6)
+    ) * half * np.abs(way)
     return shift
 
 
 def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
     """Areas that rectangles (n, 4) and (m, 4), lower and upper corners, have in common (n, m)."""
     ones = ones[:, None]
-    sides = np.minimum(ones[..., 2:], others[:, 2:]) - np.maximum(ones[..., :2], others[:, :2])
+    sides = np.minimum(ones[..., 2:], others[:, 2:]) - np.maximum(
+        ones[..., :2], others[:, :2]
+    )
     areas: FloatArray = np.prod(np.clip(sides, 0.0, None), axis=2)
     return areas
 
@@ -110,7 +131,9 @@ def _overlaps(ones: FloatArray, others: FloatArray) -> FloatArray:
 def unit_names(layout: Layout, scene: Scene) -> list[Label]:
     """Short names of units that look one way from one pole; of many, how many are at a place."""
     if len(layout.units) > MAX_LABELLED_UNITS:
-        places = Counter(tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units)
+        places = Counter(
+            tuple(np.round(unit.pose.position_m[:2], 1)) for unit in layout.units
+        )
         return [
             Label(
                 text=f"{n_units}\N{MULTIPLICATION SIGN}",
@@ -124,15 +147,19 @@ def unit_names(layout: Layout, scene: Scene) -> list[Label]:
     doubts = assumed_sites(scene.notes)
     groups: list[tuple[CandidatePose, list[str]]] = []
     for unit in layout.units:
-        found = next((names for first, names in groups if looks_alike(unit, first)), None)
+        found = next(
+            (names for first, names in groups if looks_alike(unit, first)), None
+        )
         if found is None:
             groups.append((unit, found := []))
         found.append(labels[unit.id])
     return [
         Label(
-            text=tr("{units} (assumed)", units=", ".join(names))
-            if first.site_id in doubts
-            else ", ".join(names),
+            text=(
+                tr("{units} (assumed)", units=", ".join(names))
+                if first.site_id in doubts
+                else ", ".join(names)
+            ),
             point_m=(float(first.pose.position_m[0]), float(first.pose.position_m[1])),
             toward_deg=first.pose.yaw_deg,
             gap=ARROW_POINTS * len(names),
@@ -153,14 +180,16 @@ def looks_alike(unit: CandidatePose, other: CandidatePose) -> bool:
 def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[Label]:
     """Names of the junction's arms and their streets, next to their lanes towards the frame."""
     try:
-        streets, arms = street_names(scene), build_junction(scene).arms
+        streets = street_names(scene)
+        arms = build_junction(scene).arms
     except InputError:  # no lane ends at the junction
         return []
     labels = []
     for name, arm in arms.items():
         lanes = [lane.centreline_m for lane in (*arm.lanes_in, *arm.lanes_out)]
         points = shapely.get_coordinates(shapely.MultiLineString(lanes).segmentize(2.0))
-        ways, ahead = points - middle_m, arm_mouth(arm) - middle_m
+        ways = points - middle_m
+        ahead = arm_mouth(arm) - middle_m
         along = ways @ ahead / np.maximum(np.hypot(*ways.T) * np.hypot(*ahead), 1e-9)
         ways = ways[along >= min(_NEAR_ITS_MOUTH, along.max())]  # of an arm that bends
         away_m = np.abs(ways).max(axis=1)
@@ -168,9 +197,11 @@ def arm_names(scene: Scene, middle_m: FloatArray, half_size_m: float) -> list[La
         at = middle_m + way
         labels.append(
             Label(
-                text=f"{streets[name]} ({said(name)})"
-                if name in streets
-                else tr("{approach} arm", approach=said(name)),
+                text=(
+                    f"{streets[name]} ({said(name)})"
+                    if name in streets
+                    else tr("{approach} arm", approach=said(name))
+                ),
                 point_m=(float(at[0]), float(at[1])),
                 toward_deg=0.0 if abs(way[1]) > abs(way[0]) else 90.0,
                 gap=14.0,
@@ -186,7 +217,10 @@ def position_names(runs: Sequence[Run]) -> list[Label]:
     return [
         Label(
             text=position.replace("-", "\N{MINUS SIGN}"),
-            point_m=(float(run.vru_position_m[-1][0]), float(run.vru_position_m[-1][1])),
+            point_m=(
+                float(run.vru_position_m[-1][0]),
+                float(run.vru_position_m[-1][1]),
+            ),
             toward_deg=float(run.vut_yaw_deg[-1]) + 90.0,
             size=6.5,
             is_kept=False,

@@ -30,19 +30,36 @@ from scenarios.runs import Run
 from ..language import mark, said, tr
 from ..results.numbers import layout_words, shortened
 from . import labels
-from .axes import BLUE, UNIT_COLOURS, VERMILION, WIDTH_IN, Style, literal, new_axes, show_square
+from .axes import (
+    BLUE,
+    UNIT_COLOURS,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    literal,
+    new_axes,
+    show_square,
+)
 
 CLASS_STYLES: dict[str, Style] = {
     "building": {"facecolor": "#c9c4bb", "edgecolor": "#8d887f", "linewidth": 0.8},
     "wall": {"facecolor": "#5b5b5b", "edgecolor": "#5b5b5b", "linewidth": 1.2},
     "vegetation": {"facecolor": "#b7d3ae", "edgecolor": "#7d9c73", "linewidth": 0.6},
-    "parked vehicle": {"facecolor": "#a9a9a9", "edgecolor": "#6e6e6e", "linewidth": 0.6},
+    "parked vehicle": {
+        "facecolor": "#a9a9a9",
+        "edgecolor": "#6e6e6e",
+        "linewidth": 0.6,
+    },
     "traffic light": {"facecolor": "#7a7a7a", "edgecolor": "#7a7a7a", "linewidth": 0.8},
 }
 _GREY_DOTS: Style = {"facecolor": "#f2f2f2", "edgecolor": "#8a8a8a"}
 PARKED_STYLE: Style = _GREY_DOTS | {"linewidth": 0.7, "hatch": "...."}
 _RING: Style = {"marker": "o", "markerfacecolor": "white", "markeredgecolor": "#444444"}
-SITE_STYLE: Style = _RING | {"markersize": 4.0, "markeredgewidth": 0.9, "linestyle": "none"}
+SITE_STYLE: Style = _RING | {
+    "markersize": 4.0,
+    "markeredgewidth": 0.9,
+    "linestyle": "none",
+}
 ASSUMED_STYLE: Style = SITE_STYLE | {"marker": "D", "markeredgecolor": VERMILION}
 """Of sites that the map does not have, or not there."""
 _LINE_STYLES = ("-", "--", "-.", ":")
@@ -52,7 +69,11 @@ _PATHS: dict[str, tuple[str, Any, float]] = {  # name, dashes, width
     "vut": (mark("car under test (VUT)"), "-", 1.3),
     "pedestrian": (mark("pedestrian, to the collision point"), (0, (1.2, 1.2)), 1.8),
     "cyclist": (mark("cyclist, to the collision point"), (0, (5.0, 2.0)), 1.2),
-    "motorcyclist": (mark("motorcyclist, to the collision point"), (0, (5.0, 2.0, 1.2, 2.0)), 1.2),
+    "motorcyclist": (
+        mark("motorcyclist, to the collision point"),
+        (0, (5.0, 2.0, 1.2, 2.0)),
+        1.2,
+    ),
     "car": (mark("other car, to the collision point"), (0, (9.0, 3.0)), 1.2),
 }
 _FOUND: Style = {"markerfacecolor": BLUE, "markeredgecolor": "black"}
@@ -65,28 +86,43 @@ _DART = np.array([[1.0, 0.0], [-0.8, 0.6], [-0.45, 0.0], [-0.8, -0.6], [1.0, 0.0
 _DART_POINTS = 5.5  # half its length
 _N_BEARINGS = 180
 _STEP_M = 0.1
-_HALF_SIZE_M, _MARGIN_M = 45.0, 5.0
+_HALF_SIZE_M = 45.0
+_MARGIN_M = 5.0
 
 
 def draw_scene(axes: Axes, scene: Scene) -> None:
     """Draw lanes, crosswalks, sites and things; what comes later goes on top up to zorder 6.5."""
     axes.set_facecolor("#f4f2ee")
     for lane in scene.lanes:
-        colour = "#ececec" if lane.kind == "parking" else "#dedede"
+        if lane.kind == "parking":
+            colour = "#ececec"
+        else:
+            colour = "#dedede"
         edge: Style = {"edgecolor": "white", "linewidth": 0.8}
         axes.add_patch(Polygon(_lane_polygon(lane), facecolor=colour, zorder=1, **edge))
-    axes.add_patch(Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1))
+    axes.add_patch(
+        Polygon(scene.outline_m, facecolor="#dedede", edgecolor="none", zorder=1)
+    )
     for ends in scene.crosswalks_m:
-        # Grey below the white bars: next to the road they would not be seen on a white ground.
-        axes.plot(*ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8)
-        axes.plot(*ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9)
+        # Grey below the white bars: next to the road they would not be seen on a white
+        # ground.
+        axes.plot(
+            *ends.T, color="#8c8c8c", linewidth=6.0, solid_capstyle="butt", zorder=1.8
+        )
+        axes.plot(
+            *ends.T, color="white", linewidth=5.0, linestyle=(0, (0.6, 0.6)), zorder=1.9
+        )
     for index, instance in enumerate(scene.instances):
         if instance.class_name in CLASS_STYLES:
             path = _outline(thing_footprint(scene, index))
-            axes.add_patch(PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name]))
+            axes.add_patch(
+                PathPatch(path, zorder=6.5, **CLASS_STYLES[instance.class_name])
+            )
     doubts = assumed_sites(scene.notes)
     for is_assumed, style in ((False, SITE_STYLE), (True, ASSUMED_STYLE)):
-        sites = [s.position_m[:2] for s in scene.sites if (s.id in doubts) is is_assumed]
+        sites = [
+            s.position_m[:2] for s in scene.sites if (s.id in doubts) is is_assumed
+        ]
         axes.plot(*np.array(sites).reshape(-1, 2).T, zorder=5, **style)
 
 
@@ -99,7 +135,9 @@ def draw_parked(axes: Axes, bodies: Iterable[PlacedActor]) -> None:
     covered = _outline(unary_union([shapely.Polygon(ring) for ring in corners]))
     axes.add_patch(PathPatch(covered, zorder=2.2, **PARKED_STYLE))
     outlines = Path.make_compound_path(*(_ring(ring) for ring in corners))
-    axes.add_patch(PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""}))
+    axes.add_patch(
+        PathPatch(outlines, zorder=2.2, **PARKED_STYLE | {"fill": False, "hatch": ""})
+    )
 
 
 def _outline(shape: shapely.Geometry) -> Path:
@@ -134,10 +172,11 @@ def ground_footprint(
 ) -> FloatArray:
     """Footprint of a unit's image on the road plane, if nothing stood on it.
 
-    A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of the camera and
-    up to `max_depth_m` along its axis; empty if it sees no ground there. Through a lens it need not
-    be convex, and both limits are of the distance from the foot. Of a LiDAR that opens half
-    a turn or more it is the outer one of :func:`.sensors.ground_rings`. World frame. [m]
+    A convex polygon, (n, 2), counter-clockwise, up to `max_range_m` from the foot of
+    the camera and up to `max_depth_m` along its axis; empty if it sees no ground there.
+    Through a lens it need not be convex, and both limits are of the distance from the
+    foot. Of a LiDAR that opens half a turn or more it is the outer one of
+    :func:`.sensors.ground_rings`. World frame. [m]
     """
     if is_wide(unit):
         return ground_rings(unit, max_range_m=max_range_m)[0]
@@ -145,13 +184,20 @@ def ground_footprint(
         return _lens_footprint(unit, max_range_m=min(max_range_m, max_depth_m))
     position = unit.pose.position_m
     angles = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
-    corners = position[:2] + max_range_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    half_width, half_height = np.tan(
-        np.radians([0.5 * unit.sensor.horizontal_fov_deg, 0.5 * unit.sensor.vertical_fov_deg])
+    corners = position[:2] + max_range_m * np.stack(
+        [np.cos(angles), np.sin(angles)], axis=1
     )
-    # Inward normals of the planes through the lens and the image's four sides. Camera frame.
+    half_width, half_height = np.tan(
+        np.radians(
+            [0.5 * unit.sensor.horizontal_fov_deg, 0.5 * unit.sensor.vertical_fov_deg]
+        )
+    )
+    # Inward normals of the planes through the lens and the image's four sides. Camera
+    # frame.
     across = [[side, 0.0, half_width] for side in (1.0, -1.0)]
-    normals_camera = np.array([*across, *([0.0, side, half_height] for side in (1.0, -1.0))])
+    normals_camera = np.array(
+        [*across, *([0.0, side, half_height] for side in (1.0, -1.0))]
+    )
     R_world_camera = camera_rotation(unit.pose.yaw_deg, unit.pose.pitch_deg)
     if np.isfinite(max_depth_m):
         axis = R_world_camera[:, 2]
@@ -172,10 +218,8 @@ def _lens_footprint(unit: CandidatePose, *, max_range_m: float) -> FloatArray:
     points = np.concatenate([ground, np.zeros((*ground.shape[:2], 1))], axis=2)
     is_seen = is_in_view(unit, points.reshape(-1, 3)).reshape(ground.shape[:2])
     rows = np.flatnonzero(is_seen.any(axis=1))
-    near, far = (
-        is_seen.argmax(axis=1)[rows],
-        is_seen.shape[1] - 1 - is_seen[:, ::-1].argmax(axis=1)[rows],
-    )
+    near = is_seen.argmax(axis=1)[rows]
+    far = is_seen.shape[1] - 1 - is_seen[:, ::-1].argmax(axis=1)[rows]
     return np.concatenate([ground[rows, far], ground[rows, near][::-1]])
 
 
@@ -191,12 +235,16 @@ def plot_plan(
 ) -> Axes:
     """Plan of the junction with a layout: where its units are and what ground they look at.
 
-    `others` are drawn lighter. The square around the middle of the junction is by default 45 m each
-    way, or what shows all units and places along the arms. Fields of view end at `max_range_m`. The
-    axes are in metres, north up; by default in a new figure.
+    `others` are drawn lighter. The square around the middle of the junction is by
+    default 45 m each way, or what shows all units and places along the arms. Fields of
+    view end at `max_range_m`. The axes are in metres, north up; by default in a new
+    figure.
     """
     entries = _plan_legend(setting, layout, others)
-    n_columns = 1 if width_in < WIDTH_IN else 2
+    if width_in < WIDTH_IN:
+        n_columns = 1
+    else:
+        n_columns = 2
     if axes is None:
         n_rows = -(-len(entries) // n_columns)
         axes = new_axes(width_in, width_in + 0.05 + _LEGEND_ROW_IN * n_rows)
@@ -205,8 +253,12 @@ def plot_plan(
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     feet = np.array([unit.pose.position_m[:2] for unit in layout.units])
     if half_size_m is None:
-        places = np.concatenate([[run.vru_position_m[-1] for run in setting.runs], feet])
-        half_size_m = max(_HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M)
+        places = np.concatenate(
+            [[run.vru_position_m[-1] for run in setting.runs], feet]
+        )
+        half_size_m = max(
+            _HALF_SIZE_M, float(np.abs(places - middle).max(initial=0.0)) + _MARGIN_M
+        )
     draw_scene(axes, scene)
     draw_parked(axes, [body for run in setting.runs for body in run.obstruction])
     _draw_paths(axes, setting.runs)
@@ -214,13 +266,18 @@ def plot_plan(
         axes.plot(*unit.pose.position_m[:2], zorder=7, **_camera_marker(unit), **_OTHER)
     _draw_units(axes, layout, scene, max_range_m)
     show_square(axes, middle, half_size_m)
-    names = [*labels.unit_names(layout, scene), *labels.arm_names(scene, middle, half_size_m)]
+    names = [
+        *labels.unit_names(layout, scene),
+        *labels.arm_names(scene, middle, half_size_m),
+    ]
     # Approximate ends of the units' arrows.
     yaw = np.radians([unit.pose.yaw_deg for unit in layout.units])
     length_m = 0.6 * labels.ARROW_POINTS * 2.0 * half_size_m / (60.0 * width_in)
     tips = feet + length_m * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
     marks_m = np.concatenate([feet, tips])
-    labels.draw_labels(axes, [*names, *labels.position_names(setting.runs)], marks_m=marks_m)
+    labels.draw_labels(
+        axes, [*names, *labels.position_names(setting.runs)], marks_m=marks_m
+    )
     axes.set_xlabel(tr("east (m)"))
     axes.set_ylabel(tr("north (m)"))
     _draw_compass(axes, middle, half_size_m)
@@ -233,17 +290,22 @@ def _clip(corners: FloatArray, inside: FloatArray) -> FloatArray:
     """Part of a convex polygon where `inside`, a linear function at its corners, is positive."""
     kept: list[FloatArray] = []
     for index in range(len(corners)):
-        here, there = inside[index - 1], inside[index]
+        here = inside[index - 1]
+        there = inside[index]
         if (here > 0.0) != (there > 0.0):
             share = here / (here - there)
-            kept.append(corners[index - 1] + share * (corners[index] - corners[index - 1]))
+            kept.append(
+                corners[index - 1] + share * (corners[index] - corners[index - 1])
+            )
         if there > 0.0:
             kept.append(corners[index])
     return np.array(kept).reshape(-1, 2)
 
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    firsts = {(run.case.name, run.approach, run.position): run for run in reversed(runs)}
+    firsts = {
+        (run.case.name, run.approach, run.position): run for run in reversed(runs)
+    }
     gap = np.full((1, 2), np.nan)  # lines with gaps are drawn in one go
     ways: dict[str, list[FloatArray]] = {name: [gap] for name in _PATHS}
     for run in firsts.values():
@@ -252,7 +314,9 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         ways[vru if vru in ways else "pedestrian"] += [run.vru_position_m, gap]
     for name, parts in ways.items():
         axes.plot(*np.concatenate(parts).T, zorder=3, **_path_style(name))
-    impacts = np.array([run.vru_position_m[-1] for run in firsts.values()]).reshape(-1, 2)
+    impacts = np.array([run.vru_position_m[-1] for run in firsts.values()]).reshape(
+        -1, 2
+    )
     axes.plot(*impacts.T, zorder=4, **_IMPACT_STYLE)
 
 
@@ -269,11 +333,18 @@ def _draw_units(axes: Axes, layout: Layout, scene: Scene, max_range_m: float) ->
         corners = ground_footprint(level, max_range_m=max_range_m)
         if len(corners):
             shape = ring_path(corners, blind_footprint(level, max_range_m=max_range_m))
-            ground = PathPatch(shape, facecolor=colour, alpha=0.6 / (n_units + 3.0), zorder=2.5)
+            ground = PathPatch(
+                shape, facecolor=colour, alpha=0.6 / (n_units + 3.0), zorder=2.5
+            )
             line: Style = {"linestyle": _LINE_STYLES[index % len(_LINE_STYLES)]}
-            line["linewidth"] = 1.2 if n_units <= labels.MAX_LABELLED_UNITS else 0.4
+            if n_units <= labels.MAX_LABELLED_UNITS:
+                line["linewidth"] = 1.2
+            else:
+                line["linewidth"] = 0.4
             axes.add_patch(ground)
-            axes.add_patch(PathPatch(shape, fc="none", edgecolor=colour, zorder=6, **line))
+            axes.add_patch(
+                PathPatch(shape, fc="none", edgecolor=colour, zorder=6, **line)
+            )
         rank = sum(labels.looks_alike(unit, other) for other in layout.units[:index])
         style = _camera_marker(unit, rank) | _FOUND | {"markerfacecolor": colour}
         axes.plot(*unit.pose.position_m[:2], zorder=8, gid=f"unit:{unit.id}", **style)
@@ -288,57 +359,98 @@ def _camera_marker(unit: CandidatePose, rank: int = 0) -> Style:
     ahead = _DART + [1.0 + 2.0 * rank, 0.0]
     # matplotlib scales a marker by its largest coordinate.
     size = 2.0 * _DART_POINTS * float(np.abs(ahead @ turn).max())
-    return {"marker": Path(ahead @ turn, closed=True), "linestyle": "none", "markersize": size}
+    return {
+        "marker": Path(ahead @ turn, closed=True),
+        "linestyle": "none",
+        "markersize": size,
+    }
 
 
 def _draw_compass(axes: Axes, middle_m: FloatArray, half_size_m: float) -> None:
     east, north = middle_m + half_size_m * np.array([0.91, 0.76])
     arrow = {"arrowstyle": "-|>", "facecolor": "black", "linewidth": 1.4}
-    letter: Style = {"fontsize": 11, "fontweight": "bold", "ha": "center", "va": "center"}
+    letter: Style = {
+        "fontsize": 11,
+        "fontweight": "bold",
+        "ha": "center",
+        "va": "center",
+    }
     letter |= {"path_effects": [labels.HALO], "zorder": 10}
     tip = (east, north + 0.18 * half_size_m)
     axes.annotate(tr("N"), xy=tip, xytext=(east, north), arrowprops=arrow, **letter)
     length_m = 10.0
     x, y = middle_m - 0.95 * half_size_m
-    bar: Style = {"color": "black", "linewidth": 4.0, "solid_capstyle": "butt", "zorder": 11}
+    bar: Style = {
+        "color": "black",
+        "linewidth": 4.0,
+        "solid_capstyle": "butt",
+        "zorder": 11,
+    }
     halo = [withStroke(linewidth=6.0, foreground="white")]
     axes.plot([x, x + length_m], [y, y], path_effects=halo, **bar)
-    text: Style = {"fontsize": 9, "path_effects": [labels.HALO], "zorder": 11, "va": "bottom"}
+    text: Style = {
+        "fontsize": 9,
+        "path_effects": [labels.HALO],
+        "zorder": 11,
+        "va": "bottom",
+    }
     axes.text(x + 0.5 * length_m, y + 1.2, f"{length_m:g} m", ha="center", **text)
 
 
-def _plan_legend(setting: Setting, layout: Layout, others: Sequence[Layout]) -> list[Any]:
+def _plan_legend(
+    setting: Setting, layout: Layout, others: Sequence[Layout]
+) -> list[Any]:
     line = partial(Line2D, [], [])
     bodies = {"vut", *(run.case.vru.class_name for run in setting.runs)}
     paths = [
-        line(label=tr(_PATHS[name][0]), **_path_style(name)) for name in _PATHS if name in bodies
+        line(label=tr(_PATHS[name][0]), **_path_style(name))
+        for name in _PATHS
+        if name in bodies
     ]
-    camera: Style = {"marker": Path(_DART, closed=True), "linestyle": "none", "markersize": 8.0}
+    camera: Style = {
+        "marker": Path(_DART, closed=True),
+        "linestyle": "none",
+        "markersize": 8.0,
+    }
     few = len(layout.units) <= labels.MAX_LABELLED_UNITS
     what = mark("{layout}: camera and its view")
     if not few:
         what = mark("{layout}: cameras and their views")
     own = shortened(layout_words(layout.name), _MAX_NAME)
     rings = [is_ring(unit.sensor) for unit in layout.units]
-    units = [] if all(rings) else [line(label=literal(tr(what, layout=own)), **_FOUND, **camera)]
+    if all(rings):
+        units = []
+    else:
+        units = [line(label=literal(tr(what, layout=own)), **_FOUND, **camera)]
     if any(rings):
         label = literal(tr("{layout}: LiDAR that scans all round", layout=own))
         units.append(line(label=label, markersize=8.0, **_FOUND, **_ROUND_MARKER))
     for name in dict.fromkeys(other.name for other in others):
-        label = literal(tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_NAME)))
+        label = literal(
+            tr("{layout}: camera", layout=shortened(layout_words(name), _MAX_NAME))
+        )
         units.append(line(label=label, **_OTHER, **camera))
-    shown = {instance.class_name for instance in setting.scene.instances} - {"traffic light"}
+    shown = {instance.class_name for instance in setting.scene.instances} - {
+        "traffic light"
+    }
     things = [
-        Patch(label=said(name), **CLASS_STYLES[name]) for name in CLASS_STYLES if name in shown
+        Patch(label=said(name), **CLASS_STYLES[name])
+        for name in CLASS_STYLES
+        if name in shown
     ]
     if any(run.obstruction for run in setting.runs):
-        things.append(Patch(label=tr("parked body or wall of single cases"), **PARKED_STYLE))
+        things.append(
+            Patch(label=tr("parked body or wall of single cases"), **PARKED_STYLE)
+        )
     doubts = assumed_sites(setting.scene.notes)
     sites = [line(label=tr("pole or mast: possible site"), **SITE_STYLE)]
     if doubts:
         is_all = all(one.id in doubts for one in setting.scene.sites)
         assumed = line(label=tr("assumed site: not in the map there"), **ASSUMED_STYLE)
-        sites = [assumed] if is_all else [*sites, assumed]
+        if is_all:
+            sites = [assumed]
+        else:
+            sites = [*sites, assumed]
     label = tr("collision point")
     if len({run.position for run in setting.runs}) > 1:
         label = tr("collision point; metres before (\N{MINUS SIGN}), behind (+)")
@@ -361,14 +473,19 @@ def looking_words(unit: CandidatePose) -> str:
 
 def is_wide(unit: CandidatePose) -> bool:
     """True for a LiDAR that opens half a turn or more: no picture plane holds its view."""
-    return isinstance(unit.sensor, LidarModel) and unit.sensor.horizontal_fov_deg >= 180.0
+    return (
+        isinstance(unit.sensor, LidarModel) and unit.sensor.horizontal_fov_deg >= 180.0
+    )
 
 
-def ground_rings(unit: CandidatePose, *, max_range_m: float) -> tuple[FloatArray, FloatArray]:
+def ground_rings(
+    unit: CandidatePose, *, max_range_m: float
+) -> tuple[FloatArray, FloatArray]:
     """Outlines of the road plane that a wide LiDAR's beams meet, if nothing stood on it.
 
-    Where the ground that it meets ends and begins, each (n, 2), counter-clockwise around the foot;
-    empty where there is none. To the sides where no ground is met the inner one is the foot. [m]
+    Where the ground that it meets ends and begins, each (n, 2), counter-clockwise
+    around the foot; empty where there is none. To the sides where no ground is met the
+    inner one is the foot. [m]
     """
     foot = unit.pose.position_m[:2]
     angles = np.linspace(0.0, 2.0 * np.pi, _N_BEARINGS, endpoint=False)

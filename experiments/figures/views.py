@@ -25,7 +25,9 @@ MAX_RANGE_M = 150.0
 """Views are drawn up to here: nothing that is driven starts farther from a junction's poles."""
 
 _N_BEARINGS = 360
-_FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 50.0, 2.0  # between the places that are asked of
+_FINE_M = 1.0
+_FINE_UP_TO_M = 50.0
+_COARSE_M = 2.0  # between the places that are asked of
 _HAIR_M = 0.05
 _STEP_M = 0.5  # of the reach
 _MAX_MOUNTS = 256
@@ -42,13 +44,16 @@ class GroundViews:
     def reach_m(self, sensor: Sensor) -> float:
         """Distance up to which a sensor detects the tallest road user, if nothing occludes it.
 
-        Of a camera, depth along its axis: where the box is as high as the planning detector asks
-        for at the contrast of the clearest weather that is driven. At most `MAX_RANGE_M`.
+        Of a camera, depth along its axis: where the box is as high as the planning
+        detector asks for at the contrast of the clearest weather that is driven. At
+        most `MAX_RANGE_M`.
         """
         if not isinstance(sensor, CameraModel):
             return min(sensor.range_m, MAX_RANGE_M)
         setting = self._setting
-        tallest = max((run.encounter.vru for run in setting.runs), key=lambda vru: vru.height_m)
+        tallest = max(
+            (run.encounter.vru for run in setting.runs), key=lambda vru: vru.height_m
+        )
         depth_m = np.arange(_STEP_M, MAX_RANGE_M + _STEP_M, _STEP_M)
         height_px = sensor.focal_length_px * tallest.height_m / depth_m
         known = load_weathers()
@@ -71,8 +76,9 @@ class GroundViews:
     def shape(self, unit: CandidatePose) -> Any:
         """Ground in a unit's view as a shapely shape, maybe in parts or empty. World frame, metres.
 
-        What its image shows of the ground within its reach, without what the scene occludes one
-        metre above it. Shadows of poles, narrower than two degrees, are left out.
+        What its image shows of the ground within its reach, without what the scene
+        occludes one metre above it. Shadows of poles, narrower than two degrees, are
+        left out.
         """
         import shapely
 
@@ -84,7 +90,9 @@ class GroundViews:
         elif isinstance(unit.sensor, LidarModel):
             image = _polygon(ground_footprint(level, max_range_m=reach_m))
         else:
-            corners_m = ground_footprint(level, max_range_m=MAX_RANGE_M, max_depth_m=reach_m)
+            corners_m = ground_footprint(
+                level, max_range_m=MAX_RANGE_M, max_depth_m=reach_m
+            )
             image = _polygon(corners_m)
         return shapely.intersection(shapely.make_valid(image), self._open_ground(unit))
 
@@ -122,8 +130,11 @@ class GroundViews:
         bearings = np.radians(np.arange(_N_BEARINGS) * (360.0 / _N_BEARINGS))
         between = (bearings + 0.5 * bearings[1])[:, None]
         middles = _polar(0.5 * (edges_m[1:] + edges_m[:-1])[None, :], between)
-        ground_m = on_ground(eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene))
-        eye, places = eye_m - self._origin_m, ground_m + [0.0, 0.0, LOOK_AT_M] - self._origin_m
+        ground_m = on_ground(
+            eye_m[:2] + middles.reshape(-1, 2), terrain_of(self._setting.scene)
+        )
+        eye = eye_m - self._origin_m
+        places = ground_m + [0.0, 0.0, LOOK_AT_M] - self._origin_m
         is_open = is_in_sight(self._caster, eye, places, near_m=unit.sensor.near_m)
         is_open = is_open.reshape(_N_BEARINGS, -1)
         is_open[:, 0] = True  # rays do not begin nearer
@@ -131,17 +142,26 @@ class GroundViews:
         change = np.diff(np.pad(is_open.astype(np.int8), ((0, 0), (1, 1))), axis=1)
         row, first = np.nonzero(change == 1)
         last = np.nonzero(change == -1)[1]
-        low_m, high_m = edges_m[first], edges_m[last]
-        left, right = bearings[row], bearings[row] + bearings[1]
+        low_m = edges_m[first]
+        high_m = edges_m[last]
+        left = bearings[row]
+        right = bearings[row] + bearings[1]
         ends = ((low_m, left), (high_m, left), (high_m, right), (low_m, right))
-        corners = np.stack([_polar(radius_m, bearing) for radius_m, bearing in ends], axis=1)
+        corners = np.stack(
+            [_polar(radius_m, bearing) for radius_m, bearing in ends], axis=1
+        )
         sectors = shapely.polygons(eye_m[:2] + corners)
         # The innermost sectors are one star; to join it with the few others is quick.
         is_inner = first == 0
         star = shapely.Polygon(eye_m[:2] + corners[is_inner, 1:3].reshape(-1, 2))
         joined = shapely.union_all([star, *sectors[~is_inner]])
-        for width_m in (_HAIR_M, -_HAIR_M):  # or rounding would leave gaps between sectors
-            joined = shapely.buffer(joined, width_m, join_style="mitre", mitre_limit=1.5)
+        for width_m in (
+            _HAIR_M,
+            -_HAIR_M,
+        ):  # or rounding would leave gaps between sectors
+            joined = shapely.buffer(
+                joined, width_m, join_style="mitre", mitre_limit=1.5
+            )
         return shapely.simplify(joined, _HAIR_M)
 
 
@@ -150,7 +170,9 @@ def _mount_key(unit: CandidatePose) -> tuple[float, ...]:
 
 
 def _polar(radius_m: FloatArray, bearing_rad: FloatArray) -> FloatArray:
-    ways = np.stack(np.broadcast_arrays(np.cos(bearing_rad), np.sin(bearing_rad)), axis=-1)
+    ways = np.stack(
+        np.broadcast_arrays(np.cos(bearing_rad), np.sin(bearing_rad)), axis=-1
+    )
     corners: FloatArray = radius_m[..., None] * ways
     return corners
 
@@ -158,4 +180,6 @@ def _polar(radius_m: FloatArray, bearing_rad: FloatArray) -> FloatArray:
 def _polygon(corners_m: FloatArray) -> Any:
     import shapely
 
-    return shapely.Polygon(corners_m) if len(corners_m) >= 3 else shapely.Polygon()
+    if len(corners_m) >= 3:
+        return shapely.Polygon(corners_m)
+    return shapely.Polygon()

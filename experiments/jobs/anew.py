@@ -1,8 +1,8 @@
 """A result made anew from what was asked, and compared with a folder file by file.
 
-Everything is computed again without any cache: the detection table, the search, the evaluator's
-pictures and verdicts, the comparisons, the bill. The report is then drawn from the numbers that
-were found to be right. Only times are taken over from the folder.
+Everything is computed again without any cache: the detection table, the search, the
+evaluator's pictures and verdicts, the comparisons, the bill. The report is then drawn
+from the numbers that were found to be right. Only times are taken over from the folder.
 """
 
 import math
@@ -40,12 +40,17 @@ Add = Callable[[str, str, str], None]
 _TOLERANCE = 1.0e-9
 _SECONDS = "seconds"  # keys of times: no two calls take as long
 _VERSIONS = "versions"
-_AFTERWARDS = (WRITING, "total")  # times that are not known yet when the report is written
+_AFTERWARDS = (
+    WRITING,
+    "total",
+)  # times that are not known yet when the report is written
 _MOST_TOLD = 3  # differences of a file
 _PICTURE = re.compile(r"data:[a-z/+]+;base64,[A-Za-z0-9+/=]*")
 
 
-def compare_anew(folder: Path, question: Question, add: Add, progress: StageProgress) -> None:
+def compare_anew(
+    folder: Path, question: Question, add: Add, progress: StageProgress
+) -> None:
     """Make a placement anew and compare every file of its folder with what is written then.
 
     Parameters
@@ -62,8 +67,8 @@ def compare_anew(folder: Path, question: Question, add: Add, progress: StageProg
     Raises
     ------
     InputError
-        The folder is no placement's, does not say what was asked, names a network, which is a
-        program, or the question cannot be answered here.
+        The folder is no placement's, does not say what was asked, names a network,
+        which is a program, or the question cannot be answered here.
     """
     stored = read_summary(folder / MARKER)
     asked = stored.asked
@@ -72,7 +77,9 @@ def compare_anew(folder: Path, question: Question, add: Add, progress: StageProg
         raise InputError("--deep", got, "a placement of this version of place-rsus")
     where = f"{folder / MARKER}: asked"
     if ".onnx" in question.detector:
-        expected = "no network, which is a program: run the command again if you trust it"
+        expected = (
+            "no network, which is a program: run the command again if you trust it"
+        )
         raise InputError(f"{where}: detector", question.detector, expected)
     if asked.language not in LANGUAGES:
         raise InputError(f"{where}: language", asked.language, " or ".join(LANGUAGES))
@@ -82,20 +89,26 @@ def compare_anew(folder: Path, question: Question, add: Add, progress: StageProg
         speaking(asked.language),
     ):
         anew = Path(temporary) / "anew"
-        with answer_placement(question, out=anew, compute=compute, progress=progress) as answered:
+        with answer_placement(
+            question, out=anew, compute=compute, progress=progress
+        ) as answered:
             elsewhere = _other_layout(stored, answered)
             if elsewhere:
                 add(f"anew: {LAYOUT_FILE}", elsewhere, "")
                 return
             progress("compare anew", 0, 0)
-            result = replace_fields(answered.result, seconds=stored.seconds, asked=asked)
+            result = replace_fields(
+                answered.result, seconds=stored.seconds, asked=asked
+            )
             wrong = differences(to_plain(stored), to_plain(result))
             add(f"anew: {MARKER}", told(wrong), "every number, but for times")
-            # The report shows times of stages, too: they are taken from the folder, together with
-            # numbers that are known to be right.
+            # The report shows times of stages, too: they are taken from the folder,
+            # together with numbers that are known to be right.
             shown: Result = result if wrong else stored
             seconds = {
-                stage: value for stage, value in stored.seconds.items() if stage not in _AFTERWARDS
+                stage: value
+                for stage, value in stored.seconds.items()
+                if stage not in _AFTERWARDS
             }
             anew.mkdir()
             write_files(anew, answered, replace_fields(shown, seconds=seconds))
@@ -136,8 +149,8 @@ def _difference(name: str, path: Path, anew: Path) -> tuple[str, str]:
         wrong = differences(_json_of(path), _json_of(anew))
         return told(wrong), "every number, but for times"
     if name == INSTANCE_FILE:
-        # An archive may be packed otherwise. The hash of what it holds is compared with the one in
-        # the certificate, and that one with the certificate made anew.
+        # An archive may be packed otherwise. The hash of what it holds is compared with
+        # the one in the certificate, and that one with the certificate made anew.
         return "", f"by its hash in {CERTIFICATE_FILE}"
     if name == RUNS_FILE:
         return _difference_of_runs(path, anew), "every run of every party"
@@ -146,7 +159,10 @@ def _difference(name: str, path: Path, anew: Path) -> tuple[str, str]:
     if name == REPORT_FILE:
         return _difference_of_pages(got, wanted), "every figure, number and word"
     if path.suffix == ".png":
-        wrong_picture = "" if got == wanted else _OTHER_PICTURE
+        if got == wanted:
+            wrong_picture = ""
+        else:
+            wrong_picture = _OTHER_PICTURE
         return wrong_picture, "the same picture"
     return _difference_of_texts(got, wanted), "every word and number"
 
@@ -162,7 +178,9 @@ def _difference_of_runs(path: Path, anew: Path) -> str:
     """The first column of the table of runs that differs, in words; or nothing."""
     tables = []
     for one in (path, anew):
-        with open_parquet(one, max_bytes=MAX_TEXT_BYTES, expected="a table of runs") as file:
+        with open_parquet(
+            one, max_bytes=MAX_TEXT_BYTES, expected="a table of runs"
+        ) as file:
             tables.append(file.read().to_pandas(ignore_metadata=True))
     got, wanted = tables
     if list(got.columns) != list(wanted.columns) or len(got) != len(wanted):
@@ -243,7 +261,10 @@ def _differences(got: object, expected: object, place: str) -> Iterator[str]:
         for key in dict.fromkeys([*expected, *got]):
             if key in (_SECONDS, _VERSIONS):
                 continue
-            inner = f"{place}.{key}" if place else str(key)
+            if place:
+                inner = f"{place}.{key}"
+            else:
+                inner = str(key)
             if key in got and key in expected:
                 yield from _differences(got[key], expected[key], inner)
             else:

@@ -48,7 +48,8 @@ def run_evaluation(
 ) -> EvaluationResult:
     """Evaluate a layout, report if asked to; InputError if it cannot be mounted or written.
 
-    `asked` is the question before its map was imported, `sign` the key that signs the folder.
+    `asked` is the question before its map was imported, `sign` the key that signs the
+    folder.
     """
     folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
@@ -87,8 +88,8 @@ def run_comparison(
 ) -> ComparisonResult:
     """Compare two layouts or more on the same runs; write a report if asked to.
 
-    With samples also in so many sampled worlds. `asked`, `sign` and errors are as those of
-    :func:`run_evaluation`.
+    With samples also in so many sampled worlds. `asked`, `sign` and errors are as those
+    of :func:`run_evaluation`.
     """
     folders.expect_results(out, progress, sign=sign)
     scene = load_scene(question.scene)
@@ -110,7 +111,9 @@ def run_comparison(
         sampled = None
         if samples:
             sampled = build_sampled_record(
-                out_of_sample_layouts(setting, everyone, drawn, n_samples=samples, compute=compute),
+                out_of_sample_layouts(
+                    setting, everyone, drawn, n_samples=samples, compute=compute
+                ),
                 drawn,
                 tail=1.0,
                 seed=compute.seed,
@@ -126,7 +129,8 @@ def run_comparison(
             sites_eur=bill.sites_eur,
             assumed_prices=bill.assumed,
             study_cases=judge_study_cases(job, evaluations),
-            baselines=proposed and build_baselines(proposed, evaluations.get(EXPERT), setting),
+            baselines=proposed
+            and build_baselines(proposed, evaluations.get(EXPERT), setting),
             sampled=sampled,
         )
         answered = Answered(job=job, result=result, evaluations=evaluations, bill=bill)
@@ -154,9 +158,13 @@ def build_comparison_result(
     """A layout against others on the same runs; `of_others` is what these see of private ground."""
     compared = tuple(
         build_compared(subject, other, setting.rule, private)
-        for other, private in zip(others, of_others or [None] * len(others), strict=True)
+        for other, private in zip(
+            others, of_others or [None] * len(others), strict=True
+        )
     )
-    differences = find_differences({item.layout.name: item for item in (subject, *others)})
+    differences = find_differences(
+        {item.layout.name: item for item in (subject, *others)}
+    )
     return ComparisonResult(
         **build_answer(setting, subject, {item.layout.name: item for item in others}),
         compared=compared,
@@ -172,7 +180,9 @@ def _private_ground(
     if not question.no_look:
         return [None] * len(layouts)
     private = load_private_ground(Path(question.no_look), scene)
-    return [build_private_ground_record(layout.units, scene, private) for layout in layouts]
+    return [
+        build_private_ground_record(layout.units, scene, private) for layout in layouts
+    ]
 
 
 def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
@@ -180,7 +190,9 @@ def _with_distinct_names(layouts: Sequence[Layout]) -> list[Layout]:
     taken = {GREEDY, EXPERT, HIGHEST}
     named = []
     for layout in layouts:
-        names = chain([layout.name], (f"{layout.name} ({number})" for number in count(2)))
+        names = chain(
+            [layout.name], (f"{layout.name} ({number})" for number in count(2))
+        )
         name = next(name for name in names if name not in taken)
         taken.add(name)
         named.append(replace(layout, name=name))

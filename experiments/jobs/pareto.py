@@ -30,7 +30,9 @@ from ..results.tables import csv_text
 if TYPE_CHECKING:
     import pandas as pd
 
-CSV_NAME, JSON_NAME, PNG_NAME = "pareto.csv", "pareto.json", "pareto.png"
+CSV_NAME = "pareto.csv"
+JSON_NAME = "pareto.json"
+PNG_NAME = "pareto.png"
 
 
 class FrontResult(FrontRecord, frozen=True, kw_only=True):
@@ -66,14 +68,17 @@ def run_pareto(
 ) -> FrontResult:
     """Find what each further unit, or more money, buys; write it to `out` if asked to.
 
-    The question's time is for all points together; `max_units` are next to existing ones, and
-    `all_stages` optimises margins and cost, too. Raises InputError if a wish cannot be met, or
-    `out` cannot be written.
+    The question's time is for all points together; `max_units` are next to existing
+    ones, and `all_stages` optimises margins and cost, too. Raises InputError if a wish
+    cannot be met, or `out` cannot be written.
     """
     scene = load_scene(question.scene)
     expect_files(out, progress)
     plan = assemble(replace(question, budget=max_units), scene=scene, compute=compute)
-    prices = load_prices() if by == "cost" and question.site_cost_eur is None else None
+    if by == "cost" and question.site_cost_eur is None:
+        prices = load_prices()
+    else:
+        prices = None
     plan = replace(plan, wishes=replace(plan.wishes, prices=prices))
     problem, n_kept = plan.problem, len(plan.wishes.existing)
     progress("front", 0, 0)
@@ -99,7 +104,9 @@ def run_pareto(
     )
     if prices is not None:
         assumed = assumed_prices(prices, scene.sites)
-        result = replace_fields(result, sentences=(*result.sentences, *map(said, assumed)))
+        result = replace_fields(
+            result, sentences=(*result.sentences, *map(said, assumed))
+        )
 
     def files(done: FrontResult) -> dict[str, str | bytes]:
         drawn = to_png(plot_front(done))
@@ -119,5 +126,7 @@ def front_table(front: FrontRecord) -> "pd.DataFrame":
         for name in PlacementValue._fields:
             stage = stage_of(point, name)
             row |= {name: getattr(point, name), f"{name}_bound": stage and stage.bound}
-        rows.append(row | {"is_proven": point.is_proven, "poses": " ".join(point.pose_ids)})
+        rows.append(
+            row | {"is_proven": point.is_proven, "poses": " ".join(point.pose_ids)}
+        )
     return pd.DataFrame(rows)

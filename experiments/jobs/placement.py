@@ -104,7 +104,10 @@ def begin_job(
         setting = build_setting(question, scene, compute=compute)
     setting = with_sight(setting, compute=compute)
     is_large = compute.workers > 1 and len(setting.runs) >= _LARGE_RUNS
-    begun = side if side is not None and side.exists else None
+    if side is not None and side.exists:
+        begun = side
+    else:
+        begun = None
     with side_process(out is not None and is_large and begun is None, **READY) as new:
         chosen = begun or new
         chosen.share(setting)
@@ -139,7 +142,9 @@ class Answered:
 
     job: Job
     result: Result  # without seconds, and without what was asked
-    evaluations: Mapping[str, Evaluation]  # by display name; the first one is the subject
+    evaluations: Mapping[
+        str, Evaluation
+    ]  # by display name; the first one is the subject
     bill: BillOfMaterials
     placement: Placement | None = None  # of a layout that was searched for
     candidates: Sequence[CandidatePose] = ()  # rows of the placement's table
@@ -216,34 +221,60 @@ def answer_placement(
     Raises InputError if a wish cannot be met.
     """
     scene = load_scene(question.scene)
-    grown = grow(question, scene=scene, compute=compute) if question.samples == AUTO else None
-    question = replace(question, samples=grown.growth.taken) if grown else question
-    plan = grown.assembly if grown else assemble(question, scene=scene, compute=compute)
-    job_of = partial(begin_job, setting=plan.setting, compute=compute, progress=progress)
+    if question.samples == AUTO:
+        grown = grow(question, scene=scene, compute=compute)
+    else:
+        grown = None
+    if grown:
+        question = replace(question, samples=grown.growth.taken)
+    else:
+        question = question
+    if grown:
+        plan = grown.assembly
+    else:
+        plan = assemble(question, scene=scene, compute=compute)
+    job_of = partial(
+        begin_job, setting=plan.setting, compute=compute, progress=progress
+    )
     with job_of(question, scene, side=side, out=out) as job:
         found = _find(job, plan, grown)
-        placement, layout, setting = found.placement, found.placement.layout, job.setting
+        placement, layout, setting = (
+            found.placement,
+            found.placement.layout,
+            job.setting,
+        )
         study = find_baseline(scene)
         proposed = compare_placement(placement, found.poses, setting, seed=compute.seed)
         layouts = _named_layouts(placement, proposed.expert, study)
         # What depends on the layouts alone is begun, the longest first.
-        standing = alternatives.begin_standing(job.side, setting, layout, question, compute)
+        standing = alternatives.begin_standing(
+            job.side, setting, layout, question, compute
+        )
         fresh = _begin_fresh_worlds(job, plan, [*layouts.values()])
         progress("explain", 0, 0)
-        explained = build_explained_record(placement, setting, found.poses, compute=compute)
-        others = [] if study is None else [study]
+        explained = build_explained_record(
+            placement, setting, found.poses, compute=compute
+        )
+        if study is None:
+            others = []
+        else:
+            others = [study]
         job.side.begin("plans", build_plans, setting, {layout.name: layout}, others)
         front = _front_below(job, found)
         by_runs = alternatives.find_other_weights(
             found.on_grid, question, plan, compute=compute, progress=progress
         )
         evaluations, leading = _evaluate(job, found, layouts)
-        study_cases = judge_study_cases(job, evaluations)  # while the other process goes on
+        study_cases = judge_study_cases(
+            job, evaluations
+        )  # while the other process goes on
         front_runners, mounting, recommended = alternatives.find_front_runners(
             leading, standing, setting, question, compute=compute, progress=progress
         )
-        existing, prices = plan.wishes.existing, plan.wishes.prices
-        private, site_eur = plan.private_ground, question.site_cost_eur
+        existing = plan.wishes.existing
+        prices = plan.wishes.prices
+        private = plan.private_ground
+        site_eur = question.site_cost_eur
         bill = build_bill(layout, scene, site_cost_eur=site_eur, kept_ids=existing)
         result = build_placement_result(
             placement,
@@ -254,10 +285,13 @@ def answer_placement(
             baseline=None if study is None else evaluations[study.name],
             compute=compute,
             next_unit=placement.next_unit,
-            private_ground=private and build_private_ground_record(layout.units, scene, private),
+            private_ground=private
+            and build_private_ground_record(layout.units, scene, private),
             refinement=found.refinement and build_refinement_record(found.refinement),
             sites_eur=bill.sites_eur,
-            assumed_prices=bill.assumed if prices is None else assumed_prices(prices, scene.sites),
+            assumed_prices=(
+                bill.assumed if prices is None else assumed_prices(prices, scene.sites)
+            ),
             explained=explained,
             front=front,
             by_runs=by_runs,
@@ -283,15 +317,23 @@ def _named_layouts(
 ) -> dict[str, Layout]:
     """Layouts to evaluate by display name, the one found first."""
     layouts = {placement.layout.name: placement.layout, GREEDY: placement.greedy}
-    if placement.highest is not None and placement.highest.pose_index != placement.pose_index:
+    if (
+        placement.highest is not None
+        and placement.highest.pose_index != placement.pose_index
+    ):
         layouts[HIGHEST] = placement.highest.layout
-    layouts |= {} if expert is None else {EXPERT: expert}
+    if expert is None:
+        layouts |= {}
+    else:
+        layouts |= {EXPERT: expert}
     return layouts | ({} if study is None else {study.name: study})
 
 
 def _find(job: Job, plan: Assembly, grown: Grown | None) -> _Found:
     """Solve, and refine if asked to; the optimiser leaves the second process idle."""
-    question, compute, progress = job.question, job.compute, job.progress
+    question = job.question
+    compute = job.compute
+    progress = job.progress
 
     def report(stage: str, done: int, total: int) -> None:
         cache = compute.cache_folder
@@ -303,11 +345,17 @@ def _find(job: Job, plan: Assembly, grown: Grown | None) -> _Found:
     if grown:
         placement = grown.placement
     else:  # poses that are turned yet are compared with nothing
-        placement = place(replace(plan, compute=reporting), asks_worlds=not question.refine)
+        placement = place(
+            replace(plan, compute=reporting), asks_worlds=not question.refine
+        )
     refinement = None
     if question.refine:
         refinement = refine(
-            job.setting, placement, plan.candidates, solver=plan.effort, compute=reporting
+            job.setting,
+            placement,
+            plan.candidates,
+            solver=plan.effort,
+            compute=reporting,
         )
     return _Found(
         plan=plan,
@@ -323,8 +371,12 @@ def _begin_fresh_worlds(
     job: Job, plan: Assembly, layouts: Sequence[Layout]
 ) -> list[Task[FreshWorlds]]:
     """Look at layouts in fresh sampled worlds, if asked for, in either process."""
-    n_samples, uncertainty = job.question.n_samples, plan.uncertainty
-    n_worlds = max(n_samples, MIN_FRESH_WORLDS) if n_samples else 0
+    n_samples = job.question.n_samples
+    uncertainty = plan.uncertainty
+    if n_samples:
+        n_worlds = max(n_samples, MIN_FRESH_WORLDS)
+    else:
+        n_worlds = 0
     assert uncertainty is not None  # assemble reads it with every question
     return [
         job.side.begin(
@@ -348,7 +400,9 @@ def _evaluate(
     """Layouts by display name, and those that lead, the one found first, by the evaluator."""
     leading = alternatives.leading_layouts(found.on_grid, found.placement)
     further = [layout for layout in leading if layout is not found.placement.greedy]
-    judged = evaluate_layouts([*layouts.values(), *further], job.setting, compute=job.compute)
+    judged = evaluate_layouts(
+        [*layouts.values(), *further], job.setting, compute=job.compute
+    )
     by_name = {item.layout.name: item for item in judged}
     evaluations = dict(zip(layouts, judged[: len(layouts)], strict=True))
     return evaluations, [judged[0], *(by_name[layout.name] for layout in leading)]
@@ -365,17 +419,23 @@ def _in_fresh_worlds(
     for done, task in enumerate(reversed(fresh)):
         job.progress(OUT_OF_SAMPLE, done, len(fresh))
         looked.insert(0, task.result())
-    placement, uncertainty = found.placement, found.plan.uncertainty
+    placement = found.placement
+    uncertainty = found.plan.uncertainty
     assert uncertainty is not None  # what the fresh worlds are drawn from
     layouts = [item.layout for item in evaluations.values()]
-    # Over all worlds, whatever was asked for: the least cost, the worst share, what is left.
-    chosen_apr = apr_on_table(replace(placement.problem, tail=1.0), placement.pose_index)
+    # Over all worlds, whatever was asked for: the least cost, the worst share, what is
+    # left.
+    chosen_apr = apr_on_table(
+        replace(placement.problem, tail=1.0), placement.pose_index
+    )
     return build_sampled_record(
         judge_layouts(job.setting, layouts, uncertainty, looked),
         uncertainty,
         tail=found.plan.wishes.tail,
         seed=job.compute.seed,
-        planned_apr={item.layout.name: headline_apr(item) for item in evaluations.values()},
+        planned_apr={
+            item.layout.name: headline_apr(item) for item in evaluations.values()
+        },
         chosen_apr={placement.layout.name: chosen_apr},
         chosen_in=job.question.n_samples,
         growth=found.growth,
@@ -384,9 +444,12 @@ def _in_fresh_worlds(
 
 def _front_below(job: Job, found: _Found) -> FrontRecord | None:
     """The best layout of each smaller size, too; None where the best was not what was asked."""
-    placement, plan, progress = found.placement, found.plan, job.progress
+    placement = found.placement
+    plan = found.plan
+    progress = job.progress
     best = placement if placement.highest is None else placement.highest
-    problem, chosen = best.problem, best.pose_index
+    problem = best.problem
+    chosen = best.pose_index
     if problem.goal != "best" or problem.survive:
         return None
     n_kept = len(plan.wishes.existing)
@@ -411,7 +474,9 @@ def _front_below(job: Job, found: _Found) -> FrontRecord | None:
     return describe_front(front, problem, found.poses, n_kept=n_kept)
 
 
-def judge_study_cases(job: Job, evaluations: Mapping[str, Evaluation]) -> StudyCases | None:
+def judge_study_cases(
+    job: Job, evaluations: Mapping[str, Evaluation]
+) -> StudyCases | None:
     """The layouts on the study's cases; None where these are asked about, or no arm has them."""
     try:
         return on_study_cases(
@@ -426,7 +491,9 @@ def judge_study_cases(job: Job, evaluations: Mapping[str, Evaluation]) -> StudyC
         return None
 
 
-def build_asked_record(question: Question, compute: Compute, command: str) -> AskedRecord:
+def build_asked_record(
+    question: Question, compute: Compute, command: str
+) -> AskedRecord:
     """What was asked, as ``summary.json`` keeps it; the language is the one that is spoken."""
     return AskedRecord(
         command=command,
@@ -446,15 +513,17 @@ def write_results(
 ) -> Result:
     """The result with its "seconds", all stages but the writing; in a folder, if asked for.
 
-    `folder` is replaced as a whole, or left as it was; the key `sign` signs it. Raises InputError
-    if something cannot be written: it names the folder where the answer is all the same.
+    `folder` is replaced as a whole, or left as it was; the key `sign` signs it. Raises
+    InputError if something cannot be written: it names the folder where the answer is
+    all the same.
     """
     progress = answered.job.progress
     result = answered.result
     if folder is None:
         return replace_fields(result, seconds=progress.finish())
     progress(WRITING, 0, 0)
-    # Rounded as in the end, so that the report can be made again from what the summary says.
+    # Rounded as in the end, so that the report can be made again from what the summary
+    # says.
     seconds = {stage: round(value, 3) for stage, value in progress.seconds.items()}
     result = replace_fields(result, seconds=seconds, asked=asked)
     answer = answer_files(answered, result)
@@ -493,8 +562,8 @@ def _subject(answered: Answered) -> Layout:
 def write_files(new: Path, answered: Answered, result: Result) -> None:
     """Write all files of a result into a folder: the answer first, the report last.
 
-    `result` is that of `answered` with its seconds so far, and with what was asked, whose command
-    makes it again. Raises OSError if one cannot be written.
+    `result` is that of `answered` with its seconds so far, and with what was asked,
+    whose command makes it again. Raises OSError if one cannot be written.
     """
     job = answered.job
     setting = job.setting

@@ -68,9 +68,9 @@ def run_solve(
 ) -> PlacementSolution:
     """Read a placement problem, ``instance.npz`` of a result folder, and solve it.
 
-    Budget, target (infinity: all that can be avoided) or memory of tracks are in place of the
-    file's own; all its other demands hold. Raises InputError if the file is damaged, or the
-    question has no answer.
+    Budget, target (infinity: all that can be avoided) or memory of tracks are in place
+    of the file's own; all its other demands hold. Raises InputError if the file is
+    damaged, or the question has no answer.
     """
     progress("read", 0, 0)
     own = problem = load_problem(path)
@@ -103,7 +103,9 @@ def run_solve(
         gap=first.gap,
         chosen=tuple(solution.pose_index),
         numbered_from=0,
-        chosen_names=tuple(problem.table.pose_ids[pose] for pose in solution.pose_index),
+        chosen_names=tuple(
+            problem.table.pose_ids[pose] for pose in solution.pose_index
+        ),
         seconds=round(time.perf_counter() - began_s, 4),
         is_proven=solution.certificate.is_proven,
         solver=solution.certificate.solver,
@@ -123,8 +125,8 @@ def _asked(
 ) -> PlacementProblem:
     """The problem with the command line's budget or target in place of its own.
 
-    All else stays as the file asks it, but the number of units, where a target is reached with the
-    fewest of them.
+    All else stays as the file asks it, but the number of units, where a target is
+    reached with the fewest of them.
     """
     limits = problem.limits
     if budget_units is not None:
@@ -135,7 +137,10 @@ def _asked(
     if target is None:
         return problem
     usable = np.flatnonzero(~limits.is_forbidden).tolist()
-    share = min(apr(problem, usable), 1.0) if target == np.inf else target
+    if target == np.inf:
+        share = min(apr(problem, usable), 1.0)
+    else:
+        share = target
     if not 0.0 <= share <= 1.0:
         raise InputError("--target", target, "max, or a share of the runs, 0 to 1")
     own = [floor for floor in problem.floors if floor.name in _TARGETS]
@@ -150,7 +155,11 @@ def _asked(
 
 def question_words(problem: PlacementProblem) -> tuple[str, ...]:
     """What a problem asks, a phrase for each demand."""
-    goals = {"best": "the best layout", "fewest": "the fewest units", "cheapest": "the least cost"}
+    goals = {
+        "best": "the best layout",
+        "fewest": "the fewest units",
+        "cheapest": "the least cost",
+    }
     words = [goals[problem.goal]]
     if problem.survive:
         failure = _failure_words(problem, problem.survive)
@@ -166,20 +175,28 @@ def question_words(problem: PlacementProblem) -> tuple[str, ...]:
         words.append(least)
     if problem.sample_index is not None:
         n_worlds = int(problem.sample_index.max()) + 1
-        counted = "the mean" if problem.tail == 1.0 else f"the worst {100.0 * problem.tail:g} %"
+        if problem.tail == 1.0:
+            counted = "the mean"
+        else:
+            counted = f"the worst {100.0 * problem.tail:g} %"
         words.append(f"APR: {counted} of {n_worlds} sampled worlds")
     return tuple(words)
 
 
 def _failure_words(problem: PlacementProblem, n_failures: int) -> str:
     part = problem.limits.failing
-    return f"any {part} fails" if n_failures == 1 else f"any {n_failures} {part}s fail"
+    if n_failures == 1:
+        return f"any {part} fails"
+    return f"any {n_failures} {part}s fail"
 
 
 def _limit_words(limits: Limits) -> list[str]:
     words = []
     if limits.budget_units is not None:
-        noun = "unit" if limits.budget_units == 1 else "units"
+        if limits.budget_units == 1:
+            noun = "unit"
+        else:
+            noun = "units"
         words.append(f"at most {limits.budget_units} {noun}")
     if limits.budget_eur is not None:
         words.append(f"at most {limits.budget_eur:,.2f} EUR")

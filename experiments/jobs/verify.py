@@ -1,7 +1,7 @@
 """Verification of a folder of results without the optimiser.
 
-The certificate is checked, and what it and the problem say is compared with every other file that
-says it, too. What cannot be compared with anything is named.
+The certificate is checked, and what it and the problem say is compared with every other
+file that says it, too. What cannot be compared with anything is named.
 """
 
 import csv
@@ -35,7 +35,12 @@ from placement.verification.certificates import (
     cars_of,
     load_certificate,
 )
-from placement.verification.instances import INSTANCE_FILE, Mounts, load_stored_problem, scene_hash
+from placement.verification.instances import (
+    INSTANCE_FILE,
+    Mounts,
+    load_stored_problem,
+    scene_hash,
+)
 from placement.verification.recomputation import stage_values
 from placement.verification.verify import verify_certificate
 
@@ -63,8 +68,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _TOLERANCE = 1.0e-9
-_COMPARED = {LAYOUT_FILE, MARKER, RUNS_FILE, APR_FILE, "certificate.json", "instance.npz"}
-_CSV, _GEOJSON = "layout.csv", "layout.geojson"
+_COMPARED = {
+    LAYOUT_FILE,
+    MARKER,
+    RUNS_FILE,
+    APR_FILE,
+    "certificate.json",
+    "instance.npz",
+}
+_CSV = "layout.csv"
+_GEOJSON = "layout.geojson"
 _EXPECTED = (_CSV, bill_of_materials.FILE_NAME, "report.html")
 _HEADLINE = "headline"
 _EVALUATED = ("place-rsus/evaluation/2", "place-rsus/comparison/2")
@@ -121,7 +134,9 @@ class FolderChecks:
 
     def add(self, name: str, wrong: str, right: str) -> None:
         """A check: what is wrong in words, or nothing; and what to say if all is right."""
-        self.checks.append(CheckRecord(name=name, passed=not wrong, detail=wrong or right))
+        self.checks.append(
+            CheckRecord(name=name, passed=not wrong, detail=wrong or right)
+        )
 
 
 def asked_question(folder: Path) -> Question | None:
@@ -155,8 +170,8 @@ def run_verification(
     scene : str
         Where the scene is; empty: the study's junction, if the folder says so.
     question : Question, optional
-        What was asked, with its map imported: the result is made anew from it, and every file is
-        compared with what is written then.
+        What was asked, with its map imported: the result is made anew from it, and
+        every file is compared with what is written then.
     key : Path, optional
         File with the public key that must have signed the folder.
     progress : StageProgress
@@ -170,13 +185,16 @@ def run_verification(
     Raises
     ------
     InputError
-        A file is missing, damaged or no such file at all, or the result cannot be made anew.
+        A file is missing, damaged or no such file at all, or the result cannot be made
+        anew.
     """
     if not folder.is_dir():
         raise InputError(str(folder), Unquoted("no folder"), "a folder with results")
     if not (folder / MANIFEST).exists():
         got = Unquoted(f"no {MANIFEST}")
-        raise InputError(str(folder), got, "a folder of results, as place-rsus has written it")
+        raise InputError(
+            str(folder), got, "a folder of results, as place-rsus has written it"
+        )
     progress("read", 0, 0)
     found = FolderChecks(is_deep=question is not None)
     is_signed = False
@@ -184,11 +202,16 @@ def run_verification(
         fault = signature_fault(folder, folder / MANIFEST, key)
         is_signed = not fault
         found.add("signature", fault, f"{MANIFEST} is signed by {key.name}")
-    check = None if (folder / CERTIFICATE_FILE).exists() else _check_without_proof(folder)
+    if (folder / CERTIFICATE_FILE).exists():
+        check = None
+    else:
+        check = _check_without_proof(folder)
     if check is not None:
         if question is not None:
             got = Unquoted(f"{folder}, which is no placement")
-            raise InputError("--deep", got, "a placement: run the command again, and compare")
+            raise InputError(
+                "--deep", got, "a placement: run the command again, and compare"
+            )
         check(folder, found)
         _leave_maker(key, found)
         return VerificationResult(
@@ -204,7 +227,8 @@ def run_verification(
         )
     stored = load_certificate(folder / CERTIFICATE_FILE)
     problem, mounts = load_stored_problem(folder / INSTANCE_FILE)
-    summary, layout = _load_summary(folder / MARKER), None
+    summary = _load_summary(folder / MARKER)
+    layout = None
     if (folder / LAYOUT_FILE).exists() or summary is None or "recording" not in summary:
         layout = load_layout(folder / LAYOUT_FILE)
     # A recording's units have no poses: they stand in its summary alone.
@@ -219,27 +243,32 @@ def run_verification(
     )
     progress("compare files", 0, 0)
     found.leave(
-        "whether the detection table is right: the evaluator's disagreement with it is in the "
-        "report",
+        "whether the detection table is right: the evaluator's disagreement with it is"
+        " in the report",
         deep=True,
     )
     for one in proof.proofs:
         if one.claims_optimum and one.reason == stored.solver:
-            found.leave(f"that no layout is better in {one.name}: this rests on {stored.solver}")
+            found.leave(
+                f"that no layout is better in {one.name}: this rests on {stored.solver}"
+            )
     known = _check_scene(scene, mounts, layout, problem.table.pose_ids, found)
     _check_files(folder, stored, problem, layout, summary, known, found)
     if question is not None:
         compare_anew(folder, question, found.add, progress)
         found.leave(
-            "seconds, versions of programs, and whether the models of detection and braking are "
-            "like the world"
+            "seconds, versions of programs, and whether the models of detection and"
+            " braking are like the world"
         )
     _leave_maker(key, found)
     proofs = {one.name: one._asdict() for one in proof.proofs}
     return VerificationResult(
         folder=str(folder),
         is_verified=proof.passed and all(check.passed for check in found.checks),
-        checks=(*(CheckRecord(**check._asdict()) for check in proof.checks), *found.checks),
+        checks=(
+            *(CheckRecord(**check._asdict()) for check in proof.checks),
+            *found.checks,
+        ),
         stages=tuple(
             VerifiedStageRecord(
                 objective=stage.objective,
@@ -261,8 +290,9 @@ def _leave_maker(key: Path | None, found: FolderChecks) -> None:
     """Say that nothing tells who made a folder, unless a key was given."""
     if key is None:
         found.leave(
-            f"who has made the folder: whoever changes files together with {MANIFEST} and all "
-            "that agrees with them is not found out; --key checks a signature"
+            "who has made the folder: whoever changes files together with"
+            f" {MANIFEST} and all that agrees with them is not found out; --key checks"
+            " a signature"
         )
 
 
@@ -287,7 +317,8 @@ def _check_evaluated(folder: Path, found: FolderChecks) -> None:
     _check_ratios(result, found)
     compared = _check_exports(folder, result.layout, None, names, found)
     found.leave(
-        f"detections, confirmations, margins and outcomes in {RUNS_FILE}, and all else in {MARKER}"
+        f"detections, confirmations, margins and outcomes in {RUNS_FILE}, and all else"
+        f" in {MARKER}"
     )
     others = names - compared - _COMPARED
     if others:
@@ -309,17 +340,24 @@ def _check_certified(folder: Path, found: FolderChecks) -> None:
     with located(f"{path}: "):
         numbers = certified.recompute(stored)
     found.add("numbers", "; ".join(numbers), "they agree")
-    elsewhere = "" if sites == stored.units else "it shows units at other sites"
+    if sites == stored.units:
+        elsewhere = ""
+    else:
+        elsewhere = "it shows units at other sites"
     found.add("layout file", elsewhere, "they agree")
     _check_manifest(folder, found)
     found.leave(
-        "bounds of the blocks, and APRs by world: certify computes them again, with the seed"
+        "bounds of the blocks, and APRs by world: certify computes them again, with the"
+        " seed"
     )
 
 
 def _load_summary(path: Path) -> Mapping[str, Any] | None:
     """The summary as plain values; None if there is none."""
-    summary = _load_object(path) if path.exists() else None
+    if path.exists():
+        summary = _load_object(path)
+    else:
+        summary = None
     if summary is not None and "recording" not in summary:
         check_schema(summary, str(path))
     return summary
@@ -334,7 +372,10 @@ def _load_object(path: Path) -> dict[str, Any]:
 
 def _recorded_units(summary: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
     """Units in a recording's summary; none if it is no such thing."""
-    units = None if summary is None else summary.get("layout")
+    if summary is None:
+        units = None
+    else:
+        units = summary.get("layout")
     if not isinstance(units, list) or not all(isinstance(unit, dict) for unit in units):
         return []
     return units
@@ -355,22 +396,46 @@ def _check_scene(
                 f"{INSTANCE_FILE} does not say what its poses are"
             )
         return None
-    name, shown = mounts.scene_name, "" if layout is None else layout.scene_name
-    wrong = "" if shown == name else f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
+    name = mounts.scene_name
+    if layout is None:
+        shown = ""
+    else:
+        shown = layout.scene_name
+    if shown == name:
+        wrong = ""
+    else:
+        wrong = f"{LAYOUT_FILE} says {shown or 'nothing'}, not {name}"
     found.add("scene", wrong, name)
     if not source and name != STUDY:
-        found.leave(f"whether {name} is the scene that it is said to be: --scene tells where it is")
+        found.leave(
+            f"whether {name} is the scene that it is said to be: --scene tells where"
+            " it is"
+        )
         return None
-    scene = load_scene(source) if source else load_study_scene()
+    if source:
+        scene = load_scene(source)
+    else:
+        scene = load_study_scene()
     # A map's scene is called after its file, which may have another name by now.
     scene = replace(scene, name=name)
     digest = scene_hash(scene)
     if digest != mounts.scene_sha256:
-        text = f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have changed"
-        found.add("scene as it stands", text if source else f"{text} with the version", "")
+        text = (
+            f"SHA-256 {digest[:16]}.., not {mounts.scene_sha256[:16]}..; it may have"
+            " changed"
+        )
+        found.add(
+            "scene as it stands", text if source else f"{text} with the version", ""
+        )
         return None
-    astray = mounts.misnamed(pose_ids, {site.id: site.position_m for site in scene.sites})
-    found.add("scene as it stands", astray, f"SHA-256 {digest[:16]}.., and poses are at its sites")
+    astray = mounts.misnamed(
+        pose_ids, {site.id: site.position_m for site in scene.sites}
+    )
+    found.add(
+        "scene as it stands",
+        astray,
+        f"SHA-256 {digest[:16]}.., and poses are at its sites",
+    )
     return scene
 
 
@@ -385,8 +450,8 @@ def _check_files(
 ) -> None:
     """Compare all files of a folder, as far as there is something to compare them with.
 
-    A recording has no layout; the scene is None unless it is known to be the one. Raises InputError
-    if ``SHA256SUMS`` is no such list, or a file cannot be read.
+    A recording has no layout; the scene is None unless it is known to be the one.
+    Raises InputError if ``SHA256SUMS`` is no such list, or a file cannot be read.
     """
     others = _check_manifest(folder, found)
     if summary is None:
@@ -412,7 +477,8 @@ def _check_files(
 
 def _check_manifest(folder: Path, found: FolderChecks) -> set[str]:
     """Every file against its hash; returns the names of the files that are there."""
-    listed, changes = read_manifest(folder), changed_files(folder)
+    listed = read_manifest(folder)
+    changes = changed_files(folder)
     if not changes:
         found.add("files", "", f"{len(listed)} files, each as {MANIFEST} lists it")
     else:
@@ -431,7 +497,10 @@ def _check_summary(
     """Compare the summary with certificate, problem and layout."""
     values = {stage.name: stage for stage in stored.stages}
     samples = problem.sample_index
-    n_samples = 1 if samples is None else int(samples.max()) + 1
+    if samples is None:
+        n_samples = 1
+    else:
+        n_samples = int(samples.max()) + 1
     expected: dict[str, Any] = {
         "layout": [dict(unit) for unit in stored.units],
         "fusion": problem.fusion,
@@ -454,7 +523,11 @@ def _check_summary(
             "presolve": str(PresolveStatistics(**asdict(stored.presolve))),
         }
     for stage, what, key in (
-        *(("apr", "objective", "apr"), ("apr", "bound", "bound"), ("apr", "gap", "gap")),
+        *(
+            ("apr", "objective", "apr"),
+            ("apr", "bound", "bound"),
+            ("apr", "gap", "gap"),
+        ),
         ("cost_eur", "objective", "spent_eur"),
     ):
         if stage in values and summary.get(key) is not None:
@@ -466,12 +539,17 @@ def _check_summary(
         if "apr" in values and summary.get(key) is not None:
             (left,) = stage_values(asked, Objective.APR_ONE_FAILED, chosen)
             expected[key] = float(left)
-    # What a summary tells of units beyond the layout file, such as where they are in words.
+    # What a summary tells of units beyond the layout file, such as where they are in
+    # words.
     keys = [set(unit) for unit in stored.units]
     told = {"cars": 0.0} | dict(summary)  # older summaries are of blind cars
     if isinstance(told.get("layout"), list) and len(told["layout"]) == len(keys):
         told["layout"] = [
-            {key: unit[key] for key in unit if key in known} if isinstance(unit, dict) else unit
+            (
+                {key: unit[key] for key in unit if key in known}
+                if isinstance(unit, dict)
+                else unit
+            )
             for unit, known in zip(told["layout"], keys, strict=True)
         ]
     wrong = [key for key, value in expected.items() if not agree(told.get(key), value)]
@@ -483,20 +561,29 @@ def _check_summary(
     if not wrong:
         found.add(MARKER, "", f"{', '.join(expected)}: as the certificate has them")
     found.leave(
-        "solver, presolved sizes, versions of programs and seconds: certificate.json and "
-        f"{MARKER} agree, but nothing else tells",
+        "solver, presolved sizes, versions of programs and seconds: certificate.json"
+        f" and {MARKER} agree, but nothing else tells",
         deep=True,
     )
-    evaluated = {"evaluation", "baseline", "greedy", "schema"} if layout is not None else {"schema"}
-    rest = [key for key in summary if key not in {*expected, *evaluated} and summary[key]]
+    if layout is not None:
+        evaluated = {"evaluation", "baseline", "greedy", "schema"}
+    else:
+        evaluated = {"schema"}
+    rest = [
+        key for key in summary if key not in {*expected, *evaluated} and summary[key]
+    ]
     if rest:
         found.leave(f"in {MARKER}: {', '.join(rest)}", deep=True)
 
 
-def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks) -> None:
+def _check_runs(
+    runs: "pd.DataFrame", problem: PlacementProblem, found: FolderChecks
+) -> None:
     """Runs of the evaluator are those of the problem."""
     if problem.sample_index is not None:
-        found.leave(f"runs in {RUNS_FILE}: the problem has those of sampled worlds", deep=True)
+        found.leave(
+            f"runs in {RUNS_FILE}: the problem has those of sampled worlds", deep=True
+        )
         return
     axis = plain_axis(problem.table.axis)
     row_of = {name: row for row, name in enumerate(axis.run_ids)}
@@ -506,21 +593,34 @@ def _check_runs(runs: "pd.DataFrame", problem: PlacementProblem, found: FolderCh
         found.add(RUNS_FILE, words, "")
         return
     rows = runs["run"].map(row_of).to_numpy()
-    last_s = np.where(np.isfinite(axis.last_brake_time_s), axis.last_brake_time_s, np.nan)
+    last_s = np.where(
+        np.isfinite(axis.last_brake_time_s), axis.last_brake_time_s, np.nan
+    )
     texts = {"case": axis.cases, "approach": axis.approaches}
     texts |= {"position": axis.positions, "weather": axis.weathers}
     numbers = {"vut_speed_kmh": axis.vut_speed_kmh, "weight": axis.weight}
     numbers |= {"last_brake_time_s": last_s}
     close = partial(np.allclose, rtol=0.0, atol=1e-12, equal_nan=True)
-    wrong = [name for name in texts if (runs[name].to_numpy() != np.array(texts[name])[rows]).any()]
-    wrong += [
-        name for name in numbers if not close(runs[name].to_numpy(dtype=float), numbers[name][rows])
+    wrong = [
+        name
+        for name in texts
+        if (runs[name].to_numpy() != np.array(texts[name])[rows]).any()
     ]
-    text = f"another {', '.join(wrong)} than the problem has" if wrong else ""
-    found.add(RUNS_FILE, text, f"{axis.n_runs} runs and their weights, as in the problem")
+    wrong += [
+        name
+        for name in numbers
+        if not close(runs[name].to_numpy(dtype=float), numbers[name][rows])
+    ]
+    if wrong:
+        text = f"another {', '.join(wrong)} than the problem has"
+    else:
+        text = ""
+    found.add(
+        RUNS_FILE, text, f"{axis.n_runs} runs and their weights, as in the problem"
+    )
     found.leave(
-        f"detections, confirmations, margins and outcomes in {RUNS_FILE}: `place-rsus evaluate "
-        f"--layout {LAYOUT_FILE}` makes them anew",
+        f"detections, confirmations, margins and outcomes in {RUNS_FILE}: `place-rsus"
+        f" evaluate --layout {LAYOUT_FILE}` makes them anew",
         deep=True,
     )
 
@@ -535,9 +635,17 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
     for row in result.apr.to_dict("records"):
         group = [str(row[name]) for name in GROUP_COLUMNS]
         ratio, n_runs, n_avoided = outcomes[row["layout"], row["party"]].in_group(group)
-        got = None if math.isnan(row["apr"]) else float(row["apr"])
-        if not agree(got, ratio) or (n_runs, n_avoided) != (row["n_runs"], row["n_avoided"]):
-            words = ", ".join([row["layout"], row["party"], *(one for one in group if one != ALL)])
+        if math.isnan(row["apr"]):
+            got = None
+        else:
+            got = float(row["apr"])
+        if not agree(got, ratio) or (n_runs, n_avoided) != (
+            row["n_runs"],
+            row["n_avoided"],
+        ):
+            words = ", ".join(
+                [row["layout"], row["party"], *(one for one in group if one != ALL)]
+            )
             wrong = f"{words}: {got}, not {ratio}"
             break
     found.add(APR_FILE, wrong, f"{len(result.apr)} ratios follow from {RUNS_FILE}")
@@ -556,7 +664,10 @@ def _check_ratios(result: StoredResult, found: FolderChecks) -> None:
 
 
 def _wrong_ratios(
-    name: str, evaluation: Mapping[str, Any], outcomes: Mapping[Any, "_Outcomes"], cars: float
+    name: str,
+    evaluation: Mapping[str, Any],
+    outcomes: Mapping[Any, "_Outcomes"],
+    cars: float,
 ) -> Iterator[str]:
     """Ratios of a layout's parties in a summary that do not follow from the runs, in words."""
     together = ("vut", "rsu_all", "vut_and_rsus", "vam", "all_sources", _HEADLINE)
@@ -572,7 +683,9 @@ def _wrong_ratios(
             groups |= {(key, word): ratio for word, ratio in told_by.items()}
         for (key, word), ratio in groups.items():
             group = [word if column == key else ALL for column in GROUP_COLUMNS]
-            expected, *seeing = (one.in_group(group)[0] for one in of_party if one is not None)
+            expected, *seeing = (
+                one.in_group(group)[0] for one in of_party if one is not None
+            )
             if seeing and expected is not None and seeing[0] is not None:
                 expected = mix(expected, seeing[0], cars)
             if not agree(ratio, expected):
@@ -605,21 +718,34 @@ class _Outcomes:
                 mask &= words == word
         total = float(self.weight[mask].sum())
         avoided = mask & self.is_avoided
-        ratio = float(self.weight[avoided].sum()) / total if total > 0.0 else None
+        if total > 0.0:
+            ratio = float(self.weight[avoided].sum()) / total
+        else:
+            ratio = None
         return ratio, int(mask.sum()), int(avoided.sum())
 
 
 def _check_exports(
-    folder: Path, layout: Layout, scene: Scene | None, names: set[str], found: FolderChecks
+    folder: Path,
+    layout: Layout,
+    scene: Scene | None,
+    names: set[str],
+    found: FolderChecks,
 ) -> set[str]:
     """Other files with the layout say what ``layout.json`` says; returns those compared."""
-    expected = {} if scene is None else {_CSV: to_csv(layout, scene)}
+    if scene is None:
+        expected = {}
+    else:
+        expected = {_CSV: to_csv(layout, scene)}
     if scene is not None and scene.crs:
         expected[_GEOJSON] = to_geojson(layout, scene.crs, scene)
     compared = names & ({_CSV} | set(expected))
     for name in sorted(compared):
         text = read_bytes(folder / name).decode(errors="replace")
-        wrong = "" if text == expected.get(name) else f"another layout than {LAYOUT_FILE}"
+        if text == expected.get(name):
+            wrong = ""
+        else:
+            wrong = f"another layout than {LAYOUT_FILE}"
         if name not in expected:
             wrong = _csv_difference(text, layout)
         found.add(name, wrong, f"the units of {LAYOUT_FILE}")

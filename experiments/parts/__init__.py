@@ -2,15 +2,19 @@
 
 A part looks like this; each has of it what it needs:
 
-* its value, a frozen dataclass that is its own JSON, unless it is a value of `placement`;
-* ``words(value) -> list[str]``: its sentences, the same on the terminal, in the report, on the
+* its value, a frozen dataclass that is its own JSON, unless it is a value of
+  `placement`;
+* ``words(value) -> list[str]``: its sentences, the same on the terminal, in the report,
+  on the
   planner's page and in JSON;
 * ``table(value) -> Table``: its numbers, for terminal and report alike;
 * ``plot_..(value) -> Axes``: its figure;
-* ``section(value) -> Section | None``: words, table and figure as the report shows them; None where
+* ``section(value) -> Section | None``: words, table and figure as the report shows
+  them; None where
   there is nothing to say.
 
-A command is a list of parts: its terminal prints their words and tables, its report their sections.
+A command is a list of parts: its terminal prints their words and tables, its report
+their sections.
 """
 
 from collections.abc import Sequence
@@ -25,8 +29,8 @@ if TYPE_CHECKING:
 class Part:
     """A part of an answer, as a terminal prints it.
 
-    Where the table is too wide and its last column is text, that stands below each row; else
-    columns that do not fit stand in a further table below.
+    Where the table is too wide and its last column is text, that stands below each row;
+    else columns that do not fit stand in a further table below.
     """
 
     title: str = ""  # empty: none, and the sentences begin on the left

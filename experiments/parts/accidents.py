@@ -36,18 +36,29 @@ def is_weighted(axis: FrameAxis) -> bool:
 def count_sensors(layout: Layout) -> str:
     """'1 camera', '2 cameras and 1 LiDAR' and so on."""
     kinds = [sensor_kind(unit.sensor) for unit in layout.units]
-    n_cameras, n_lidars = kinds.count("camera"), kinds.count("lidar")
+    n_cameras = kinds.count("camera")
+    n_lidars = kinds.count("lidar")
     cameras = trn("{n} camera", "{n} cameras", n_cameras)
     lidars = trn("{n} LiDAR", "{n} LiDARs", n_lidars)
     found = [words for n, words in ((n_cameras, cameras), (n_lidars, lidars)) if n]
-    return joined(found) if found else ""
+    if found:
+        return joined(found)
+    return ""
 
 
-def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bool) -> Section:
+def accidents_section(
+    evaluations: Mapping[str, Evaluation], *, is_optimised: bool
+) -> Section:
     """The accident prevention ratio of every sensing party; the first evaluation is the subject."""
     axis = next(iter(evaluations.values())).axis
-    meaning = "meaning_by_weight" if is_weighted(axis) else "meaning"
-    source = "source_of_optimised" if is_optimised else "source"
+    if is_weighted(axis):
+        meaning = "meaning_by_weight"
+    else:
+        meaning = "meaning"
+    if is_optimised:
+        source = "source_of_optimised"
+    else:
+        source = "source"
     text = " ".join(say(f"accidents.{key}") for key in (meaning, source))
     blocks: list[Block] = [text, apr_table(evaluations), *apr_group_tables(evaluations)]
     return Section("accidents", tr("Accidents prevented"), blocks)
@@ -56,8 +67,9 @@ def accidents_section(evaluations: Mapping[str, Evaluation], *, is_optimised: bo
 def apr_table(evaluations: Mapping[str, Evaluation]) -> Table:
     """APR of every sensing party; evaluations on the same runs, the first one is the subject.
 
-    A row for all runs, each case, and each weather where there are several. A column per layout,
-    for the car alone and with each layout; and where road users announce themselves.
+    A row for all runs, each case, and each weather where there are several. A column
+    per layout, for the car alone and with each layout; and where road users announce
+    themselves.
     """
     axis = next(iter(evaluations.values())).axis
     caption = tr("Accident prevention ratio by case")
@@ -74,16 +86,21 @@ def apr_group_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
     for what in by:
         groups = [(said(name), mask) for name, mask in groups_by(axis, what)]
         if len(groups) > 1:
-            caption, head = say(f"accidents.by_{what}"), say(f"grouped.{what}")
+            caption = say(f"accidents.by_{what}")
+            head = say(f"grouped.{what}")
             tables.append(_table_of_parties(evaluations, caption, head, groups))
     return tables
 
 
 def _table_of_parties(
-    evaluations: Mapping[str, Evaluation], caption: str, head: str, groups: Sequence[RunGroup]
+    evaluations: Mapping[str, Evaluation],
+    caption: str,
+    head: str,
+    groups: Sequence[RunGroup],
 ) -> Table:
     """A row per group of runs, a column per party."""
-    axis, parties = next(iter(evaluations.values())).axis, _parties(evaluations)
+    axis = next(iter(evaluations.values())).axis
+    parties = _parties(evaluations)
     return Table(
         caption=caption,
         columns=[head, *parties],
@@ -96,9 +113,14 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
     """Columns of a table of APR, by their heads."""
     subject = next(iter(evaluations.values()))
     layouts = [(said(name), item) for name, item in evaluations.items()]
-    parties = {f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts}
+    parties = {
+        f"{name}: {count_sensors(item.layout)}": item.rsu_all for name, item in layouts
+    }
     parties |= {tr("car (VUT) alone"): subject.vut}
-    parties |= {tr("car (VUT) and {name}", name=name): item.vut_and_rsus for name, item in layouts}
+    parties |= {
+        tr("car (VUT) and {name}", name=name): item.vut_and_rsus
+        for name, item in layouts
+    }
     # Who announces themselves does not depend on the layout.
     if "vam" in subject.others:
         parties[tr("road users' messages (VAM) alone")] = subject.others["vam"]
@@ -112,10 +134,12 @@ def _parties(evaluations: Mapping[str, Evaluation]) -> dict[str, Verdict]:
 def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
     """APR of each unit of a layout by itself, with the rows of :func:`apr_table`.
 
-    The last row: in what share of the frames the unit detects. Of more than ``MAX_UNIT_COLUMNS``
-    units each is a row instead, the best first; a long table is to unfold.
+    The last row: in what share of the frames the unit detects. Of more than
+    ``MAX_UNIT_COLUMNS`` units each is a row instead, the best first; a long table is to
+    unfold.
     """
-    labels, axis = unit_labels(evaluation.layout), evaluation.axis
+    labels = unit_labels(evaluation.layout)
+    axis = evaluation.axis
     units, verdicts = evaluation.units.items(), [*evaluation.units.values()]
     detected = [percent(detected_share(verdict, axis)) for verdict in verdicts]
     columns = [_cases(axis), *(labels[unit_id] for unit_id, _ in units)]
@@ -144,13 +168,17 @@ def unit_apr_table(name: str, evaluation: Evaluation) -> Table:
 
 
 def _cases(axis: FrameAxis) -> str:
-    return tr("case or weather") if several_weathers(axis) else tr("case")
+    if several_weathers(axis):
+        return tr("case or weather")
+    return tr("case")
 
 
 def several_weathers(axis: FrameAxis) -> list[RunGroup]:
     """The weathers in the order in which they first appear; none where all runs have the same."""
     weathers = groups_by(axis, "weather")
-    return weathers if len(weathers) > 1 else []
+    if len(weathers) > 1:
+        return weathers
+    return []
 
 
 def _groups(axis: FrameAxis) -> list[RunGroup]:
@@ -179,7 +207,9 @@ def cases_section(setting: Setting) -> Section:
         *describe_hopeless(setting),
     ]
     blocks: list[Block] = [" ".join(note), Box("cases", [case_table(setting)])]
-    sketches = [sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()]
+    sketches = [
+        sketch_case(setting.runs[rows[0]]) for rows in runs_by_case(setting).values()
+    ]
     blocks += [
         say("accidents.sketches"),
         Box("beside sketches", sketches),
@@ -211,11 +241,15 @@ def sketch_case(run: Run) -> Sketch:
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
 
     def drawn(places_m: FloatArray) -> FloatArray:
-        return np.asarray((places_m - run.vut_position_m[-1]) @ rotation * (_PER_M, -_PER_M))
+        return np.asarray(
+            (places_m - run.vut_position_m[-1]) @ rotation * (_PER_M, -_PER_M)
+        )
 
     car = run.encounter.vut
     shape = {"length_m": car.length_m, "width_m": car.width_m}
-    at_first = footprint_corners(run.vut_position_m[first], run.vut_yaw_deg[first], **shape)
+    at_first = footprint_corners(
+        run.vut_position_m[first], run.vut_yaw_deg[first], **shape
+    )
     user = int(is_near[1].argmax())
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     circle = _USER_M * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -224,7 +258,10 @@ def sketch_case(run: Run) -> Sketch:
         code=run.case.name,
         half=round(SKETCHED_M * _PER_M),
         paths=[
-            *(("body", _path(drawn(corners), is_closed=True)) for corners in _bodies(run)),
+            *(
+                ("body", _path(drawn(corners), is_closed=True))
+                for corners in _bodies(run)
+            ),
             ("way", _path(drawn(run.vut_position_m[first:]))),
             ("car", _path(drawn(at_first), is_closed=True)),
             ("user-way", _path(drawn(run.vru_position_m[user:]))),
@@ -243,7 +280,9 @@ def _bodies(run: Run) -> list[FloatArray]:
     return [body.footprint_m for body in run.obstruction if is_near(body)]
 
 
-def _path(places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False) -> str:
+def _path(
+    places: Sequence[Sequence[float]] | FloatArray, *, is_closed: bool = False
+) -> str:
     """Data of an SVG path through places (n, 2), whole numbers; equal ones in a row once."""
     points = dict.fromkeys(f"{round(x)} {round(y)}" for x, y in np.asarray(places))
     return "M" + "L".join(points) + ("Z" if is_closed else "")
@@ -266,12 +305,22 @@ def case_table(setting: Setting) -> Table:
         case = runs[0].case
         vru_speeds_kmh = sorted({run.case.vru_speed_kmh for run in runs})
         approaches = dict.fromkeys(run.approach for run in runs)
-        last_s = [run.last_brake_time_s for run in runs if math.isfinite(run.last_brake_time_s)]
+        last_s = [
+            run.last_brake_time_s
+            for run in runs
+            if math.isfinite(run.last_brake_time_s)
+        ]
         met = f"{said(case.vru.name)}, {_steps(vru_speeds_kmh)}\N{NO-BREAK SPACE}km/h"
         speeds = _steps(sorted({run.vut_speed_kmh for run in runs}))
         is_all = len(approaches) == len(every) > 1
-        arms = tr("all") if is_all else ", ".join(map(said, approaches))
-        weight = [percent(float(setting.axis.weight[indices].sum()))] if has_weights else []
+        if is_all:
+            arms = tr("all")
+        else:
+            arms = ", ".join(map(said, approaches))
+        if has_weights:
+            weight = [percent(float(setting.axis.weight[indices].sum()))]
+        else:
+            weight = []
         moments = [number(pick(last_s, default=None)) for pick in (min, max)]
         rows.append(
             [
@@ -286,14 +335,22 @@ def case_table(setting: Setting) -> Table:
             ]
         )
     columns = [
-        *(tr("case"), tr("what happens"), tr("road user"), tr("car (km/h)"), tr("from")),
+        *(
+            tr("case"),
+            tr("what happens"),
+            tr("road user"),
+            tr("car (km/h)"),
+            tr("from"),
+        ),
         tr("runs"),
         *([tr("weight")] if has_weights else []),
         *(tr("last moment, earliest (s)"), tr("latest (s)")),
     ]
     arms = ", ".join(map(said, every))
     return Table(
-        caption=tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases"),
+        caption=(
+            tr("Cases; from all: {arms}", arms=arms) if len(every) > 1 else tr("Cases")
+        ),
         columns=columns,
         rows=rows,
         numeric=range(5, len(columns)),
@@ -304,7 +361,9 @@ def _steps(values: Sequence[float]) -> str:
     """Ascending values: as a range where the steps between them are equal, else each."""
     steps = np.diff(values)
     if len(values) > 2 and np.allclose(steps, steps[0]):
-        low, high, step = (localized(f"{value:g}") for value in (values[0], values[-1], steps[0]))
+        low, high, step = (
+            localized(f"{value:g}") for value in (values[0], values[-1], steps[0])
+        )
         return tr("{low} to {high} by {step}", low=low, high=high, step=step)
     return ", ".join(localized(f"{value:g}") for value in values)
 
@@ -329,19 +388,35 @@ def run_table(evaluations: Mapping[str, Evaluation]) -> Table:
     axis = subject.axis
     verdicts = [*(item.headline for item in evaluations.values()), subject.vut]
     margins = [margin_s(verdict, axis) for verdict in verdicts]
-    has_weathers, has_weights = bool(several_weathers(axis)), is_weighted(axis)
+    has_weathers = bool(several_weathers(axis))
+    has_weights = is_weighted(axis)
     rows = []
     for index in np.argsort(margins[0], kind="stable").tolist():
-        weather = [said(axis.weathers[index])] if has_weathers else []
-        weight = [percent(float(axis.weight[index]))] if has_weights else []
+        if has_weathers:
+            weather = [said(axis.weathers[index])]
+        else:
+            weather = []
+        if has_weights:
+            weight = [percent(float(axis.weight[index]))]
+        else:
+            weight = []
         ends = [
             outcome(run_outcome(verdict, axis, index), float(margin[index]))
             for verdict, margin in zip(verdicts, margins, strict=True)
         ]
         last = number(axis.last_brake_time_s[index])
         rows.append([axis.run_ids[index], *weather, *weight, last, *ends])
-    own = [*([tr("weather")] if has_weathers else []), *([tr("weight")] if has_weights else [])]
-    columns = [tr("run"), *own, tr("last moment (s)"), *map(said, evaluations), tr("VUT")]
+    own = [
+        *([tr("weather")] if has_weathers else []),
+        *([tr("weight")] if has_weights else []),
+    ]
+    columns = [
+        tr("run"),
+        *own,
+        tr("last moment (s)"),
+        *map(said, evaluations),
+        tr("VUT"),
+    ]
     n_hit = int((~subject.headline.is_avoided).sum())
     summary = tr("{n} runs: those with the least time to spare first", n=len(rows))
     if n_hit:

@@ -35,7 +35,9 @@ class AddedGroup(Record, frozen=True, kw_only=True):
 
     kind: Annotated[str, says('"all", "case", "position" or "road user".')]
     name: Annotated[str, says("Of the group.")]
-    vut: Annotated[float | None, says("APR of the VUT alone, 0..1; null: no run has weight.")]
+    vut: Annotated[
+        float | None, says("APR of the VUT alone, 0..1; null: no run has weight.")
+    ]
     with_units: Annotated[float | None, says("APR of the VUT with all units.")]
     gain: Annotated[float | None, says("What the units add: the difference.")]
 
@@ -43,47 +45,65 @@ class AddedGroup(Record, frozen=True, kw_only=True):
 class Added(Record, frozen=True, kw_only=True):
     """What the units of a layout add to a VUT that sees, by the evaluator."""
 
-    groups: Annotated[tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")]
+    groups: Annotated[
+        tuple[AddedGroup, ...], says("All runs, then each case, place, road user.")
+    ]
     units: Annotated[
         tuple[AddedUnit, ...],
         says(
-            "The one first that adds most; empty where there are too many. A run counts here as "
-            "avoided where braking sets in before its last moment."
+            "The one first that adds most; empty where there are too many. A run counts"
+            " here as avoided where braking sets in before its last moment."
         ),
     ]
 
 
-def build_added(setting: Setting, evaluation: Evaluation, *, fusion: str = "any") -> Added:
+def build_added(
+    setting: Setting, evaluation: Evaluation, *, fusion: str = "any"
+) -> Added:
     """What a layout adds under the fusion that it was chosen with."""
     axis = evaluation.axis
-    own, together = evaluation.vut.is_avoided, evaluation.vut_and_rsus.is_avoided
+    own = evaluation.vut.is_avoided
+    together = evaluation.vut_and_rsus.is_avoided
     if fusion == "single":
         each = np.array([unit.is_avoided for unit in evaluation.units.values()])
         together = own | each.any(axis=0)
     met = np.array([run.road_user for run in setting.runs])
-    groups: list[tuple[str, str, BoolArray]] = [("all", "all runs", np.ones(len(met), dtype=bool))]
+    groups: list[tuple[str, str, BoolArray]] = [
+        ("all", "all runs", np.ones(len(met), dtype=bool))
+    ]
     for kind, found in (
         ("case", groups_by(axis, "case")),
         ("position", groups_by(axis, "position")),
-        ("road user", [(name, met == name) for name in ROAD_USER_GROUPS if name in met]),
+        (
+            "road user",
+            [(name, met == name) for name in ROAD_USER_GROUPS if name in met],
+        ),
     ):
         groups += [(kind, name, mask) for name, mask in found if len(found) > 1]
 
     def group(kind: str, name: str, mask: BoolArray) -> AddedGroup:
-        weight, alone, both, gain = axis.weight * mask, None, None, None
+        weight = axis.weight * mask
+        alone = None
+        both = None
+        gain = None
         if weight.any():
-            alone, both = weight_share(own, weight), weight_share(together, weight)
+            alone = weight_share(own, weight)
+            both = weight_share(together, weight)
             gain = both - alone
         return AddedGroup(kind=kind, name=name, vut=alone, with_units=both, gain=gain)
 
     return Added(
-        groups=tuple(group(*one) for one in groups), units=_one_by_one(setting, evaluation, fusion)
+        groups=tuple(group(*one) for one in groups),
+        units=_one_by_one(setting, evaluation, fusion),
     )
 
 
-def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[AddedUnit, ...]:
+def _one_by_one(
+    setting: Setting, evaluation: Evaluation, fusion: str
+) -> tuple[AddedUnit, ...]:
     """Units in the order of greedy choice next to the VUT."""
-    axis, rule = evaluation.axis, setting.rule
+    axis = evaluation.axis
+    rule = setting.rule
     names = [unit.id for unit in evaluation.layout.units]
     if len(names) > MAX_UNITS or not axis.weight.any():
         return ()
@@ -95,7 +115,8 @@ def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[
 
     avoided = in_time(own_s)
     before = weight_share(avoided, axis.weight)
-    left, found = list(range(len(names))), []
+    left = list(range(len(names)))
+    found = []
     while left:
         if fusion == "single":
             with_each = [avoided | in_time(arrivals_s[unit]) for unit in left]
@@ -103,9 +124,11 @@ def _one_by_one(setting: Setting, evaluation: Evaluation, fusion: str) -> tuple[
             with_each = [in_time(np.minimum(own_s, arrivals_s[unit])) for unit in left]
         shares = [weight_share(each, axis.weight) for each in with_each]
         place = int(np.argmax(shares))  # of equal ones the first
-        apr, unit = shares[place], left.pop(place)
+        apr = shares[place]
+        unit = left.pop(place)
         found.append(AddedUnit(unit=names[unit], apr=apr, gain=apr - before))
-        avoided, before = with_each[place], apr
+        avoided = with_each[place]
+        before = apr
         own_s = np.minimum(own_s, arrivals_s[unit])
     return tuple(found)
 
@@ -114,12 +137,16 @@ def words(record: Added | None) -> list[str]:
     """What units add to a car that sees, one after the other, in one sentence."""
     if record is None or record.groups[0].gain is None:
         return []
-    everything, units = record.groups[0], record.units
+    everything = record.groups[0]
+    units = record.units
     told = [f"{unit.unit} {in_points(unit.gain)}" for unit in units[:_MAX_TOLD]]
     if len(units) > _MAX_TOLD:
         rest = sum(unit.gain for unit in units[_MAX_TOLD:])
-        told.append(tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=in_points(rest)))
-    gain, by_unit = in_points(everything.gain), ", ".join(told)
+        told.append(
+            tr("the other {n} {gain}", n=len(units) - _MAX_TOLD, gain=in_points(rest))
+        )
+    gain = in_points(everything.gain)
+    by_unit = ", ".join(told)
     if len(units) > 1:
         return [say("added.by_unit", gain=gain, by_unit=by_unit)]
     return [tr("To a car that sees, these units add {gain} points.", gain=gain)]
@@ -132,7 +159,10 @@ def section(record: Added | None) -> Section | None:
     of_units = Table(
         caption=say("added.one_after_the_other"),
         columns=[tr("unit"), tr("APR with it"), tr("adds (points)")],
-        rows=[[unit.unit, percent(unit.apr), in_points(unit.gain)] for unit in record.units],
+        rows=[
+            [unit.unit, percent(unit.apr), in_points(unit.gain)]
+            for unit in record.units
+        ],
         numeric=(1, 2),
     )
     return Section("added", tr("What the units add"), [*words(record), of_units])

@@ -15,11 +15,17 @@ from .accidents import count_sensors
 from .alternatives import doubt_sentences, recommended_sentences
 from .explanation import next_unit_sentence, refinement_sentences
 from .result import ComparisonResult, PlacementResult, Result
-from .sampled_worlds import overtaken_sentences, preferred_sentences, uncertainty_sentences
+from .sampled_worlds import (
+    overtaken_sentences,
+    preferred_sentences,
+    uncertainty_sentences,
+)
 from .units import private_ground_sentence
 
 
-def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]) -> str:
+def title(
+    result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
+) -> str:
     """Heading: the question that a placement, an evaluation or a comparison answers."""
     named = " / ".join(street_names(setting.scene).values())
     streets = dict.fromkeys(filter(None, named.split(" / ")))
@@ -30,7 +36,9 @@ def title(result: Result, setting: Setting, evaluations: Mapping[str, Evaluation
         return tr("Where to mount {sensors} at {place}", sensors=sensors, place=place)
     if len(evaluations) > 1:
         names = tr(" and ").join(evaluations)
-        return tr("Roadside sensors at {place}: {names} compared", place=place, names=names)
+        return tr(
+            "Roadside sensors at {place}: {names} compared", place=place, names=names
+        )
     name = next(iter(evaluations))
     return tr("Roadside sensors at {place}: {name}", place=place, name=name)
 
@@ -40,7 +48,8 @@ def lead(result: Result) -> str:
 
     With fusion "single" runs are counted: a unit has to confirm by itself.
     """
-    found, layout = result.evaluation, result.layout
+    found = result.evaluation
+    layout = result.layout
     share = percent(found.judged.all)
     if result.fusion == "single":
         n_avoided = result.runs - result.dangers.not_avoided
@@ -53,7 +62,9 @@ def lead(result: Result) -> str:
     }
     if result.cars == 1.0:
         return say("answer.lead_of_seeing_cars", len(layout), **values)
-    return say("answer.lead", len(layout), both=percent(found.vut_and_rsus.all), **values)
+    return say(
+        "answer.lead", len(layout), both=percent(found.vut_and_rsus.all), **values
+    )
 
 
 def _mounted(result: Result) -> str:
@@ -72,9 +83,15 @@ def _best(result: PlacementResult) -> str:
     """What is known of other choices, as the end of a sentence."""
     highest = result.highest
     if highest is None or highest.compared is None:
-        is_best = result.goal == "best" and result.stages[0].name == "apr" and is_proven(result)
+        is_best = (
+            result.goal == "best"
+            and result.stages[0].name == "apr"
+            and is_proven(result)
+        )
         is_best &= result.sampled is None
-        return tr(", and no other choice prevents more") if is_best else ""
+        if is_best:
+            return tr(", and no other choice prevents more")
+        return ""
     other = highest.compared.evaluation
     values = {
         "left": percent(result.evaluation.apr_without_worst_unit),
@@ -95,7 +112,9 @@ def is_proven(result: PlacementResult) -> bool:
 
 def _spelled(count: int) -> str:
     words = listed("numbers")
-    return words[count] if count < len(words) else str(count)
+    if count < len(words):
+        return words[count]
+    return str(count)
 
 
 def words(result: Result) -> list[str]:
@@ -119,15 +138,27 @@ def words(result: Result) -> list[str]:
 
 def warnings(result: Result) -> list[str]:
     """What must not be overlooked: runs that were not driven, options that did nothing, doubts."""
-    return [*result.driven[:1], *result.without_effect, *preferred(result), *planned_only(result)]
+    return [
+        *result.driven[:1],
+        *result.without_effect,
+        *preferred(result),
+        *planned_only(result),
+    ]
 
 
 def planned_only(result: Result) -> list[str]:
     """Warning that a layout was chosen as planned, where a detector finds people by chance."""
-    if not isinstance(result, PlacementResult) or result.sampled or not is_drawn(result.detector):
+    if (
+        not isinstance(result, PlacementResult)
+        or result.sampled
+        or not is_drawn(result.detector)
+    ):
         return []
     return [
-        say("answer.planned_decided" if result.preferred else "answer.planned_only", n=N_JUDGED)
+        say(
+            "answer.planned_decided" if result.preferred else "answer.planned_only",
+            n=N_JUDGED,
+        )
     ]
 
 
@@ -135,8 +166,13 @@ def preferred(result: Result) -> list[str]:
     """Other layouts that the evaluator or fresh sampled worlds prefer to the one found."""
     found = []
     if isinstance(result, PlacementResult):
-        is_proven = any(stage.name == "apr" and stage.gap == 0.0 for stage in result.stages)
-        chosen_in = result.sampled.chosen_in if result.sampled else None
+        is_proven = any(
+            stage.name == "apr" and stage.gap == 0.0 for stage in result.stages
+        )
+        if result.sampled:
+            chosen_in = result.sampled.chosen_in
+        else:
+            chosen_in = None
         found = preferred_sentences(result.preferred, chosen_in)
         found += recommended_sentences(result.front_runners, is_proven=is_proven)
     return found + (overtaken_sentences(result.sampled) if result.sampled else [])
@@ -146,14 +182,19 @@ def doubts(result: Result) -> list[str]:
     """Sentences about what would change the answer."""
     if not isinstance(result, PlacementResult):
         return doubt_sentences(result.heavy_runs, n_runs=result.runs)
-    return doubt_sentences(result.heavy_runs, result.by_runs, result.mounting, n_runs=result.runs)
+    return doubt_sentences(
+        result.heavy_runs, result.by_runs, result.mounting, n_runs=result.runs
+    )
 
 
 def private_ground(result: Result) -> list[str]:
     """Private ground that units see; of each layout where several are compared."""
     if result.private_ground is None:
         return []
-    others = result.compared if isinstance(result, ComparisonResult) else ()
+    if isinstance(result, ComparisonResult):
+        others = result.compared
+    else:
+        others = ()
     return [
         private_ground_sentence(result.private_ground),
         *(
@@ -166,10 +207,17 @@ def private_ground(result: Result) -> list[str]:
 
 def refinement(result: Result) -> list[str]:
     """Gains of refinement between the poses of the grid; nothing where not asked for."""
-    refined = result.refinement if isinstance(result, PlacementResult) else None
-    return refinement_sentences(refined) if refined else []
+    if isinstance(result, PlacementResult):
+        refined = result.refinement
+    else:
+        refined = None
+    if refined:
+        return refinement_sentences(refined)
+    return []
 
 
 def uncertainty(result: Result) -> list[str]:
     """The layout in sampled worlds; nothing where none were asked for."""
-    return uncertainty_sentences(result.sampled) if result.sampled else []
+    if result.sampled:
+        return uncertainty_sentences(result.sampled)
+    return []

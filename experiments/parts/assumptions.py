@@ -38,7 +38,11 @@ def _together(group: Sequence[Note]) -> str:
     numbers = [[float(word) for word in _NUMBER.findall(one.why)] for one in group]
     lows_highs = [(min(column), max(column)) for column in zip(*numbers, strict=True)]
     ranges = iter(
-        localized(f"{low:g}") if low == high else tr("{low:g} to {high:g}", low=low, high=high)
+        (
+            localized(f"{low:g}")
+            if low == high
+            else tr("{low:g} to {high:g}", low=low, high=high)
+        )
         for low, high in lows_highs
     )
     why = _NUMBER.sub(lambda _match: next(ranges), first.why)
@@ -47,9 +51,12 @@ def _together(group: Sequence[Note]) -> str:
     return tr("{n} sites ({names}): {why}.", n=len(names), names=listed, why=said(why))
 
 
-def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, Layout]) -> Section:
+def assumptions_section(
+    result: Result, setting: Setting, layouts: Mapping[str, Layout]
+) -> Section:
     """Assumptions behind the numbers; layouts by display name."""
-    axis, rule = setting.axis, setting.rule
+    axis = setting.axis
+    rule = setting.rule
     counted = axis.weight[axis.weight > 0.0]
     sampled = result.sampled
     weathers = [*dict.fromkeys(run.weather for run in setting.runs)]
@@ -64,7 +71,9 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
         "weathers": [said(name) for name in weathers],
         "is_adverse": weathers != ["day"],
         "has_radio": setting.radio != Radio(),
-        "moving": moving_sentence(sampled) if sampled is not None and sampled.moving else "",
+        "moving": (
+            moving_sentence(sampled) if sampled is not None and sampled.moving else ""
+        ),
         "fusion": result.fusion,
         "budget": result.budget if isinstance(result, PlacementResult) else None,
         "percent": percent,
@@ -75,12 +84,17 @@ def assumptions_section(result: Result, setting: Setting, layouts: Mapping[str, 
 
 def again_section(result: Result, command: str) -> Section:
     """The command line, how long it took, and with which programs."""
-    seconds = [(said(stage), localized(f"{value:.1f}")) for stage, value in result.seconds.items()]
+    seconds = [
+        (said(stage), localized(f"{value:.1f}"))
+        for stage, value in result.seconds.items()
+    ]
     versions = [*result.versions.items()]
     columns = [tr("stage"), tr("seconds")]
     tables = [
         Table(caption=tr("Time taken"), columns=columns, rows=seconds, numeric=[1]),
-        Table(caption=tr("Versions"), columns=[tr("what"), tr("version")], rows=versions),
+        Table(
+            caption=tr("Versions"), columns=[tr("what"), tr("version")], rows=versions
+        ),
     ]
     boxes = Box("beside tables", [Box("", [table]) for table in tables if table.rows])
     return Section("again", tr("To make it again"), [Code(command), boxes])
@@ -88,8 +102,12 @@ def again_section(result: Result, command: str) -> Section:
 
 def _figures(setting: Setting) -> str:
     """How many figures of response tables are measured; that of the table where it is another."""
-    tables = {one.name: one for one in (setting.detector, setting.table_detector)}.values()
-    return "".join(f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector))
+    tables = {
+        one.name: one for one in (setting.detector, setting.table_detector)
+    }.values()
+    return "".join(
+        f" {one.figures_words}" for one in tables if isinstance(one, ResponseDetector)
+    )
 
 
 def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
@@ -100,11 +118,22 @@ def latency_words(rule: AebRule, layouts: Mapping[str, Layout]) -> str:
         for latency_s, ids in sorted(unit_ids.items()):
             if latency_s == rule.latency_s:
                 continue
-            who = tr("every unit") if len(ids) == len(layout.units) > 1 else joined(ids)
+            if len(ids) == len(layout.units) > 1:
+                who = tr("every unit")
+            else:
+                who = joined(ids)
             if len(layouts) > 1:
                 who = tr("{units} of {layout}", units=who, layout=name)
-            own.append(tr("{units} {latency_ms:g} ms", units=who, latency_ms=1000.0 * latency_s))
+            own.append(
+                tr(
+                    "{units} {latency_ms:g} ms",
+                    units=who,
+                    latency_ms=1000.0 * latency_s,
+                )
+            )
     latency_ms = 1000.0 * rule.latency_s
     if not own:
-        return tr("{latency_ms:g} ms for processing and communication.", latency_ms=latency_ms)
+        return tr(
+            "{latency_ms:g} ms for processing and communication.", latency_ms=latency_ms
+        )
     return say("assumptions.latencies", latency_ms=latency_ms, own="; ".join(own))

@@ -24,9 +24,14 @@ from ..results.numbers import percent
 from ..results.record import Record, UnitRecord, build_unit_records, mixed, says
 
 STAGE = "baselines"
-_OverWorlds = Annotated[float, says("Mean APR over these worlds, and ends of its 95 % interval.")]
+_OverWorlds = Annotated[
+    float, says("Mean APR over these worlds, and ends of its 95 % interval.")
+]
 _OverLayouts = Annotated[
-    float, says("Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`.")
+    float,
+    says(
+        "Mean APR; 5 % of them have no higher one than `low`, 5 % no lower than `high`."
+    ),
 ]
 
 
@@ -37,11 +42,17 @@ class Score(Record, frozen=True, kw_only=True):
     units: Annotated[int, says("How many units it has; 0: the vehicle by itself.")]
     runs_avoided: Annotated[int, says("How many.")]
     all: Annotated[float | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[dict[str, float | None], says("APR of each case; null: no run has weight.")]
-    by_position: Annotated[dict[str, float | None], says("The same by position along the arms.")]
+    by_case: Annotated[
+        dict[str, float | None], says("APR of each case; null: no run has weight.")
+    ]
+    by_position: Annotated[
+        dict[str, float | None], says("The same by position along the arms.")
+    ]
 
 
-def build_score(name: str, verdict: evaluation.Verdict, axis: FrameAxis, *, n_units: int) -> Score:
+def build_score(
+    name: str, verdict: evaluation.Verdict, axis: FrameAxis, *, n_units: int
+) -> Score:
     """APR and avoided runs of a sensing party."""
     return Score(
         name=name,
@@ -70,7 +81,9 @@ class RandomBaseline(Record, frozen=True, kw_only=True):
     mean: _OverLayouts
     low: _OverLayouts
     high: _OverLayouts
-    in_worlds: Annotated[RandomInWorlds | None, says("Over worlds; only with --samples.")] = None
+    in_worlds: Annotated[
+        RandomInWorlds | None, says("Over worlds; only with --samples.")
+    ] = None
 
 
 class ExpertBaseline(Record, frozen=True, kw_only=True):
@@ -78,18 +91,28 @@ class ExpertBaseline(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
-    corners: Annotated[tuple[str, ...], says("Those with a camera, by arms, in order of choice.")]
-    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
+    corners: Annotated[
+        tuple[str, ...], says("Those with a camera, by arms, in order of choice.")
+    ]
+    cost_eur: Annotated[
+        float, says("The units by the catalogue, without poles, in EUR.")
+    ]
     on_table: Annotated[float, says("APR on the detection table.")]
     score: Annotated[Score, says("By the evaluator.")]
-    apr_without_worst_unit: Annotated[float | None, says("APR without the most needed unit.")]
+    apr_without_worst_unit: Annotated[
+        float | None, says("APR without the most needed unit.")
+    ]
 
 
 class Baselines(Record, frozen=True, kw_only=True):
     """Layouts that need no optimiser, within the same limits."""
 
-    random: Annotated[RandomBaseline | None, says("Drawn; null: none is within the limits.")]
-    expert: Annotated[ExpertBaseline | None, says("By rule of thumb; null: it is not possible.")]
+    random: Annotated[
+        RandomBaseline | None, says("Drawn; null: none is within the limits.")
+    ]
+    expert: Annotated[
+        ExpertBaseline | None, says("By rule of thumb; null: it is not possible.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,26 +126,42 @@ class Proposed:
 
 
 def compare_placement(
-    placement: Placement, candidates: Sequence[CandidatePose], setting: Setting, *, seed: int
+    placement: Placement,
+    candidates: Sequence[CandidatePose],
+    setting: Setting,
+    *,
+    seed: int,
 ) -> Proposed:
     """Baselines of as many units as a layout found, within its limits, on its detection table."""
-    problem, n_units = placement.problem, len(placement.pose_index)
-    rng, scene = np.random.default_rng(seed), setting.scene
+    problem = placement.problem
+    n_units = len(placement.pose_index)
+    rng = np.random.default_rng(seed)
+    scene = setting.scene
     proposals = propose(problem.limits, candidates, scene, n_units=n_units, rng=rng)
     return _judge(problem, proposals, candidates)
 
 
-def compare_layout(layout: Layout, setting: Setting, *, compute: Compute) -> Proposed | None:
+def compare_layout(
+    layout: Layout, setting: Setting, *, compute: Compute
+) -> Proposed | None:
     """Baselines of as many units as a given layout, of its sensors, within what the sites carry.
 
     None where they cannot carry as many. The detection table has the poses drawn alone.
     """
-    scene, n_units = setting.scene, len(layout.units)
-    if sum(site.capacity_units for site in scene.sites if site.use != "forbidden") < n_units:
+    scene = setting.scene
+    n_units = len(layout.units)
+    if (
+        sum(site.capacity_units for site in scene.sites if site.use != "forbidden")
+        < n_units
+    ):
         return None
     sensors = {unit.sensor: None for unit in layout.units}
-    candidates = build_candidates(scene, replace(load_candidate_grid(), sensors=tuple(sensors)))
-    plan = Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=n_units))
+    candidates = build_candidates(
+        scene, replace(load_candidate_grid(), sensors=tuple(sensors))
+    )
+    plan = Assembly(
+        setting=setting, candidates=candidates, wishes=Wishes(budget_units=n_units)
+    )
     rng = np.random.default_rng(compute.seed)
     proposals = propose(plan.limits, candidates, scene, n_units=n_units, rng=rng)
     rows = proposals.rows
@@ -152,9 +191,11 @@ def build_baselines(
     proposed: Proposed, expert: evaluation.Evaluation | None, setting: Setting
 ) -> Baselines:
     """Their APR; `expert` is that layout by the evaluator."""
-    random, of_expert = proposed.random, None
+    random = proposed.random
+    of_expert = None
     if expert is not None:
-        name, units = expert.layout.name, expert.layout.units
+        name = expert.layout.name
+        units = expert.layout.units
         blind, seeing = (
             build_score(name, verdict, expert.axis, n_units=len(units))
             for verdict in (expert.rsu_all, expert.vut_and_rsus)
@@ -168,7 +209,9 @@ def build_baselines(
             score=mixed(blind, seeing, expert.cars),
             apr_without_worst_unit=evaluation.apr_one_failed(expert, setting.rule),
         )
-    return Baselines(random=None if random is None else _random(random), expert=of_expert)
+    return Baselines(
+        random=None if random is None else _random(random), expert=of_expert
+    )
 
 
 def _random(layouts: RandomLayouts) -> RandomBaseline:
@@ -194,10 +237,14 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
     if found is None:
         return []
     sentences = []
-    random, expert = found.random, found.expert
+    random = found.random
+    expert = found.expert
     if random is not None:
         text = say(
-            "baselines.random", n=random.layouts, low=percent(random.low), high=percent(random.high)
+            "baselines.random",
+            n=random.layouts,
+            low=percent(random.low),
+            high=percent(random.high),
         )
         if random.in_worlds is not None:
             text += " " + tr(
@@ -205,9 +252,13 @@ def words(found: Baselines | None, *, n_units: int) -> list[str]:
             )
         sentences.append(text)
     if expert is not None:
-        corners = ", ".join("/".join(map(said, one.split("/"))) for one in expert.corners)
+        corners = ", ".join(
+            "/".join(map(said, one.split("/"))) for one in expert.corners
+        )
         corners = corners or tr("no corner fits")
         if len(expert.layout) != n_units:
             corners = tr("{corners}, no unit for each of all", corners=corners)
-        sentences.append(say("baselines.expert", corners=corners, share=percent(expert.on_table)))
+        sentences.append(
+            say("baselines.expert", corners=corners, share=percent(expert.on_table))
+        )
     return sentences

@@ -18,7 +18,11 @@ UNKNOWN = mark("unknown")
 FILE_NAME = "bill_of_materials.csv"
 _KINDS = {"camera": mark("camera"), "lidar": mark("LiDAR")}
 _NO_SITE = mark("no site of the scene")
-_SOURCES = {"catalogue": mark("catalogue"), "told": mark("told"), "assumption": mark("assumption")}
+_SOURCES = {
+    "catalogue": mark("catalogue"),
+    "told": mark("told"),
+    "assumption": mark("assumption"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,10 +32,14 @@ class Item:
     part: str  # "sensor" or "site"
     name: str  # the sensor's model, or the site's id
     kind: str  # "camera", "LiDAR", "lamp post" and so on
-    count: int  # sensors to buy; of a site: 1 to be made ready, 0 if it has units already
+    count: (
+        int  # sensors to buy; of a site: 1 to be made ready, 0 if it has units already
+    )
     n_units: int  # with those that are there already
     price_eur: float | None  # of one; None: unknown. [EUR]
-    price_source: str = ""  # "catalogue", "told" or "assumption"; empty: the price is unknown
+    price_source: str = (
+        ""  # "catalogue", "told" or "assumption"; empty: the price is unknown
+    )
     assumed: str = ""  # of a site that the map does not have where it is
 
     @property
@@ -39,7 +47,9 @@ class Item:
         """Price of all; None where it is unknown, 0 where none is to buy."""
         if self.count == 0:
             return 0.0
-        return None if self.price_eur is None else self.count * self.price_eur
+        if self.price_eur is None:
+            return None
+        return self.count * self.price_eur
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +69,9 @@ class BillOfMaterials:
 def total_eur(items: Iterable[Item]) -> float | None:
     """Price of all items; None where one is unknown."""
     sums = [item.sum_eur for item in items]
-    return None if None in sums else sum(value for value in sums if value is not None)
+    if None in sums:
+        return None
+    return sum(value for value in sums if value is not None)
 
 
 def build_bill(
@@ -71,8 +83,9 @@ def build_bill(
 ) -> BillOfMaterials:
     """Sensors and sites that a layout needs.
 
-    A cost of 0 is unknown: that of a site is then assumed by its kind, unless `site_cost_eur` was
-    said for every site. Units of `kept_ids` exist: neither they nor their sites are paid for.
+    A cost of 0 is unknown: that of a site is then assumed by its kind, unless
+    `site_cost_eur` was said for every site. Units of `kept_ids` exist: neither they nor
+    their sites are paid for.
     """
     used = {unit.site_id for unit in layout.units}
     used -= {unit.site_id for unit in layout.units if unit.id in kept_ids}
@@ -103,19 +116,33 @@ def _site_items(
     doubts = assumed_sites(scene.notes)
     sites = {site.id: site for site in scene.sites}
     used = grouped(
-        (unit.site_id if unit.site_id in sites else None, unit.id) for unit in layout.units
+        (unit.site_id if unit.site_id in sites else None, unit.id)
+        for unit in layout.units
     )
     items = []
     for site_id, unit_ids in used.items():
         kept = [unit_id for unit_id in unit_ids if unit_id in kept_ids]
         if site_id is None:
-            name, kind, price_eur, source = _NO_SITE, UNKNOWN, site_cost_eur, ""
-            count = len(unit_ids) - len(kept)  # nobody knows which of them share a mount
+            name = _NO_SITE
+            kind = UNKNOWN
+            price_eur = site_cost_eur
+            source = ""
+            count = len(unit_ids) - len(
+                kept
+            )  # nobody knows which of them share a mount
         else:
             site = sites[site_id]
-            name, kind, count = site_id, site.kind, int(not kept)
-            price_eur = load_prices().cost_eur(site) if site_cost_eur is None else site_cost_eur
-            source = "told" if site.cost_eur > 0.0 else "assumption"
+            name = site_id
+            kind = site.kind
+            count = int(not kept)
+            if site_cost_eur is None:
+                price_eur = load_prices().cost_eur(site)
+            else:
+                price_eur = site_cost_eur
+            if site.cost_eur > 0.0:
+                source = "told"
+            else:
+                source = "assumption"
         item = Item(
             part="site",
             name=name,
@@ -137,7 +164,9 @@ def bill_of_materials_csv(bill: BillOfMaterials) -> str:
     heads = ["part", "name", "kind", "units", "to_buy", "price_eur", "sum_eur"]
     rows = []
     for item in (*bill.sensors, *bill.sites):
-        amounts = ["" if eur is None else f"{eur:g}" for eur in (item.price_eur, item.sum_eur)]
+        amounts = [
+            "" if eur is None else f"{eur:g}" for eur in (item.price_eur, item.sum_eur)
+        ]
         counts = [item.n_units, item.count]
         source = [item.price_source, item.assumed]
         rows.append([item.part, item.name, item.kind, *counts, *amounts, *source])
@@ -163,25 +192,57 @@ def bill_sentences(bill: BillOfMaterials) -> list[str]:
 
 def bill_tables(bill: BillOfMaterials) -> list[Table]:
     """Sensors by model, and sites; each with a row for all together."""
-    sensors, sites = bill.sensors, bill.sites
+    sensors = bill.sensors
+    sites = bill.sites
     rows = []
     for one in sensors:
-        price = tr(UNKNOWN) if one.price_eur is None else _amount(one.price_eur)
-        rows.append([one.name, tr(one.kind), str(one.n_units), str(one.count), price, _sum([one])])
-    n_units, n_to_buy = (sum(one.n_units for one in sensors), sum(one.count for one in sensors))
+        if one.price_eur is None:
+            price = tr(UNKNOWN)
+        else:
+            price = _amount(one.price_eur)
+        rows.append(
+            [
+                one.name,
+                tr(one.kind),
+                str(one.n_units),
+                str(one.count),
+                price,
+                _sum([one]),
+            ]
+        )
+    n_units = sum(one.n_units for one in sensors)
+    n_to_buy = sum(one.count for one in sensors)
     rows.append([tr("all"), "", str(n_units), str(n_to_buy), "", _sum(sensors)])
     columns = listed("sensors to buy")
     if n_to_buy == n_units:  # nothing exists already
-        columns, rows = [*columns[:3], *columns[4:]], [[*row[:3], *row[4:]] for row in rows]
+        columns = [*columns[:3], *columns[4:]]
+        rows = [[*row[:3], *row[4:]] for row in rows]
     of_sites = []
     for one in sites:
-        name = tr(_NO_SITE) if one.name == _NO_SITE else one.name
-        name = tr("{site} (assumed)", site=name) if one.assumed else name
-        price = tr("there already") if one.count == 0 else _sum([one])
-        source = tr(_SOURCES[one.price_source]) if one.price_source else ""
-        kind = tr(UNKNOWN) if one.kind == UNKNOWN else said(one.kind)
+        if one.name == _NO_SITE:
+            name = tr(_NO_SITE)
+        else:
+            name = one.name
+        if one.assumed:
+            name = tr("{site} (assumed)", site=name)
+        else:
+            name = name
+        if one.count == 0:
+            price = tr("there already")
+        else:
+            price = _sum([one])
+        if one.price_source:
+            source = tr(_SOURCES[one.price_source])
+        else:
+            source = ""
+        if one.kind == UNKNOWN:
+            kind = tr(UNKNOWN)
+        else:
+            kind = said(one.kind)
         of_sites.append([name, kind, str(one.n_units), price, source])
-    of_sites.append([tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""])
+    of_sites.append(
+        [tr("all"), "", str(sum(one.n_units for one in sites)), _sum(sites), ""]
+    )
     return [
         Table(caption=tr("Sensors"), columns=columns, rows=rows, numeric=range(2, 6)),
         Table(
@@ -200,7 +261,9 @@ def bill_section(bill: BillOfMaterials) -> Section:
         " ".join([*bill_sentences(bill), *map(said, bill.assumed)]),
         *bill_tables(bill),
         note,
-        Bullets(listed("not in the bill")[bool(bill.assumed) :]),  # assumed costs are with poles
+        Bullets(
+            listed("not in the bill")[bool(bill.assumed) :]
+        ),  # assumed costs are with poles
     ]
     return Section("bill", tr("Bill of materials"), blocks)
 
@@ -211,7 +274,9 @@ def _sum(items: Sequence[Item]) -> str:
     known = [value for value in values if value is not None]
     if not known:
         return tr(UNKNOWN)
-    return _amount(sum(known)) if len(known) == len(values) else f"≥ {_amount(sum(known))}"
+    if len(known) == len(values):
+        return _amount(sum(known))
+    return f"≥ {_amount(sum(known))}"
 
 
 def _amount(value: float) -> str:

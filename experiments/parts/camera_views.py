@@ -27,7 +27,8 @@ from ..language import say, tr
 from .accidents import case_title
 from .section import Picture
 
-_WIDTH_IN, _WIDTH_PX = 3.2, 512
+_WIDTH_IN = 3.2
+_WIDTH_PX = 512
 _MOST_CAMERAS = 4  # of more, none is drawn: a first screen has no room for them
 
 
@@ -48,7 +49,10 @@ def _view(unit: CandidatePose, label: str, setting: Setting) -> Picture:
     values = {"what": case_title(run.case), "time": abs(time_s), "unit": label}
     return Picture(
         title=title,
-        caption=tr("Rendered from the map. {what}, {time:.1f} s before the collision.", **values),
+        caption=tr(
+            "Rendered from the map. {what}, {time:.1f} s before the collision.",
+            **values,
+        ),
         alt=say("camera_views.alt", site=unit.site_id or tr("its mount"), **values),
         image=base64.b64encode(to_jpeg(rgb)).decode(),
         format="jpeg",
@@ -80,7 +84,11 @@ def _draw(
 ) -> FramePicture:
     assert isinstance(unit.sensor, CameraModel)
     return draw_picture(
-        *(_backdrop(setting.scene, run), run, frame, unit.pose, unit.sensor),
+        _backdrop(setting.scene, run),
+        run,
+        frame,
+        unit.pose,
+        unit.sensor,
         weather=pick_weather(run.weather, "weather"),
         is_smooth=is_smooth,
         compute=compute,
@@ -97,7 +105,9 @@ def _nearest_frame(unit: CandidatePose, setting: Setting) -> tuple[Run, int]:
     yaw = math.radians(unit.pose.yaw_deg)
     tilt = math.radians(max(-unit.pose.pitch_deg, 10.0))
     reach_m = above_ground(unit, setting.scene).pose.position_m[2] / math.tan(tilt)
-    aim_m = unit.pose.position_m[:2] + reach_m * np.array([math.cos(yaw), math.sin(yaw)])
+    aim_m = unit.pose.position_m[:2] + reach_m * np.array(
+        [math.cos(yaw), math.sin(yaw)]
+    )
     away_m = [np.hypot(*(run.vru_position_m - aim_m).T) for run in setting.runs]
     nearest = int(np.argmin([distance_m.min() for distance_m in away_m]))
     return setting.runs[nearest], int(np.argmin(away_m[nearest]))
@@ -115,10 +125,10 @@ def live_picture(
 ) -> dict[str, Any]:
     """What a camera sees in a frame of a run, for a page on which it is being aimed.
 
-    Without a run, it is one whose road user is near the camera's aim. While it is turned, edges
-    need not be smooth. "image" is a JPEG in base64, "box" where the road user is seen: left, top,
-    right, bottom as shares of the sides, or None.
-    Raises InputError: it is no camera, there is no such run or frame.
+    Without a run, it is one whose road user is near the camera's aim. While it is
+    turned, edges need not be smooth. "image" is a JPEG in base64, "box" where the road
+    user is seen: left, top, right, bottom as shares of the sides, or None. Raises
+    InputError: it is no camera, there is no such run or frame.
     """
     if not isinstance(unit.sensor, CameraModel):
         raise InputError("unit", unit.id, "a camera: a LiDAR takes no picture")

@@ -46,11 +46,17 @@ class CertifiedResult(DrivesRecord, frozen=True, kw_only=True):
     command: Annotated[str, says("That made it.")]
     candidates: Annotated[int, says("Number of poses to choose from.")]
     worlds_of_block: Annotated[int, says("Number of worlds in each block.", ge=2)]
-    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = (
+        None
+    )
     uncertainty: Annotated[str, says("Name of what is drawn in the worlds.")]
     seed: Annotated[int, says("Of the draws.", ge=0)]
-    blocks: Annotated[tuple[BlockRecord, ...], says("Each with worlds of its own.", min_length=1)]
-    pool: Annotated[tuple[PoolRecord, ...], says("Layouts found, the best first.", min_length=1)]
+    blocks: Annotated[
+        tuple[BlockRecord, ...], says("Each with worlds of its own.", min_length=1)
+    ]
+    pool: Annotated[
+        tuple[PoolRecord, ...], says("Layouts found, the best first.", min_length=1)
+    ]
     units: Annotated[tuple[str, ...], says("Sites of the best one's units.")]
     apr_by_world: Annotated[
         tuple[float, ...], says("In worlds that nothing was chosen in.", min_length=1)
@@ -78,7 +84,9 @@ def run_certify(
     """Find a layout for the mean over worlds and its gap; InputError as `certify`, or of `out`."""
     expect_files(out, progress, sign=sign)
     growth = None
-    if question.samples == AUTO:  # in worlds that neither a bound nor the layout is judged in
+    if (
+        question.samples == AUTO
+    ):  # in worlds that neither a bound nor the layout is judged in
         growth = grow(question, first=APART, compute=compute).growth
         question = replace(question, samples=growth.taken)
     plan = assemble(question, compute=compute)
@@ -93,9 +101,13 @@ def run_certify(
         uncertainty=plan.uncertainty.name,
         seed=compute.seed,
         blocks=tuple(
-            BlockRecord(first=one.first, bound=one.bound, apr=one.apr) for one in found.blocks
+            BlockRecord(first=one.first, bound=one.bound, apr=one.apr)
+            for one in found.blocks
         ),
-        pool=tuple(PoolRecord(name=one.layout.name, **asdict(one.estimate)) for one in found.pool),
+        pool=tuple(
+            PoolRecord(name=one.layout.name, **asdict(one.estimate))
+            for one in found.pool
+        ),
         units=tuple(unit.site_id for unit in layout.units),
         apr_by_world=tuple(found.judged.apr_by_sample.tolist()),
         **_numbers(found.gap),
@@ -106,7 +118,10 @@ def run_certify(
         result,
         out,
         progress,
-        lambda done: {LAYOUT_FILE: to_json(layout, plan.scene), JSON_NAME: to_json_text(done)},
+        lambda done: {
+            LAYOUT_FILE: to_json(layout, plan.scene),
+            JSON_NAME: to_json_text(done),
+        },
         has_manifest=True,
         sign=sign,
     )
@@ -145,7 +160,8 @@ def recompute(stored: CertifiedResult) -> list[str]:
 
 def words(result: CertifiedResult) -> list[str]:
     """What the layout prevents, and what it may lack, the most important first."""
-    n_judged, n_blocks = len(result.apr_by_world), len(result.blocks)
+    n_judged = len(result.apr_by_world)
+    n_blocks = len(result.blocks)
     loose = sum(block.bound > block.apr + _SMALL for block in result.blocks)
     sentences = [
         say(
@@ -177,7 +193,8 @@ def table(result: CertifiedResult) -> Table:
         caption=say("certified.layouts_found", n=len(result.apr_by_world)),
         columns=[tr("layout"), tr("APR"), tr("from"), tr("to")],
         rows=[
-            [said(one.name), *map(percent, (one.mean, one.low, one.high))] for one in result.pool
+            [said(one.name), *map(percent, (one.mean, one.low, one.high))]
+            for one in result.pool
         ],
         numeric=(1, 2, 3),
     )

@@ -19,7 +19,15 @@ from placement.evaluation import (
 from scenarios.aeb import AebRule
 
 from ..language import listed, localized, mark, said, say, tr
-from ..results.numbers import NOTHING, count_runs, in_points, layout_words, number, or_nan, percent
+from ..results.numbers import (
+    NOTHING,
+    count_runs,
+    in_points,
+    layout_words,
+    number,
+    or_nan,
+    percent,
+)
 from ..results.record import (
     EvaluationRecord,
     Record,
@@ -36,7 +44,9 @@ from .sampled_worlds import SampledPairRecord, SampledRecord, is_open
 from .section import Block, Bullets, Section, Subheading, Table, tabulate
 from .units import PrivateGroundRecord
 
-GREEDY, EXPERT, HIGHEST = mark("greedy"), mark("expert rule"), mark("highest APR")
+GREEDY = mark("greedy")
+EXPERT = mark("expert rule")
+HIGHEST = mark("highest APR")
 """Display names of layouts to compare with: they appear in tables and bars only."""
 
 
@@ -45,11 +55,17 @@ class Compared(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says("Of the layout.")]
     layout: Annotated[tuple[UnitRecord, ...], says("Its units.")]
-    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.")]
+    cost_eur: Annotated[
+        float, says("The units by the catalogue, without poles, in EUR.")
+    ]
     evaluation: Annotated[EvaluationRecord, says("By the evaluator.")]
-    runs_gained: Annotated[tuple[str, ...], says("Runs that only the first layout avoids.")]
+    runs_gained: Annotated[
+        tuple[str, ...], says("Runs that only the first layout avoids.")
+    ]
     runs_lost: Annotated[tuple[str, ...], says("Runs that only this one avoids.")]
-    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
+    private_ground: Annotated[
+        PrivateGroundRecord | None, says("Only with --no-look.")
+    ] = None
 
 
 def build_compared(
@@ -75,8 +91,12 @@ class Difference(Record, frozen=True, kw_only=True):
 
     first: Annotated[str, says("Name of the one layout.")]
     second: Annotated[str, says("Name of the other one.")]
-    only_first: Annotated[tuple[str, ...], says("Runs that the first one alone avoids.")]
-    only_second: Annotated[tuple[str, ...], says("Runs that the second one alone avoids.")]
+    only_first: Annotated[
+        tuple[str, ...], says("Runs that the first one alone avoids.")
+    ]
+    only_second: Annotated[
+        tuple[str, ...], says("Runs that the second one alone avoids.")
+    ]
 
 
 def find_differences(evaluations: Mapping[str, Evaluation]) -> tuple[Difference, ...]:
@@ -113,11 +133,14 @@ def words(name: str, compared: Sequence[Compared]) -> list[str]:
 
 
 def side_by_side_table(
-    evaluations: Mapping[str, Evaluation], rule: AebRule, baselines: Baselines | None = None
+    evaluations: Mapping[str, Evaluation],
+    rule: AebRule,
+    baselines: Baselines | None = None,
 ) -> Table:
     """A row per layout, of the VUT alone, and of random layouts; a column of a score, if any."""
     subject = next(iter(evaluations.values()))
-    axis, levels = subject.axis, subject.levels
+    axis = subject.axis
+    levels = subject.levels
 
     def of_verdict(verdict: Verdict, share: float) -> tuple[list[str], list[str]]:
         """Cells before and behind that of a failure."""
@@ -134,21 +157,43 @@ def side_by_side_table(
     rows = []
     for name, item in evaluations.items():
         first, last = of_verdict(item.headline, headline_apr(item))
-        money = localized(f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}")
+        money = localized(
+            f"{sum(unit.sensor.price_eur for unit in item.layout.units):,.0f}"
+        )
         failed = percent(apr_one_failed(item, rule))
-        rows.append([layout_words(name), str(len(item.layout.units)), money, *first, failed, *last])
+        rows.append(
+            [
+                layout_words(name),
+                str(len(item.layout.units)),
+                money,
+                *first,
+                failed,
+                *last,
+            ]
+        )
     first, last = of_verdict(subject.vut, apr(subject.vut, axis))
     rows.append([tr("VUT alone"), NOTHING, NOTHING, *first, NOTHING, *last])
-    random = None if baselines is None else baselines.random
+    if baselines is None:
+        random = None
+    else:
+        random = baselines.random
     if random is not None:  # what is known is the APR on the table alone, or the score
         mean = percent(random.mean)
         head = tr("random: mean of {n}, on the detection table", n=random.layouts)
-        shares = [mean, *[NOTHING] * 4] if levels is None else [*[NOTHING] * 5, mean]
+        if levels is None:
+            shares = [mean, *[NOTHING] * 4]
+        else:
+            shares = [*[NOTHING] * 5, mean]
         rows.append([head, str(random.units), NOTHING, *shares])
-    of_score = [] if levels is None else [tr("score ({score})", score=levels.score)]
+    if levels is None:
+        of_score = []
+    else:
+        of_score = [tr("score ({score})", score=levels.score)]
     columns = [*listed("layouts side by side"), *of_score]
     return Table(
-        caption=tr("The layouts side by side, all units of each together, by the evaluator"),
+        caption=tr(
+            "The layouts side by side, all units of each together, by the evaluator"
+        ),
         columns=columns,
         rows=rows,
         numeric=range(1, len(columns)),
@@ -162,7 +207,9 @@ def difference_rows(differences: Sequence[Difference]) -> list[list[str]]:
         rows.append((pair.first, pair.second, pair.only_first))
         rows.append((pair.second, pair.first, pair.only_second))
     return [
-        [said(a), said(b), count_runs(len(runs)), ", ".join(runs)] for a, b, runs in rows if runs
+        [said(a), said(b), count_runs(len(runs)), ", ".join(runs)]
+        for a, b, runs in rows
+        if runs
     ]
 
 
@@ -196,7 +243,9 @@ def _better_first(pair: SampledPairRecord) -> SampledPairRecord:
     names = {"first": pair.second, "second": pair.first}
     shares = {"more_share": pair.less_share, "less_share": pair.more_share}
     mean, low, high = (-or_nan(share) for share in (pair.mean, pair.high, pair.low))
-    return msgspec.structs.replace(pair, mean=mean, low=low, high=high, **names, **shares)
+    return msgspec.structs.replace(
+        pair, mean=mean, low=low, high=high, **names, **shares
+    )
 
 
 def section(
@@ -217,13 +266,15 @@ def section(
         _meaning(evaluations),
         *([Bullets(sentences)] if sentences else []),
         Subheading(tr("Which runs differ")),
-        Table(
-            caption=tr("Runs that only one of two layouts avoids"),
-            columns=listed("differences"),
-            rows=rows,
-        )
-        if rows
-        else tr("All layouts avoid the same runs."),
+        (
+            Table(
+                caption=tr("Runs that only one of two layouts avoids"),
+                columns=listed("differences"),
+                rows=rows,
+            )
+            if rows
+            else tr("All layouts avoid the same runs.")
+        ),
     ]
     if sampled is not None and sampled.pairs:
         blocks += [

@@ -17,7 +17,14 @@ from scenarios.positions import AT_ZERO, read_position
 from scenarios.runs import FrameAxis
 from scenarios.weights import weight_share
 
-from ..figures.axes import NARROW_IN, WIDTH_IN, Style, new_axes, root_figure, show_square
+from ..figures.axes import (
+    NARROW_IN,
+    WIDTH_IN,
+    Style,
+    new_axes,
+    root_figure,
+    show_square,
+)
 from ..figures.plan import draw_scene
 from ..language import said, say, tr, trn
 from ..results.numbers import joined, percent
@@ -33,7 +40,11 @@ _DARK_BELOW = 0.34  # from there white and black letters stand out alike
 _SAME_PLACE_M = 6.0  # across: less than from one lane to the oncoming one
 _BORDER_M = 8.0
 _MIN_HALF_SIZE_M = 30.0
-_RED: Style = {"markerfacecolor": "#CC0000", "markeredgecolor": "white", "markeredgewidth": 0.6}
+_RED: Style = {
+    "markerfacecolor": "#CC0000",
+    "markeredgecolor": "white",
+    "markeredgewidth": 0.6,
+}
 _UNIT_STYLE: Style = _RED | {"markersize": 7.0, "linestyle": "none"}
 
 
@@ -49,19 +60,26 @@ class Dangers(Record, frozen=True, kw_only=True):
     """Runs that the units of the layout do not avoid, by the evaluator."""
 
     not_avoided: Annotated[int, says("How many of all runs.")]
-    by_case: Annotated[tuple[DangerGroup, ...], says("Largest share of runs left first.")]
-    by_position: Annotated[tuple[DangerGroup, ...], says("The same by position; empty: only one.")]
+    by_case: Annotated[
+        tuple[DangerGroup, ...], says("Largest share of runs left first.")
+    ]
+    by_position: Annotated[
+        tuple[DangerGroup, ...], says("The same by position; empty: only one.")
+    ]
 
 
 def avoided_runs(evaluation: Evaluation, fusion: str) -> BoolArray:
     """Runs that the units of a layout avoid, (n_runs,) bool, as they were chosen to.
 
-    With fusion "single" some unit has to confirm by itself; else any may detect in each frame. The
-    VUT is one of them where every VUT sees.
+    With fusion "single" some unit has to confirm by itself; else any may detect in each
+    frame. The VUT is one of them where every VUT sees.
     """
     if fusion != "single":
         return evaluation.headline.is_avoided
-    parties = [*evaluation.units.values(), *([evaluation.vut] if evaluation.cars == 1.0 else [])]
+    parties = [
+        *evaluation.units.values(),
+        *([evaluation.vut] if evaluation.cars == 1.0 else []),
+    ]
     alone: BoolArray = np.any([party.is_avoided for party in parties], axis=0)
     return alone
 
@@ -76,9 +94,13 @@ def build_dangers(is_avoided: BoolArray, axis: FrameAxis) -> Dangers:
     )
 
 
-def _groups(groups: Sequence[RunGroup], is_avoided: BoolArray) -> tuple[DangerGroup, ...]:
+def _groups(
+    groups: Sequence[RunGroup], is_avoided: BoolArray
+) -> tuple[DangerGroup, ...]:
     records = [
-        DangerGroup(name=name, runs=int(mask.sum()), not_avoided=int((mask & ~is_avoided).sum()))
+        DangerGroup(
+            name=name, runs=int(mask.sum()), not_avoided=int((mask & ~is_avoided).sum())
+        )
         for name, mask in groups
     ]
     # Stable: of equal shares the first group comes first.
@@ -92,14 +114,21 @@ def words(dangers: Dangers, n_runs: int, *, cars: float = 0.0) -> list[str]:
     if not n_left:
         if is_of_blind:
             return [say("dangers.none_left_by_blind", n=n_runs)]
-        return [tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)]
+        return [
+            tr("No simulated encounter (run) is left: all {n} are avoided.", n=n_runs)
+        ]
     others = tr("in other cases")
     where = _most_left(dangers.by_case, lambda name: tr("in {case}", case=name), others)
     if dangers.by_position:
         places = _most_left(dangers.by_position, position_words, tr("elsewhere"))
         where = tr("{cases}. By place: {places}", cases=where, places=places)
-    all_runs = trn("{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs)
-    key = "not_avoided_by_blind" if is_of_blind else "not_avoided"
+    all_runs = trn(
+        "{n} simulated encounter (run)", "{n} simulated encounters (runs)", n_runs
+    )
+    if is_of_blind:
+        key = "not_avoided_by_blind"
+    else:
+        key = "not_avoided"
     return [say(f"dangers.{key}", n_left, runs=all_runs, where=where)]
 
 
@@ -111,11 +140,15 @@ def position_words(name: str) -> str:
     if position.distance_m == 0.0:
         return tr("at the crosswalk ahead")
     if position.is_behind:
-        return tr("{distance:g} m beyond the crosswalk ahead", distance=position.distance_m)
+        return tr(
+            "{distance:g} m beyond the crosswalk ahead", distance=position.distance_m
+        )
     return tr("{distance:g} m before the junction", distance=position.distance_m)
 
 
-def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str) -> str:
+def _most_left(
+    groups: Sequence[DangerGroup], words_of: Callable[[str], str], others: str
+) -> str:
     """The groups with the largest share that is left, and how many are left in all others."""
     left = [group for group in groups if group.not_avoided]
     words = [
@@ -131,7 +164,9 @@ def _most_left(groups: Sequence[DangerGroup], words_of: Callable[[str], str], ot
     return joined([*words, *([f"{others} {n_others}"] if n_others else [])])
 
 
-def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -> Section:
+def section(
+    setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str
+) -> Section:
     """Which places stay dangerous; layouts by display name.
 
     Drawn are the first one, which was chosen with this fusion, and the last one.
@@ -146,10 +181,14 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
     pictures = []
     for name, mask in avoided.items():
         drawn = [
-            plot_dangers(setting, shown[name].layout, mask, places=places, width_in=width)
+            plot_dangers(
+                setting, shown[name].layout, mask, places=places, width_in=width
+            )
             for width in widths
         ]
-        n_left = sum(place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places)
+        n_left = sum(
+            place.share_avoided(mask, setting.axis.weight) < 1.0 for place in places
+        )
         picture = build_picture(
             drawn[0],
             narrow=drawn[1] if len(drawn) > 1 else None,
@@ -158,10 +197,15 @@ def section(setting: Setting, shown: Mapping[str, Evaluation], *, fusion: str) -
             alt=say("dangers.alt", n=n_left, all=len(places)),
         )
         pictures.append(picture)
-    note = say("dangers.marks_by_weight") if is_weighted(setting.axis) else say("dangers.marks")
+    if is_weighted(setting.axis):
+        note = say("dangers.marks_by_weight")
+    else:
+        note = say("dangers.marks")
     blocks: list[Block] = [note, Box("beside" if len(pictures) > 1 else "", pictures)]
     if len(groups_by(setting.axis, "position")) > 1:
-        blocks += [position_table(name, mask, setting.axis) for name, mask in avoided.items()]
+        blocks += [
+            position_table(name, mask, setting.axis) for name, mask in avoided.items()
+        ]
     return Section("dangers", tr("Where it is still dangerous"), blocks)
 
 
@@ -203,8 +247,8 @@ class Place:
 def find_places(setting: Setting) -> tuple[Place, ...]:
     """Places of all impacts: those at most 6 m from one another are one place.
 
-    Complete linkage: no two impacts of a place are farther apart. Places are in the order in which
-    their runs first appear.
+    Complete linkage: no two impacts of a place are farther apart. Places are in the
+    order in which their runs first appear.
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 
@@ -214,7 +258,10 @@ def find_places(setting: Setting) -> tuple[Place, ...]:
         tree = linkage(points, "complete")
         labels = fcluster(tree, _SAME_PLACE_M, criterion="distance").astype(np.int64)
     return tuple(
-        Place(position_m=points[labels == label].mean(axis=0), runs=np.flatnonzero(labels == label))
+        Place(
+            position_m=points[labels == label].mean(axis=0),
+            runs=np.flatnonzero(labels == label),
+        )
         for label in dict.fromkeys(labels.tolist())
     )
 
@@ -229,28 +276,48 @@ def plot_dangers(
 ) -> Axes:
     """The junction from above with the share of runs avoided at each place: the darker the fewer.
 
-    In metres, north up; the numbers are per cent. Units are triangles that point where they look. A
-    place where all runs are avoided is a small white square without a number.
+    In metres, north up; the numbers are per cent. Units are triangles that point where
+    they look. A place where all runs are avoided is a small white square without a
+    number.
     """
-    places = find_places(setting) if places is None else places
+    if places is None:
+        places = find_places(setting)
+    else:
+        places = places
     axes = new_axes(width_in, width_in + (0.55 if width_in >= WIDTH_IN else 0.3))
     draw_scene(axes, setting.scene)
     outline = setting.scene.outline_m
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     points = np.array([place.position_m for place in places])
     reach_m = float(np.abs(points - middle).max()) + _BORDER_M
-    size = 15.0 if width_in >= WIDTH_IN else 12.0
+    if width_in >= WIDTH_IN:
+        size = 15.0
+    else:
+        size = 12.0
     for place in places:
-        _draw_place(axes, place, place.share_avoided(is_avoided, setting.axis.weight), size)
+        _draw_place(
+            axes, place, place.share_avoided(is_avoided, setting.axis.weight), size
+        )
     for unit in layout.units:
         pointing = (3, 0, unit.pose.yaw_deg - 90.0)
-        axes.plot(*unit.pose.position_m[:2], marker=pointing, zorder=9, gid="unit", **_UNIT_STYLE)
+        axes.plot(
+            *unit.pose.position_m[:2],
+            marker=pointing,
+            zorder=9,
+            gid="unit",
+            **_UNIT_STYLE,
+        )
     show_square(axes, middle, max(reach_m, _MIN_HALF_SIZE_M))
     axes.set_xlabel(tr("east (m)"), fontsize=8)
     axes.set_ylabel(tr("north (m)"), fontsize=8)
     axes.tick_params(labelsize=7)
     shades = ScalarMappable(Normalize(0.0, 100.0), SHADES)
-    below: Style = {"orientation": "horizontal", "fraction": 0.04, "pad": 0.02, "aspect": 45}
+    below: Style = {
+        "orientation": "horizontal",
+        "fraction": 0.04,
+        "pad": 0.02,
+        "aspect": 45,
+    }
     bar = root_figure(axes).colorbar(shades, ax=axes, **below)
     bar.set_label(tr("runs avoided there (%)"), fontsize=8)
     bar.ax.tick_params(labelsize=7)
@@ -261,16 +328,30 @@ def _draw_place(axes: Axes, place: Place, share: float, size: float) -> None:
     """Draw a mark with its number; `size` in points."""
     if not np.isfinite(share):  # runs that do not count
         return
-    mark: Style = {"markeredgecolor": "black", "markeredgewidth": 0.7, "linestyle": "none"}
+    mark: Style = {
+        "markeredgecolor": "black",
+        "markeredgewidth": 0.7,
+        "linestyle": "none",
+    }
     mark |= {"markerfacecolor": SHADES(share), "gid": "place"}
     if share > 1.0 - 1.0e-9:  # small circles are sites
-        axes.plot(*place.position_m, marker="s", markersize=0.27 * size, zorder=7.0, **mark)
+        axes.plot(
+            *place.position_m, marker="s", markersize=0.27 * size, zorder=7.0, **mark
+        )
         return
     on_top = 8.0 - 0.5 * share  # the most dangerous
     axes.plot(*place.position_m, marker="o", markersize=size, zorder=on_top, **mark)
     # What is not quite none is never shown as it.
-    shown = 0 if share < 1.0e-9 else min(max(round(100.0 * share), 1), 99)
-    colour = "white" if share < _DARK_BELOW else "black"
+    if share < 1.0e-9:
+        shown = 0
+    else:
+        shown = min(max(round(100.0 * share), 1), 99)
+    if share < _DARK_BELOW:
+        colour = "white"
+    else:
+        colour = "black"
     letters: Style = {"ha": "center", "va": "center_baseline", "fontsize": 0.5 * size}
     east_m, north_m = place.position_m
-    axes.text(east_m, north_m, f"{shown}", color=colour, zorder=on_top, gid="share", **letters)
+    axes.text(
+        east_m, north_m, f"{shown}", color=colour, zorder=on_top, gid="share", **letters
+    )

@@ -19,7 +19,15 @@ from placement.setting import Setting
 
 from ..language import listed, mark, said, say, tr, trn
 from ..results.numbers import NOTHING, count_runs, joined, number, percent, points
-from ..results.record import LayoutValueRecord, Record, RunId, Share, StageName, StageValues, says
+from ..results.record import (
+    LayoutValueRecord,
+    Record,
+    RunId,
+    Share,
+    StageName,
+    StageValues,
+    says,
+)
 from .section import Block, Section, Table, tabulate
 
 _MAX_REASONS = 2
@@ -33,10 +41,15 @@ class ContributionRecord(Record, frozen=True, kw_only=True):
     unit: Annotated[str, says("Id in the layout.")]
     only_runs: Annotated[
         tuple[RunId, ...],
-        says("Runs with weight avoided only with it; # and the number of a sampled world behind."),
+        says(
+            "Runs with weight avoided only with it; # and the number of a sampled world"
+            " behind."
+        ),
     ]
     marginal_apr: Annotated[Share, says("APR of all less that of the others.")]
-    mean_delay_s: Annotated[float, says("Later confirmation without it, on average, in seconds.")]
+    mean_delay_s: Annotated[
+        float, says("Later confirmation without it, on average, in seconds.")
+    ]
     max_delay_s: Annotated[float, says("The most of it in any run, in seconds.")]
     without: Annotated[LayoutValueRecord, says("What the others are worth.")]
 
@@ -45,8 +58,12 @@ class ExplainedRecord(Record, frozen=True, kw_only=True):
     """Why these units, and what they miss, on the detection table, without runs of weight 0."""
 
     contributions: Annotated[tuple[ContributionRecord, ...], says("One for each unit.")]
-    not_avoided: Annotated[tuple[Unavoided, ...], says("Runs not avoided, in their order.")]
-    runs_without_weight: Annotated[int, says("How many are left out with weight 0.", ge=0)]
+    not_avoided: Annotated[
+        tuple[Unavoided, ...], says("Runs not avoided, in their order.")
+    ]
+    runs_without_weight: Annotated[
+        int, says("How many are left out with weight 0.", ge=0)
+    ]
 
 
 def build_explained_record(
@@ -58,11 +75,13 @@ def build_explained_record(
 ) -> ExplainedRecord:
     """Explanation of a placement; `candidates` are the rows of its table.
 
-    Runs that are not avoided are those of the world as planned; where worlds were sampled, nobody
-    looks for what would save them.
+    Runs that are not avoided are those of the world as planned; where worlds were
+    sampled, nobody looks for what would save them.
     """
-    problem, chosen = placement.problem, placement.pose_index
-    nominal, table = placement.nominal, problem.table
+    problem = placement.problem
+    chosen = placement.pose_index
+    nominal = placement.nominal
+    table = problem.table
     names = {
         table.pose_ids[pose]: unit.id
         for pose, unit in zip(chosen, placement.layout.units, strict=True)
@@ -80,7 +99,9 @@ def build_explained_record(
             ContributionRecord(
                 unit=names[table.pose_ids[part.pose_index]],
                 only_runs=tuple(
-                    dict.fromkeys(run_of_level(table.axis.run_ids[run]) for run in part.only_runs)
+                    dict.fromkeys(
+                        run_of_level(table.axis.run_ids[run]) for run in part.only_runs
+                    )
                 ),
                 marginal_apr=part.marginal_apr,
                 mean_delay_s=part.mean_delay_s,
@@ -98,7 +119,8 @@ def build_explained_record(
 
 def contribution_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the units that something depends on, and on what is counted."""
-    sentences, saved = _dependence(explained), [part.only_runs for part in explained.contributions]
+    sentences = _dependence(explained)
+    saved = [part.only_runs for part in explained.contributions]
     if any("#" in run for runs in saved for run in runs):
         sentences.append(tr("Runs count once in each of the sampled worlds."))
     return sentences
@@ -108,12 +130,20 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
     parts = explained.contributions
     needed = [part for part in parts if part.only_runs]
     if all(part.without.apr + part.marginal_apr <= 0.0 for part in parts):
-        return [trn("This unit avoids nothing.", "These units avoid nothing.", len(parts))]
+        return [
+            trn("This unit avoids nothing.", "These units avoid nothing.", len(parts))
+        ]
     if len(parts) == 1:
         if parts[0].without.apr == 0.0:
             return [tr("Everything that is avoided depends on this one unit.")]
         n = len(parts[0].only_runs)
-        return [trn("{n} run depends on this one unit.", "{n} runs depend on this one unit.", n)]
+        return [
+            trn(
+                "{n} run depends on this one unit.",
+                "{n} runs depend on this one unit.",
+                n,
+            )
+        ]
     if not needed:
         return [say("explanation.none_depends", len(parts) - 1)]
     if len(needed) == len(parts):
@@ -123,11 +153,17 @@ def _dependence(explained: ExplainedRecord) -> list[str]:
 
 def missed_sentences(explained: ExplainedRecord) -> list[str]:
     """Sentences on the runs that are not avoided, and what is most often in the way."""
-    missed, n_without = explained.not_avoided, explained.runs_without_weight
+    missed = explained.not_avoided
+    n_without = explained.runs_without_weight
     counts = Counter(entry.outcome for entry in missed)
-    outcomes = ", ".join(f"{count} {outcome_words(name)}" for name, count in counts.most_common())
+    outcomes = ", ".join(
+        f"{count} {outcome_words(name)}" for name, count in counts.most_common()
+    )
     if len(counts) == 1:
-        only = "{outcome}" if len(missed) == 1 else mark("all {outcome}")
+        if len(missed) == 1:
+            only = "{outcome}"
+        else:
+            only = mark("all {outcome}")
         outcomes = tr(only, outcome=outcome_words(missed[0].outcome))
     if missed:
         sentences = [say("explanation.not_avoided", len(missed), outcomes=outcomes)]
@@ -153,7 +189,10 @@ def causes_and_remedies(missed: Sequence[Unavoided]) -> list[str]:
             most = mark("The most frequent cause: {cause}, in {runs}.")
             sentences.append(tr(most, cause=words, runs=count_runs(n_runs)))
     n_saved = sum(entry.rescue is not None for entry in missed)
-    key = "could_be_saved" if n_saved == len(missed) else "some_could_be_saved"
+    if n_saved == len(missed):
+        key = "could_be_saved"
+    else:
+        key = "some_could_be_saved"
     saved = say(f"explanation.{key}", n_saved)
     return [*sentences, *([saved] if n_saved else [])]
 
@@ -172,14 +211,16 @@ def contribution_table(
     explained: ExplainedRecord, labels: Mapping[str, str] | None = None
 ) -> Table:
     """Contributions, a row for each unit; `labels` are short names of the units, by id."""
-    names, rows = labels or {}, []
+    names = labels or {}
+    rows = []
     for part in explained.contributions:
         others = part.without
         times_s = [others.smallest_margin_s, others.mean_margin_s]
         times_s += [part.mean_delay_s, part.max_delay_s]
         shares = percent(part.marginal_apr), percent(others.apr)
         shown = [number(time_s) if others.apr > 0.0 else NOTHING for time_s in times_s]
-        name, n_saved = names.get(part.unit, part.unit), str(len(part.only_runs))
+        name = names.get(part.unit, part.unit)
+        n_saved = str(len(part.only_runs))
         rows.append([name, n_saved, *shares, *shown])
     return Table(
         caption=tr("What each unit is there for, on the detection table"),
@@ -227,7 +268,8 @@ def _rescue(entry: Unavoided) -> str:
     rescue = entry.rescue
     if rescue is None:
         return NOTHING
-    spare, away = number(rescue.margin_s), number(rescue.distance_m, 1)
+    spare = number(rescue.margin_s)
+    away = number(rescue.distance_m, 1)
     where = mark("{unit}, {away} m away, {spare} s to spare")
     if rescue.distance_m == 0.0:
         where = mark("{unit}, at the same mount, {spare} s to spare")
@@ -259,9 +301,13 @@ class MoveRecord(Record, frozen=True, kw_only=True):
     """Change of a unit by refinement; null where it is not at the same place."""
 
     was: Annotated[str | None, says("Id before; null: it is new.")]
-    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(name="is")
+    is_: Annotated[str | None, says("Id after; null: it is gone.")] = msgspec.field(
+        name="is"
+    )
     is_same_place: Annotated[bool, says("The same sensor, at most higher or lower.")]
-    turn_deg: Annotated[float | None, says("Change of the yaw, in degrees, counter-clockwise.")]
+    turn_deg: Annotated[
+        float | None, says("Change of the yaw, in degrees, counter-clockwise.")
+    ]
     tilt_deg: Annotated[float | None, says("Change of the pitch, in degrees, up.")]
     lift_m: Annotated[float | None, says("Change of the height, in metres, up.")]
     zoom_deg: Annotated[float | None, says("Change of the field of view, in degrees.")]
@@ -273,7 +319,9 @@ class RefinementRecord(Record, frozen=True, kw_only=True):
     is_improved: Annotated[bool, says("Whether it found anything better.")]
     before: Annotated[StageValues, says("Of the best layout of the grid.")]
     after: Annotated[StageValues, says("Of the refined layout.")]
-    moves: Annotated[tuple[MoveRecord, ...], says("What became of the units that changed.")]
+    moves: Annotated[
+        tuple[MoveRecord, ...], says("What became of the units that changed.")
+    ]
     grid_candidates: Annotated[int, says("Candidate poses of the grid.", ge=0)]
     grid_is_proven: Annotated[bool, says("Whether the grid's layout is proven best.")]
     poses_tried: Annotated[int, says("Poses between those of the grid.", ge=0)]
@@ -284,8 +332,12 @@ def build_refinement_record(refinement: Refinement) -> RefinementRecord:
     """Changes by the search between the poses of the grid."""
     return RefinementRecord(
         is_improved=refinement.is_improved,
-        before={cast(StageName, name): value for name, value in refinement.before.items()},
-        after={cast(StageName, name): value for name, value in refinement.after.items()},
+        before={
+            cast(StageName, name): value for name, value in refinement.before.items()
+        },
+        after={
+            cast(StageName, name): value for name, value in refinement.after.items()
+        },
         moves=tuple(_move(move) for move in refinement.moves),
         grid_candidates=refinement.unrefined.problem.table.n_poses,
         grid_is_proven=refinement.unrefined.certificate.is_proven,
@@ -306,10 +358,14 @@ def _move(move: Move) -> MoveRecord:
 
 def refinement_sentences(found: RefinementRecord) -> list[str]:
     """Sentences on the changes by refinement and their proof."""
-    n_tried, n_grid = found.poses_tried, found.grid_candidates
+    n_tried = found.poses_tried
+    n_grid = found.grid_candidates
     if not found.is_improved:
         return [say("explanation.nothing_better", n=n_tried, n_grid=n_grid)]
-    proven = "explanation.better_proven" if found.grid_is_proven else "explanation.better_open"
+    if found.grid_is_proven:
+        proven = "explanation.better_proven"
+    else:
+        proven = "explanation.better_open"
     deeds = joined([_deed(move) for move in found.moves])
     bounds = say("explanation.refined_bounds", n=n_tried)
     return [
@@ -326,14 +382,19 @@ def _deed(move: MoveRecord) -> str:
         return tr("added {unit}", unit=move.is_)
     lift_m = move.lift_m or 0.0
     amounts = {"turned": move.turn_deg, "tilted": move.tilt_deg}
-    amounts |= {"raised" if lift_m > 0.0 else "lowered": abs(lift_m), "zoomed": move.zoom_deg}
+    amounts |= {
+        "raised" if lift_m > 0.0 else "lowered": abs(lift_m),
+        "zoomed": move.zoom_deg,
+    }
     name = move.is_
     if move.is_ != move.was:
         name = tr("{was} (now {now})", was=move.was, now=move.is_)
     done = [(verb, number(amount)) for verb, amount in amounts.items() if amount]
     return joined(
         [
-            say(f"deed.{verb}_it" if order else f"deed.{verb}", unit=name, amount=amount)
+            say(
+                f"deed.{verb}_it" if order else f"deed.{verb}", unit=name, amount=amount
+            )
             for order, (verb, amount) in enumerate(done)
         ]
     )
@@ -341,7 +402,10 @@ def _deed(move: MoveRecord) -> str:
 
 def _changes(found: RefinementRecord) -> str:
     """Objectives before and after, those that changed."""
-    values = [(Objective(name), before, found.after[name]) for name, before in found.before.items()]
+    values = [
+        (Objective(name), before, found.after[name])
+        for name, before in found.before.items()
+    ]
     return ", ".join(
         f"{said(objective.label)} {_from_to(objective, before, after)}"
         for objective, before, after in values
@@ -354,10 +418,18 @@ def _from_to(objective: Objective, before: float, after: float) -> str:
     is_share = objective.value.startswith("apr")
     if is_share and percent(before) != percent(after):
         return tr("{first} to {last}", first=percent(before), last=percent(after))
-    scale, unit = (100.0, " %") if is_share else (1.0, f" {objective.unit}".rstrip())
-    first = 0 if objective.is_minimised else 2
+    if is_share:
+        scale, unit = (100.0, " %")
+    else:
+        scale, unit = (1.0, f" {objective.unit}".rstrip())
+    if objective.is_minimised:
+        first = 0
+    else:
+        first = 2
     for digits in range(first, _MAX_DIGITS + 1):
-        one, other = (f"{number(scale * value, digits)}{unit}" for value in (before, after))
+        one, other = (
+            f"{number(scale * value, digits)}{unit}" for value in (before, after)
+        )
         if one != other:
             break
     return tr("{first} to {last}", first=one, last=other)

@@ -23,7 +23,8 @@ from .explanation import causes_and_remedies
 from .result import PlacementResult, Result
 from .section import Picture
 
-_MOST_DANGERS, _MOST_UNITS = 3, 6
+_MOST_DANGERS = 3
+_MOST_UNITS = 6
 
 
 class Card(NamedTuple):
@@ -73,7 +74,8 @@ def build_first_screen(
 
 def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ...]:
     """Where each unit is mounted and looks, if they are few."""
-    units, labels = subject.layout.units, unit_labels(subject.layout)
+    units = subject.layout.units
+    labels = unit_labels(subject.layout)
     if len(units) > _MOST_UNITS:
         return ()
     found = []
@@ -89,11 +91,15 @@ def _mounted(result: Result, subject: Evaluation, scene: Scene) -> tuple[str, ..
 
 def _prevented(subject: Evaluation, avoided: BoolArray) -> Card:
     axis = subject.axis
-    n_avoided, n_runs = int(avoided.sum()), axis.n_runs
+    n_avoided = int(avoided.sum())
+    n_runs = axis.n_runs
     words = tr("of the simulated collisions: {n} of {all}", n=n_avoided, all=n_runs)
     if is_weighted(axis):
         words = say(
-            "first_screen.by_weight", n=n_avoided, all=n_runs, share=percent(n_avoided / n_runs)
+            "first_screen.by_weight",
+            n=n_avoided,
+            all=n_runs,
+            share=percent(n_avoided / n_runs),
         )
     return Card(tr("Prevented"), percent(weight_share(avoided, axis.weight)), words)
 
@@ -102,7 +108,8 @@ def _if_one_fails(result: Result, subject: Evaluation) -> Card:
     left = result.evaluation.apr_without_worst_unit
     words = tr("are prevented even if the sensor that is needed most is out of order")
     if len(subject.units) == 1 and result.cars < 1.0:
-        left, words = None, tr("there is but one: if it fails, only the car itself is left")
+        left = None
+        words = tr("there is but one: if it fails, only the car itself is left")
     return Card(tr("If a sensor fails"), percent(left), words)
 
 
@@ -117,18 +124,24 @@ def _cost(bill: BillOfMaterials, subject: Evaluation) -> Card:
 
 def _proof(result: Result) -> Card:
     if not isinstance(result, PlacementResult):
-        return Card(tr("Proof"), NOTHING, tr("this layout was given, and not searched for"))
+        return Card(
+            tr("Proof"), NOTHING, tr("this layout was given, and not searched for")
+        )
     tried = say("first_screen.tried", n=result.candidates)
     if is_proven(result):
         if result.highest is None:
             return Card(
-                tr("Proof"), tr("proven best"), say(f"first_screen.{result.goal}", tried=tried)
+                tr("Proof"),
+                tr("proven best"),
+                say(f"first_screen.{result.goal}", tried=tried),
             )
         given_up = points(result.highest.given_up)
         words = say("first_screen.keeps_most", points=given_up, tried=tried)
         return Card(tr("Proof"), tr("proven"), words)
     if result.bound is None:
-        return Card(tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried))
+        return Card(
+            tr("Proof"), tr("none"), tr("the best that was found {tried}", tried=tried)
+        )
     words = say("first_screen.not_proven", tried=tried)
     return Card(tr("Proof"), percent(result.bound), words)
 
@@ -144,14 +157,20 @@ def _dangers(result: Result, setting: Setting) -> list[str]:
     found = [f"{titles.get(one.name, one.name)}: {_left(one)}." for one in worst]
     where = [group for group in dangers.by_position[:2] if group.not_avoided]
     if where:
-        places = joined([f"{position_words(group.name)} ({_left(group)})" for group in where])
+        places = joined(
+            [f"{position_words(group.name)} ({_left(group)})" for group in where]
+        )
         found.append(tr("Most of it happens {places}.", places=places))
     if isinstance(result, PlacementResult):
         found += causes_and_remedies(result.explained.not_avoided)[:1]
         if result.next_unit is not None:
             more = points(result.next_unit.gain)
             found.append(
-                tr("One more sensor would prevent {more} more (by the planning model).", more=more)
+                tr(
+                    "One more sensor would prevent {more} more (by the planning"
+                    " model).",
+                    more=more,
+                )
             )
     return found
 

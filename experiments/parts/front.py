@@ -32,7 +32,11 @@ from ..results.record import (
 )
 from .section import Block, Bullets, Section, Table, build_picture, tabulate
 
-_HEADS = {"apr": "APR", "apr_one_failed": mark("one fails"), "smallest_margin_s": mark("least")}
+_HEADS = {
+    "apr": "APR",
+    "apr_one_failed": mark("one fails"),
+    "smallest_margin_s": mark("least"),
+}
 _HEADS |= {"mean_margin_s": mark("mean"), "cost_eur": "EUR"}
 _POINT = ("units", "apr", "gain", "left", "spare", "mean", "cost", "proof")
 _SETTLED = "#ececec"
@@ -64,7 +68,9 @@ class FrontPointRecord(LayoutValueRecord, frozen=True, kw_only=True):
     stages: Annotated[tuple[StageRecord, ...], says("What was optimised, in order.")]
     solver: Annotated[str, says("What the proof rests on.")]
     layout: Annotated[tuple[UnitRecord, ...], says("The units.")]
-    pose_ids: Annotated[tuple[str, ...], says("Names of the candidate poses, in the same order.")]
+    pose_ids: Annotated[
+        tuple[str, ...], says("Names of the candidate poses, in the same order.")
+    ]
 
 
 class FrontRecord(Record, frozen=True, kw_only=True):
@@ -76,15 +82,23 @@ class FrontRecord(Record, frozen=True, kw_only=True):
         says("first: APR, and APR if a unit fails; all: also margins, cost."),
     ]
     candidates: Annotated[int, says("Candidate poses.", ge=0)]
-    runs: Annotated[int, says("Runs on the detection table, in all sampled worlds together.", ge=0)]
+    runs: Annotated[
+        int, says("Runs on the detection table, in all sampled worlds together.", ge=0)
+    ]
     fusion: Annotated[Literal["any", "single"], says("As at the top.")]
     kept: Annotated[int, says("Units that are mounted already.", ge=0)]
-    settled: Annotated[float | None, says("Units or EUR beyond which nothing grows; or null.")]
+    settled: Annotated[
+        float | None, says("Units or EUR beyond which nothing grows; or null.")
+    ]
     is_proven: Annotated[bool, says("Whether every point is.")]
-    presolve: Annotated[PresolveStatistics | None, says("For all points; null: each by itself.")]
+    presolve: Annotated[
+        PresolveStatistics | None, says("For all points; null: each by itself.")
+    ]
     refused: Annotated[tuple[RefusedSizeRecord, ...], says("Sizes that cannot be.")]
     points: Annotated[tuple[FrontPointRecord, ...], says("In ascending order.")]
-    sentences: Annotated[tuple[str, ...], says("What is proven, and where nothing grows.")]
+    sentences: Annotated[
+        tuple[str, ...], says("What is proven, and where nothing grows.")
+    ]
 
 
 def stage_of(point: FrontPointRecord, name: str) -> StageRecord | None:
@@ -94,19 +108,32 @@ def stage_of(point: FrontPointRecord, name: str) -> StageRecord | None:
 
 def table(front: FrontRecord) -> Table:
     """A row for each point: units, its gain, values of the layout, whether more is ruled out."""
-    optimised = [*_HEADS] if front.optimised == "all" else ["apr", "apr_one_failed"]
+    if front.optimised == "all":
+        optimised = [*_HEADS]
+    else:
+        optimised = ["apr", "apr_one_failed"]
     optimised += ["cost_eur"] * (front.by == "cost")
     heads = [tr(head) + "*" * (name not in optimised) for name, head in _HEADS.items()]
     before = [0.0, *(point.apr for point in front.points)]
     rows = []
     for less, point in zip(before, front.points, strict=False):
-        gain, left = number(100.0 * (point.apr - less), 1), percent(point.apr_one_failed)
-        times = [number(time_s, 3) for time_s in (point.smallest_margin_s, point.mean_margin_s)]
-        cost, proof = localized(f"{point.cost_eur:,.0f}"), _proof(point)
-        rows.append([str(point.units), percent(point.apr), gain, left, *times, cost, proof])
+        gain = number(100.0 * (point.apr - less), 1)
+        left = percent(point.apr_one_failed)
+        times = [
+            number(time_s, 3)
+            for time_s in (point.smallest_margin_s, point.mean_margin_s)
+        ]
+        cost = localized(f"{point.cost_eur:,.0f}")
+        proof = _proof(point)
+        rows.append(
+            [str(point.units), percent(point.apr), gain, left, *times, cost, proof]
+        )
     columns = [tr("units"), heads[0], tr("gain"), *heads[1:], tr("proof")]
     by_units = tr("The best layout for each number of units")
-    caption = by_units if front.by == "units" else tr("The best layout for each sum of money")
+    if front.by == "units":
+        caption = by_units
+    else:
+        caption = tr("The best layout for each sum of money")
     return Table(caption=caption, columns=columns, rows=rows, numeric=range(7))
 
 
@@ -114,9 +141,13 @@ def notes(front: FrontRecord) -> list[str]:
     """How the table is to be read."""
     star = tr("* of this layout; not optimised: --all-stages does.")
     columns = say("front.columns_by_cost" if front.by == "cost" else "front.columns")
-    fewer = mark("Where more units add nothing, a layout has fewer than its row allows.")
+    fewer = mark(
+        "Where more units add nothing, a layout has fewer than its row allows."
+    )
     is_fewer = any(len(point.layout) < point.units for point in front.points)
-    return [f"{star} {columns}" if front.optimised == "first" else columns] + [tr(fewer)] * is_fewer
+    return [f"{star} {columns}" if front.optimised == "first" else columns] + [
+        tr(fewer)
+    ] * is_fewer
 
 
 def _proof(point: FrontPointRecord) -> str:
@@ -128,25 +159,42 @@ def _proof(point: FrontPointRecord) -> str:
     if stage.bound is None or not math.isfinite(stage.bound):
         return tr("{value} open", value=head)
     is_share = stage.name in ("apr", "apr_one_failed")
-    bound = number(100.0 * stage.bound, 2) + " %" if is_share else number(stage.bound, 3)
+    if is_share:
+        bound = number(100.0 * stage.bound, 2) + " %"
+    else:
+        bound = number(stage.bound, 3)
     return f"{head} {'>=' if stage.name == 'cost_eur' else '<='} {bound}"
 
 
 def words(front: FrontRecord) -> list[str]:
     """What is proven of a front, from where on nothing grows, and which sizes cannot be."""
-    n_points, n_proven = len(front.points), sum(point.is_proven for point in front.points)
-    is_all, by_units = front.optimised == "all", front.by == "units"
+    n_points = len(front.points)
+    n_proven = sum(point.is_proven for point in front.points)
+    is_all = front.optimised == "all"
+    by_units = front.by == "units"
     better = say("front.better_in_all" if is_all else "front.better")
-    proven = "front.proven_by_units" if by_units else "front.proven_by_cost"
-    key = proven if n_proven == n_points else "front.points_open"
+    if by_units:
+        proven = "front.proven_by_units"
+    else:
+        proven = "front.proven_by_cost"
+    if n_proven == n_points:
+        key = proven
+    else:
+        key = "front.points_open"
     sentences = [say(key, n=n_proven, n_all=n_points, better=better)]
     if front.settled is not None:
         where = tr("Beyond {price}", price=euros(front.settled))
         if by_units:
             where = tr("From {n:g} units", n=front.settled)
-        sentences.append(say("front.settled_in_all" if is_all else "front.settled", where=where))
+        sentences.append(
+            say("front.settled_in_all" if is_all else "front.settled", where=where)
+        )
     return sentences + [
-        tr("With {n} the wishes cannot be met: {why}.", n=size.units, why=said(size.reason))
+        tr(
+            "With {n} the wishes cannot be met: {why}.",
+            n=size.units,
+            why=said(size.reason),
+        )
         for size in front.refused
     ]
 
@@ -157,7 +205,8 @@ def front_section(front: FrontRecord | None) -> Section | None:
         return None
     shown = table(front)
     in_words = "; ".join(
-        say("front.point", **dict(zip(_POINT, map(str, row), strict=True))) for row in shown.rows
+        say("front.point", **dict(zip(_POINT, map(str, row), strict=True)))
+        for row in shown.rows
     )
     picture = build_picture(
         plot_front(front),
@@ -184,7 +233,11 @@ def front_section(front: FrontRecord | None) -> Section | None:
 
 
 def describe_front(
-    front: Front, problem: PlacementProblem, candidates: Sequence[CandidatePose], *, n_kept: int = 0
+    front: Front,
+    problem: PlacementProblem,
+    candidates: Sequence[CandidatePose],
+    *,
+    n_kept: int = 0,
 ) -> FrontRecord:
     """A front with the units of every point; `n_kept` exist. `candidates` are the table's rows."""
 
@@ -210,7 +263,9 @@ def describe_front(
         settled=front.settled,
         is_proven=front.is_proven,
         presolve=front.presolve,
-        refused=tuple(RefusedSizeRecord(units=units, reason=why) for units, why in front.refused),
+        refused=tuple(
+            RefusedSizeRecord(units=units, reason=why) for units, why in front.refused
+        ),
         points=tuple(record(point) for point in front.points),
         sentences=(),
     )
@@ -220,14 +275,19 @@ def describe_front(
 def plot_front(front: FrontRecord) -> Axes:
     """APR and APR when one unit fails against units or euros; times to spare where optimised.
 
-    The axes are those of the shares; the times have axes below. Filled markers are layouts found.
-    Open ones are bounds that no layout exceeds, where they are higher; a bar spans the gap. Where
-    nothing grows any more, the ground is grey.
+    The axes are those of the shares; the times have axes below. Filled markers are
+    layouts found. Open ones are bounds that no layout exceeds, where they are higher; a
+    bar spans the gap. Where nothing grows any more, the ground is grey.
     """
     has_times = front.optimised == "all"
     figure = new_figure(WIDTH_IN, 4.9 if has_times else 3.4)
-    ratios = [3, 2] if has_times else [3]
-    panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    if has_times:
+        ratios = [3, 2]
+    else:
+        ratios = [3]
+    panels = figure.subplots(
+        len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios
+    )[:, 0]
     shares: Axes = panels[0]
     handles = _draw(shares, front, _CURVES, scale=100.0)
     shares.set_ylabel(tr("share of the runs avoided (%)"), fontsize=8)
@@ -237,24 +297,43 @@ def plot_front(front: FrontRecord) -> Axes:
         panels[1].set_ylabel(tr("time to spare (s)"), fontsize=8)
         panels[1].set_ylim(bottom=min(0.0, panels[1].get_ylim()[0]))
         panels[1].legend(handles=times[:2], fontsize=8, frameon=False, loc="best")
-    x_label = tr("units") if front.by == "units" else tr("cost (EUR)")
+    if front.by == "units":
+        x_label = tr("units")
+    else:
+        x_label = tr("cost (EUR)")
     panels[-1].set_xlabel(x_label, fontsize=8)
     if not front.is_proven:
-        style: Style = {"mfc": "none", "mec": "black", "mew": 1.4, "ms": 9.0, "linestyle": "none"}
+        style: Style = {
+            "mfc": "none",
+            "mec": "black",
+            "mew": 1.4,
+            "ms": 9.0,
+            "linestyle": "none",
+        }
         label = tr("open: bound that no layout exceeds")
         handles.append(Line2D([], [], marker="o", label=label, **style))
     if front.settled is not None:
-        handles.append(Patch(facecolor=_SETTLED, label=tr("nothing grows any more: proven")))
+        handles.append(
+            Patch(facecolor=_SETTLED, label=tr("nothing grows any more: proven"))
+        )
     place: Style = {"loc": "outside upper center", "ncols": 2}
     figure.legend(handles=handles, fontsize=8, frameon=False, **place)
     return shares
 
 
-def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float) -> list[Any]:
+def _draw(
+    axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: float
+) -> list[Any]:
     """Draw curves; returns the entries of the legend."""
-    points, by_units = front.points, front.by == "units"
-    x = np.array([float(point.units) if by_units else point.cost_eur for point in points])
-    end = float(x[-1]) + 0.4 if by_units else 1.15 * max(float(x[-1]), 1.0)
+    points = front.points
+    by_units = front.by == "units"
+    x = np.array(
+        [float(point.units) if by_units else point.cost_eur for point in points]
+    )
+    if by_units:
+        end = float(x[-1]) + 0.4
+    else:
+        end = 1.15 * max(float(x[-1]), 1.0)
     handles: list[Any] = []
     if front.settled is not None:
         axes.axvspan(front.settled, end, color=_SETTLED, zorder=0, lw=0, gid="settled")
@@ -263,18 +342,26 @@ def _draw(axes: Axes, front: FrontRecord, curves: dict[str, Style], *, scale: fl
         bounds = scale * np.array([_bound(point, name) for point in points])
         is_open = bounds > values + 1.0e-9 * scale
         # The later curve's markers are smaller: where both coincide, both are seen.
-        size, colour = 8.0 - 3.0 * order, style["color"]
+        size = 8.0 - 3.0 * order
+        colour = style["color"]
         line: Style = {"color": colour, "linestyle": style["linestyle"], "lw": 1.6}
         mark: Style = {"marker": style["marker"], "linestyle": "none"}
         if by_units:
             axes.plot(x, values, zorder=2 + order, **line)
         else:  # the last layout is the best for more money, too
             steps: Style = line | {"drawstyle": "steps-post"}
-            axes.plot(np.append(x, end), np.append(values, values[-1]), zorder=2 + order, **steps)
+            axes.plot(
+                np.append(x, end),
+                np.append(values, values[-1]),
+                zorder=2 + order,
+                **steps,
+            )
         mark |= {"mfc": colour, "mec": "white", "mew": 0.6}
         axes.plot(x, values, ms=size, zorder=4 + order, gid=name, **mark)
         if is_open.any():
-            at, low, high = x[is_open], values[is_open], bounds[is_open]
+            at = x[is_open]
+            low = values[is_open]
+            high = bounds[is_open]
             axes.vlines(at, low, high, color=colour, lw=7.0, alpha=0.3)
             mark |= {"mfc": "none", "mec": colour, "mew": 1.4, "ms": size + 4.0}
             axes.plot(at, high, zorder=8 + order, gid=f"{name} bound", **mark)
@@ -292,4 +379,6 @@ def _bound(point: FrontPointRecord, name: str) -> float:
     stage = stage_of(point, name)
     if stage is None:
         return float(getattr(point, name))
-    return math.inf if stage.bound is None else stage.bound
+    if stage.bound is None:
+        return math.inf
+    return stage.bound

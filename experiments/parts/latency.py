@@ -23,7 +23,16 @@ from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import build_setting
 
-from ..figures.axes import BLUE, VERMILION, WIDTH_IN, Style, finish_axes, literal, new_axes, to_png
+from ..figures.axes import (
+    BLUE,
+    VERMILION,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    literal,
+    new_axes,
+    to_png,
+)
 from ..language import mark, tr
 from ..progress import StageProgress
 from ..results.drives import DrivesRecord, build_drives_record, versions
@@ -31,7 +40,8 @@ from ..results.folders import expect_files, save_files
 from ..results.record import Record, UnitRecord, build_unit_records
 from ..results.tables import csv_text
 
-CSV_NAME, PNG_NAME = "latency.csv", "latency.png"
+CSV_NAME = "latency.csv"
+PNG_NAME = "latency.png"
 APR_LEVELS = (1.0, 0.95, 0.9)
 STEP_S = 0.005
 _LEAST_SHOWN_S = 0.5
@@ -39,8 +49,18 @@ _SAME_SHARE = 1.0e-12  # ratios of rounded sums
 # Told apart by dashes and width as well as by colour.
 _STYLES: Mapping[str, Style] = {
     "rsu_all": {"label": mark("all RSUs"), "color": BLUE, "linestyle": "-", "lw": 3.0},
-    "vut_and_rsus": {"label": mark("VUT and RSUs"), "color": "black", "linestyle": "--", "lw": 1.4},
-    "vut": {"label": mark("VUT alone"), "color": VERMILION, "linestyle": ":", "lw": 1.8},
+    "vut_and_rsus": {
+        "label": mark("VUT and RSUs"),
+        "color": "black",
+        "linestyle": "--",
+        "lw": 1.4,
+    },
+    "vut": {
+        "label": mark("VUT alone"),
+        "color": VERMILION,
+        "linestyle": ":",
+        "lw": 1.8,
+    },
 }
 
 
@@ -55,7 +75,9 @@ class PartyLatency(Record, frozen=True, kw_only=True):
     def longest_s(self, latencies_s: tuple[float, ...], level: float) -> float:
         """Longest latency shown with an APR of at least `level`: -inf: none, inf: every one."""
         holds = np.array(self.apr) >= level - _SAME_SHARE
-        return (-math.inf, *latencies_s[:-1], math.inf)[int(np.argmin(np.append(holds, False)))]
+        return (-math.inf, *latencies_s[:-1], math.inf)[
+            int(np.argmin(np.append(holds, False)))
+        ]
 
 
 class LatencyResult(DrivesRecord, frozen=True, kw_only=True):
@@ -85,9 +107,9 @@ def run_latency(
 ) -> LatencyResult:
     """APR of every sensing party against latency; table and figure to `out` if asked to.
 
-    The budget is the question's latency, or one by name; shown up to `max_latency_s`, by default
-    half a second or as far as it reaches. Raises InputError if the budget is unknown or given
-    twice, a unit is inside something, or `out` cannot be written.
+    The budget is the question's latency, or one by name; shown up to `max_latency_s`,
+    by default half a second or as far as it reaches. Raises InputError if the budget is
+    unknown or given twice, a unit is inside something, or `out` cannot be written.
     """
     chosen = pick_budget(question, budget)
     expect_files(out, progress)
@@ -95,13 +117,22 @@ def run_latency(
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     evaluation = evaluate_layout(layout, setting, compute=compute)
-    shown_s = max(chosen.worst_s, _LEAST_SHOWN_S) if max_latency_s is None else max_latency_s
-    latencies_s = tuple(STEP_S * step for step in range(int(shown_s / STEP_S + 1.0e-6) + 1))
+    if max_latency_s is None:
+        shown_s = max(chosen.worst_s, _LEAST_SHOWN_S)
+    else:
+        shown_s = max_latency_s
+    latencies_s = tuple(
+        STEP_S * step for step in range(int(shown_s / STEP_S + 1.0e-6) + 1)
+    )
     asked_s = [chosen.best_s, chosen.mean_s, chosen.worst_s, *latencies_s]
-    found = apr_by_latency(evaluation, setting.rule, asked_s, vut_latency_s=vut_latency_s)
+    found = apr_by_latency(
+        evaluation, setting.rule, asked_s, vut_latency_s=vut_latency_s
+    )
     parties = {
         name: PartyLatency(at_best=best, at_mean=mean, at_worst=worst, apr=tuple(apr))
-        for name, (best, mean, worst, *apr) in ((key, apr.tolist()) for key, apr in found.items())
+        for name, (best, mean, worst, *apr) in (
+            (key, apr.tolist()) for key, apr in found.items()
+        )
     }
     result = LatencyResult(
         name=layout.name,
@@ -130,27 +161,38 @@ def run_latency(
 def pick_budget(question: Question, budget: str | None) -> LatencyBudget:
     """The budget that a user named, or the one latency of a question; not both."""
     if question.latency_s is None:
-        return load_latency_budget(*([] if budget is None else [budget]), where="--budget")
+        return load_latency_budget(
+            *([] if budget is None else [budget]), where="--budget"
+        )
     if budget is not None:
         raise InputError("--latency", Unquoted("it beside --budget"), "one of them")
     if question.latency_s > MAX_LATENCY_S:
-        raise InputError("--latency", question.latency_s, f"at most {MAX_LATENCY_S:g} seconds")
+        raise InputError(
+            "--latency", question.latency_s, f"at most {MAX_LATENCY_S:g} seconds"
+        )
     return fixed_latency(question.latency_s)
 
 
 def plot_latency(
-    latencies_s: tuple[float, ...], parties: Mapping[str, PartyLatency], budget: LatencyBudget
+    latencies_s: tuple[float, ...],
+    parties: Mapping[str, PartyLatency],
+    budget: LatencyBudget,
 ) -> Axes:
     """APR of the sensing parties in milliseconds, the budget's range shaded; in a new figure."""
     axes = new_axes(WIDTH_IN, 3.9)
     shown_ms = [1000.0 * latency_s for latency_s in latencies_s]
     for name, party in parties.items():
         style = _STYLES.get(name, {"color": "#999999", "lw": 0.7})
-        style = {**style, "label": tr(style["label"])} if "label" in style else style
+        if "label" in style:
+            style = {**style, "label": tr(style["label"])}
+        else:
+            style = style
         axes.plot(shown_ms, [100.0 * apr for apr in party.apr], gid=name, **style)
     words = literal(tr("budget {name}: mean and range", name=budget.name))
     axes.axvline(1000.0 * budget.mean_s, color="black", lw=0.8, gid="mean", label=words)
-    axes.axvspan(1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0)
+    axes.axvspan(
+        1000.0 * budget.best_s, 1000.0 * budget.worst_s, color="#e4e4e4", zorder=0
+    )
     axes.set_ylim(-3.0, 103.0)
     axes.legend(fontsize=8, frameon=False)
     x = tr("latency from the frame to the onset of braking (ms)")

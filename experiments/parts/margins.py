@@ -24,9 +24,12 @@ MAX_COLUMNS = 4
 """Panels that fit side by side."""
 
 _MS = 1000.0
-_LINEAR_MS = 500.0  # the scale is linear up to here on both sides of zero, logarithmic beyond
+_LINEAR_MS = (
+    500.0  # the scale is linear up to here on both sides of zero, logarithmic beyond
+)
 _TICKS_MS = (-10_000.0, -1000.0, 0.0, 1000.0, 10_000.0)
-_LANE_IN, _LEAST_ROW_IN = 0.095, 0.24
+_LANE_IN = 0.095
+_LEAST_ROW_IN = 0.24
 _TOP_ROWS = 0.7  # for words
 _LABEL_WIDTH = 24
 # Told apart without colour, too.
@@ -36,25 +39,37 @@ _MPS_PER_KMH = 1.0 / 3.6
 _MAX_UNFOLDED = 16  # rows of a table that is unfolded from the start
 
 
-def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tuple[Axes, ...]:
+def plot_margins(
+    parties: Sequence[tuple[str, Verdict]], axis: FrameAxis
+) -> tuple[Axes, ...]:
     """Margins of several parties side by side, on one scale: a mark for each run that counts.
 
-    A row for each case. Right of zero: time to spare; left: too late, at the edge: never. A marker
-    and a lane per approach; filled where the run is avoided.
+    A row for each case. Right of zero: time to spare; left: too late, at the edge:
+    never. A marker and a lane per approach; filled where the run is avoided.
     """
-    cases, approaches = [*dict.fromkeys(axis.cases)], [*dict.fromkeys(axis.approaches)]
+    cases = [*dict.fromkeys(axis.cases)]
+    approaches = [*dict.fromkeys(axis.approaches)]
     row_in = max(_LEAST_ROW_IN, _LANE_IN * len(approaches))
     figure = new_figure(WIDTH_IN, 1.5 + (len(cases) + _TOP_ROWS) * row_in)
-    panels: list[Axes] = [*figure.subplots(1, len(parties), sharey=True, squeeze=False)[0]]
+    panels: list[Axes] = [
+        *figure.subplots(1, len(parties), sharey=True, squeeze=False)[0]
+    ]
     from_arms = [tr("from: {arm}", arm=said(name)) for name in approaches]
     labels = [literal(textwrap.fill(words, _LABEL_WIDTH)) for words in from_arms]
     hollow = _mark(0, is_filled=False) | {"markeredgecolor": "black"}
     handles = [
-        *(Line2D([], [], label=label, **_mark(order)) for order, label in enumerate(labels)),
+        *(
+            Line2D([], [], label=label, **_mark(order))
+            for order, label in enumerate(labels)
+        ),
         Line2D([], [], label=tr("hollow: not avoided"), **hollow),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
-    margins_ms = _MS * np.concatenate([margin_s(verdict, axis) for _, verdict in parties])
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=3, fontsize=8, frameon=False
+    )
+    margins_ms = _MS * np.concatenate(
+        [margin_s(verdict, axis) for _, verdict in parties]
+    )
     finite_ms = margins_ms[np.isfinite(margins_ms)]
     low_ms = min(-_MS, float(finite_ms.min(initial=0.0)))
     high_ms = max(_MS, float(finite_ms.max(initial=0.0)))
@@ -63,7 +78,8 @@ def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tup
         panel.set_xscale("symlog", linthresh=_LINEAR_MS, linscale=0.8)
         _draw_margins(panel, verdict, axis, cases, approaches)
         panel.set_xlim(2.5 * low_ms, 1.5 * high_ms)  # marks at the left edge have room
-        n_avoided, n_runs = int((verdict.is_avoided & counts).sum()), int(counts.sum())
+        n_avoided = int((verdict.is_avoided & counts).sum())
+        n_runs = int(counts.sum())
         head = literal(textwrap.fill(name, max(12, 64 // len(parties))))
         avoided = tr("{n} of {all} avoided", n=n_avoided, all=n_runs)
         panel.set_title(f"{head}\n{avoided}", fontsize=8)
@@ -73,7 +89,11 @@ def plot_margins(parties: Sequence[tuple[str, Verdict]], axis: FrameAxis) -> tup
 
 
 def _draw_margins(
-    axes: Axes, verdict: Verdict, axis: FrameAxis, cases: list[str], approaches: list[str]
+    axes: Axes,
+    verdict: Verdict,
+    axis: FrameAxis,
+    cases: list[str],
+    approaches: list[str],
 ) -> None:
     margin_ms = _MS * margin_s(verdict, axis)
     lane = 0.8 / len(approaches)
@@ -82,10 +102,14 @@ def _draw_margins(
     axes.axvline(0.0, color="black", linewidth=1.2, zorder=2)
     for index, approach in enumerate(approaches):
         y = row + lane * (index - 0.5 * (len(approaches) - 1))
-        drawn = np.array([name == approach for name in axis.approaches]) & (axis.weight > 0.0)
+        drawn = np.array([name == approach for name in axis.approaches]) & (
+            axis.weight > 0.0
+        )
         for is_filled in (False, True):
-            mask, style = drawn & (verdict.is_avoided == is_filled), _mark(index, is_filled)
-            known, never = mask & np.isfinite(margin_ms), mask & ~np.isfinite(margin_ms)
+            mask = drawn & (verdict.is_avoided == is_filled)
+            style = _mark(index, is_filled)
+            known = mask & np.isfinite(margin_ms)
+            never = mask & ~np.isfinite(margin_ms)
             axes.plot(margin_ms[known], y[known], **style)
             if never.any():  # at the edge, wherever that is in the end
                 edge = np.full(int(never.sum()), 0.03)
@@ -99,9 +123,14 @@ def _draw_margins(
     axes.set_xticks([], minor=True)
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel(tr("margin (ms)"), fontsize=8)
-    for words, side, away_pt in ((tr("too late"), "right", -3.0), (tr("to spare"), "left", 3.0)):
+    for words, side, away_pt in (
+        (tr("too late"), "right", -3.0),
+        (tr("to spare"), "left", 3.0),
+    ):
         at = (0.0, -0.5 - _TOP_ROWS)
-        write_beside(axes, words, at, away_pt=(away_pt, -2.0), ha=side, va="top", fontsize=7)
+        write_beside(
+            axes, words, at, away_pt=(away_pt, -2.0), ha=side, va="top", fontsize=7
+        )
 
 
 def _mark(number: int, is_filled: bool = True) -> Style:
@@ -120,15 +149,15 @@ def _mark(number: int, is_filled: bool = True) -> Style:
 def margin_m(verdict: Verdict, axis: FrameAxis) -> FloatArray:
     """Distance to spare of the VUT when it begins to brake.
 
-    Shape (n_runs,), along the VUT's path, from where braking sets in to where it must set in at the
-    latest. Negative: it is past that place by so much. Minus infinity: never confirmed, or no
-    braking avoids. [m]
+    Shape (n_runs,), along the VUT's path, from where braking sets in to where it must
+    set in at the latest. Negative: it is past that place by so much. Minus infinity:
+    never confirmed, or no braking avoids. [m]
 
     Notes
     -----
-    Until it brakes the VUT keeps its speed v (Euro NCAP, AEB/LSS VRU systems test protocol: a
-    constant test speed), so in a margin t it covers v t, the distance in uniform motion. On
-    a turn this is the length of the arc, not of the chord.
+    Until it brakes the VUT keeps its speed v (Euro NCAP, AEB/LSS VRU systems test
+    protocol: a constant test speed), so in a margin t it covers v t, the distance in
+    uniform motion. On a turn this is the length of the arc, not of the chord.
     """
     metres: FloatArray = margin_s(verdict, axis) * (axis.vut_speed_kmh * _MPS_PER_KMH)
     return metres
@@ -158,7 +187,8 @@ def summarise_margins(
     avoided = verdict.is_avoided & mask
     sets_in = np.isfinite(verdict.onset_time_s)
     is_lost = ~sets_in & np.isfinite(verdict.confirmation_time_s)
-    seconds, metres = margin_s(verdict, axis), margin_m(verdict, axis)
+    seconds = margin_s(verdict, axis)
+    metres = margin_m(verdict, axis)
     missed_with_hope = ~verdict.is_avoided & mask & np.isfinite(axis.last_brake_time_s)
     late = missed_with_hope & sets_in
     return MarginSummary(
@@ -176,7 +206,9 @@ def summarise_margins(
 
 
 def _of(measure: Callable[[FloatArray], Any], values: FloatArray) -> float:
-    return float(measure(values)) if len(values) else math.nan
+    if len(values):
+        return float(measure(values))
+    return math.nan
 
 
 def _parties(evaluations: Mapping[str, Evaluation]) -> list[tuple[str, Verdict]]:
@@ -213,7 +245,8 @@ def margin_tables(evaluations: Mapping[str, Evaluation]) -> list[Table]:
 
 
 def _cells(summary: MarginSummary) -> list[str]:
-    n_missed, n_unseen = summary.n_runs - summary.n_avoided, summary.n_never + summary.n_lost
+    n_missed = summary.n_runs - summary.n_avoided
+    n_unseen = summary.n_never + summary.n_lost
     return [
         str(summary.n_runs),
         number(summary.smallest_s * _MS, 0),
@@ -234,13 +267,19 @@ def margin_notes(evaluations: Mapping[str, Evaluation]) -> list[str]:
     n_without = int((axis.weight == 0.0).sum())
     if n_without:
         notes.append(
-            trn("Left out: {n} run of weight 0.", "Left out: {n} runs of weight 0.", n_without)
+            trn(
+                "Left out: {n} run of weight 0.",
+                "Left out: {n} runs of weight 0.",
+                n_without,
+            )
         )
     n_hopeless = int((~np.isfinite(axis.last_brake_time_s) & (axis.weight > 0.0)).sum())
     if n_hopeless:
         notes.append(say("margins.hopeless", n_hopeless))
     is_lucky = any(
-        (verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)).any()
+        (
+            verdict.is_avoided & (margin_s(verdict, axis) < 0.0) & (axis.weight > 0.0)
+        ).any()
         for _, verdict in _parties(evaluations)
     )
     if is_lucky:

@@ -28,34 +28,49 @@ from ..results.tables import margin_s, parties
 DASHES = ("", "7 4", "7 3 1.5 3", "1.5 3")
 
 
-SHOWN_ABOVE, NOT_AVOIDED, AVOIDED = mark("shown above"), mark("not avoided"), mark("avoided")
+SHOWN_ABOVE = mark("shown above")
+NOT_AVOIDED = mark("not avoided")
+AVOIDED = mark("avoided")
 _MAX_BYTES = 1_500_000  # of records: some four hundred runs of a dozen units
 _ESCAPES = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
 _MAX_HALF_M = 120.0  # farther things are never in the player's window
 _LEAST_HALF_M = 30.0
-_TOLERANCE_M = 0.1  # corners nearer than this to the line between their neighbours drop out
+_TOLERANCE_M = (
+    0.1  # corners nearer than this to the line between their neighbours drop out
+)
 _LABEL_SHARE = 0.86
 
 
 def interactive_part(
-    setting: Setting, evaluations: Mapping[str, Evaluation], *, first_runs: Sequence[str] = ()
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
+    *,
+    first_runs: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Values for ``templates/interactive.html.j2``.
 
-    The first evaluation is the subject. Of the others, all units together are a row of the heatmap.
-    Runs of `first_runs` come first, then those that are not avoided, then all others, each the
-    later the more time is to spare, as many as fit: "n_runs" of "n_all".
+    The first evaluation is the subject. Of the others, all units together are a row of
+    the heatmap. Runs of `first_runs` come first, then those that are not avoided, then
+    all others, each the later the more time is to spare, as many as fit: "n_runs" of
+    "n_all".
     """
     subject = next(iter(evaluations.values()))
-    axis, units, verdict = subject.axis, subject.layout.units, subject.headline
+    axis = subject.axis
+    units = subject.layout.units
+    verdict = subject.headline
     firsts = [axis.run_ids.index(run_id) for run_id in dict.fromkeys(first_runs)]
     ordered = np.lexsort((margin_s(verdict, axis), verdict.is_avoided)).tolist()
     records: list[dict[str, Any]] = []
     n_bytes = 0
     for index in dict.fromkeys([*firsts, *ordered]):
-        group = AVOIDED if verdict.is_avoided[index] else NOT_AVOIDED
+        if verdict.is_avoided[index]:
+            group = AVOIDED
+        else:
+            group = NOT_AVOIDED
         record = run_record(setting.runs[index], index, evaluations)
-        records.append(record | {"group": tr(SHOWN_ABOVE if index in firsts else group)})
+        records.append(
+            record | {"group": tr(SHOWN_ABOVE if index in firsts else group)}
+        )
         n_bytes += len(to_script_json(records[-1]))
         if n_bytes > _MAX_BYTES:
             break
@@ -63,23 +78,30 @@ def interactive_part(
     seen = [{"view": svg_path(views.shape(unit))} for unit in units]
     known = unit_records(subject.layout, setting.scene)
     player = {
-        "plan": plan_record(setting.scene, np.array([one.pose.position_m[:2] for one in units])),
+        "plan": plan_record(
+            setting.scene, np.array([one.pose.position_m[:2] for one in units])
+        ),
         "units": [record | view for record, view in zip(known, seen, strict=True)],
         "parties": party_records(evaluations),
         "runs": records,
     }
-    return {"n_runs": len(records), "n_all": axis.n_runs, "player_json": to_script_json(player)}
+    return {
+        "n_runs": len(records),
+        "n_all": axis.n_runs,
+        "player_json": to_script_json(player),
+    }
 
 
 def to_script_json(value: Any) -> str:
     r"""A value as JSON that no name in it can break out of.
 
-    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs are escaped,
-    too.
+    ASCII without ``<``, ``>`` and ``&``: U+2028, U+2029 and halves of surrogate pairs
+    are escaped, too.
 
     References
     ----------
-    .. [1] WHATWG, "HTML", section 4.12.1.3, "Restrictions for contents of script elements".
+    .. [1] WHATWG, "HTML", section 4.12.1.3, "Restrictions for contents of script
+       elements".
 
     Examples
     --------
@@ -105,34 +127,44 @@ def pack_bits(bits: ArrayLike) -> str:
 def party_records(evaluations: Mapping[str, Evaluation]) -> list[dict[str, str]]:
     """Who may detect, in the order of the bits of :func:`run_record`.
 
-    Each has a name and a kind: "vut", "unit", "rsu_all" (the subject's) or "other". Of other
-    layouts than the subject, the first one, only all units together count.
+    Each has a name and a kind: "vut", "unit", "rsu_all" (the subject's) or "other". Of
+    other layouts than the subject, the first one, only all units together count.
     """
     subject, *_ = evaluations.values()
     labels = unit_labels(subject.layout)
     kinds = {**dict.fromkeys(subject.units, "unit"), "vut": "vut", "rsu_all": "rsu_all"}
     return [
         *(
-            {"name": labels.get(key) or say(f"party.{key}"), "kind": kinds.get(key, "other")}
+            {
+                "name": labels.get(key) or say(f"party.{key}"),
+                "kind": kinds.get(key, "other"),
+            }
             for key in parties(subject)
         ),
         *(
-            {"name": tr("{layout}: all RSUs", layout=layout_words(name)), "kind": "other"}
+            {
+                "name": tr("{layout}: all RSUs", layout=layout_words(name)),
+                "kind": "other",
+            }
             for name in [*evaluations][1:]
         ),
     ]
 
 
-def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
+def run_record(
+    run: Run, index: int, evaluations: Mapping[str, Evaluation]
+) -> dict[str, Any]:
     """A run, at its `index` among those evaluated, with what every party detects.
 
-    Times in milliseconds (None: never), positions in centimetres, headings in tenths of a degree.
-    "bits": see :func:`pack_bits`, a row per party.
+    Times in milliseconds (None: never), positions in centimetres, headings in tenths of
+    a degree. "bits": see :func:`pack_bits`, a row per party.
     """
     subject, *others = evaluations.values()
     verdicts = [*parties(subject).values(), *(other.rsu_all for other in others)]
     frames = subject.axis.frames_of(index)
-    vut, vru, motion = run.encounter.vut, run.encounter.vru, run.encounter.vut_motion
+    vut = run.encounter.vut
+    vru = run.encounter.vru
+    motion = run.encounter.vut_motion
     last_place: list[int] | None = None  # no braking helps
     if np.isfinite(run.last_brake_time_s):
         (place,) = motion.path.at(motion.distance_m([run.last_brake_time_s]))[0]
@@ -154,7 +186,9 @@ def run_record(run: Run, index: int, evaluations: Mapping[str, Evaluation]) -> d
             for body in run.obstruction
         ],
         "bits": pack_bits(np.array([verdict.detected[frames] for verdict in verdicts])),
-        "confirmed": [_milliseconds(verdict.confirmation_time_s[index]) for verdict in verdicts],
+        "confirmed": [
+            _milliseconds(verdict.confirmation_time_s[index]) for verdict in verdicts
+        ],
         "onset": [_milliseconds(verdict.onset_time_s[index]) for verdict in verdicts],
         "avoided": [bool(verdict.is_avoided[index]) for verdict in verdicts],
     }
@@ -186,7 +220,10 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
     labels = unit_labels(layout)
 
     def title(unit: CandidatePose) -> str:
-        name = unit.id if labels[unit.id] == unit.id else f"{labels[unit.id]}, {unit.id}"
+        if labels[unit.id] == unit.id:
+            name = unit.id
+        else:
+            name = f"{labels[unit.id]}, {unit.id}"
         kinds = {"camera": mark("camera"), "lidar": mark("lidar")}
         values = {
             "name": name,
@@ -195,7 +232,10 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
             "height": float(unit.pose.position_m[2]),
         }
         if is_ring(unit.sensor):
-            return tr("{name}: {kind} {sensor}, {height:.1f} m high, scans all round", **values)
+            return tr(
+                "{name}: {kind} {sensor}, {height:.1f} m high, scans all round",
+                **values,
+            )
         return tr("{name}: {kind} {sensor}, {height:.1f} m high", **values)
 
     return [
@@ -215,15 +255,17 @@ def unit_records(layout: Layout, scene: Scene) -> list[dict[str, Any]]:
 def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
     """The still part of the player's plan.
 
-    The window holds the units, at `unit_positions_m`, (n, 2), too, unless they are very far.
-    "middle" and "half" of the window, "classes" (name, colour, path), "sites", "crosswalks", "arms"
-    (name, place). Centimetres.
+    The window holds the units, at `unit_positions_m`, (n, 2), too, unless they are very
+    far. "middle" and "half" of the window, "classes" (name, colour, path), "sites",
+    "crosswalks", "arms" (name, place). Centimetres.
     """
     import shapely
 
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
     window = shapely.box(*(middle - _MAX_HALF_M), *(middle + _MAX_HALF_M))
-    reach = np.abs(np.concatenate([scene.outline_m, unit_positions_m]) - middle).max() + 8.0
+    reach = (
+        np.abs(np.concatenate([scene.outline_m, unit_positions_m]) - middle).max() + 8.0
+    )
     half = float(np.clip(reach, _LEAST_HALF_M, 0.5 * _MAX_HALF_M))
     layers: list[tuple[str, str, Any]] = [
         ("parking lane", "#ececec", _areas(scene.lanes, "parking")),
@@ -231,7 +273,9 @@ def plan_record(scene: Scene, unit_positions_m: FloatArray) -> dict[str, Any]:
         ("junction", "#dedede", shapely.make_valid(shapely.Polygon(scene.outline_m))),
     ]
     for name, style in CLASS_STYLES.items():
-        numbers = [i for i, thing in enumerate(scene.instances) if thing.class_name == name]
+        numbers = [
+            i for i, thing in enumerate(scene.instances) if thing.class_name == name
+        ]
         parts = [thing_footprint(scene, number) for number in numbers]
         layers.append((name, str(style["facecolor"]), shapely.union_all(parts)))
     paths = [
@@ -262,7 +306,9 @@ def _areas(lanes: Iterable[Lane], kind: str) -> Any:
     # Not put together: the white lines between lanes stay.
     return shapely.geometrycollections(
         [
-            shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+            shapely.LineString(lane.centreline_m).buffer(
+                0.5 * lane.width_m, cap_style="flat"
+            )
             for lane in lanes
             if lane.kind == kind
         ]
@@ -283,7 +329,9 @@ def svg_path(shape: Any) -> str:
         for ring in (simple.exterior, *simple.interiors)
     ]
     return "".join(
-        "M" + "L".join(f"{x} {y}" for x, y in centimetres(np.asarray(ring.coords)[:-1])) + "Z"
+        "M"
+        + "L".join(f"{x} {y}" for x, y in centimetres(np.asarray(ring.coords)[:-1]))
+        + "Z"
         for ring in rings
         if len(ring.coords) > 3
     )

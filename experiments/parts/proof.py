@@ -22,7 +22,10 @@ def words(result: PlacementResult) -> str:
     of_apr = next(stage for stage in stages if stage.name == "apr")
     within = _within(stages[0])
     values = {"within": f" {within}" if within else "", "n": result.candidates}
-    what = "apr" if result.score == AVOIDED else "score"
+    if result.score == AVOIDED:
+        what = "apr"
+    else:
+        what = "score"
     if of_apr.gap == 0.0:
         return say(f"proof.proven_{what}", **values)
     values["bound"] = percent(of_apr.bound)
@@ -41,7 +44,8 @@ def _within(first: StageRecord) -> str:
 
 def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
     """The proof where some of the highest APR might be given up."""
-    most, kept = highest.stages[0], result.stages[0]
+    most = highest.stages[0]
+    kept = result.stages[0]
     values: dict[str, object] = {
         "n": result.candidates,
         "measure": measure_of(result),
@@ -51,16 +55,26 @@ def _with_highest(result: PlacementResult, highest: HighestRecord) -> str:
         "kept": percent(kept.bound),
     }
     is_proven = most.gap == 0.0 and kept.gap == 0.0
-    begin = tr("Proven on the detection table:") if is_proven else tr("Found in the time given:")
+    if is_proven:
+        begin = tr("Proven on the detection table:")
+    else:
+        begin = tr("Found in the time given:")
     first = say("proof.highest" if most.gap == 0.0 else "proof.highest_open", **values)
-    of_kept = "kept" if kept.gap == 0.0 else "kept_open"
-    then = say(f"proof.{of_kept}_{'pole' if result.failing == 'site' else 'unit'}", **values)
+    if kept.gap == 0.0:
+        of_kept = "kept"
+    else:
+        of_kept = "kept_open"
+    then = say(
+        f"proof.{of_kept}_{'pole' if result.failing == 'site' else 'unit'}", **values
+    )
     return f"{begin} {first}; {then}"
 
 
 def measure_of(result: PlacementResult) -> str:
     """What is optimised: the APR, or the score that was asked for."""
-    return tr("APR") if result.score == AVOIDED else tr("score")
+    if result.score == AVOIDED:
+        return tr("APR")
+    return tr("score")
 
 
 def section(result: PlacementResult) -> Section:
@@ -111,7 +125,9 @@ def _labelled(stages: Sequence[StageRecord]) -> list[tuple[str, StageRecord]]:
 def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
     n_certain = _n_certain(stages)
     return Table(
-        caption=tr("Objectives in order: each is optimised without giving up any before it"),
+        caption=tr(
+            "Objectives in order: each is optimised without giving up any before it"
+        ),
         columns=listed("objectives"),
         rows=[
             [label, *_stage_row(stage, is_certain=number < n_certain)]
@@ -124,7 +140,9 @@ def _table(stages: Sequence[tuple[str, StageRecord]]) -> Table:
 def _n_certain(stages: Sequence[tuple[str, StageRecord]]) -> int:
     """Stages up to the first open one: the bounds of those after it depend on what that holds."""
     is_open = [stage.gap != 0.0 for _, stage in stages]
-    return is_open.index(True) + 1 if True in is_open else len(stages)
+    if True in is_open:
+        return is_open.index(True) + 1
+    return len(stages)
 
 
 def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
@@ -137,7 +155,9 @@ def _conditions(stages: Sequence[tuple[str, StageRecord]]) -> list[str]:
 
 def _label(name: str, result: PlacementResult) -> str:
     """Name of an objective; what fails is a pole where that was asked, a score is named so."""
-    label = Objective(name).label.replace("APR", "APR" if result.score == AVOIDED else "score")
+    label = Objective(name).label.replace(
+        "APR", "APR" if result.score == AVOIDED else "score"
+    )
     return said(label.replace(" unit", " pole") if result.failing == "site" else label)
 
 
@@ -149,14 +169,22 @@ def _stage_row(stage: StageRecord, *, is_certain: bool) -> list[str]:
             return NOTHING
         if stage.name in ("units", "cost_eur"):
             return localized(f"{value:,.2f}".removesuffix(".00"))
-        return f"{number(value, 3)} s" if stage.name.endswith("_s") else percent(value)
+        if stage.name.endswith("_s"):
+            return f"{number(value, 3)} s"
+        return percent(value)
 
     is_proven = stage.gap == 0.0
-    gap = tr("proven") if is_proven else tr("open")
+    if is_proven:
+        gap = tr("proven")
+    else:
+        gap = tr("open")
     # More than the value itself says nothing as a share of it.
     if not is_proven and is_certain and stage.gap is not None and stage.gap <= 1.0:
         gap = percent(stage.gap)
-    bound = shown(stage.bound) if is_certain or is_proven else NOTHING
+    if is_certain or is_proven:
+        bound = shown(stage.bound)
+    else:
+        bound = NOTHING
     return [shown(stage.objective), bound, gap, number(stage.seconds, 1)]
 
 
@@ -168,14 +196,21 @@ def agreement_section(result: PlacementResult) -> Section:
         both = tr("For this layout both say the same of every run.")
     text = say("proof.two_models", both=both)
     runs = tabulate(
-        tr("Runs that only one of them calls avoided, for each unit by itself and for all fused"),
+        tr(
+            "Runs that only one of them calls avoided, for each unit by itself and for"
+            " all fused"
+        ),
         result.disagreements,
         {
             tr("run"): lambda entry: entry.run_id,
             tr("unit"): lambda entry: said(entry.party),
-            tr("avoided by the"): lambda entry: tr("table") if entry.on_table else tr("evaluator"),
+            tr("avoided by the"): lambda entry: (
+                tr("table") if entry.on_table else tr("evaluator")
+            ),
             tr("frames that differ"): lambda entry: entry.n_frames,
-            tr("what the evaluator sees in the first of them"): lambda entry: said(entry.cause),
+            tr("what the evaluator sees in the first of them"): lambda entry: said(
+                entry.cause
+            ),
         },
         numeric=[3],
     )

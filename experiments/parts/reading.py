@@ -20,9 +20,15 @@ from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE
 from ..results.tables import plain_cell
 from .result import KINDS, Result
 
-_KINDS = {"text": is_string_dtype, "numbers": is_numeric_dtype, "true or false": is_bool_dtype}
+_KINDS = {
+    "text": is_string_dtype,
+    "numbers": is_numeric_dtype,
+    "true or false": is_bool_dtype,
+}
 _RUNS_COLUMNS = {
-    **dict.fromkeys(("layout", "party", "run", "case", "approach", "position", "weather"), "text"),
+    **dict.fromkeys(
+        ("layout", "party", "run", "case", "approach", "position", "weather"), "text"
+    ),
     **dict.fromkeys(("vut_speed_kmh", "weight", "last_brake_time_s"), "numbers"),
     **dict.fromkeys(("confirmation_time_s", "margin_s"), "numbers"),
     "is_avoided": "true or false",
@@ -30,7 +36,9 @@ _RUNS_COLUMNS = {
     "impact_speed_kmh": "numbers",
 }
 _APR_COLUMNS = {
-    **dict.fromkeys(("layout", "party", "case", "approach", "position", "weather"), "text"),
+    **dict.fromkeys(
+        ("layout", "party", "case", "approach", "position", "weather"), "text"
+    ),
     "vut_speed_kmh": "text",  # a speed, or "all"
     **dict.fromkeys(("apr", "n_runs", "n_avoided"), "numbers"),
 }
@@ -49,13 +57,17 @@ class StoredResult:
     apr: pd.DataFrame  # a row per layout, sensing party and group of runs
 
     def __repr__(self) -> str:
-        return f"Result({self.layout.name!r}, {self.summary.runs} runs, {str(self.folder)!r})"
+        return (
+            f"Result({self.layout.name!r}, {self.summary.runs} runs,"
+            f" {str(self.folder)!r})"
+        )
 
 
 def load_result(folder: Path | str) -> StoredResult:
     """Results from the folder that ``--out`` names, checked to be whole and to belong together.
 
-    Raises InputError if a file is missing, broken, of another version, or of other results.
+    Raises InputError if a file is missing, broken, of another version, or of other
+    results.
 
     Examples
     --------
@@ -68,16 +80,17 @@ def load_result(folder: Path | str) -> StoredResult:
         raise InputError(str(folder), Unquoted("no folder"), "a folder of results")
     summary = read_summary(folder / MARKER)
     layout = load_layout(folder / LAYOUT_FILE)
-    ids, expected = [unit.id for unit in layout.units], [unit.id for unit in summary.layout]
+    ids = [unit.id for unit in layout.units]
+    expected = [unit.id for unit in summary.layout]
     if ids != expected:
-        got, wanted = (
-            Unquoted(f"units {', '.join(ids)}"),
-            f"{', '.join(expected)}, those of {MARKER}",
-        )
+        got = Unquoted(f"units {', '.join(ids)}")
+        wanted = f"{', '.join(expected)}, those of {MARKER}"
         raise InputError(str(folder / LAYOUT_FILE), got, wanted)
     runs = _load_runs(folder / RUNS_FILE, summary)
     apr = _load_apr(folder / APR_FILE, runs)
-    return StoredResult(folder=folder, summary=summary, layout=layout, runs=runs, apr=apr)
+    return StoredResult(
+        folder=folder, summary=summary, layout=layout, runs=runs, apr=apr
+    )
 
 
 def read_summary(path: Path) -> Result:
@@ -95,14 +108,18 @@ def check_schema(summary: Mapping[str, object], where: str) -> str:
     """Kind and version of a summary, known to be one of today's; else InputError names those."""
     schema = summary.get("schema", Unquoted("nothing"))
     if schema not in KINDS:
-        older = ": an older version, make it anew" if str(schema).startswith(_OLDER) else ""
+        if str(schema).startswith(_OLDER):
+            older = ": an older version, make it anew"
+        else:
+            older = ""
         raise InputError(f"{where}: schema", schema, " or ".join(KINDS) + older)
     return str(schema)
 
 
 def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
     with open_parquet(path, max_bytes=MAX_TEXT_BYTES, expected=_A_WHOLE) as file:
-        # What pandas notes in the file about itself is not needed, and may be broken, too.
+        # What pandas notes in the file about itself is not needed, and may be broken,
+        # too.
         runs: pd.DataFrame = file.read().to_pandas(ignore_metadata=True)
     is_text = runs.dtypes == "category"
     runs = runs.astype(dict.fromkeys(runs.columns[is_text], object))
@@ -110,11 +127,18 @@ def _load_runs(path: Path, summary: Result) -> pd.DataFrame:
     if summary.name not in set(runs["layout"]):
         got = Unquoted(f"no run of {summary.name}")
         raise InputError(f"{path}: layout", got, f"those of {MARKER}")
-    n_runs, names = summary.runs, set(runs["run"])
+    n_runs = summary.runs
+    names = set(runs["run"])
     for (layout, party), of_party in runs.groupby(["layout", "party"], sort=False):
-        if len(of_party) != n_runs or set(of_party["run"]) != names or len(names) != n_runs:
+        if (
+            len(of_party) != n_runs
+            or set(of_party["run"]) != names
+            or len(names) != n_runs
+        ):
             got = Unquoted(f"{of_party['run'].nunique()} runs of {layout}, {party}")
-            raise InputError(str(path), got, f"each of the {n_runs} runs of {MARKER} once")
+            raise InputError(
+                str(path), got, f"each of the {n_runs} runs of {MARKER} once"
+            )
     return runs
 
 
@@ -135,11 +159,17 @@ def _load_apr(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
         raise InputError(str(path), Unquoted(_first_line(error)), _A_WHOLE) from None
     _check_columns(apr, _APR_COLUMNS, path)
     apr[text] = apr[text].map(plain_cell)
-    # Groups of runs are the same for every party: a file that is cut off has fewer for the last.
+    # Groups of runs are the same for every party: a file that is cut off has fewer for
+    # the last.
     n_rows = apr.groupby(["layout", "party"]).size()
-    if set(n_rows.index) != set(runs.groupby(["layout", "party"]).groups) or n_rows.nunique() != 1:
+    if (
+        set(n_rows.index) != set(runs.groupby(["layout", "party"]).groups)
+        or n_rows.nunique() != 1
+    ):
         got = Unquoted(f"{len(apr)} rows, not the same ones for every layout and party")
-        raise InputError(str(path), got, f"those of {RUNS_FILE}, with the same rows for each")
+        raise InputError(
+            str(path), got, f"those of {RUNS_FILE}, with the same rows for each"
+        )
     return apr
 
 
@@ -150,9 +180,12 @@ def _check_columns(table: pd.DataFrame, columns: Mapping[str, str], path: Path) 
         raise InputError(str(path), got, f"columns {', '.join(columns)}")
     for name, kind in columns.items():
         column = table[name]
-        # An empty or mixed column has no kind of its own: is_string_dtype looks at the values.
+        # An empty or mixed column has no kind of its own: is_string_dtype looks at the
+        # values.
         if not len(column) or not _KINDS[kind](column):
-            raise InputError(f"{path}: {name}", Unquoted(f"{column.dtype} values"), kind)
+            raise InputError(
+                f"{path}: {name}", Unquoted(f"{column.dtype} values"), kind
+            )
 
 
 def _first_line(error: Exception) -> str:

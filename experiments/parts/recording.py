@@ -42,7 +42,13 @@ from ..progress import WRITING, StageProgress
 from ..results.drives import RefusalRecord, versions
 from ..results.folders import MARKER, expect_results, new_result_folder
 from ..results.numbers import finite_or_none
-from ..results.record import PartyAprRecord, Record, StageRecord, build_stage_records, to_plain
+from ..results.record import (
+    PartyAprRecord,
+    Record,
+    StageRecord,
+    build_stage_records,
+    to_plain,
+)
 
 _T = TypeVar("_T")
 ALL_UNITS = "RSU_all"
@@ -109,8 +115,8 @@ class RecordedFramesRecord(Record, frozen=True, kw_only=True):
 class RecordedResult(Record, frozen=True, kw_only=True):
     """Result of ``--recording``: ``summary.json``, and what ``--json`` prints.
 
-    The fields of a result that a recording has; those after "versions" where units were chosen.
-    There is no surrogate that could disagree.
+    The fields of a result that a recording has; those after "versions" where units were
+    chosen. There is no surrogate that could disagree.
     """
 
     name: str
@@ -197,15 +203,21 @@ def _build_result(
 
 def _units(folder_names: Iterable[str]) -> tuple[RecordedUnitRecord, ...]:
     """Units by the names of their folders."""
-    return tuple(RecordedUnitRecord(id=f"RSU{name}", folder=name) for name in folder_names)
+    return tuple(
+        RecordedUnitRecord(id=f"RSU{name}", folder=name) for name in folder_names
+    )
 
 
-def _of_parties(measure: Callable[[Verdict], _T], found: RecordedEvaluation) -> dict[str, Any]:
+def _of_parties(
+    measure: Callable[[Verdict], _T], found: RecordedEvaluation
+) -> dict[str, Any]:
     """A measure of each party, by its name; None where the vehicle's detections are unknown."""
     return {
         "vut": None if found.vut is None else measure(found.vut),
         "rsu_all": measure(found.rsu_all),
-        "vut_and_rsus": None if found.vut_and_rsus is None else measure(found.vut_and_rsus),
+        "vut_and_rsus": (
+            None if found.vut_and_rsus is None else measure(found.vut_and_rsus)
+        ),
         "units": {f"RSU{name}": measure(unit) for name, unit in found.units.items()},
     }
 
@@ -215,9 +227,13 @@ def _build_apr(evaluation: RecordedEvaluation, rule: AebRule) -> RecordedAprReco
     axis, n_units = evaluation.axis, len(evaluation.units)
 
     def ratios(verdict: Verdict) -> PartyAprRecord:
-        return PartyAprRecord(all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)})
+        return PartyAprRecord(
+            all=apr(verdict, axis), by_case={**apr_by_case(verdict, axis)}
+        )
 
-    problem = recorded_problem(evaluation, budget_units=n_units, fusion="any", rule=rule)
+    problem = recorded_problem(
+        evaluation, budget_units=n_units, fusion="any", rule=rule
+    )
     return RecordedAprRecord(
         **_of_parties(ratios, evaluation),
         apr_without_worst_unit=apr_one_failed(problem, range(n_units)),
@@ -230,7 +246,9 @@ def recorded_problem(
     """The choice among recorded units: each alone on a site of its own."""
     n_units = len(evaluation.units)
     ones = np.ones(n_units, dtype=np.int64)
-    limits = Limits(site_index=np.arange(n_units), site_capacity=ones, budget_units=budget_units)
+    limits = Limits(
+        site_index=np.arange(n_units), site_capacity=ones, budget_units=budget_units
+    )
     table = recorded_table(evaluation)
     return PlacementProblem(table=table, limits=limits, fusion=fusion, rule=rule)
 
@@ -247,13 +265,16 @@ def run_recording(
 ) -> RecordedResult:
     """Judge the units of a recording, or choose the best and prove it; written if asked to.
 
-    Of the question only how the VUT confirms and brakes counts, and with `chooses` budget, fusion
-    and how hard to try; detections below `min_confidence` do not. Raises InputError if the
-    recording is not what it should be, the budget is more than the units recorded, or `out` cannot
-    be written.
+    Of the question only how the VUT confirms and brakes counts, and with `chooses`
+    budget, fusion and how hard to try; detections below `min_confidence` do not. Raises
+    InputError if the recording is not what it should be, the budget is more than the
+    units recorded, or `out` cannot be written.
     """
     # By default as the study reads a recording: no track dies.
-    endless = math.inf if question.track_memory_s is None else question.track_memory_s
+    if question.track_memory_s is None:
+        endless = math.inf
+    else:
+        endless = question.track_memory_s
     rule = build_rule(replace_field(question, track_memory_s=endless))
     expect_results(out, progress, sign=sign)
     progress("read recording", 0, 0)
@@ -264,13 +285,18 @@ def run_recording(
         result = _build_result(recording, everything, rule)
         return _finish(result, out, progress, sign=sign)
     n_units = len(recording.units)
-    budget_units, fusion = question.budget, question.fusion
+    budget_units = question.budget
+    fusion = question.fusion
     if budget_units is None:
         raise InputError("--budget", Unquoted("nothing"), "units, beside a recording")
     if budget_units > n_units:
-        raise InputError("--budget", budget_units, f"at most {n_units}, the units recorded")
+        raise InputError(
+            "--budget", budget_units, f"at most {n_units}, the units recorded"
+        )
     progress("optimise", 0, 0)
-    problem = recorded_problem(everything, budget_units=budget_units, fusion=fusion, rule=rule)
+    problem = recorded_problem(
+        everything, budget_units=budget_units, fusion=fusion, rule=rule
+    )
     reduced = presolve(problem)
     solution = solve_placement(
         problem,

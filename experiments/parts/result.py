@@ -64,48 +64,84 @@ class AskedRecord(Record, frozen=True, kw_only=True):
 class Answer(DrivesRecord, frozen=True, kw_only=True, tag_field="schema"):
     """Head of all three: a layout by the evaluator, and what was driven.
 
-    A result is summary.json of a result folder, and what --json prints. Shares are 0 to 1. Names
-    end in their unit; no ending: no unit. Parts that nobody asked for are null.
+    A result is summary.json of a result folder, and what --json prints. Shares are 0 to
+    1. Names end in their unit; no ending: no unit. Parts that nobody asked for are
+    null.
     """
 
     name: Annotated[str, says("Of the layout.")]
-    layout: Annotated[tuple[UnitRecord, ...], says("Units of the layout.", min_length=1)]
-    cost_eur: Annotated[float, says("The units by the catalogue, without poles, in EUR.", ge=0)]
-    sites_eur: Annotated[float | None, says("Sites made ready, in EUR; null: unknown.")] = None
-    assumed_prices: Annotated[tuple[str, ...], says("Of sites without a price, in words.")] = ()
+    layout: Annotated[
+        tuple[UnitRecord, ...], says("Units of the layout.", min_length=1)
+    ]
+    cost_eur: Annotated[
+        float, says("The units by the catalogue, without poles, in EUR.", ge=0)
+    ]
+    sites_eur: Annotated[
+        float | None, says("Sites made ready, in EUR; null: unknown.")
+    ] = None
+    assumed_prices: Annotated[
+        tuple[str, ...], says("Of sites without a price, in words.")
+    ] = ()
     fusion: Annotated[
         Literal["any", "single"],
-        says("any: in each frame any unit may detect; single: one unit has to confirm by itself."),
+        says(
+            "any: in each frame any unit may detect; single: one unit has to confirm by"
+            " itself."
+        ),
     ]
     runs: Annotated[int, says("Runs that every layout was evaluated on.", ge=1)]
     score: Annotated[
         Literal["avoided", "rating-2026"],
         says(
-            "What a run counts that is not avoided: nothing, or by the speed that is left at "
-            "contact. Then what a placement has on the detection table as APR - apr, bound, "
-            "stages, contributions, front, random layouts - is this score."
+            "What a run counts that is not avoided: nothing, or by the speed that is"
+            " left at contact. Then what a placement has on the detection table as APR"
+            " - apr, bound, stages, contributions, front, random layouts - is this"
+            " score."
         ),
     ] = "avoided"
-    apr: Annotated[Share | None, says("Of a placement on the table, else by the evaluator.")]
-    assumptions: Annotated[tuple[Note, ...], says("What the map leaves open; worst first.")] = ()
+    apr: Annotated[
+        Share | None, says("Of a placement on the table, else by the evaluator.")
+    ]
+    assumptions: Annotated[
+        tuple[Note, ...], says("What the map leaves open; worst first.")
+    ] = ()
     evaluation: Annotated[EvaluationRecord, says("The layout by the evaluator.")]
-    dangers: Annotated[Dangers, says("Runs that it does not avoid, by the evaluator, and where.")]
+    dangers: Annotated[
+        Dangers, says("Runs that it does not avoid, by the evaluator, and where.")
+    ]
     added: Annotated[
         Added | None,
-        says("What the units add to a vehicle that sees, by the evaluator, whatever --cars says."),
+        says(
+            "What the units add to a vehicle that sees, by the evaluator, whatever"
+            " --cars says."
+        ),
     ] = None
     heavy_runs: Annotated[
         tuple[HeavyRun, ...],
-        says("Runs that count more than 2 % of the APR, and more than others; the heaviest first."),
+        says(
+            "Runs that count more than 2 % of the APR, and more than others; the"
+            " heaviest first."
+        ),
     ] = ()
-    road_users: Annotated[RoadUserGroups | None, says("By the road user that is met.")] = None
+    road_users: Annotated[
+        RoadUserGroups | None, says("By the road user that is met.")
+    ] = None
     study_cases: Annotated[
         StudyCases | None,
-        says("The layouts on the study's cases; null where these are asked about, or cannot be."),
+        says(
+            "The layouts on the study's cases; null where these are asked about, or"
+            " cannot be."
+        ),
     ] = None
-    private_ground: Annotated[PrivateGroundRecord | None, says("Only with --no-look.")] = None
-    seconds: Annotated[dict[str, Annotated[float, Meta(ge=0)]], says("Of each step, in seconds.")]
-    versions: Annotated[dict[str, str], says("Of the programs that the numbers depend on.")]
+    private_ground: Annotated[
+        PrivateGroundRecord | None, says("Only with --no-look.")
+    ] = None
+    seconds: Annotated[
+        dict[str, Annotated[float, Meta(ge=0)]], says("Of each step, in seconds.")
+    ]
+    versions: Annotated[
+        dict[str, str], says("Of the programs that the numbers depend on.")
+    ]
     asked: Annotated[
         AskedRecord | None, says("What was asked; null where no folder was written.")
     ] = None
@@ -116,7 +152,9 @@ class HighestRecord(Record, frozen=True, kw_only=True):
 
     given_up: Annotated[float, says("APR that might be given up, 0..1.")]
     stages: Annotated[tuple[StageRecord, ...], says("The proof of the highest APR.")]
-    compared: Annotated[Compared | None, says("By the evaluator; null: it is the one chosen.")]
+    compared: Annotated[
+        Compared | None, says("By the evaluator; null: it is the one chosen.")
+    ]
 
 
 class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placement/2"):
@@ -124,63 +162,108 @@ class PlacementResult(Answer, frozen=True, kw_only=True, tag="place-rsus/placeme
 
     goal: Annotated[
         Literal["best", "fewest", "cheapest"],
-        says("What was optimised: most accidents prevented, fewest units, or least money."),
+        says(
+            "What was optimised: most accidents prevented, fewest units, or least"
+            " money."
+        ),
     ]
     budget: Annotated[
-        Annotated[int, Meta(ge=0)] | None, says("Most units that were allowed; null: not limited.")
+        Annotated[int, Meta(ge=0)] | None,
+        says("Most units that were allowed; null: not limited."),
     ]
     candidates: Annotated[int, says("Candidate poses to choose from.", ge=1)]
     presolve: Annotated[str, says("What dropped out before solving, in words.")]
-    stages: Annotated[tuple[StageRecord, ...], says("Objectives in order, proven.", min_length=1)]
+    stages: Annotated[
+        tuple[StageRecord, ...], says("Objectives in order, proven.", min_length=1)
+    ]
     solver: Annotated[str, says("What the proof rests on: name and version.")]
-    bound: Annotated[float | None, says("APR on the table that no layout exceeds; null: unknown.")]
-    gap: Annotated[float | None, says("(bound - apr) / apr; 0: proven; null: infinite, unknown.")]
+    bound: Annotated[
+        float | None, says("APR on the table that no layout exceeds; null: unknown.")
+    ]
+    gap: Annotated[
+        float | None, says("(bound - apr) / apr; 0: proven; null: infinite, unknown.")
+    ]
     spent_eur: Annotated[float, says("Units, and sites once, as optimised, in EUR.")]
-    apr_without_worst_unit: Annotated[Share, says("On the table, without the most needed unit.")]
-    apr_without_worst_site: Annotated[Share | None, says("The same of poles; null: none shared.")]
+    apr_without_worst_unit: Annotated[
+        Share, says("On the table, without the most needed unit.")
+    ]
+    apr_without_worst_site: Annotated[
+        Share | None, says("The same of poles; null: none shared.")
+    ]
     failing: Annotated[
         Literal["unit", "site"],
-        says("What fails at once where the optimiser asks: units, or poles (--survive site)."),
+        says(
+            "What fails at once where the optimiser asks: units, or poles (--survive"
+            " site)."
+        ),
     ]
     highest: Annotated[
         HighestRecord | None,
         says("The highest APR of any layout; null where none of it might be given up."),
     ] = None
     greedy: Annotated[Compared, says("Units chosen one by one, for comparison.")]
-    baseline: Annotated[Compared | None, says("The study's layout; null at other junctions.")]
-    surrogate_disagreement: Annotated[Share, says("Of the runs: table and evaluator disagree.")]
-    disagreements: Annotated[tuple[Disagreement, ...], says("These runs, and why they disagree.")]
+    baseline: Annotated[
+        Compared | None, says("The study's layout; null at other junctions.")
+    ]
+    surrogate_disagreement: Annotated[
+        Share, says("Of the runs: table and evaluator disagree.")
+    ]
+    disagreements: Annotated[
+        tuple[Disagreement, ...], says("These runs, and why they disagree.")
+    ]
     explained: Annotated[ExplainedRecord, says("Why these units, and what they miss.")]
-    front: Annotated[FrontRecord | None, says("Best layouts of smaller sizes; may be null.")] = None
+    front: Annotated[
+        FrontRecord | None, says("Best layouts of smaller sizes; may be null.")
+    ] = None
     next_unit: Annotated[
         NextUnit | None,
-        says("What one more unit gains on the table, by greedy choice; null where none fits."),
+        says(
+            "What one more unit gains on the table, by greedy choice; null where none"
+            " fits."
+        ),
     ] = None
-    baselines: Annotated[Baselines, says("Random layouts and an expert's rule of as many units.")]
-    by_runs: Annotated[ByRuns | None, says("Whether it is so if all runs count alike.")] = None
+    baselines: Annotated[
+        Baselines, says("Random layouts and an expert's rule of as many units.")
+    ]
+    by_runs: Annotated[
+        ByRuns | None, says("Whether it is so if all runs count alike.")
+    ] = None
     mounting: Annotated[Standing | None, says("What errors of mounting cost.")] = None
-    front_runners: Annotated[FrontRunners | None, says("What the evaluator recommends.")] = None
-    refinement: Annotated[RefinementRecord | None, says("Gain by turning; --refine.")] = None
+    front_runners: Annotated[
+        FrontRunners | None, says("What the evaluator recommends.")
+    ] = None
+    refinement: Annotated[
+        RefinementRecord | None, says("Gain by turning; --refine.")
+    ] = None
     preferred: Annotated[
         SampledPairRecord | None,
-        says("Layout taken, of that found and greedy choice's, and the other; null: not asked."),
+        says(
+            "Layout taken, of that found and greedy choice's, and the other; null: not"
+            " asked."
+        ),
     ] = None
     sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
-class EvaluationResult(Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"):
+class EvaluationResult(
+    Answer, frozen=True, kw_only=True, tag="place-rsus/evaluation/2"
+):
     """One layout by the evaluator."""
 
     baselines: ClassVar[None] = None
     sampled: ClassVar[None] = None
 
 
-class ComparisonResult(Answer, frozen=True, kw_only=True, tag="place-rsus/comparison/2"):
+class ComparisonResult(
+    Answer, frozen=True, kw_only=True, tag="place-rsus/comparison/2"
+):
     """A layout against others on the same runs."""
 
     compared: Annotated[tuple[Compared, ...], says("The other layouts.", min_length=1)]
     differences: Annotated[tuple[Difference, ...], says("For any two of the layouts.")]
-    baselines: Annotated[Baselines | None, says("As the first layout; null: no room.")] = None
+    baselines: Annotated[
+        Baselines | None, says("As the first layout; null: no room.")
+    ] = None
     sampled: Annotated[SampledRecord | None, says("Only with --samples.")] = None
 
 
@@ -210,7 +293,9 @@ def build_answer(
         "dangers": build_dangers(evaluation.headline.is_avoided, evaluation.axis),
         "added": build_added(setting, evaluation),
         "heavy_runs": find_heavy_runs(evaluation.axis),
-        "road_users": build_road_users(setting, {evaluation.layout.name: evaluation} | {**others}),
+        "road_users": build_road_users(
+            setting, {evaluation.layout.name: evaluation} | {**others}
+        ),
         "seconds": {},
         "versions": versions(),
         **asdict(build_drives_record(setting)),
@@ -229,18 +314,27 @@ def build_placement_result(
     **parts: Any,
 ) -> PlacementResult:
     """A placement by the optimiser and by the evaluator, with further `parts` by name."""
-    certificate, problem = placement.certificate, placement.problem
-    limits, rule = problem.limits, setting.rule
+    certificate = placement.certificate
+    problem = placement.problem
+    limits = problem.limits
+    rule = setting.rule
     value = placement_value(problem, placement.pose_index)
     failures = [
-        replace(problem, limits=replace(limits, failing=what)) for what in get_args(Failing)
+        replace(problem, limits=replace(limits, failing=what))
+        for what in get_args(Failing)
     ]
     units_fail, sites_fail = (
-        round(optimiser.apr_one_failed(asked, placement.pose_index), 12) for asked in failures
+        round(optimiser.apr_one_failed(asked, placement.pose_index), 12)
+        for asked in failures
     )
     n_sites = len(np.unique(limits.site_index[list(placement.pose_index)]))
-    apr_stage = next((stage for stage in certificate.stages if stage.name == "apr"), None)
-    others = {} if baseline is None else {baseline.layout.name: baseline}
+    apr_stage = next(
+        (stage for stage in certificate.stages if stage.name == "apr"), None
+    )
+    if baseline is None:
+        others = {}
+    else:
+        others = {baseline.layout.name: baseline}
     answer = build_answer(setting, found, others) | {
         "fusion": problem.fusion,
         "apr": round(value.apr, 12),  # without what summing up many weights leaves over
@@ -249,12 +343,16 @@ def build_placement_result(
     }
     return PlacementResult(
         **answer,
-        highest=None
-        if placement.highest is None
-        else HighestRecord(
-            given_up=placement.highest.given_up,
-            stages=build_stage_records(placement.highest.certificate)[:2],
-            compared=None if highest is None else build_compared(found, highest, rule),
+        highest=(
+            None
+            if placement.highest is None
+            else HighestRecord(
+                given_up=placement.highest.given_up,
+                stages=build_stage_records(placement.highest.certificate)[:2],
+                compared=(
+                    None if highest is None else build_compared(found, highest, rule)
+                ),
+            )
         ),
         goal=problem.goal,
         budget=limits.budget_units,
@@ -266,14 +364,20 @@ def build_placement_result(
         gap=None if apr_stage is None else apr_stage.gap,
         spent_eur=value.cost_eur,
         apr_without_worst_unit=units_fail,
-        apr_without_worst_site=sites_fail if n_sites < len(placement.pose_index) else None,
+        apr_without_worst_site=(
+            sites_fail if n_sites < len(placement.pose_index) else None
+        ),
         failing=limits.failing,
         greedy=build_compared(found, greedy, rule),
         baseline=None if baseline is None else build_compared(found, baseline, rule),
         preferred=placement.preferred and build_pair_record(*placement.preferred),
         surrogate_disagreement=float(np.mean(disagreeing_runs(placement, found))),
         disagreements=find_disagreements(
-            setting, placement.nominal.table, found, placement.nominal_index, compute=compute
+            setting,
+            placement.nominal.table,
+            found,
+            placement.nominal_index,
+            compute=compute,
         ),
         **parts,
     )
@@ -282,5 +386,7 @@ def build_placement_result(
 def disagreeing_runs(placement: Placement, evaluation: Evaluation) -> BoolArray:
     """Runs, (n_runs,) bool, on which table and evaluator disagree under the placement's fusion."""
     on_table = np.isfinite(run_margins_s(placement.nominal, placement.nominal_index))
-    disagrees: BoolArray = on_table != avoided_runs(evaluation, placement.problem.fusion)
+    disagrees: BoolArray = on_table != avoided_runs(
+        evaluation, placement.problem.fusion
+    )
     return disagrees

@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 _WORDS_WIDTH = 32
 _HEADS = {"remove": mark("remove:"), "re-aim": mark("re-aim:"), "add": mark("add:")}
 _HEADS |= {"combine": mark("together:")}
-CSV_NAME, JSON_NAME = "retrofit.csv", "retrofit.json"
+CSV_NAME = "retrofit.csv"
+JSON_NAME = "retrofit.json"
 
 
 class ActionRecord(Record, frozen=True, kw_only=True):
@@ -101,7 +102,10 @@ def words(result: RetrofitResult) -> list[str]:
     sentences = []
     if len(result.removals) == 1:
         unit = result.removals[0].actions[0].unit
-        only = tr("{unit} is the only unit: without it, only the car itself is left.", unit=unit)
+        only = tr(
+            "{unit} is the only unit: without it, only the car itself is left.",
+            unit=unit,
+        )
         sentences.append(only)
     if result.re_aims and not result.re_aims[0].is_better:
         sentences.append(tr("No re-aim is better than to leave all as it is."))
@@ -112,7 +116,10 @@ def words(result: RetrofitResult) -> list[str]:
         sentences.append(tr(none, price=euros(result.budget_eur)))
     if result.budget_eur is not None and result.combination is None:
         sentences.append(
-            tr("Re-aims and additions together are no better than to leave all as it is.")
+            tr(
+                "Re-aims and additions together are no better than to leave all as"
+                " it is."
+            )
         )
     return sentences
 
@@ -131,24 +138,42 @@ def table(result: RetrofitResult) -> Table:
     """Possible changes: a row each, in groups, the best of each kind first."""
     rows = [_row(tr("as it is"), 0.0, result.before, *[""] * 3)]
     for kind, changes in _by_kind(result).items():
-        rows += [[tr(_HEADS[kind]), *[""] * 6]] if changes else []
+        if changes:
+            rows += [[tr(_HEADS[kind]), *[""] * 6]]
+        else:
+            rows += []
         for change in changes:
             first, *others = [
-                line for one in change.actions for line in textwrap.wrap(one.words, _WORDS_WIDTH)
+                line
+                for one in change.actions
+                for line in textwrap.wrap(one.words, _WORDS_WIDTH)
             ]
             counts = str(len(change.gained)), str(len(change.lost))
-            proof = tr("proven") if change.is_proven else tr("open")
+            if change.is_proven:
+                proof = tr("proven")
+            else:
+                proof = tr("open")
             rows.append(_row(f"  {first}", change.price_eur, change, *counts, proof))
             rows += [[f"  {line}", *[""] * 6] for line in others]
     return Table(
         caption=tr("Changes"),
-        columns=["", "EUR", "APR", tr("one fails"), tr("gained"), tr("lost"), tr("proof")],
+        columns=[
+            "",
+            "EUR",
+            "APR",
+            tr("one fails"),
+            tr("gained"),
+            tr("lost"),
+            tr("proof"),
+        ],
         rows=rows,
         numeric=range(1, 7),
     )
 
 
-def _row(text: str, price_eur: float, value: LayoutValueRecord, *cells: str) -> list[str]:
+def _row(
+    text: str, price_eur: float, value: LayoutValueRecord, *cells: str
+) -> list[str]:
     shares = (percent(value.apr), percent(value.apr_one_failed))
     return [text, localized(f"{price_eur:,.0f}"), *shares, *cells]
 
@@ -165,9 +190,10 @@ def run_retrofit(
 ) -> RetrofitResult:
     """Find what to remove, re-aim or add, and write it to `out` if asked to.
 
-    The question says what may be added, the money for all together, and how long to search. A visit
-    is by default priced as :func:`placement.retrofit.load_labour` does. Raises InputError if a unit
-    is inside something, a word is unknown, or `out` cannot be written.
+    The question says what may be added, the money for all together, and how long to
+    search. A visit is by default priced as :func:`placement.retrofit.load_labour` does.
+    Raises InputError if a unit is inside something, a word is unknown, or `out` cannot
+    be written.
     """
     scene = load_scene(question.scene)
     expect_files(out, progress)
@@ -177,11 +203,20 @@ def run_retrofit(
     poses = build_retrofit_poses(layout, build_grid(question), plan.candidates)
     wishes = replace(plan.wishes, existing=tuple(unit.id for unit in layout.units))
     plan = replace(plan, candidates=poses.candidates, wishes=wishes)
-    setting, prices, problem = plan.setting, wishes.prices, plan.problem
+    setting = plan.setting
+    prices = wishes.prices
+    problem = plan.problem
     progress("retrofit", 0, 0)
-    labour = load_labour() if visit_eur is None else _at_price(visit_eur)
+    if visit_eur is None:
+        labour = load_labour()
+    else:
+        labour = _at_price(visit_eur)
     found = find_retrofit(
-        problem, poses, labour=labour, budget_eur=question.budget_cost, effort=plan.effort
+        problem,
+        poses,
+        labour=labour,
+        budget_eur=question.budget_cost,
+        effort=plan.effort,
     )
 
     def record(change: Change) -> ChangeRecord:
@@ -212,7 +247,10 @@ def run_retrofit(
         result,
         out,
         progress,
-        lambda done: {CSV_NAME: csv_text(retrofit_table(done)), JSON_NAME: to_json_text(done)},
+        lambda done: {
+            CSV_NAME: csv_text(retrofit_table(done)),
+            JSON_NAME: to_json_text(done),
+        },
     )
 
 
@@ -220,8 +258,14 @@ def retrofit_table(result: RetrofitResult) -> "pd.DataFrame":
     """A row per change, the first one for what is mounted; run ids have spaces between."""
     import pandas as pd
 
-    before = {name: value for name, value in fields_of(result.before).items() if name != "cost_eur"}
-    rows: list[dict[str, object]] = [{"kind": "as it is", "change": "", "price_eur": 0.0, **before}]
+    before = {
+        name: value
+        for name, value in fields_of(result.before).items()
+        if name != "cost_eur"
+    }
+    rows: list[dict[str, object]] = [
+        {"kind": "as it is", "change": "", "price_eur": 0.0, **before}
+    ]
     rows += [
         {
             "kind": kind,
@@ -246,17 +290,27 @@ def _at_price(visit_eur: float) -> Labour:
     return Labour(**per_visit, **hours, source="--visit-cost")
 
 
-def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses) -> ChangeRecord:
-    unit, names = poses.unit_index, _names(change, poses)
-    turned = {int(unit[row]): poses.candidates[row].pose for row in names if unit[row] >= 0}
+def _change_record(
+    change: Change, before: PlacementValue, poses: RetrofitPoses
+) -> ChangeRecord:
+    unit = poses.unit_index
+    names = _names(change, poses)
+    turned = {
+        int(unit[row]): poses.candidates[row].pose for row in names if unit[row] >= 0
+    }
     actions = []
     for row in change.removed:
-        name, pose = poses.candidates[row].id, turned.get(row)
+        name = poses.candidates[row].id
+        pose = turned.get(row)
         if pose is None:
             words = tr("remove {unit}", unit=name)
             actions.append(ActionRecord(action="remove", unit=name, words=words))
         else:
-            words = tr("re-aim {unit} to yaw {yaw}, pitch {pitch}", unit=name, **_aim_words(pose))
+            words = tr(
+                "re-aim {unit} to yaw {yaw}, pitch {pitch}",
+                unit=name,
+                **_aim_words(pose),
+            )
             actions.append(ActionRecord(action="re-aim", unit=name, words=words))
     for row, name in names.items():
         if unit[row] < 0:
@@ -281,12 +335,16 @@ def _change_record(change: Change, before: PlacementValue, poses: RetrofitPoses)
         **change.value._asdict(),
         gained=tuple(change.gained),
         lost=tuple(change.lost),
-        is_better=is_better(change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0)),
+        is_better=is_better(
+            change.value._replace(cost_eur=0.0), before._replace(cost_eur=0.0)
+        ),
         is_proven=change.is_proven,
         compared=change.n_compared,
         stages=() if certificate is None else build_stage_records(certificate),
         solver=None if certificate is None else certificate.solver,
-        layout=build_unit_records(Layout(name="after", units=mounted)) if mounted else (),
+        layout=(
+            build_unit_records(Layout(name="after", units=mounted)) if mounted else ()
+        ),
     )
 
 
@@ -296,10 +354,14 @@ def _names(change: Change, poses: RetrofitPoses) -> dict[int, str]:
     free = (name for number in count(1) if (name := f"N{number}") not in taken)
     old = {row: int(poses.unit_index[row]) for row in change.added}
     return {
-        row: poses.candidates[unit].id if unit >= 0 else next(free) for row, unit in old.items()
+        row: poses.candidates[unit].id if unit >= 0 else next(free)
+        for row, unit in old.items()
     }
 
 
 def _aim_words(pose: Pose) -> dict[str, str]:
     angles_deg = {"yaw": pose.yaw_deg, "pitch": pose.pitch_deg}
-    return {name: localized(f"{round(angle, 1) + 0.0:g}") for name, angle in angles_deg.items()}
+    return {
+        name: localized(f"{round(angle, 1) + 0.0:g}")
+        for name, angle in angles_deg.items()
+    }

@@ -22,8 +22,12 @@ class RoadUserScore(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says('Of the layout, or "VUT alone".')]
     runs_avoided: Annotated[int, says("How many runs.")]
-    apr: Annotated[float | None, says("By weight; None where none of these runs counts.")]
-    mean_impact_speed_kmh: Annotated[float | None, says("By weight, avoided 0, in km/h; or null.")]
+    apr: Annotated[
+        float | None, says("By weight; None where none of these runs counts.")
+    ]
+    mean_impact_speed_kmh: Annotated[
+        float | None, says("By weight, avoided 0, in km/h; or null.")
+    ]
 
 
 class RoadUserGroup(Record, frozen=True, kw_only=True):
@@ -32,29 +36,42 @@ class RoadUserGroup(Record, frozen=True, kw_only=True):
     road_user: Annotated[str, says('"on foot", "bicycle", "motorcycle" or "car".')]
     runs: Annotated[int, says("How many.")]
     weight: Annotated[float, says("Their share of the weight of all runs.")]
-    parties: Annotated[tuple[RoadUserScore, ...], says("The layouts, then the vehicle alone.")]
+    parties: Annotated[
+        tuple[RoadUserScore, ...], says("The layouts, then the vehicle alone.")
+    ]
 
 
 class RoadUserGroups(Record, frozen=True, kw_only=True):
     """Whose runs count, and who is left out."""
 
-    groups: Annotated[tuple[RoadUserGroup, ...], says("At least one, those on foot first.")]
-    unprotected: Annotated[tuple[str, ...], says("Cases left out (--protect all has them).")] = ()
+    groups: Annotated[
+        tuple[RoadUserGroup, ...], says("At least one, those on foot first.")
+    ]
+    unprotected: Annotated[
+        tuple[str, ...], says("Cases left out (--protect all has them).")
+    ] = ()
 
 
-def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) -> RoadUserGroups:
+def build_road_users(
+    setting: Setting, evaluations: Mapping[str, Evaluation]
+) -> RoadUserGroups:
     """Runs by the road user that is met; evaluations by display name, the subject first."""
     first = next(iter(evaluations.values()))
-    verdicts = {name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()}
+    verdicts = {
+        name: (item.rsu_all, item.vut_and_rsus) for name, item in evaluations.items()
+    }
     verdicts |= {"VUT alone": (first.vut, first.vut)}
-    met, axis = np.array([run.road_user for run in setting.runs]), first.axis
+    met = np.array([run.road_user for run in setting.runs])
+    axis = first.axis
 
     def score(name: str, verdict: Verdict, mask: BoolArray) -> RoadUserScore:
         return RoadUserScore(
             name=name,
             runs_avoided=int(verdict.is_avoided[mask].sum()),
             apr=finite_or_none(apr(verdict, axis, mask)),
-            mean_impact_speed_kmh=finite_or_none(mean_impact_speed_kmh(verdict, axis, mask)),
+            mean_impact_speed_kmh=finite_or_none(
+                mean_impact_speed_kmh(verdict, axis, mask)
+            ),
         )
 
     groups = []
@@ -69,9 +86,13 @@ def build_road_users(setting: Setting, evaluations: Mapping[str, Evaluation]) ->
         weight = float(axis.weight[mask].sum() / axis.weight.sum())
         n_runs = int(mask.sum())
         groups.append(
-            RoadUserGroup(road_user=road_user, runs=n_runs, weight=weight, parties=parties)
+            RoadUserGroup(
+                road_user=road_user, runs=n_runs, weight=weight, parties=parties
+            )
         )
-    return RoadUserGroups(groups=tuple(groups), unprotected=tuple(unprotected_cases(setting)))
+    return RoadUserGroups(
+        groups=tuple(groups), unprotected=tuple(unprotected_cases(setting))
+    )
 
 
 def words(record: RoadUserGroups) -> list[str]:
@@ -104,7 +125,9 @@ def table(record: RoadUserGroups) -> Table:
             tr("by"): lambda row: said(row[1].name),
             tr("avoided"): lambda row: str(row[1].runs_avoided),
             "APR": lambda row: percent(row[1].apr),
-            tr("mean speed at contact (km/h)"): lambda row: number(row[1].mean_impact_speed_kmh, 1),
+            tr("mean speed at contact (km/h)"): lambda row: number(
+                row[1].mean_impact_speed_kmh, 1
+            ),
         },
         numeric=(1, 2, 4, 5, 6),
     )

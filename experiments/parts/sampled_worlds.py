@@ -13,21 +13,54 @@ from placement.certify import Growth
 from placement.pipeline import FOUND
 from placement.question import N_JUDGED
 from placement.sampling.moving.trajectories import TrafficCount
-from placement.sampling.out_of_sample import SampledApr, cvar, estimate_mean, resampled_cvar
-from placement.sampling.uncertainty import Blinding, MountingErrors, Outages, RoadUsers, Uncertainty
+from placement.sampling.out_of_sample import (
+    SampledApr,
+    cvar,
+    estimate_mean,
+    resampled_cvar,
+)
+from placement.sampling.uncertainty import (
+    Blinding,
+    MountingErrors,
+    Outages,
+    RoadUsers,
+    Uncertainty,
+)
 
-from ..figures.axes import BLUE, WIDTH_IN, Style, finish_axes, literal, new_axes, write_beside
+from ..figures.axes import (
+    BLUE,
+    WIDTH_IN,
+    Style,
+    finish_axes,
+    literal,
+    new_axes,
+    write_beside,
+)
 from ..language import localized, mark, said, say, tr
 from ..results.numbers import or_nan, percent, shortened
 from ..results.record import Record, RunId, Share, says
 from .section import Picture, Section, Table, build_picture, tabulate
 
 _MAX_LEAST_SURE_RUNS = 5
-_LEAST_WORST = 8  # worlds that a tail must have: with fewer, choosing for the mean has better tails
+# worlds that a tail must have: with fewer, choosing for the mean has better tails
+_LEAST_WORST = 8
 _SAME_APR = 1.0e-9  # shares of summed weights carry rounding noise
 _AS_THEY_ARE = (
-    *("packet_loss", "burst_frames", "loss_shared_by", "outages", "blinding", "v2x_share"),
-    *("most_draws", "draws_detections", "person_share", "unit_person_share", "road_users"),
+    *(
+        "packet_loss",
+        "burst_frames",
+        "loss_shared_by",
+        "outages",
+        "blinding",
+        "v2x_share",
+    ),
+    *(
+        "most_draws",
+        "draws_detections",
+        "person_share",
+        "unit_person_share",
+        "road_users",
+    ),
 )
 _MAX_NAME_LENGTH = 32
 _ROW_IN = 0.27
@@ -38,22 +71,41 @@ class UncertaintyRecord(Record, frozen=True, kw_only=True):
 
     name: Annotated[str, says("Of the uncertainty.")]
     mounting: Annotated[MountingErrors, says("Errors of mounting.")]
-    latency: Annotated[dict[str, str | float], says("Delay of messages: budget or distribution.")]
+    latency: Annotated[
+        dict[str, str | float], says("Delay of messages: budget or distribution.")
+    ]
     packet_loss: Annotated[Share, says("Share of the messages that get lost.")]
-    draws_detections: Annotated[bool, says("Whether detections are drawn by their probability.")]
-    traffic: Annotated[dict[str, float], says("Standing vehicles, by the names of the file.")]
-    vehicles: Annotated[dict[str, dict[str, float]], says("Kinds of vehicles, with shares.")]
-    road_users: Annotated[RoadUsers, says("How they move otherwise than in cases.")] = RoadUsers()
+    draws_detections: Annotated[
+        bool, says("Whether detections are drawn by their probability.")
+    ]
+    traffic: Annotated[
+        dict[str, float], says("Standing vehicles, by the names of the file.")
+    ]
+    vehicles: Annotated[
+        dict[str, dict[str, float]], says("Kinds of vehicles, with shares.")
+    ]
+    road_users: Annotated[RoadUsers, says("How they move otherwise than in cases.")] = (
+        RoadUsers()
+    )
     person_share: Annotated[
-        Share, says("Of the noise of detections, what a person has in all frames for all units.")
+        Share,
+        says(
+            "Of the noise of detections, what a person has in all frames for all units."
+        ),
     ] = 0.0
     unit_person_share: Annotated[Share, says("The same for one unit.")] = 0.0
-    burst_frames: Annotated[float, says("Frames between draws of which messages get lost.")] = 1.0
-    loss_shared_by: Annotated[str, says("Who loses the same messages: unit or pole.")] = "unit"
+    burst_frames: Annotated[
+        float, says("Frames between draws of which messages get lost.")
+    ] = 1.0
+    loss_shared_by: Annotated[
+        str, says("Who loses the same messages: unit or pole.")
+    ] = "unit"
     outages: Annotated[Outages, says("Units out of order.")] = Outages()
     blinding: Annotated[Blinding, says("Cameras that see nothing.")] = Blinding()
     v2x_share: Annotated[Share, says("Of all cars, those that hear the units.")] = 1.0
-    most_draws: Annotated[int, says("Draws of a run of great weight in a world, at most.")] = 1
+    most_draws: Annotated[
+        int, says("Draws of a run of great weight in a world, at most.")
+    ] = 1
 
 
 class LeastSureRunRecord(Record, frozen=True, kw_only=True):
@@ -67,7 +119,9 @@ class EstimateRecord(Record, frozen=True, kw_only=True):
     """A mean that is estimated from sampled worlds."""
 
     mean: Annotated[float | None, says("Mean.")]
-    standard_error: Annotated[float | None, says("Of the mean; null for a single world.")]
+    standard_error: Annotated[
+        float | None, says("Of the mean; null for a single world.")
+    ]
     low: Annotated[float | None, says("Lower end of the 95 % interval.")]
     high: Annotated[float | None, says("Upper end of the 95 % interval.")]
     method: Annotated[str, says("How the interval was found, in words.")]
@@ -79,13 +133,21 @@ class SampledLayoutRecord(EstimateRecord, frozen=True, kw_only=True):
     name: Annotated[str, says("Of the layout.")]
     units: Annotated[int, says("Number of its units.", ge=0)]
     planned: Annotated[Share | None, says("APR with nothing uncertain.")]
-    in_sample: Annotated[float | None, says("Mean APR in the worlds it was chosen in; or null.")]
+    in_sample: Annotated[
+        float | None, says("Mean APR in the worlds it was chosen in; or null.")
+    ]
     cvar: Annotated[float | None, says("Mean APR of the worst worlds.")]
-    cvar_error: Annotated[float | None, says("Standard error of it; null: all count.")] = None
+    cvar_error: Annotated[
+        float | None, says("Standard error of it; null: all count.")
+    ] = None
     worst: Annotated[float | None, says("APR in the very worst one.")]
-    of_all: Annotated[Share | None, says("Mean APR over cars with and without V2X; or null.")]
+    of_all: Annotated[
+        Share | None, says("Mean APR over cars with and without V2X; or null.")
+    ]
     apr_by_sample: Annotated[tuple[float | None, ...], says("APR in each world.")]
-    least_sure_runs: Annotated[tuple[LeastSureRunRecord, ...], says("The least sure first.")]
+    least_sure_runs: Annotated[
+        tuple[LeastSureRunRecord, ...], says("The least sure first.")
+    ]
 
 
 class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
@@ -96,7 +158,9 @@ class SampledPairRecord(EstimateRecord, frozen=True, kw_only=True):
     more_share: Annotated[Share, says("Worlds in which the first one avoids more.")]
     equal_share: Annotated[Share, says("Worlds in which they avoid as much.")]
     less_share: Annotated[Share, says("Worlds in which the first one avoids less.")]
-    cvar_low: Annotated[float | None, says("Low end for the difference of cvar; or null.")] = None
+    cvar_low: Annotated[
+        float | None, says("Low end for the difference of cvar; or null.")
+    ] = None
     cvar_high: Annotated[float | None, says("Upper end of it.")] = None
 
 
@@ -105,14 +169,26 @@ class SampledRecord(Record, frozen=True, kw_only=True):
 
     uncertainty: Annotated[UncertaintyRecord, says("What was drawn.")]
     samples: Annotated[int, says("Number of worlds.", ge=1)]
-    chosen_in: Annotated[int | None, says("Other worlds, to choose the first layout in.")] = None
-    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = None
+    chosen_in: Annotated[
+        int | None, says("Other worlds, to choose the first layout in.")
+    ] = None
+    growth: Annotated[Growth | None, says("How many are enough; null: not asked.")] = (
+        None
+    )
     seed: Annotated[int, says("Of the draws.", ge=0)]
-    traffic_source: Annotated[str, says("Who drives by: SUMO with its demand; or empty.")] = ""
-    moving: Annotated[TrafficCount | None, says("Vehicles that drove by; null: none do.")] = None
+    traffic_source: Annotated[
+        str, says("Who drives by: SUMO with its demand; or empty.")
+    ] = ""
+    moving: Annotated[
+        TrafficCount | None, says("Vehicles that drove by; null: none do.")
+    ] = None
     tail: Annotated[Share, says("Worst share of the worlds that cvar is about.")]
-    layouts: Annotated[tuple[SampledLayoutRecord, ...], says("The first one is the subject.")]
-    pairs: Annotated[tuple[SampledPairRecord, ...], says("Any two, the first layout's first.")]
+    layouts: Annotated[
+        tuple[SampledLayoutRecord, ...], says("The first one is the subject.")
+    ]
+    pairs: Annotated[
+        tuple[SampledPairRecord, ...], says("Any two, the first layout's first.")
+    ]
 
     @property
     def gains(self) -> tuple[SampledPairRecord, ...]:
@@ -133,15 +209,18 @@ def build_sampled_record(
 ) -> SampledRecord:
     """Layouts in the same sampled worlds: the first one is the subject, the others baselines.
 
-    `tail` is the worst share of the worlds that is summed up. By name of the layout, `planned_apr`
-    is the APR with nothing uncertain, and `chosen_apr` that in the `chosen_in` worlds that it was
-    chosen in; `growth` says how their number was found out.
+    `tail` is the worst share of the worlds that is summed up. By name of the layout,
+    `planned_apr` is the APR with nothing uncertain, and `chosen_apr` that in the
+    `chosen_in` worlds that it was chosen in; `growth` says how their number was found
+    out.
     """
     subject = judged[0]
     tails = None
     if tail < 1.0:
         tails = resampled_cvar([item.apr_by_sample for item in judged], tail, seed=seed)
-    planned, chosen, heard = planned_apr or {}, chosen_apr or {}, uncertainty.v2x_share
+    planned = planned_apr or {}
+    chosen = chosen_apr or {}
+    heard = uncertainty.v2x_share
     return SampledRecord(
         uncertainty=build_uncertainty_record(uncertainty),
         samples=len(subject.apr_by_sample),
@@ -162,9 +241,11 @@ def build_sampled_record(
                 cvar_error=None if tails is None else float(tails[row].std(ddof=1)),
                 worst=item.worst,
                 # Cars that hear nothing have what the VUT does alone.
-                of_all=None
-                if heard == 1.0
-                else heard * item.estimate.mean + (1.0 - heard) * item.alone,
+                of_all=(
+                    None
+                    if heard == 1.0
+                    else heard * item.estimate.mean + (1.0 - heard) * item.alone
+                ),
                 apr_by_sample=tuple(item.apr_by_sample.tolist()),
                 least_sure_runs=_least_sure(item),
             )
@@ -172,7 +253,9 @@ def build_sampled_record(
         ),
         pairs=tuple(
             build_pair_record(
-                judged[one], judged[other], None if tails is None else tails[one] - tails[other]
+                judged[one],
+                judged[other],
+                None if tails is None else tails[one] - tails[other],
             )
             for one, other in combinations(range(len(judged)), 2)
         ),
@@ -196,7 +279,8 @@ def growth_sentences(growth: Growth | None) -> list[str]:
 
 def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
     """An uncertainty with the names of its TOML file."""
-    latency, traffic = uncertainty.latency, uncertainty.traffic
+    latency = uncertainty.latency
+    traffic = uncertainty.traffic
     drawn: dict[str, str | float] = {"drawn_per": latency.drawn_per}
     if latency.budget is not None:
         drawn["budget"] = latency.budget.name
@@ -214,7 +298,9 @@ def build_uncertainty_record(uncertainty: Uncertainty) -> UncertaintyRecord:
             if one.name != "vehicles"
         },
         vehicles={
-            one.actor.name: {name: getattr(one, name) for name in ("parked_share", "waiting_share")}
+            one.actor.name: {
+                name: getattr(one, name) for name in ("parked_share", "waiting_share")
+            }
             for one in traffic.vehicles
         },
     )
@@ -225,7 +311,10 @@ def build_pair_record(
 ) -> SampledPairRecord:
     """Two layouts in the same worlds; `tails` are differences of cvar in resampled worlds."""
     gain = first.apr_by_sample - second.apr_by_sample
-    low, high = (None, None) if tails is None else np.quantile(tails, (0.025, 0.975)).tolist()
+    if tails is None:
+        low, high = (None, None)
+    else:
+        low, high = np.quantile(tails, (0.025, 0.975)).tolist()
     return SampledPairRecord(
         first=first.layout.name,
         second=second.layout.name,
@@ -244,20 +333,32 @@ def _least_sure(item: SampledApr) -> tuple[LeastSureRunRecord, ...]:
     order = np.argsort(share, kind="stable")
     order = order[(share[order] < 1.0) & (item.axis.weight[order] > 0.0)]
     return tuple(
-        LeastSureRunRecord(run=item.axis.run_ids[index], avoided_share=float(share[index]))
+        LeastSureRunRecord(
+            run=item.axis.run_ids[index], avoided_share=float(share[index])
+        )
         for index in order[:_MAX_LEAST_SURE_RUNS].tolist()
     )
 
 
 def uncertainty_sentences(found: SampledRecord) -> list[str]:
     """Sentences on layouts in sampled worlds; the first layout is the subject."""
-    subject, chosen = found.layouts[0], found.layouts[0].in_sample
-    n_worst, n_all = found.tail * (found.chosen_in or 0), found.chosen_in
-    shares = {"mean": subject.mean, "low": subject.low, "high": subject.high, "chosen": chosen}
+    subject = found.layouts[0]
+    chosen = found.layouts[0].in_sample
+    n_worst = found.tail * (found.chosen_in or 0)
+    n_all = found.chosen_in
+    shares = {
+        "mean": subject.mean,
+        "low": subject.low,
+        "high": subject.high,
+        "chosen": chosen,
+    }
     shares |= {"planned": subject.planned, "of_all": subject.of_all, "tail": found.tail}
     values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
     values |= {"drawn": what_is_uncertain(found), "layout": subject.name}
-    values |= {"method": said(subject.method), "v2x": percent(found.uncertainty.v2x_share)}
+    values |= {
+        "method": said(subject.method),
+        "v2x": percent(found.uncertainty.v2x_share),
+    }
     sentences = [say("sampled_worlds.mean", found.samples, **values)]
     if subject.planned is not None:
         sentences[0] += tr("; as planned {planned}", **values)
@@ -266,28 +367,46 @@ def uncertainty_sentences(found: SampledRecord) -> list[str]:
         sentences.append(say("sampled_worlds.of_all_cars", **values))
     if chosen is not None:
         is_better = chosen > or_nan(subject.mean)
-        key = "sampled_worlds.chosen_better" if is_better else "sampled_worlds.chosen"
+        if is_better:
+            key = "sampled_worlds.chosen_better"
+        else:
+            key = "sampled_worlds.chosen"
         sentences.append(say(key, **values))
     if found.tail < 1.0 and 0.0 < n_worst < _LEAST_WORST:
         values |= {"n_all": n_all, "n": max(n_worst, 1.0)}
-        sentences.append(say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values))
+        sentences.append(
+            say("sampled_worlds.few_worst", 1 if n_worst <= 1.0 else 2, **values)
+        )
     if found.moving:
         sentences.append(moving_sentence(found))
     unsure = subject.least_sure_runs
     if unsure:
-        listed = ", ".join(f"{run.run} ({percent(run.avoided_share)})" for run in unsure)
+        listed = ", ".join(
+            f"{run.run} ({percent(run.avoided_share)})" for run in unsure
+        )
         least = mark("Least sure, with the share of worlds that avoid them: {runs}")
         sentences.append(tr(least, runs=listed))
     return [f"{sentence}." for sentence in sentences]
 
 
-def preferred_sentences(preferred: SampledPairRecord | None, chosen_in: int | None) -> list[str]:
+def preferred_sentences(
+    preferred: SampledPairRecord | None, chosen_in: int | None
+) -> list[str]:
     """Sentence on greedy choice's layout where fresh worlds took it, not the one found."""
     if preferred is None or preferred.second != FOUND:
         return []
     points, low, high = map(_points, (preferred.mean, preferred.low, preferred.high))
-    values = {"n": N_JUDGED, "chosen": chosen_in, "points": points, "low": low, "high": high}
-    key = "planned" if chosen_in is None else "surpassed"
+    values = {
+        "n": N_JUDGED,
+        "chosen": chosen_in,
+        "points": points,
+        "low": low,
+        "high": high,
+    }
+    if chosen_in is None:
+        key = "planned"
+    else:
+        key = "surpassed"
     return [say(f"sampled_worlds.{key}", **values)]
 
 
@@ -304,9 +423,20 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
     if not ahead or found.chosen_in is None:
         return []
     _, gain, other = min(ahead, key=lambda entry: entry[0])
-    points, low, high = (-100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low))
-    values: dict[str, Any] = {"points": points, "low": low, "high": high, "other": other.name}
-    values |= {"tail": percent(found.tail), "apr": percent(other.cvar), "layout": subject.name}
+    points, low, high = (
+        -100.0 * or_nan(share) for share in (gain.mean, gain.high, gain.low)
+    )
+    values: dict[str, Any] = {
+        "points": points,
+        "low": low,
+        "high": high,
+        "other": other.name,
+    }
+    values |= {
+        "tail": percent(found.tail),
+        "apr": percent(other.cvar),
+        "layout": subject.name,
+    }
     better = say("sampled_worlds.overtaken", found.samples, **values)
     worst = mark("in the worst {tail} of them {apr}, not {layout_apr}")
     worst = tr(worst, layout_apr=percent(subject.cvar), **values)
@@ -317,19 +447,36 @@ def overtaken_sentences(found: SampledRecord) -> list[str]:
 def what_is_uncertain(found: SampledRecord) -> str:
     """Words for what is drawn in the sampled worlds."""
     record = found.uncertainty
-    mounting, latency, traffic = record.mounting, record.latency, record.traffic
-    outages, blinding, is_lost = record.outages, record.blinding, record.packet_loss > 0.0
+    mounting = record.mounting
+    latency = record.latency
+    traffic = record.traffic
+    outages = record.outages
+    blinding = record.blinding
+    is_lost = record.packet_loss > 0.0
     lasting = record.person_share + record.unit_person_share
-    mean_ms, has_bursts = 1000.0 * float(latency.get("mean_s", 0.0)), record.burst_frames > 1.0
-    shares = {"lost": record.packet_loss, "lasting": lasting, "dirty": blinding.dirty_share}
+    mean_ms = 1000.0 * float(latency.get("mean_s", 0.0))
+    has_bursts = record.burst_frames > 1.0
+    shares = {
+        "lost": record.packet_loss,
+        "lasting": lasting,
+        "dirty": blinding.dirty_share,
+    }
     shares |= {"units": outages.unit_share, "poles": outages.pole_share}
     shares |= {"taken": traffic["taken_share"], "waiting": traffic["waiting_share"]}
     shares |= {"low_sun": blinding.low_sun_share}
     values: dict[str, Any] = {name: percent(share) for name, share in shares.items()}
-    values |= {"yaw": mounting.yaw_sd_deg, "pitch": mounting.pitch_sd_deg, "mean_ms": mean_ms}
+    values |= {
+        "yaw": mounting.yaw_sd_deg,
+        "pitch": mounting.pitch_sd_deg,
+        "mean_ms": mean_ms,
+    }
     values |= {"budget": latency.get("budget"), "source": found.traffic_source}
-    values |= {"height_cm": 100.0 * mounting.height_sd_m, "n_frames": record.burst_frames}
-    draws, other_users = record.draws_detections, replace(record.road_users, measured={})
+    values |= {
+        "height_cm": 100.0 * mounting.height_sd_m,
+        "n_frames": record.burst_frames,
+    }
+    draws = record.draws_detections
+    other_users = replace(record.road_users, measured={})
     parts = {
         "mounting": any(astuple(mounting)),
         "latency_budget": "budget" in latency,
@@ -356,8 +503,12 @@ def moving_sentence(found: SampledRecord) -> str:
     moving = found.moving
     if not moving or not moving.n_runs:
         return ""
-    share = percent(moving.n_left_out / moving.n_vehicles) if moving.n_vehicles else tr("none")
-    per_run, n_waiting = moving.n_vehicles / moving.n_runs, moving.n_waiting
+    if moving.n_vehicles:
+        share = percent(moving.n_left_out / moving.n_vehicles)
+    else:
+        share = tr("none")
+    per_run = moving.n_vehicles / moving.n_runs
+    n_waiting = moving.n_waiting
     values: dict[str, Any] = {"n": moving.n_vehicles, "n_left_out": moving.n_left_out}
     values |= {"per_run": per_run, "source": found.traffic_source, "share": share}
     text = say("sampled_worlds.traffic", **values)
@@ -381,13 +532,16 @@ def table(found: SampledRecord) -> Table:
         tr("mean"): lambda one: percent(one.mean),
         tr("95 % interval"): lambda one: f"{percent(one.low)} .. {percent(one.high)}",
         tail: lambda one: (
-            percent(one.cvar) + localized(f" (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})")
+            percent(one.cvar)
+            + localized(f" (\N{PLUS-MINUS SIGN}{_points(one.cvar_error):.1f})")
         ),
         tr("worst"): lambda one: percent(one.worst),
     }
     if found.tail == 1.0:  # the mean of all is there already
         del columns[tail]
-    return tabulate(tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6))
+    return tabulate(
+        tr("APR in sampled worlds"), found.layouts, columns, numeric=range(1, 6)
+    )
 
 
 def _points(share: float | None) -> float:
@@ -400,13 +554,17 @@ def sampled_picture(found: SampledRecord) -> Picture:
         plot_sampled_apr(found),
         title=tr("APR in sampled worlds"),
         caption=say("sampled_worlds.drawn", drawn=what_is_uncertain(found)),
-        alt=tr("Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))),
+        alt=tr(
+            "Intervals. {sentences}", sentences=" ".join(uncertainty_sentences(found))
+        ),
     )
 
 
 def sampled_section(found: SampledRecord, picture: Picture) -> Section:
     """The layouts in sampled worlds."""
-    return Section("sampled", tr("If the world is not as planned"), [picture, table(found)])
+    return Section(
+        "sampled", tr("If the world is not as planned"), [picture, table(found)]
+    )
 
 
 def plot_sampled_apr(found: SampledRecord) -> Axes:
@@ -415,13 +573,27 @@ def plot_sampled_apr(found: SampledRecord) -> Axes:
     axes = new_axes(WIDTH_IN, 1.0 + _ROW_IN * len(layouts))
     for row, layout in enumerate(layouts):
         worlds = [_points(share) for share in layout.apr_by_sample]
-        dotted: Style = {"color": "#999999", "linewidth": 1.0, "linestyle": (0, (1.0, 1.5))}
+        dotted: Style = {
+            "color": "#999999",
+            "linewidth": 1.0,
+            "linestyle": (0, (1.0, 1.5)),
+        }
         axes.hlines(row, min(worlds), max(worlds), zorder=2, **dotted)
-        mean, low, high = (_points(share) for share in (layout.mean, layout.low, layout.high))
-        dot: Style = {"marker": "o", "markersize": 6.0, "linestyle": "none", "color": BLUE}
+        mean, low, high = (
+            _points(share) for share in (layout.mean, layout.low, layout.high)
+        )
+        dot: Style = {
+            "marker": "o",
+            "markersize": 6.0,
+            "linestyle": "none",
+            "color": BLUE,
+        }
         bar: Style = {"elinewidth": 1.6, "capsize": 4.0, "zorder": 3}
         axes.errorbar([mean], [row], xerr=[[mean - low], [high - mean]], **bar, **dot)
-        to_the_right: Style = {"away_pt": (4.0, 0.0), "xycoords": ("axes fraction", "data")}
+        to_the_right: Style = {
+            "away_pt": (4.0, 0.0),
+            "xycoords": ("axes fraction", "data"),
+        }
         write_beside(axes, percent(layout.mean), (1.0, row), **to_the_right)
     names = [literal(shortened(one.name, _MAX_NAME_LENGTH)) for one in layouts]
     axes.set_yticks(range(len(layouts)), names, fontsize=8)

@@ -20,8 +20,11 @@ _HEAD = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "$id": "urn:place-rsus:result:2",
     "title": "place-rsus result, version 2",
-    "description": "summary.json of a result folder, and what --json prints: a placement, an "
-    "evaluation or a comparison. Shares are 0 to 1. Names end in their unit; no ending: no unit.",
+    "description": (
+        "summary.json of a result folder, and what --json prints: a placement, an"
+        " evaluation or a comparison. Shares are 0 to 1. Names end in their unit; no"
+        " ending: no unit."
+    ),
 }
 _UNITS = {"m": "metres", "deg": "degrees", "km/h": "km/h", "m/s^2": "m/s^2"}
 _UNIT = re.compile(r"\. \[(\S+)\]$")
@@ -33,7 +36,9 @@ def build_schema() -> dict[str, Any]:
     kinds = [*KINDS.values()]
     _, parts = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
     types = {kind.__name__: kind for kind in _kinds_in(kinds)}
-    described = {name: _tidy(_described(part, types[name])) for name, part in parts.items()}
+    described = {
+        name: _tidy(_described(part, types[name])) for name, part in parts.items()
+    }
     return {
         **_HEAD,
         "type": "object",
@@ -52,7 +57,9 @@ def _kinds_in(kinds: Iterable[Any]) -> Iterator[type]:
     seen: set[type] = set()
 
     def walk(kind: Any) -> Iterator[type]:
-        if isinstance(kind, type) and (is_dataclass(kind) or issubclass(kind, msgspec.Struct)):
+        if isinstance(kind, type) and (
+            is_dataclass(kind) or issubclass(kind, msgspec.Struct)
+        ):
             if kind in seen:
                 return
             seen.add(kind)
@@ -74,10 +81,15 @@ def _described(part: dict[str, Any], kind: type) -> dict[str, Any]:
         extra = getattr(field.type, "extra", None) or {}
         words = extra.get("description", said.get(field.encode_name))
         if words is not None:
-            properties[field.encode_name] = {"description": words} | properties[field.encode_name]
+            properties[field.encode_name] = {"description": words} | properties[
+                field.encode_name
+            ]
     tag = getattr(getattr(kind, "__struct_config__", None), "tag", None)
     if tag is not None:
-        properties["schema"] = {"description": "Kind and version of this file.", "const": tag}
+        properties["schema"] = {
+            "description": "Kind and version of this file.",
+            "const": tag,
+        }
     return {
         **part,
         "description": (inspect.getdoc(kind) or "").split("\n\nAttributes\n")[0],
@@ -92,9 +104,14 @@ def _attributes(kind: type) -> dict[str, str]:
     text = (inspect.getdoc(kind) or "").partition("Attributes\n----------\n")[2]
     found = {}
     for names, words in _ATTRIBUTE.findall(text):
-        said = _UNIT.sub(lambda unit: f", in {_UNITS[unit[1]]}.", " ".join(words.split()))
+        said = _UNIT.sub(
+            lambda unit: f", in {_UNITS[unit[1]]}.", " ".join(words.split())
+        )
         for name in names.split(", "):
-            found[name] = said if said.endswith(".") else f"{said}."
+            if said.endswith("."):
+                found[name] = said
+            else:
+                found[name] = f"{said}."
     return found
 
 
@@ -119,7 +136,10 @@ def _tidy(node: Any) -> Any:
             continue  # the name of a class
         elif key == "minimum":
             # Annotations that are equal are one for Python, whether they say 0 or 0.0.
-            tidy[key] = int(value) if value == int(value) else value
+            if value == int(value):
+                tidy[key] = int(value)
+            else:
+                tidy[key] = value
         elif key == "enum" and len(value) == 1:
             tidy["const"] = value[0]
         else:

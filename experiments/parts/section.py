@@ -17,7 +17,8 @@ _T = TypeVar("_T")
 MAX_TRUE_COLOUR_BYTES = 300_000
 """PNG files above are drawn with a palette: looking for one takes longer than it spares bytes."""
 _N_COLOURS = 256
-_LARGEST_ERROR, _LARGEST_MEAN_ERROR = 32.0, 1.5  # of 255, of any one channel: not seen by eye
+_LARGEST_ERROR = 32.0
+_LARGEST_MEAN_ERROR = 1.5  # of 255, of any one channel: not seen by eye
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +35,10 @@ class Table:
 
 
 def tabulate(
-    caption: str, items: Iterable[_T], columns: Mapping[str, Callable[[_T], object]], **more: Any
+    caption: str,
+    items: Iterable[_T],
+    columns: Mapping[str, Callable[[_T], object]],
+    **more: Any,
 ) -> Table:
     """A table with a row per item: each column has a head, and what it says of an item.
 
@@ -128,7 +132,12 @@ class Section:
 
 
 def build_picture(
-    drawn: Figure | Axes, *, title: str, caption: str, alt: str, narrow: Figure | Axes | None = None
+    drawn: Figure | Axes,
+    *,
+    title: str,
+    caption: str,
+    alt: str,
+    narrow: Figure | Axes | None = None,
 ) -> Picture:
     """A figure with its words; equal ones give equal pictures. `narrow` is drawn for a phone."""
     figure = root_figure(drawn)
@@ -150,13 +159,21 @@ def with_palette(png: bytes) -> bytes:
     if len(png) <= MAX_TRUE_COLOUR_BYTES:
         return png
     image = Image.open(BytesIO(png)).convert("RGB")
-    # Colours of small marks count like those of wide areas, which a median cut would let win.
+    # Colours of small marks count like those of wide areas, which a median cut would
+    # let win.
     reduced = image.quantize(
-        _N_COLOURS, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+        _N_COLOURS,
+        method=Image.Quantize.MAXCOVERAGE,
+        kmeans=1,
+        dither=Image.Dither.NONE,
     )
-    levels, before = (np.asarray(one, dtype=float) for one in (reduced.convert("RGB"), image))
+    levels, before = (
+        np.asarray(one, dtype=float) for one in (reduced.convert("RGB"), image)
+    )
     error = np.abs(levels - before)
     buffer = BytesIO()
     reduced.save(buffer, format="png", optimize=True)
     is_alike = error.max() <= _LARGEST_ERROR and error.mean() <= _LARGEST_MEAN_ERROR
-    return buffer.getvalue() if is_alike and buffer.tell() < len(png) else png
+    if is_alike and buffer.tell() < len(png):
+        return buffer.getvalue()
+    return png

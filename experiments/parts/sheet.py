@@ -26,7 +26,14 @@ from placement.layout import Layout, check_layout
 from placement.question import Question
 from placement.setting import Setting, build_setting
 
-from ..figures.axes import BLUE, VERMILION, Style, drawing_any_name, literal, unit_labels
+from ..figures.axes import (
+    BLUE,
+    VERMILION,
+    Style,
+    drawing_any_name,
+    literal,
+    unit_labels,
+)
 from ..figures.plan import blind_footprint, draw_scene, ground_footprint, ring_path
 from ..language import localized, mark, said, say, tr
 from ..progress import WRITING, StageProgress
@@ -80,26 +87,38 @@ def _page(
         sensor=unit.sensor.name,
     )
     figure.text(0.08, 0.935, literal(what), fontsize=10, color="#444444")
-    top, bottom = 0.905, 0.05
+    top = 0.905
+    bottom = 0.05
     for head, text in _rows(unit, scene, tolerance):
         figure.text(0.08, top, head, fontsize=10, fontweight="bold", va="top")
         figure.text(0.30, top, literal(text), fontsize=10, va="top", linespacing=1.35)
         top -= 0.019 * len(text.split("\n")) + 0.006
     plan_height = min(0.36, top - 0.34)
     _draw_plan(figure.add_axes((0.08, bottom, 0.84, plan_height)), unit, label, scene)
-    above = (0.08, bottom + plan_height + 0.035, 0.84, top - bottom - plan_height - 0.06)
+    above = (
+        0.08,
+        bottom + plan_height + 0.035,
+        0.84,
+        top - bottom - plan_height - 0.06,
+    )
     _draw_picture(figure.add_axes(above), unit, setting, compute)
     return figure
 
 
-def _rows(unit: CandidatePose, scene: Scene, tolerance: Tolerance) -> list[tuple[str, str]]:
+def _rows(
+    unit: CandidatePose, scene: Scene, tolerance: Tolerance
+) -> list[tuple[str, str]]:
     level = above_ground(unit, scene)
     x, y, z = level.pose.position_m.tolist()
-    where = tr("{x:.2f} m east, {y:.2f} m north in the junction's coordinates", x=x, y=y)
+    where = tr(
+        "{x:.2f} m east, {y:.2f} m north in the junction's coordinates", x=x, y=y
+    )
     if scene.crs:
         lon_deg, lat_deg = to_geographic(unit.pose.position_m[None], scene.crs)[0]
         where += "\n" + tr(
-            "{lat:.6f}° latitude, {lon:.6f}° longitude", lat=float(lat_deg), lon=float(lon_deg)
+            "{lat:.6f}° latitude, {lon:.6f}° longitude",
+            lat=float(lat_deg),
+            lon=float(lon_deg),
         )
     return [
         (tr("Mount"), _mount(unit, scene)),
@@ -121,9 +140,14 @@ def _mount(unit: CandidatePose, scene: Scene) -> str:
     kind = said(kinds.get(unit.site_id, ""))
     words = [text for text in (unit.site_id, kind, said(place)) if text]
     assumed = assumed_sites(scene.notes).get(unit.site_id)
-    doubt = tr("ASSUMED, look on site first: {what}", what=said(assumed)) if assumed else ""
+    if assumed:
+        doubt = tr("ASSUMED, look on site first: {what}", what=said(assumed))
+    else:
+        doubt = ""
     texts = (", ".join(words), doubt)
-    return "\n".join(line for text in texts for line in textwrap.wrap(text, _LINE_LETTERS))
+    return "\n".join(
+        line for text in texts for line in textwrap.wrap(text, _LINE_LETTERS)
+    )
 
 
 def _direction(unit: CandidatePose) -> str:
@@ -144,7 +168,8 @@ def _direction(unit: CandidatePose) -> str:
 
 
 def _tilt(unit: CandidatePose) -> str:
-    pitch_deg, height_m = unit.pose.pitch_deg, float(unit.pose.position_m[2])
+    pitch_deg = unit.pose.pitch_deg
+    height_m = float(unit.pose.position_m[2])
     if is_ring(unit.sensor):
         if pitch_deg == 0.0:
             return tr("none: level, its axis upright")
@@ -154,7 +179,9 @@ def _tilt(unit: CandidatePose) -> str:
     if pitch_deg >= 0.0:
         return tr("{angle:.1f}° above level", angle=pitch_deg)
     return say(
-        "sheet.below_level", angle=-pitch_deg, reach=height_m / math.tan(math.radians(-pitch_deg))
+        "sheet.below_level",
+        angle=-pitch_deg,
+        reach=height_m / math.tan(math.radians(-pitch_deg)),
     )
 
 
@@ -163,17 +190,26 @@ def _tolerance_text(tolerance: Tolerance) -> str:
         if value <= 0.0:
             return tr("less than the smallest step tried (0{unit})", unit=unit)
         shown = localized(f"{value:g}{unit}")
-        return tr("{value} or more", value=shown) if value >= most else shown
+        if value >= most:
+            return tr("{value} or more", value=shown)
+        return shown
 
     right, left, down, up = (
         at_least(value_deg, TURNS_DEG[-1], _DEGREE)
         for value_deg in (*tolerance.yaw_deg, *tolerance.pitch_deg)
     )
     lower, higher = (
-        at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm") for value_m in tolerance.height_m
+        at_least(100.0 * value_m, 100.0 * LIFTS_M[-1], " cm")
+        for value_m in tolerance.height_m
     )
     return say(
-        "sheet.tolerances", left=left, right=right, up=up, down=down, higher=higher, lower=lower
+        "sheet.tolerances",
+        left=left,
+        right=right,
+        up=up,
+        down=down,
+        higher=higher,
+        lower=lower,
     )
 
 
@@ -212,7 +248,13 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     corners = ground_footprint(level, max_range_m=_VIEW_RANGE_M)
     if len(corners):
         blind = blind_footprint(level, max_range_m=_VIEW_RANGE_M)
-        style = {"facecolor": BLUE, "alpha": 0.25, "edgecolor": BLUE, "linewidth": 1.5, "zorder": 5}
+        style = {
+            "facecolor": BLUE,
+            "alpha": 0.25,
+            "edgecolor": BLUE,
+            "linewidth": 1.5,
+            "zorder": 5,
+        }
         axes.add_patch(PathPatch(ring_path(corners, blind), **style))
     if not is_turn_useless(unit.sensor, pitch_deg=unit.pose.pitch_deg):
         yaw = math.radians(unit.pose.yaw_deg)
@@ -223,7 +265,8 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     text: Style = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
     axes.annotate(literal(label), (x, y), xytext=(6, 6), zorder=10, **text)
     junction_m = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    middle, half = 0.5 * (junction_m + unit.pose.position_m[:2]), _PLAN_HALF_M
+    middle = 0.5 * (junction_m + unit.pose.position_m[:2])
+    half = _PLAN_HALF_M
     axes.set_xlim(middle[0] - 2.0 * half, middle[0] + 2.0 * half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set_aspect("equal")
@@ -231,10 +274,19 @@ def _draw_plan(axes: Axes, unit: CandidatePose, label: str, scene: Scene) -> Non
     axes.tick_params(labelsize=7)
 
 
-def _draw_picture(axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute) -> None:
+def _draw_picture(
+    axes: Axes, unit: CandidatePose, setting: Setting, compute: Compute
+) -> None:
     axes.set_axis_off()
     if not isinstance(unit.sensor, CameraModel):
-        axes.text(0.5, 0.5, tr("A LiDAR takes no picture."), ha="center", va="center", fontsize=11)
+        axes.text(
+            0.5,
+            0.5,
+            tr("A LiDAR takes no picture."),
+            ha="center",
+            va="center",
+            fontsize=11,
+        )
         return
     rgb, run, time_s = draw_view(unit, setting, compute=compute)
     axes.imshow(rgb)
@@ -252,7 +304,12 @@ class SheetResult(Record, frozen=True, kw_only=True):
 
 
 def run_sheet(
-    question: Question, *, layout: Layout, out: Path, compute: Compute, progress: StageProgress
+    question: Question,
+    *,
+    layout: Layout,
+    out: Path,
+    compute: Compute,
+    progress: StageProgress,
 ) -> SheetResult:
     """Write the mounting sheet; InputError if a unit is inside something, or `out` not writable."""
     if out.is_dir():
@@ -274,5 +331,8 @@ def run_sheet(
         got = Unquoted(f"{out}: {error.strerror or error}")
         raise InputError("--out", got, "a file that can be written") from None
     progress.kept = f"the sheet is in {out}"
-    units, seconds = tuple(tolerances), progress.finish()
-    return SheetResult(layout=layout.name, written=str(out), units=units, seconds=seconds)
+    units = tuple(tolerances)
+    seconds = progress.finish()
+    return SheetResult(
+        layout=layout.name, written=str(out), units=units, seconds=seconds
+    )

@@ -43,8 +43,9 @@ def build_study_cases(evaluations: Mapping[str, Evaluation]) -> StudyCases:
 def study_question(question: Question) -> Question:
     """A question changed to what the study drives, read as the study does.
 
-    Its cases by day, at the junction alone, all speeds and approaches, each run alike; a confirmed
-    track lives for ever, and cars are blind. All else stays as it was asked for.
+    Its cases by day, at the junction alone, all speeds and approaches, each run alike;
+    a confirmed track lives for ever, and cars are blind. All else stays as it was asked
+    for.
     """
     return replace(
         question,
@@ -74,11 +75,14 @@ def on_study_cases(
 ) -> StudyCases | None:
     """Score layouts on the study's cases, where these are a part of what was asked about.
 
-    None at another junction, where some of its cases are left out, and where they are all that was
-    asked about. Evaluations are in the setting `asked`; `build` makes one of another question at
-    the same scene. Raises InputError if no arm carries any of the cases.
+    None at another junction, where some of its cases are left out, and where they are
+    all that was asked about. Evaluations are in the setting `asked`; `build` makes one
+    of another question at the same scene. Raises InputError if no arm carries any of
+    the cases.
     """
-    given = {case.name for case in select_cases(question.cases, force=question.force).cases}
+    given = {
+        case.name for case in select_cases(question.cases, force=question.force).cases
+    }
     has_cases = {case.name for case in select_cases("study").cases} <= given
     if find_baseline(asked.scene) is None or not has_cases:
         return None
@@ -93,7 +97,8 @@ def on_study_cases(
 def is_same_question(one: Setting, other: Setting) -> bool:
     """Two settings have the same runs, in any order, with the same weights, and the same rule."""
     runs, others = (
-        dict(zip(axis.run_ids, axis.weight, strict=True)) for axis in (one.axis, other.axis)
+        dict(zip(axis.run_ids, axis.weight, strict=True))
+        for axis in (one.axis, other.axis)
     )
     return (
         one.rule == other.rule
@@ -107,7 +112,9 @@ def section(record: StudyCases | None) -> Section | None:
     if record is None:
         return None
     return Section(
-        "study-cases", tr("On the study's cases"), [say("study_cases.note"), table(record)]
+        "study-cases",
+        tr("On the study's cases"),
+        [say("study_cases.note"), table(record)],
     )
 
 
@@ -115,7 +122,9 @@ def table(record: StudyCases) -> Table:
     """APR of each layout and of the car by itself: a row for all runs, and for each case."""
     cases = list(record.parties[0].by_case)
     return Table(
-        caption=trn("APR on the study's {n} run", "APR on the study's {n} runs", record.runs),
+        caption=trn(
+            "APR on the study's {n} run", "APR on the study's {n} runs", record.runs
+        ),
         columns=[tr("case"), *(said(party.name) for party in record.parties)],
         rows=[
             [tr("all runs"), *(percent(one.all) for one in record.parties)],
@@ -126,7 +135,10 @@ def table(record: StudyCases) -> Table:
                     for one in record.parties
                 ),
             ],
-            *([case, *(percent(one.by_case[case]) for one in record.parties)] for case in cases),
+            *(
+                [case, *(percent(one.by_case[case]) for one in record.parties)]
+                for case in cases
+            ),
         ],
         numeric=range(1, 1 + len(record.parties)),
     )

@@ -24,18 +24,26 @@ _MAX_UNITS_IN_WORDS = 40
 _MAX_NARROW_UNITS = 6  # labels of more would lie on one another
 _MAX_FLAT_ROWS = 24  # a longer table is to unfold
 _MAX_NAMED = 6  # pairs of unit and area in a sentence
-MAX_UNITS, MAX_AREAS = 12, 60
+MAX_UNITS = 12
+MAX_AREAS = 60
 """Columns and rows of the table: beyond, only what is seen the most."""
 
 
-def units_section(layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene) -> Section:
+def units_section(
+    layouts: Mapping[str, Layout], plans: Sequence[Picture], scene: Scene
+) -> Section:
     """Places and directions of the units of layouts, by display name, with a plan of each."""
     is_beside = len(plans) > 1 and plans[0].width_in < WIDTH_IN
-    heights = "heights" if terrain_of(scene) is None else "heights_above_ground"
+    if terrain_of(scene) is None:
+        heights = "heights"
+    else:
+        heights = "heights_above_ground"
     note = " ".join(say(f"units.{key}") for key in (heights, "angles"))
     tables = [unit_table(name, layout, scene) for name, layout in layouts.items()]
     return Section(
-        "units", tr("The units"), [*tables, note, Box("beside" if is_beside else "", plans)]
+        "units",
+        tr("The units"),
+        [*tables, note, Box("beside" if is_beside else "", plans)],
     )
 
 
@@ -46,10 +54,17 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
         [
             labels[record.id],
             record.id,
-            tr("{site} (assumed)", site=record.site) if record.assumed else record.site or NOTHING,
+            (
+                tr("{site} (assumed)", site=record.site)
+                if record.assumed
+                else record.site or NOTHING
+            ),
             said(record.kind or NOTHING),
             said(record.place or NOTHING),
-            *(number(value) for value in above_ground(unit, scene).pose.position_m.tolist()),
+            *(
+                number(value)
+                for value in above_ground(unit, scene).pose.position_m.tolist()
+            ),
             number(compass_bearing_deg(record.yaw_deg), 1),
             number(-record.pitch_deg, 1),
             number(record.yaw_deg, 1),
@@ -57,7 +72,9 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
             compass_word(unit),
             record.camera or record.lidar,
         ]
-        for unit, record in zip(layout.units, build_unit_records(layout, scene), strict=True)
+        for unit, record in zip(
+            layout.units, build_unit_records(layout, scene), strict=True
+        )
     ]
     caption = tr("Units of {name}", name=name)
     is_long = len(rows) > _MAX_FLAT_ROWS
@@ -66,7 +83,9 @@ def unit_table(name: str, layout: Layout, scene: Scene) -> Table:
         columns=listed("units"),
         rows=rows,
         numeric=range(5, 12),
-        summary=tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else "",
+        summary=(
+            tr("Units of {name}: all {n}", name=name, n=len(rows)) if is_long else ""
+        ),
     )
 
 
@@ -75,13 +94,21 @@ def build_plans(
 ) -> list[Picture]:
     """A plan of each layout, drawn narrower where several stand side by side."""
     draw = partial(plot_plan, setting, others=others, max_range_m=_PLAN_RANGE_M)
-    are_few = all(len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values())
+    are_few = all(
+        len(layout.units) <= _MAX_NARROW_UNITS for layout in detailed.values()
+    )
     are_side_by_side = len(detailed) > 1 and are_few
     return [
         build_picture(
             draw(layout, width_in=NARROW_IN if are_side_by_side else WIDTH_IN),
-            narrow=draw(layout, width_in=NARROW_IN) if are_few and not are_side_by_side else None,
-            title=tr("Plan of {scene} with {name}", scene=setting.scene.name, name=name),
+            narrow=(
+                draw(layout, width_in=NARROW_IN)
+                if are_few and not are_side_by_side
+                else None
+            ),
+            title=tr(
+                "Plan of {scene} with {name}", scene=setting.scene.name, name=name
+            ),
             caption=say("units.plan", range=_PLAN_RANGE_M),
             alt=tr("Plan of the junction, north up.") + " " + _units_in_words(layout),
         )
@@ -127,8 +154,13 @@ def build_private_ground_record(
     areas = zip(ground.names, ground.area_m2, strict=True)
     seen = zip(units, shares, strict=True)
     return PrivateGroundRecord(
-        areas=tuple(PrivateAreaRecord(name=name, area_m2=float(area)) for name, area in areas),
-        units={one.id: dict(zip(ground.names, row.tolist(), strict=True)) for one, row in seen},
+        areas=tuple(
+            PrivateAreaRecord(name=name, area_m2=float(area)) for name, area in areas
+        ),
+        units={
+            one.id: dict(zip(ground.names, row.tolist(), strict=True))
+            for one, row in seen
+        },
     )
 
 
@@ -152,25 +184,42 @@ def private_ground_section(
     """What units see of private ground, the most seen first; `labels` are their names by id."""
     if not found:
         return None
-    units, areas = found.units, found.areas
+    units = found.units
+    areas = found.areas
     most_seen = {
         area.name: max((shares[area.name] for shares in units.values()), default=0.0)
         for area in areas
     }
-    seeing = sorted(units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0))
+    seeing = sorted(
+        units, key=lambda unit_id: -max(units[unit_id].values(), default=0.0)
+    )
     shown = [unit_id for unit_id in units if unit_id in set(seeing[:MAX_UNITS])]
     told = sorted(areas, key=lambda area: -most_seen[area.name])[:MAX_AREAS]
     caption = tr("Share of each private area that a unit sees")
     if len(shown) < len(units):
-        caption += tr("; of {all} units the {n} that matter most", all=len(units), n=len(shown))
+        caption += tr(
+            "; of {all} units the {n} that matter most", all=len(units), n=len(shown)
+        )
     if len(told) < len(areas):
-        caption += tr("; of {all} areas the {n} that matter most", all=len(areas), n=len(told))
-    columns = [*listed("private ground"), *(labels.get(unit_id, unit_id) for unit_id in shown)]
+        caption += tr(
+            "; of {all} areas the {n} that matter most", all=len(areas), n=len(told)
+        )
+    columns = [
+        *listed("private ground"),
+        *(labels.get(unit_id, unit_id) for unit_id in shown),
+    ]
     rows = []
     for area in told:
-        shares = (most_seen[area.name], *(units[unit_id][area.name] for unit_id in shown))
-        rows.append([area.name, localized(f"{area.area_m2:.0f}"), *map(percent, shares)])
-    table = Table(caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown)))
+        shares = (
+            most_seen[area.name],
+            *(units[unit_id][area.name] for unit_id in shown),
+        )
+        rows.append(
+            [area.name, localized(f"{area.area_m2:.0f}"), *map(percent, shares)]
+        )
+    table = Table(
+        caption=caption, columns=columns, rows=rows, numeric=range(1, 3 + len(shown))
+    )
     note = say("units.seen")
     blocks: list[Block] = [_short_sentence(found, most_seen), table, note]
     return Section("private-ground", tr("Private ground"), blocks)

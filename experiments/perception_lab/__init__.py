@@ -1,5 +1,5 @@
 """Perception lab: datasets of rendered pictures, fitted response tables, a trained network.
 
-``commands`` has ``place-rsus dataset``, ``detector`` and ``render``; ``training`` makes the network
-that is shipped.
+``commands`` has ``place-rsus dataset``, ``detector`` and ``render``; ``training`` makes
+the network that is shipped.
 """

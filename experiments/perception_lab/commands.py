@@ -53,7 +53,7 @@ Examples:
     "--units",
     default="",
     metavar="NAMES",
-    help=("Cameras of the layout, with commas between; VUT is the car's. Default: all."),
+    help="Cameras of the layout, with commas between; VUT is the car's. Default: all.",
 )
 @options.option(
     "--every",
@@ -61,7 +61,7 @@ Examples:
     default=1,
     metavar="N",
     expected="a number of frames, at least 1",
-    help=("A picture of every Nth frame of a run; labels and motion are of all frames."),
+    help="A picture of every Nth frame of a run; labels and motion are of all frames.",
 )
 @options.option(
     "--lidar",
@@ -90,7 +90,9 @@ Examples:
     help="Other clothes, paints and facades in each run, by seed; for training.",
 )
 @options.asking(*options.PICTURED, has_cache=False)
-def dataset(job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any) -> None:
+def dataset(
+    job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: Any
+) -> None:
     """Write a dataset: what the cameras of a layout see of all runs, with labels."""
     layout = load_one_layout(layout_names)
     job.start()
@@ -106,16 +108,20 @@ def dataset(job: Job, /, *, layout_names: tuple[str, ...], out: Path, **wish: An
 
 def _dataset_text(summary: "DatasetSummary", form: str) -> str:
     n_before = summary.pictures - summary.drawn
-    was_there = f", {n_before:,} of them were there before" if n_before else ""
+    if n_before:
+        was_there = f", {n_before:,} of them were there before"
+    else:
+        was_there = ""
     lines = [
-        f"{summary.pictures:,} pictures of {summary.units} cameras in {summary.folder}{was_there}: "
-        f"{summary.frames:,} frames of {summary.runs} runs."
+        f"{summary.pictures:,} pictures of {summary.units} cameras in"
+        f" {summary.folder}{was_there}: {summary.frames:,} frames of"
+        f" {summary.runs} runs."
     ]
     if summary.drawn:
         each = summary.seconds / summary.drawn
         lines.append(
-            f"{summary.size_bytes / 1e9:.2f} GB written, {each:.2f} s per picture on all "
-            "processors together."
+            f"{summary.size_bytes / 1e9:.2f} GB written, {each:.2f} s per picture on"
+            " all processors together."
         )
     if form == "carlancap":
         lines.append(f"Read it back: place-rsus evaluate --recording {summary.folder}")
@@ -160,13 +166,18 @@ Examples:
     "--labels",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help=("Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI, CVML .."),
+    help=(
+        "Fit to annotations: coco.json of place-rsus dataset, MOT challenge, KITTI,"
+        " CVML .."
+    ),
 )
 @options.option(
     "--results",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help=(".. and to what a detector found: COCO's list of results; MOT challenge, KITTI."),
+    help=(
+        ".. and to what a detector found: COCO's list of results; MOT challenge, KITTI."
+    ),
 )
 @options.option(
     "--frame-rate",
@@ -187,14 +198,19 @@ Examples:
 )
 @options.folder_option("response.toml, fit.json and calibration.png")
 @options.asking(*options.PICTURED, has_cache=False)
-def fit(job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any) -> None:
+def fit(
+    job: Job, /, *, layout_names: tuple[str, ...], out: Path | None, **wish: Any
+) -> None:
     """Fit a response table to what a detector really finds.
 
-    The table is then what --detector mine/response.toml plans and judges with, in place of the
-    built-in assumptions.
+    The table is then what --detector mine/response.toml plans and judges with, in place
+    of the built-in assumptions.
     """
     _check_one_source(layout_names, wish["recording"], wish["labels"], wish["results"])
-    layout = load_one_layout(layout_names) if layout_names else None
+    if layout_names:
+        layout = load_one_layout(layout_names)
+    else:
+        layout = None
     job = job.begin()
     from .fit import FitWish, run_detector_fit
 
@@ -212,14 +228,20 @@ _OF_RULE = (
 
 
 def _check_one_source(
-    layout_names: tuple[str, ...], recording: Path | None, labels: Path | None, results: Path | None
+    layout_names: tuple[str, ...],
+    recording: Path | None,
+    labels: Path | None,
+    results: Path | None,
 ) -> None:
     """Refuse no source, several, and half of one.
 
     Raises click.UsageError: a source is missing, or there is one too many.
     """
     if (labels is None) != (results is None):
-        alone, other = ("--labels", "--results") if results is None else ("--results", "--labels")
+        if results is None:
+            alone, other = ("--labels", "--results")
+        else:
+            alone, other = ("--results", "--labels")
         raise click.UsageError(f"{alone}: got it without {other}; expected both")
     given = {
         "--layout": bool(layout_names),
@@ -230,24 +252,32 @@ def _check_one_source(
     if len(names) != 1:
         got = " and ".join(names) or "no source"
         raise click.UsageError(
-            f"detector fit: got {got}; expected one of --layout with --detector cnn or FILE.onnx, "
-            "--recording, or --labels with --results"
+            f"detector fit: got {got}; expected one of --layout with --detector cnn or"
+            " FILE.onnx, --recording, or --labels with --results"
         )
-    driven = [name for name in options.PICTURED if name not in _OF_RULE and options.is_given(name)]
+    driven = [
+        name
+        for name in options.PICTURED
+        if name not in _OF_RULE and options.is_given(name)
+    ]
     if driven and not layout_names:
         field = options.option_of(question_fields()[driven[0]])
-        raise click.UsageError(f"{field}: got it with {names[0]}; expected it with --layout alone")
+        raise click.UsageError(
+            f"{field}: got it with {names[0]}; expected it with --layout alone"
+        )
 
 
 def fit_text(result: "FitResult", out: Path | None) -> str:
     """How much was found, recall by group, the table, and false alarms."""
     share = percent(result.found / result.frames)
     lines = sentences(
-        f"{share} of {result.frames} frames with a road user are detected ({result.source})."
+        f"{share} of {result.frames} frames with a road user are detected"
+        f" ({result.source})."
     )
     if result.unknown:
         lines += sentences(
-            f"Not known from them, and as in the built-in table: {', '.join(result.unknown)}."
+            "Not known from them, and as in the built-in table:"
+            f" {', '.join(result.unknown)}."
         )
     lines += ["", *sentences(_alarms_words(result.false_alarms)), ""]
     for kind, groups in result.groups.items():
@@ -261,9 +291,18 @@ def fit_text(result: "FitResult", out: Path | None) -> str:
             ]
             for group in groups
         ]
-        lines += [*table([kind, "frames", "detected", "95 % interval", "the table says"], rows), ""]
+        lines += [
+            *table(
+                [kind, "frames", "detected", "95 % interval", "the table says"], rows
+            ),
+            "",
+        ]
     rows = [
-        [key, f"{one.value:.3g}", f"{one.low:.3g} to {one.high:.3g}" if one.low < one.high else "-"]
+        [
+            key,
+            f"{one.value:.3g}",
+            f"{one.low:.3g} to {one.high:.3g}" if one.low < one.high else "-",
+        ]
         for key, one in result.table.items()
     ]
     lines += table(["response table", "value", "95 % interval (-: not fitted)"], rows)
@@ -271,8 +310,8 @@ def fit_text(result: "FitResult", out: Path | None) -> str:
         lines += [
             "",
             *sentences(
-                f"Written to {out}: response.toml, fit.json and calibration.png. Plan with it: "
-                f"place-rsus --budget 3 --detector {out}/response.toml"
+                f"Written to {out}: response.toml, fit.json and calibration.png. Plan"
+                f" with it: place-rsus --budget 3 --detector {out}/response.toml"
             ),
         ]
     return "\n".join(lines)
@@ -285,11 +324,14 @@ def _alarms_words(alarms: "FalseAlarms") -> str:
         f"{_rate(alarms.per_picture)} per picture."
     )
     if alarms.per_hour is None:
-        return f"{words} How many of them would be confirmed is unknown: no consecutive frames."
+        return (
+            f"{words} How many of them would be confirmed is unknown: no consecutive"
+            " frames."
+        )
     return (
-        f"{words} {alarms.confirmed} false tracks were confirmed in {alarms.chances} chances: "
-        f"{_rate(alarms.per_hour)} per hour and unit. Not each of them would brake a car: it must "
-        "also seem to cross its path."
+        f"{words} {alarms.confirmed} false tracks were confirmed in"
+        f" {alarms.chances} chances: {_rate(alarms.per_hour)} per hour and unit. Not"
+        " each of them would brake a car: it must also seem to cross its path."
     )
 
 
@@ -408,7 +450,10 @@ def render(
 def _default_path(run: Any, unit_id: str, frame_index: int, suffix: str) -> Path:
     from scenarios.positions import AT_ZERO
 
-    place = run.approach if run.position == AT_ZERO.name else f"{run.approach}{run.position}"
+    if run.position == AT_ZERO.name:
+        place = run.approach
+    else:
+        place = f"{run.approach}{run.position}"
     parts = [*run.case.name.split("/"), place, f"{run.vut_speed_kmh:g}", run.weather]
     name = "_".join([*parts, f"frame-{frame_index}", unit_id])
     return Path("results", "renders", name.replace(os.sep, "_") + suffix)

@@ -1,8 +1,8 @@
 """A dataset for training and testing detectors: pictures, point clouds and labels of many runs.
 
-The text files of the folder (labels, motion, perfect detections, manifest) are written first, whole
-or not at all; pictures and clouds follow (:mod:`.drawing`). What is there already is not drawn
-again: the same call goes on where another one stopped.
+The text files of the folder (labels, motion, perfect detections, manifest) are written
+first, whole or not at all; pictures and clouds follow (:mod:`.drawing`). What is there
+already is not drawn again: the same call goes on where another one stopped.
 """
 
 import itertools
@@ -42,7 +42,13 @@ from placement.evaluator.evaluate import VUT_KEY, build_rng, unit_key
 from placement.evaluator.pictures import VUT_UNIT
 from placement.layout import Layout
 from placement.question import Question, split_names
-from placement.recordings import FrameKey, WrittenDrive, load_format, write_folder, write_recording
+from placement.recordings import (
+    FrameKey,
+    WrittenDrive,
+    load_format,
+    write_folder,
+    write_recording,
+)
 from placement.recordings.files import json_of, read_labels
 from placement.setting import Setting, build_setting
 from scenarios.runs import Run
@@ -78,9 +84,11 @@ class DatasetUnit(Record, frozen=True):
     # width_px, height_px: size of the pictures
     width_px: int
     height_px: int
-    camera_matrix: tuple[tuple[float, ...], ...]  # K; the middle of the first pixel is (0, 0). [px]
-    # world_to_camera, translation_m: R and t, x_camera = R x_world + t; None of the VUT's camera,
-    # which drives
+    camera_matrix: tuple[
+        tuple[float, ...], ...
+    ]  # K; the middle of the first pixel is (0, 0). [px]
+    # world_to_camera, translation_m: R and t, x_camera = R x_world + t; None of the
+    # VUT's camera, which drives
     world_to_camera: tuple[tuple[float, ...], ...] | None
     translation_m: tuple[float, ...] | None
 
@@ -103,7 +111,9 @@ class DatasetDrive(Record, frozen=True):
 
     def stem(self, frame: int) -> str:
         """Name of a frame's files, without its ending."""
-        return FrameKey(self.scenario, self.first_number + frame).file_name.removesuffix(".txt")
+        return FrameKey(
+            self.scenario, self.first_number + frame
+        ).file_name.removesuffix(".txt")
 
 
 class DatasetRecord(Record, frozen=True):
@@ -158,12 +168,15 @@ def run_dataset(
 ) -> DatasetSummary:
     """Write a dataset into a folder, or go on with one that is there.
 
-    The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much will be
-    drawn. Raises InputError if the layout has no such units, or LiDARs among them, the folder holds
-    something else; OSError if the disk is full: what is drawn
+    The folder is new, empty, or of the same dataset; `tell` gets a sentence on how much
+    will be drawn. Raises InputError if the layout has no such units, or LiDARs among
+    them, the folder holds something else; OSError if the disk is full: what is drawn
     stays.
     """
-    lidar = None if wish.lidar == NO_LIDAR else pick_sensor(wish.lidar, "--lidar", kind="lidar")
+    if wish.lidar == NO_LIDAR:
+        lidar = None
+    else:
+        lidar = pick_sensor(wish.lidar, "--lidar", kind="lidar")
     assert lidar is None or isinstance(lidar, LidarModel)
     viewers = _pick_viewers(layout, wish.units)
     progress("lay the runs", 0, 0)
@@ -171,7 +184,9 @@ def run_dataset(
     record = _build_record(setting, layout, viewers, wish, compute.seed)
     if not _is_begun(out, record):
         _write_texts(out, setting, viewers, record, compute, progress)
-    progress.kept = f"the dataset in {out} is not complete; the same command goes on with it"
+    progress.kept = (
+        f"the dataset in {out} is not complete; the same command goes on with it"
+    )
     tasks = list(_tasks(out, setting, viewers, record, wish, lidar))
     n_each = sum(len(drive.pictured(record.every)) for drive in record.drives)
     n_pictures = n_each * len(viewers)
@@ -212,12 +227,18 @@ def _pick_viewers(layout: Layout, names: str) -> tuple[Viewer, ...]:
     wanted = split_names(names, "--units")
     unknown = [name for name in wanted if name not in known]
     if unknown:
-        raise InputError("--units", unknown[0], "cameras of the layout: " + ", ".join(known))
+        raise InputError(
+            "--units", unknown[0], "cameras of the layout: " + ", ".join(known)
+        )
     return tuple(known[name] for name in wanted)
 
 
 def _build_record(
-    setting: Setting, layout: Layout, viewers: Sequence[Viewer], wish: DatasetWish, seed: int
+    setting: Setting,
+    layout: Layout,
+    viewers: Sequence[Viewer],
+    wish: DatasetWish,
+    seed: int,
 ) -> DatasetRecord:
     refuse_lenses(layout, "dataset")  # its records have no place for them
     units = [
@@ -227,8 +248,12 @@ def _build_record(
             width_px=viewer.camera.width_px,
             height_px=viewer.camera.height_px,
             camera_matrix=_rows(found.K),
-            world_to_camera=None if viewer.pose is None else _rows(found.R_camera_world),
-            translation_m=None if viewer.pose is None else tuple(found.translation_m.tolist()),
+            world_to_camera=(
+                None if viewer.pose is None else _rows(found.R_camera_world)
+            ),
+            translation_m=(
+                None if viewer.pose is None else tuple(found.translation_m.tolist())
+            ),
         )
         for viewer in viewers
         for found in [to_calibrated(viewer.camera, viewer.pose or _NOWHERE)]
@@ -272,8 +297,15 @@ def _is_begun(out: Path, record: DatasetRecord) -> bool:
     for name in DatasetRecord.__struct_fields__:
         other = getattr(found, name)
         if other != getattr(record, name):
-            what = f"other {name}" if isinstance(other, tuple) else f"{name} {other}"
-            refuse("--out", f"{out}, a dataset with {what}", "a new folder, or the same dataset")
+            if isinstance(other, tuple):
+                what = f"other {name}"
+            else:
+                what = f"{name} {other}"
+            refuse(
+                "--out",
+                f"{out}, a dataset with {what}",
+                "a new folder, or the same dataset",
+            )
     return True
 
 
@@ -290,8 +322,13 @@ def _write_texts(
     surroundings = build_surroundings(setting.scene, setting.runs)
     for n_done, viewer in enumerate(viewers):
         progress("label", n_done, len(viewers))
-        fixed = None if viewer.pose is None else (viewer.pose, viewer.camera)
-        evidence[viewer.folder] = perceive_frames(surroundings, fixed or load_vut_camera())
+        if viewer.pose is None:
+            fixed = None
+        else:
+            fixed = (viewer.pose, viewer.camera)
+        evidence[viewer.folder] = perceive_frames(
+            surroundings, fixed or load_vut_camera()
+        )
     progress("write labels", 0, 0)
     out.parent.mkdir(parents=True, exist_ok=True)
     also = {MANIFEST: msgspec.json.format(msgspec.json.encode(record)).decode() + "\n"}
@@ -306,7 +343,9 @@ def _write_texts(
         write_folder(out, also.items(), folders=[viewer.folder for viewer in viewers])
     else:
         detected = {
-            viewer.folder: _detected(setting, viewer, evidence[viewer.folder], compute.seed)
+            viewer.folder: _detected(
+                setting, viewer, evidence[viewer.folder], compute.seed
+            )
             for viewer in viewers
         }
         drives = _drives(setting, viewers, record, evidence, detected)
@@ -315,12 +354,16 @@ def _write_texts(
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
-def _detected(setting: Setting, viewer: Viewer, evidence: Evidence, seed: int) -> BoolArray:
+def _detected(
+    setting: Setting, viewer: Viewer, evidence: Evidence, seed: int
+) -> BoolArray:
     """Frames in which the question's detector finds the VRU, as the evaluator has it."""
     detector = setting.detector
     if detector.needs_pictures:
         raise InputError(
-            "--detector", detector.name, "one that needs no pictures: box or response, or a table"
+            "--detector",
+            detector.name,
+            "one that needs no pictures: box or response, or a table",
         )
     found = detector.detect(evidence, build_rng(seed, viewer.key))
     return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
@@ -337,7 +380,10 @@ def _drives(
     for index, (run, drive) in enumerate(zip(setting.runs, record.drives, strict=True)):
         frames = setting.axis.frames_of(index)
         apart = np.linalg.norm(run.vut_position_m - run.vru_position_m, axis=1)
-        labels = {viewer.folder: evidence[viewer.folder].visible_px[frames] for viewer in viewers}
+        labels = {
+            viewer.folder: evidence[viewer.folder].visible_px[frames]
+            for viewer in viewers
+        }
         drives.append(
             WrittenDrive(
                 scenario=drive.scenario,
@@ -347,10 +393,13 @@ def _drives(
                 distance_m=apart,
                 labels_px=labels,
                 detections_px={
-                    name: boxes * detected[name][frames, None] for name, boxes in labels.items()
+                    name: boxes * detected[name][frames, None]
+                    for name, boxes in labels.items()
                 },
                 label_distance_m={
-                    viewer.folder: apart if viewer.pose is None else _away(run, viewer.pose)
+                    viewer.folder: (
+                        apart if viewer.pose is None else _away(run, viewer.pose)
+                    )
                     for viewer in viewers
                 },
             )
@@ -374,7 +423,8 @@ def _coco(
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for viewer, (index, drive) in itertools.product(viewers, enumerate(record.drives)):
-        seen, start = evidence[viewer.folder], setting.axis.frames_of(index).start
+        seen = evidence[viewer.folder]
+        start = setting.axis.frames_of(index).start
         for frame in drive.pictured(record.every):
             images.append(
                 {
@@ -390,12 +440,17 @@ def _coco(
             if x_max <= x_min or y_max <= y_min:
                 continue
             share = np.broadcast_to(seen.visible_share, len(seen))[start + frame]
-            category = 1 + [*_COCO_CLASSES].index(setting.runs[index].encounter.vru.class_name)
+            category = 1 + [*_COCO_CLASSES].index(
+                setting.runs[index].encounter.vru.class_name
+            )
             box_px = (x_min, y_min, x_max, y_max)
-            annotation = _annotation(len(annotations) + 1, len(images), category, box_px)
+            annotation = _annotation(
+                len(annotations) + 1, len(images), category, box_px
+            )
             annotations.append(annotation | {"visible_share": float(share)})
     categories = [
-        {"id": number, "name": name} for number, name in enumerate(_COCO_CLASSES.values(), 1)
+        {"id": number, "name": name}
+        for number, name in enumerate(_COCO_CLASSES.values(), 1)
     ]
     return {
         "info": {"description": f"place-rsus dataset of {record.scene}"},
@@ -406,7 +461,10 @@ def _coco(
 
 
 def _annotation(
-    number: int, image_id: int, category_id: int, box_px: tuple[float, float, float, float]
+    number: int,
+    image_id: int,
+    category_id: int,
+    box_px: tuple[float, float, float, float],
 ) -> dict[str, Any]:
     x_min, y_min, x_max, y_max = box_px
     return {
@@ -421,7 +479,8 @@ def _annotation(
 
 def _add_vehicles(out: Path) -> None:
     """Label vehicles in ``coco.json``, once, as the text files next to the pictures have them."""
-    form, path = load_format(), out / _COCO_FILE
+    form = load_format()
+    path = out / _COCO_FILE
     coco = parse_json(read_text(path, "JSON"), str(path), "labels of pictures")
     number = len(_COCO_CLASSES) + 1
     if any(category["id"] == number for category in coco["categories"]):
@@ -447,7 +506,9 @@ def _tasks(
     for viewer in viewers:
         there = {entry.name for entry in os.scandir(out / viewer.folder)}
         groups: dict[tuple[object, ...], list[tuple[int, int, str]]] = {}
-        for index, (run, drive) in enumerate(zip(setting.runs, record.drives, strict=True)):
+        for index, (run, drive) in enumerate(
+            zip(setting.runs, record.drives, strict=True)
+        ):
             key = (run.weather, *(parked.key for parked in run.obstruction))
             for frame in drive.pictured(record.every):
                 stem = drive.stem(frame)
@@ -461,7 +522,9 @@ def _tasks(
                     out=out,
                     scene=setting.scene,
                     runs=tuple(setting.runs[index] for index in used),
-                    frames=tuple((used.index(index), frame, stem) for index, frame, stem in part),
+                    frames=tuple(
+                        (used.index(index), frame, stem) for index, frame, stem in part
+                    ),
                     viewer=viewer,
                     lidar=lidar,
                     wish=wish,
@@ -470,7 +533,11 @@ def _tasks(
 
 
 def _size_sentence(
-    n_pictures: int, n_missing: int, out: Path, tasks: Iterable[DrawTask], lidar: LidarModel | None
+    n_pictures: int,
+    n_missing: int,
+    out: Path,
+    tasks: Iterable[DrawTask],
+    lidar: LidarModel | None,
 ) -> str:
     n_bytes = 0.0
     for task in tasks:

@@ -37,7 +37,8 @@ DRAW = "draw"
 """The stage in which pictures are drawn."""
 
 FORMATS = ("carlancap", "coco")
-MASKS, DEPTHS = "instances", "depth"
+MASKS = "instances"
+DEPTHS = "depth"
 """Folders of the pictures other than those in colour."""
 
 _VEHICLE = "car"  # the study's actor type
@@ -62,9 +63,15 @@ class Viewer:
 class DatasetWish:
     """Contents of a dataset besides the labels of all frames."""
 
-    format: str = FORMATS[0]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
-    units: str = ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
-    every: int = 1  # pictures of every so many frames of a run; labels and motion are of all
+    format: str = FORMATS[
+        0
+    ]  # "carlancap": the study's folders; "coco": pictures and ``coco.json``
+    units: str = (
+        ""  # ids with commas between, "VUT" among them; empty: all, and the VUT
+    )
+    every: int = (
+        1  # pictures of every so many frames of a run; labels and motion are of all
+    )
     lidar: str = "carla-ncap-lidar"  # model of a LiDAR next to each camera, or "none"
     # masks, depth: pictures of instances and of depths are written, too
     masks: bool = False
@@ -80,7 +87,9 @@ class DrawTask:
     out: Path
     scene: Scene
     runs: tuple[Run, ...]
-    frames: tuple[tuple[int, int, str], ...]  # index of the run, frame, name of the files
+    frames: tuple[
+        tuple[int, int, str], ...
+    ]  # index of the run, frame, name of the files
     viewer: Viewer
     lidar: LidarModel | None
     wish: DatasetWish
@@ -116,7 +125,9 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
     # loads the compiler
     from placement.imaging.stills import Still, draw_onto, draw_still, scan_onto
 
-    first, pose, lidar = task.runs[0], task.viewer.pose, task.lidar
+    first = task.runs[0]
+    pose = task.viewer.pose
+    lidar = task.lidar
     compute = Compute(seed=task.seed, workers=1)
     weather = pick_weather(first.weather, "weather")
     backdrop = build_backdrop(task.scene, first.obstruction)
@@ -131,11 +142,16 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
 
     def draw_at_roadside(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
         assert pose is not None
-        look = run.id if task.wish.vary else ""
+        if task.wish.vary:
+            look = run.id
+        else:
+            look = ""
         if look not in stills:
             stills.clear()
             stills[look] = draw_still(
-                *(backdrop, pose, task.viewer.camera),
+                backdrop,
+                pose,
+                task.viewer.camera,
                 weather=weather,
                 materials=materials(run),
                 compute=compute,
@@ -148,7 +164,11 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
     def draw_from_vut(run: Run, frame: int) -> tuple[Picture, PointCloud | None]:
         at = vut_camera_pose(load_vut_camera(), run, frame)
         picture = draw_picture(
-            *(backdrop, run, frame, at, task.viewer.camera),
+            backdrop,
+            run,
+            frame,
+            at,
+            task.viewer.camera,
             weather=weather,
             with_vut=False,
             materials=materials(run),
@@ -156,10 +176,14 @@ def _drawer(task: DrawTask) -> Callable[[Run, int], tuple[Picture, PointCloud | 
         )
         if lidar is None:
             return picture, None
-        mesh = build_frame_mesh(backdrop.mesh, run, frame, at.position_m, with_vut=False)
+        mesh = build_frame_mesh(
+            backdrop.mesh, run, frame, at.position_m, with_vut=False
+        )
         return picture, scan_mesh(mesh, run, at, lidar, weather=weather, seed=task.seed)
 
-    return draw_from_vut if pose is None else draw_at_roadside
+    if pose is None:
+        return draw_from_vut
+    return draw_at_roadside
 
 
 def _contents(
@@ -173,13 +197,19 @@ def _contents(
     if task.wish.depth:
         yield "depth", _png(depth_image(picture))
     if task.wish.vehicles:
-        yield "vehicles", _with_vehicles(task.path("vehicles", stem), picture, task, run)
+        yield (
+            "vehicles",
+            _with_vehicles(task.path("vehicles", stem), picture, task, run),
+        )
     yield "picture", _png(picture.rgb)
 
 
 def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> str:
     """Lines of a label file, and one for each vehicle of which enough is seen."""
-    lines = read_text(path, "labels").splitlines() if path.exists() else []
+    if path.exists():
+        lines = read_text(path, "labels").splitlines()
+    else:
+        lines = []
     lines = [line for line in lines if not line.startswith(f"{_VEHICLE} ")]
     known = {one.id for one in task.scene.instances if "vehicle" in one.class_name}
     if task.wish.format == FORMATS[0] and run.encounter.vru.class_name == _VEHICLE:
@@ -188,13 +218,24 @@ def _with_vehicles(path: Path, picture: Picture, task: DrawTask, run: Run) -> st
     for index in np.unique(picture.instance[picture.instance >= 0]).tolist():
         name = picture.names[index]
         rows, columns = np.nonzero(picture.instance == index)
-        if not (name in known or _MOVING.fullmatch(name)) or len(rows) < _LEAST_VEHICLE_PX:
+        if (
+            not (name in known or _MOVING.fullmatch(name))
+            or len(rows) < _LEAST_VEHICLE_PX
+        ):
             continue
         offsets = np.hypot(
             columns + 0.5 - 0.5 * camera.width_px, rows + 0.5 - 0.5 * camera.height_px
         )
-        away_m = picture.depth_m[rows, columns] * np.hypot(1.0, offsets / camera.focal_length_px)
-        box = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1, away_m.mean())
+        away_m = picture.depth_m[rows, columns] * np.hypot(
+            1.0, offsets / camera.focal_length_px
+        )
+        box = (
+            columns.min(),
+            rows.min(),
+            columns.max() + 1,
+            rows.max() + 1,
+            away_m.mean(),
+        )
         lines.append(f"{_VEHICLE} {' '.join(str(float(number)) for number in box)}")
     return "".join(f"{line}\n" for line in lines)
 
@@ -206,13 +247,16 @@ def _image(pixels: NDArray[Any], **options: Any) -> Content:
 
 
 def _png(pixels: NDArray[Any]) -> Content:
-    # Noise does not shrink: more effort makes files 7 % smaller in three times the time.
+    # Noise does not shrink: more effort makes files 7 % smaller in three times the
+    # time.
     return _image(pixels, format="PNG", compress_level=1)
 
 
 def draw_all(tasks: Sequence[DrawTask], n_workers: int, progress: StageProgress) -> int:
     """Draw all tasks by processes; those of ones that die are drawn again. Bytes written."""
-    n_all, n_drawn, n_bytes = sum(len(task.frames) for task in tasks), 0, 0
+    n_all = sum(len(task.frames) for task in tasks)
+    n_drawn = 0
+    n_bytes = 0
     progress(DRAW, 0, n_all)
     try:
         for task, size in in_processes(draw_task, tasks, n=n_workers):
@@ -234,7 +278,9 @@ _MAX_CM = 65535  # what 16 bits hold
 
 def suffixes_of(sensor: Sensor) -> tuple[str, ...]:
     """Endings of files that show what a sensor sees, the usual one first."""
-    return CLOUD_SUFFIXES if isinstance(sensor, LidarModel) else COLOUR_SUFFIXES
+    if isinstance(sensor, LidarModel):
+        return CLOUD_SUFFIXES
+    return COLOUR_SUFFIXES
 
 
 def check_path(path: Path, sensor: Sensor) -> None:
@@ -248,10 +294,10 @@ def check_path(path: Path, sensor: Sensor) -> None:
 def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
     """Write a picture or a point cloud, each file whole or not at all; returns their paths.
 
-    A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or ".bin", float32
-    x, y, z, intensity, as the study releases them. A picture's colours are ".png", or ".jpg" for a
-    smaller file; "..-instances.png" has a colour for each thing; "..-depth.png" has 16 bits,
-    centimetres, 0 where nothing is hit.
+    A cloud is ".ply", points in the LiDAR's frame with a colour for each thing, or
+    ".bin", float32 x, y, z, intensity, as the study releases them. A picture's colours
+    are ".png", or ".jpg" for a smaller file; "..-instances.png" has a colour for each
+    thing; "..-depth.png" has 16 bits, centimetres, 0 where nothing is hit.
     """
     if isinstance(seen, PointCloud):
         import trimesh
@@ -267,8 +313,12 @@ def save(path: Path, seen: Picture | PointCloud) -> tuple[Path, ...]:
         form = {"format": "JPEG", "quality": _JPEG_QUALITY}
     images = {
         path: _image(seen.rgb, **form),
-        path.with_name(f"{path.stem}-instances.png"): _image(instance_image(seen), format="PNG"),
-        path.with_name(f"{path.stem}-depth.png"): _image(depth_image(seen), format="PNG"),
+        path.with_name(f"{path.stem}-instances.png"): _image(
+            instance_image(seen), format="PNG"
+        ),
+        path.with_name(f"{path.stem}-depth.png"): _image(
+            depth_image(seen), format="PNG"
+        ),
     }
     for file, image in images.items():
         write_atomically(file, image)
@@ -298,7 +348,8 @@ def instance_colours(names: tuple[str, ...]) -> NDArray[np.uint8]:
     """
     import colorsys
 
-    golden = 0.6180339887498949  # multiples of it fill a circle evenly, however many there are
+    # multiples of it fill a circle evenly, however many there are
+    golden = 0.6180339887498949
     colours = []
     for index, name in enumerate(names):
         if name == "vru":

@@ -1,8 +1,8 @@
 """``place-rsus detector fit``: a response table from what a detector really finds.
 
-Sources: a network that looks at rendered pictures, a recording in the study's format, and files of
-labels and results, of COCO or of recordings in the formats of others. Each gives labelled pictures;
-what follows is the same.
+Sources: a network that looks at rendered pictures, a recording in the study's format,
+and files of labels and results, of COCO or of recordings in the formats of others. Each
+gives labelled pictures; what follows is the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -66,13 +66,19 @@ if TYPE_CHECKING:
 
     from placement.evaluator.pictures import Crops, PictureOfFrame
 
-LOOK, FIT = "look", "fit"
-TABLE_NAME, JSON_NAME, PNG_NAME = "response.toml", "fit.json", "calibration.png"
+LOOK = "look"
+FIT = "fit"
+TABLE_NAME = "response.toml"
+JSON_NAME = "fit.json"
+PNG_NAME = "calibration.png"
 
 _BLOCK = 5  # consecutive frames: enough to see what carries over, and false tracks
-_WHOLE = 5  # of a network that looks at crops, every so many blocks are whole pictures, too
+_WHOLE = (
+    5  # of a network that looks at crops, every so many blocks are whole pictures, too
+)
 _MAX_BYTES = 2**30
-_PEDESTRIAN, _CYCLIST = VRU_CLASSES.index("pedestrian"), VRU_CLASSES.index("cyclist")
+_PEDESTRIAN = VRU_CLASSES.index("pedestrian")
+_CYCLIST = VRU_CLASSES.index("cyclist")
 _FROM_THE_SIDE_DEG = 90.0
 
 
@@ -83,7 +89,9 @@ class FitWish:
     # whose cameras, and the VUT's, show rendered pictures to the question's network
     layout: Layout | None = None
     pictures: int = 1000  # how many of these
-    recording: Path | None = None  # folder in the study's format, with labels and detections
+    recording: Path | None = (
+        None  # folder in the study's format, with labels and detections
+    )
     # labels, results: files of annotations and of detections, of COCO or of recordings
     labels: Path | None = None
     results: Path | None = None
@@ -108,7 +116,9 @@ class FitResult(Record, frozen=True, kw_only=True):
     frames: int  # with a road user
     found: int  # of these, those in which it was found
     tracks: int  # cameras and runs that the frames are of
-    unknown: tuple[str, ...]  # what the source does not say, and is as in the built-in table
+    unknown: tuple[
+        str, ...
+    ]  # what the source does not say, and is as in the built-in table
     table: Mapping[str, Interval]
     groups: Mapping[str, tuple[Group, ...]]
     calibration: tuple[Group, ...]
@@ -132,17 +142,19 @@ def run_detector_fit(
 ) -> FitResult:
     """Fit a response table to what a detector finds; table, figure and numbers go to `out`.
 
-    The question says what is driven where pictures are rendered, by which network, and how many
-    frames confirm. The seed decides which pictures are looked at, their noise and the bootstrap.
-    Raises InputError if a source is not what it should be, there are too few frames, or `out`
-    cannot be written.
+    The question says what is driven where pictures are rendered, by which network, and
+    how many frames confirm. The seed decides which pictures are looked at, their noise
+    and the bootstrap. Raises InputError if a source is not what it should be, there are
+    too few frames, or `out` cannot be written.
     """
     expect_files(out, progress)
     source = _open_source(question, wish, compute, progress)
     rule = build_rule(question)
     frame_rate_hz = wish.frame_rate_hz or rule.frame_rate_hz
     sightings, alarms = gather_sightings(
-        source.pictures, n_confirmations=rule.n_confirmations, frame_rate_hz=frame_rate_hz
+        source.pictures,
+        n_confirmations=rule.n_confirmations,
+        frame_rate_hz=frame_rate_hz,
     )
     fit = fit_response(
         sightings,
@@ -169,7 +181,8 @@ def run_detector_fit(
     def contents(done: FitResult) -> dict[str, str | bytes]:
         from ..figures.axes import to_png
 
-        head, per_hour = {"source": source.words, "command": command}, alarms.per_hour
+        head = {"source": source.words, "command": command}
+        per_hour = alarms.per_hour
         table = table_text(fit, unknown=unknown, false_tracks_per_hour=per_hour, **head)
         png = to_png(plot_calibration(done))
         return {TABLE_NAME: table, PNG_NAME: png, JSON_NAME: to_json_text(done)}
@@ -200,21 +213,30 @@ def _open_source(
 
 
 def _from_network(
-    question: Question, layout: Layout, wish: FitWish, compute: Compute, progress: StageProgress
+    question: Question,
+    layout: Layout,
+    wish: FitWish,
+    compute: Compute,
+    progress: StageProgress,
 ) -> _Source:
     network = load_detector(question.detector, where="--detector")
     if not isinstance(network, NetworkDetector):
         raise InputError(
-            "--detector", question.detector, "cnn, or an .onnx file, whose table is fitted"
+            "--detector",
+            question.detector,
+            "cnn, or an .onnx file, whose table is fitted",
         )
     progress("setting", 0, 0)
     setting = build_setting(question, load_scene(question.scene), compute=compute)
     check_layout(layout, setting.scene)
     words = (
-        f"{network.name} on up to {wish.pictures} rendered pictures by the cameras of "
-        f"{layout.name} and the VUT's, of {len(setting.runs)} runs at {setting.scene.name}"
+        f"{network.name} on up to {wish.pictures} rendered pictures by the cameras of"
+        f" {layout.name} and the VUT's, of {len(setting.runs)} runs at"
+        f" {setting.scene.name}"
     )
-    return _Source(words=words, pictures=_look(setting, layout, network, wish, compute, progress))
+    return _Source(
+        words=words, pictures=_look(setting, layout, network, wish, compute, progress)
+    )
 
 
 def _look(
@@ -228,26 +250,35 @@ def _look(
     """Pictures of blocks of consecutive frames, drawn at random, as many by each camera."""
     surroundings = build_surroundings(setting.scene, setting.runs)
     source = PictureSource(setting.scene, setting.runs, seed=compute.seed)
-    least_px, by_crops = network.min_box_height_px, network.looks_at_crops
+    least_px = network.min_box_height_px
+    by_crops = network.looks_at_crops
     views: list[tuple[Evidence, PictureOfFrame, Crops | None]] = []
     cameras: list[FrameCamera] = [
-        (unit.pose, unit.sensor) for unit in layout.units if isinstance(unit.sensor, CameraModel)
+        (unit.pose, unit.sensor)
+        for unit in layout.units
+        if isinstance(unit.sensor, CameraModel)
     ]
     cameras.append(load_vut_camera())
     for number, camera in enumerate(cameras):
         progress("label", number, len(cameras))
         evidence = perceive_frames(surroundings, camera, min_height_px=least_px)
-        crops = source.crops(camera, evidence.amodal_px) if by_crops else None
+        if by_crops:
+            crops = source.crops(camera, evidence.amodal_px)
+        else:
+            crops = None
         views.append((evidence, source.pictures(camera), crops))
     rng = np.random.default_rng([compute.seed, len(views)])
     shares = _share_out(
-        wish.pictures, [int((box_height_px(one.visible_px) > 0.0).sum()) for one, *_ in views]
+        wish.pictures,
+        [int((box_height_px(one.visible_px) > 0.0).sum()) for one, *_ in views],
     )
     n_drawn = 0
     for number, (evidence, picture, crops) in enumerate(views):
         picked = _pick_frames(setting, evidence, shares[number], rng)
         in_crops: dict[int, ImageBoxes] = {}
-        for row, crop in () if crops is None else crops.draw_all([row for *_, row in picked]):
+        for row, crop in (
+            () if crops is None else crops.draw_all([row for *_, row in picked])
+        ):
             progress(LOOK, n_drawn + len(in_crops), sum(shares))
             in_crops[row] = network.look_at(crop)
         for run, frame, row in picked:
@@ -256,7 +287,10 @@ def _look(
             # An evaluation counts boxes that are found in the crop.
             in_crop = in_crops.get(row)
             is_whole = in_crop is None or n_drawn // _BLOCK % _WHOLE == 0
-            found = network.look(picture(row)) if in_crop is None or is_whole else in_crop
+            if in_crop is None or is_whole:
+                found = network.look(picture(row))
+            else:
+                found = in_crop
             is_sure = found.confidence >= wish.min_confidence
             kind = int(np.broadcast_to(evidence.vru_class, len(evidence))[row])
             of_class, how_sure = boxes_of_class(in_crop or found, VRU_CLASSES[kind])
@@ -264,14 +298,18 @@ def _look(
             # Boxes on a road user that is too small to count are no false alarms.
             # Nor are those on cars: the pictures are full of them.
             counted = [one for one, name in found.kinds.items() if name in VRU_KINDS]
-            is_alone = np.isin(found.class_ids, counted) & (iou(found.boxes_px, box) == 0)
+            is_alone = np.isin(found.class_ids, counted) & (
+                iou(found.boxes_px, box) == 0
+            )
             n_labels = int(box[3] - box[1] >= max(least_px, 1.0))
             yield LabelledPicture(
                 track=number * len(setting.runs) + run,
                 frame=frame,
                 label_px=box[None][:n_labels],
                 label_class=np.full(n_labels, kind),
-                seen_share=_row(evidence.visible_share * evidence.inside_share, row, n_labels),
+                seen_share=_row(
+                    evidence.visible_share * evidence.inside_share, row, n_labels
+                ),
                 contrast=_row(evidence.contrast, row, n_labels),
                 aspect_deg=_row(evidence.aspect_deg, row, n_labels),
                 found_px=of_class[how_sure >= wish.min_confidence],
@@ -282,7 +320,8 @@ def _look(
 
 def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
     """How many of each; as even as those allow that have few."""
-    shares, left = [0] * len(n_there), n_wanted
+    shares = [0] * len(n_there)
+    left = n_wanted
     order = sorted(range(len(n_there)), key=lambda index: n_there[index])
     for done, index in enumerate(order):
         shares[index] = min(n_there[index], left // (len(order) - done))
@@ -292,7 +331,9 @@ def _share_out(n_wanted: int, n_there: Sequence[int]) -> list[int]:
 
 def _row(values: FloatArray, row: int, n_labels: int) -> FloatArray:
     """Value of a row of evidence, which may have one for all; nothing if there is no label."""
-    return np.atleast_1d(values)[[row if len(np.atleast_1d(values)) > 1 else 0]][:n_labels]
+    return np.atleast_1d(values)[[row if len(np.atleast_1d(values)) > 1 else 0]][
+        :n_labels
+    ]
 
 
 def _pick_frames(
@@ -300,7 +341,9 @@ def _pick_frames(
 ) -> list[tuple[int, int, int]]:
     """Run, frame and row of blocks of frames that begin where the road user is large enough."""
     chosen: dict[int, tuple[int, int, int]] = {}
-    for row in rng.permutation(np.flatnonzero(box_height_px(evidence.visible_px) > 0.0)).tolist():
+    for row in rng.permutation(
+        np.flatnonzero(box_height_px(evidence.visible_px) > 0.0)
+    ).tolist():
         if len(chosen) >= n_wanted:
             break
         run = int(np.searchsorted(setting.axis.run_start, row, side="right")) - 1
@@ -310,10 +353,16 @@ def _pick_frames(
     return [chosen[row] for row in sorted(chosen)][:n_wanted]
 
 
-def _recorded_pictures(recording: Recording, min_confidence: float) -> Iterator[LabelledPicture]:
-    names = [*recording.units, *([load_format().vut_folder] if recording.has_vut else [])]
+def _recorded_pictures(
+    recording: Recording, min_confidence: float
+) -> Iterator[LabelledPicture]:
+    names = [
+        *recording.units,
+        *([load_format().vut_folder] if recording.has_vut else []),
+    ]
     for number, name in enumerate(names):
-        all_labels, all_found = recording.labels[name], recording.detections[name]
+        all_labels = recording.labels[name]
+        all_found = recording.detections[name]
         for index, drive in enumerate(recording.drives):
             for frame, key in enumerate(drive.frames):
                 yield _plain_picture(
@@ -327,7 +376,8 @@ def _recorded_pictures(recording: Recording, min_confidence: float) -> Iterator[
                     found=[
                         (one.box_px, one.class_name == "pedestrian")
                         for one in all_found.get(key, ())
-                        if one.confidence >= min_confidence and one.class_name in _RECORDED
+                        if one.confidence >= min_confidence
+                        and one.class_name in _RECORDED
                     ],
                 )
 
@@ -344,15 +394,17 @@ def _plain_picture(
 ) -> LabelledPicture:
     """A picture of which neither contrast nor aspect is known.
 
-    `labels` have a box, a class and the share that is seen; `found` a box, and if it is a person's.
-    A rider may be found as a person, as the study's evaluation allows.
+    `labels` have a box, a class and the share that is seen; `found` a box, and if it is
+    a person's. A rider may be found as a person, as the study's evaluation allows.
     """
     kinds = np.array([kind for _, kind, _ in labels], dtype=np.int64)
     is_person = np.array([one for _, one in found], dtype=bool)
     return LabelledPicture(
         track=track,
         frame=frame,
-        label_px=np.array([box for box, _, _ in labels], dtype=np.float64).reshape(-1, 4),
+        label_px=np.array([box for box, _, _ in labels], dtype=np.float64).reshape(
+            -1, 4
+        ),
         label_class=kinds,
         seen_share=np.array([share for _, _, share in labels], dtype=np.float64),
         contrast=np.ones(len(labels)),
@@ -366,12 +418,15 @@ _FOUND_CLASSES = ("pedestrian", "cyclist")
 
 
 def _from_boxes(labels: Path, results: Path, min_score: float) -> _Source:
-    annotated, found = read_boxes(labels), read_boxes(results)
+    annotated = read_boxes(labels)
+    found = read_boxes(results)
     classes = {name: name for name in _FOUND_CLASSES if annotated.is_class(name).any()}
     paired = pair_boxes(annotated, found, classes=classes, min_score=min_score)
     left_out = "".join(f" without {n} {what}" for what, n in annotated.left_out.items())
     words = f"{results} on the {len(paired.pictures)} frames of {labels}{left_out}"
-    return _Source(words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect"))
+    return _Source(
+        words=words, pictures=iter(paired.pictures), unknown=("contrast", "aspect")
+    )
 
 
 class _Image(msgspec.Struct, frozen=True):
@@ -386,7 +441,9 @@ class _Category(msgspec.Struct, frozen=True):
     name: str
 
 
-_CornerAndSize = tuple[float, float, Annotated[float, Meta(ge=0)], Annotated[float, Meta(ge=0)]]
+_CornerAndSize = tuple[
+    float, float, Annotated[float, Meta(ge=0)], Annotated[float, Meta(ge=0)]
+]
 
 
 class _Boxed(msgspec.Struct, frozen=True):
@@ -416,15 +473,21 @@ class _Labels(msgspec.Struct, frozen=True):
 
 
 def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> _Source:
-    labels = read_table(json_of(labels_path, max_bytes=_MAX_BYTES), _Labels, str(labels_path))
+    labels = read_table(
+        json_of(labels_path, max_bytes=_MAX_BYTES), _Labels, str(labels_path)
+    )
     found = json_of(results_path, max_bytes=_MAX_BYTES)
     results = read_table(found, tuple[_Result, ...], str(results_path))
-    known_names = {name: kind for name, kind in kind_of_name().items() if kind in VRU_KINDS}
+    known_names = {
+        name: kind for name, kind in kind_of_name().items() if kind in VRU_KINDS
+    }
     kinds = {one.id: known_names.get(one.name.lower()) for one in labels.categories}
     if not any(kinds.values()):
         got = ", ".join(one.name for one in labels.categories) or "none"
         refuse(
-            f"{labels_path}: categories", got, "among them one of " + ", ".join(sorted(known_names))
+            f"{labels_path}: categories",
+            got,
+            "among them one of " + ", ".join(sorted(known_names)),
         )
     known = {image.id for image in labels.images}
     for path, rows in ((labels_path, labels.annotations), (results_path, results)):
@@ -441,7 +504,10 @@ def _from_coco(labels_path: Path, results_path: Path, min_confidence: float) -> 
 
 
 def _coco_pictures(
-    labels: _Labels, results: Sequence[_Result], kinds: dict[int, str | None], min_confidence: float
+    labels: _Labels,
+    results: Sequence[_Result],
+    kinds: dict[int, str | None],
+    min_confidence: float,
 ) -> Iterator[LabelledPicture]:
     of_image: dict[int, tuple[list[_Annotation], list[_Result]]] = {
         image.id: ([], []) for image in labels.images
@@ -453,7 +519,9 @@ def _coco_pictures(
         if kinds.get(one.category_id) and one.score >= min_confidence:
             of_image[one.image_id][1].append(one)
     tracks: dict[tuple[object, ...], int] = {}
-    for image in sorted(labels.images, key=lambda image: (image.run, image.file_name, image.id)):
+    for image in sorted(
+        labels.images, key=lambda image: (image.run, image.file_name, image.id)
+    ):
         # Pictures of no run are tracks of their own.
         key = (image.run, Path(image.file_name).parent) if image.run else (image.id,)
         labels_here, found = of_image[image.id]
@@ -468,7 +536,9 @@ def _coco_pictures(
                 )
                 for one in labels_here
             ],
-            found=[(one.corners_px, kinds[one.category_id] == "person") for one in found],
+            found=[
+                (one.corners_px, kinds[one.category_id] == "person") for one in found
+            ],
         )
 
 
@@ -493,14 +563,23 @@ def table_text(
     false_tracks_per_hour: Interval | None,
 ) -> str:
     """The table as TOML, for ``--detector FILE``; each figure with its 95 % interval."""
-    table, intervals = fit.detector, fit.intervals
+    table = fit.detector
+    intervals = fit.intervals
     figures = sorted(key for what in unknown for key in _KEYS_OF.get(what, ()))
     assumed = {*figures, *table.assumed}
 
     def said(key: str, *names: str) -> str:
-        ranges = [intervals[name] for name in names if intervals[name].low < intervals[name].high]
+        ranges = [
+            intervals[name]
+            for name in names
+            if intervals[name].low < intervals[name].high
+        ]
         words = ", ".join(f"{one.low:.3g} to {one.high:.3g}" for one in ranges)
-        return f"95 %: {words}" if ranges else "assumption" if key in assumed else ""
+        if ranges:
+            return f"95 %: {words}"
+        if key in assumed:
+            return "assumption"
+        return ""
 
     recall = [round(value, 6) for value in table.recall.tolist()]
     return page_of(
@@ -517,7 +596,9 @@ def table_text(
         assumed_figures=msgspec.json.encode(figures).decode(),
         per_hour=false_tracks_per_hour,
         words={
-            "recall": said("recall", *(f"recall[{index}]" for index in range(len(recall)))),
+            "recall": said(
+                "recall", *(f"recall[{index}]" for index in range(len(recall)))
+            ),
             **{key: said(key, key) for key in (*_FIGURES, *VRU_CLASSES)},
             "plan_probability": "assumption",
         },
@@ -533,14 +614,25 @@ def plot_calibration(result: FitResult) -> "Figure":
     left.plot([0.0, 1.0], [0.0, 1.0], color=GREY, linestyle="--", linewidth=1.0)
     look = {"fmt": "o", "color": BLUE, "markersize": 4, "capsize": 2}
     calibrated = [group.recall for group in result.calibration]
-    draw_intervals(left, [group.expected for group in result.calibration], calibrated, **look)
+    draw_intervals(
+        left, [group.expected for group in result.calibration], calibrated, **look
+    )
     left.set_xlim(0.0, 1.0)
     finish_axes(left, x="probability of the table", y="share found", grid="both")
     heights = result.groups["height"]
     places = [float(number) for number in range(len(heights))]
-    right.plot(places, [group.expected for group in heights], "s", mfc="none", mec="black", ms=6)
+    right.plot(
+        places,
+        [group.expected for group in heights],
+        "s",
+        mfc="none",
+        mec="black",
+        ms=6,
+    )
     draw_intervals(right, places, [group.recall for group in heights], **look)
-    right.set_xticks(places, [group.name.removesuffix(" px") for group in heights], rotation=35)
+    right.set_xticks(
+        places, [group.name.removesuffix(" px") for group in heights], rotation=35
+    )
     finish_axes(right, x="height in the image, px (squares: the table)", grid="y")
     for axes in (left, right):
         axes.set_ylim(0.0, 1.02)
@@ -552,5 +644,8 @@ def draw_intervals(
 ) -> Any:
     """Dots with bars from the lower to the upper end of their intervals; matplotlib's handle."""
     value = np.array([one.value for one in intervals])
-    bars = [value - [one.low for one in intervals], [one.high for one in intervals] - value]
+    bars = [
+        value - [one.low for one in intervals],
+        [one.high for one in intervals] - value,
+    ]
     return axes.errorbar(places, value, yerr=np.maximum(bars, 0.0), **look)

@@ -1,13 +1,15 @@
 """``place-rsus plan``: a program with which people plan by hand, on a page in the browser.
 
-A browser sends a request, :class:`.session.Session` makes another :class:`.workspace.Shown`
-of it, and tells all browsers. Two loops follow each change: one counts at once by the
-detection table, the other asks the evaluator when the plan rests.
+A browser sends a request, :class:`.session.Session` makes another
+:class:`.workspace.Shown` of it, and tells all browsers. Two loops follow each change:
+one counts at once by the detection table, the other asks the evaluator when the plan
+rests.
 
 The plan, as pure values
-    ``plan``: variants, undo and redo. ``requests``: what browsers can ask for. ``changes``:
-    the plan after a request. ``poles``: poles of one's own. ``background``: the image below
-    the plan; ``aerial_images`` cuts it out of a raster. ``plan_files``: plans as files.
+    ``plan``: variants, undo and redo. ``requests``: what browsers can ask for.
+    ``changes``: the plan after a request. ``poles``: poles of one's own.
+    ``background``: the image below the plan; ``aerial_images`` cuts it out of a raster.
+    ``plan_files``: plans as files.
 
 What is known of it
     ``workspace``: a scene with the numbers known so far, and what is shown of it at one
@@ -20,8 +22,8 @@ Work that takes long
     scene, that is to come while the old one is shown.
 
 The session and its browsers
-    ``session``: what each request leads to. ``browsers``: who listens, and the messages that
-    greet a new browser. ``files``: where plans are saved, and maps that were sent.
+    ``session``: what each request leads to. ``browsers``: who listens, and the messages
+    that greet a new browser. ``files``: where plans are saved, and maps that were sent.
 
 The program
     ``command``: the command line. ``server``: addresses, who may ask, how it ends.

@@ -66,7 +66,9 @@ def _cut(raster: Any, path: str, crs: str, scene: Scene) -> Background:
     own_crs = crs
     if raster.crs:
         own_crs = raster.crs.to_wkt()
-    is_coloured = raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
+    is_coloured = (
+        raster.dtypes[0] == "uint8" and raster.colorinterp[0].name != "palette"
+    )
     if raster.transform.is_identity or not (own_crs and scene.crs and is_coloured):
         refuse(path, "another one, or a scene at no place", _EXPECTED)
     low_m, high_m = _extent_m(raster, own_crs, scene.crs)

@@ -98,7 +98,9 @@ def build_background(content: bytes, lie: bytes, where: str) -> Background:
     except InputError as error:
         raise InputError(error.where, error.got, "two points of the image") from None
     except msgspec.ValidationError as error:
-        raise InputError(f"{where}: points", Unquoted(error), "two points of the image") from None
+        raise InputError(
+            f"{where}: points", Unquoted(error), "two points of the image"
+        ) from None
     return _checked(Background(lie=found, image=content), where)
 
 
@@ -128,7 +130,9 @@ def _checked(background: Background, where: str) -> Background:
     numbers = [*msgspec.structs.astuple(first), *msgspec.structs.astuple(second)]
     # Not a number is no more than anything, and refused here, too.
     if not all(abs(value) <= _MAX_COORDINATE_M for value in numbers):
-        raise InputError(f"{where}: points", numbers, f"numbers up to {_MAX_COORDINATE_M:,.0f}")
+        raise InputError(
+            f"{where}: points", numbers, f"numbers up to {_MAX_COORDINATE_M:,.0f}"
+        )
     apart_px = math.hypot(second.x_px - first.x_px, second.y_px - first.y_px)
     apart_m = math.hypot(second.east_m - first.east_m, second.north_m - first.north_m)
     if apart_px < _LEAST_APART_PX or apart_m < _LEAST_APART_M:

@@ -22,15 +22,16 @@ Listener = Callable[[dict[str, Any]], None]
 class Browsers:
     """The browsers that show the plan; for the thread of the event loop alone.
 
-    Each is a :data:`Listener`, which passes messages on. Work in the background tells them its
-    stages; the newest one is told to a browser that comes later.
+    Each is a :data:`Listener`, which passes messages on. Work in the background tells
+    them its stages; the newest one is told to a browser that comes later.
 
     Attributes
     ----------
     listeners : set of Listener
         Browsers that are there.
     left_at_s : float or None
-        Monotonic time since which nobody looks; None: somebody does, or nobody came yet.
+        Monotonic time since which nobody looks; None: somebody does, or nobody came
+        yet.
     is_lost : bool
         The last one was not closed: the connection to it is lost.
     """

@@ -88,8 +88,8 @@ def change_state(state: PlanState, change: Change, stock: Stock) -> PlanState:
     Raises
     ------
     InputError
-        There is no such unit, site, sensor or variant; a site is full or forbidden; or a
-        number is none that can be mounted.
+        There is no such unit, site, sensor or variant; a site is full or forbidden; or
+        a number is none that can be mounted.
     """
     units = state.variant.units
     match change:
@@ -131,7 +131,9 @@ def _rename_variant(state: PlanState, name: str) -> PlanState:
 def _remove_variant(state: PlanState) -> PlanState:
     """The state without the current variant; InputError: it is the last one."""
     if len(state.variants) == 1:
-        raise InputError("variant", state.variant.name, "another one: the last one stays")
+        raise InputError(
+            "variant", state.variant.name, "another one: the last one stays"
+        )
     others = tuple(each for each in state.variants if each is not state.variant)
     current = min(state.current, len(others) - 1)
     return replace(state, variants=others, current=current)
@@ -207,8 +209,8 @@ def first_units(stock: Stock, sensor: str) -> tuple[CandidatePose, ...]:
 def _change_unit(state: PlanState, change: ChangeUnit, stock: Stock) -> PlanState:
     """The state with one unit changed; see :class:`ChangeUnit`.
 
-    A sensor comes first, since its lens may be changed in the same request; then the site,
-    since heights are those of the new one; then what is said of the pose.
+    A sensor comes first, since its lens may be changed in the same request; then the
+    site, since heights are those of the new one; then what is said of the pose.
     """
     units = state.variant.units
     scene = stock.scene
@@ -253,8 +255,8 @@ def _with_lens(sensor: Sensor, fov_deg: float) -> CameraModel:
 def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> Pose:
     """A pose at another place that looks at the same point of the ground.
 
-    One whose axis does not meet the ground keeps its tilt, and turns to what lay ahead of it
-    as far away as a junction is wide.
+    One whose axis does not meet the ground keeps its tilt, and turns to what lay ahead
+    of it as far away as a junction is wide.
 
     Parameters
     ----------
@@ -284,7 +286,9 @@ def _moved(pose: Pose, position_m: FloatArray, sensor: Sensor, scene: Scene) -> 
         pitch_deg = -math.degrees(math.atan2(above_m, math.hypot(east, north)))
     if east or north:
         yaw_deg = math.degrees(math.atan2(north, east))
-    return Pose(position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg))
+    return Pose(
+        position_m=position_m, yaw_deg=_yaw(yaw_deg), pitch_deg=_pitch(pitch_deg)
+    )
 
 
 def mount_range_m(pose: Pose, site_id: str, scene: Scene) -> tuple[float, float, float]:
@@ -337,7 +341,9 @@ def _free_site(site_id: str, units: Sequence[CandidatePose], scene: Scene) -> Si
     if site is None:
         raise InputError("site", site_id, f"a site of {scene.name}")
     if site.use == "forbidden":
-        raise InputError("site", site_id, "a site that may carry units: the scene forbids this one")
+        raise InputError(
+            "site", site_id, "a site that may carry units: the scene forbids this one"
+        )
     # Each unit takes one place.
     n_there = sum(unit.site_id == site_id for unit in units)
     if n_there >= site.capacity_units:

@@ -68,7 +68,7 @@ Examples:
     "--save",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help=("Keep the plan in this file, whenever it rests; opened again if it is there."),
+    help="Keep the plan in this file, whenever it rests; opened again if it is there.",
 )
 @options.option(
     "--host",
@@ -81,7 +81,10 @@ Examples:
     is_flag=True,
     is_common=False,
     needs="host",
-    help=("With --host: whoever has the page's address can change the plan and send files."),
+    help=(
+        "With --host: whoever has the page's address can change the plan and send"
+        " files."
+    ),
 )
 @options.option(
     "--tiles",
@@ -127,14 +130,15 @@ def plan(
 ) -> None:
     """Plan by hand in the browser: mount sensors, drag them, see at once who is saved.
 
-    The page is served from this computer, to this computer alone, and loads nothing from
-    elsewhere but the tiles of a server that --tiles names.
-    Numbers of a drag are by the detection table; the evaluator's follow, the same as `evaluate`
-    gives. The optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
+    The page is served from this computer, to this computer alone, and loads nothing
+    from elsewhere but the tiles of a server that --tiles names. Numbers of a drag are
+    by the detection table; the evaluator's follow, the same as `evaluate` gives. The
+    optimiser proposes what to do next. It ends when the page is closed, or by Ctrl-C.
     """
     if host != _LOCAL and not i_know:
         raise click.UsageError(
-            f"--host: got {host}; expected --i-know beside it: others could change the plan"
+            f"--host: got {host}; expected --i-know beside it: others could change the"
+            " plan"
         )
     asked = question
     tile_server = None
@@ -144,7 +148,10 @@ def plan(
 
         tile_server = read_tile_server(tiles, tiles_attribution)
     question = begin(progress, question, quiet=quiet)
-    progress.kept = "nothing was written" if save is None else f"the plan is in {save}"
+    if save is None:
+        progress.kept = "nothing was written"
+    else:
+        progress.kept = f"the plan is in {save}"
     from geometry.errors import InputError
     from geometry.files import check_target
     from geometry.scene_files import load_scene
@@ -159,12 +166,16 @@ def plan(
     if save is not None:
         check_target(save)
     if 0.0 < read_cars(question.cars) < 1.0:
-        raise InputError("--cars", question.cars, "blind or see: the page tells each run once")
+        raise InputError(
+            "--cars", question.cars, "blind or see: the page tells each run once"
+        )
     scene = load_scene(question.scene)
     map_file = _map_file(asked)
     begun = _begun_plan(layout_names, save, scene)
     progress("setting", 0, 0)
-    setting = with_sight(build_setting(question, scene, compute=compute), compute=compute)
+    setting = with_sight(
+        build_setting(question, scene, compute=compute), compute=compute
+    )
     with tempfile.TemporaryDirectory(prefix="place-rsus-plan-") as folder:
         work = Work(question=question, scratch=Path(folder), compute=compute)
 
@@ -238,11 +249,15 @@ def _map_file(question: Question) -> "MapFile | None":
     if not path.is_file() or has_scene(path):
         return None
     known = ("sites", "keeps_left")
-    options = {key: value for key, value in map_options(question).items() if key in known}
+    options = {
+        key: value for key, value in map_options(question).items() if key in known
+    }
     return MapFile(path=path, name=path.name, options=options)
 
 
-def _begun_plan(layout_names: Sequence[str], save: Path | None, scene: "Scene") -> "Plan":
+def _begun_plan(
+    layout_names: Sequence[str], save: Path | None, scene: "Scene"
+) -> "Plan":
     """The first plan: the saved one, then layouts that it does not have yet.
 
     Parameters
@@ -293,8 +308,8 @@ def _redirect(address: str, folder: Path) -> str:
 
     path = folder / "open.html"
     page = (
-        f'<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'
-        f'<meta name="referrer" content="no-referrer">'
+        '<!DOCTYPE html><meta charset="utf-8"><title>place-rsus plan</title>'
+        '<meta name="referrer" content="no-referrer">'
         f'<meta http-equiv="refresh" content="0; url={address}">'
         f'<a href="{address}">To the page</a>\n'
     )

@@ -60,7 +60,8 @@ class Counting:
     async def count(self) -> None:
         """Tell numbers of the newest state, at once; the evaluator's where they are known.
 
-        It never ends by itself. Of changes that come while it counts, only the newest is counted.
+        It never ends by itself. Of changes that come while it counts, only the newest
+        is counted.
         """
         while True:
             await self.changed.wait()
@@ -106,14 +107,17 @@ class Counting:
         self._browsers.send(variants_message(self._current()))
         if self.shows_coverage and not self.changed.is_set():
             found = await asyncio.to_thread(coverage_record, shown.setting.scene, units)
-            self._browsers.send({"type": "coverage", "revision": shown.revision, **found})
+            self._browsers.send(
+                {"type": "coverage", "revision": shown.revision, **found}
+            )
 
     # ---------- by the evaluator
 
     async def judge(self) -> None:
         """Save what rests, and evaluate all layouts that are shown: the newest first.
 
-        It never ends by itself. A change interrupts it after the layout at which it works.
+        It never ends by itself. A change interrupts it after the layout at which it
+        works.
         """
         while True:
             await self.rests.wait()
@@ -145,7 +149,8 @@ class Counting:
     async def _evaluate(self, units: tuple[CandidatePose, ...]) -> None:
         """Evaluate a layout in the scene that is shown now, and tell what is found.
 
-        A layout at which the evaluator's process died is tried once more, by a new process.
+        A layout at which the evaluator's process died is tried once more, by a new
+        process.
         """
         workspace = self._current().workspace
         key = key_of(units)
@@ -153,7 +158,9 @@ class Counting:
         tell = self._browsers.stages("evaluator")
         tell("evaluate", 0, 0)
         try:
-            numbers = await self._workers.evaluator.call("evaluate", layout, on_progress=tell)
+            numbers = await self._workers.evaluator.call(
+                "evaluate", layout, on_progress=tell
+            )
         except Cancelled:
             return
         except TaskError as error:

@@ -25,7 +25,8 @@ class MapFile:
     name : str
         As its sender calls it.
     options : dict
-        Of maps: "sites" and "keeps_left", as :meth:`.tasks.Tasks.import_junction` takes them.
+        Of maps: "sites" and "keeps_left", as :meth:`.tasks.Tasks.import_junction` takes
+        them.
     found : dict
         As :meth:`.tasks.Tasks.survey` tells; empty: nobody has looked yet.
     """
@@ -42,7 +43,8 @@ def save_plan(shown: Shown) -> str:
     Returns
     -------
     str
-        Why it could not be written, as a sentence for the page; empty: nothing went wrong.
+        Why it could not be written, as a sentence for the page; empty: nothing went
+        wrong.
     """
     path = shown.workspace.save
     if path is None:
@@ -54,7 +56,9 @@ def save_plan(shown: Shown) -> str:
     try:
         write_atomically(path, text)
     except OSError as error:
-        return tr("not saved: {file}: {reason}", file=path, reason=error.strerror or error)
+        return tr(
+            "not saved: {file}: {reason}", file=path, reason=error.strerror or error
+        )
     return ""
 
 

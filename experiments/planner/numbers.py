@@ -178,7 +178,9 @@ def _arm_records(setting: Setting) -> list[dict[str, Any]]:
 # ---------- what is asked
 
 
-def change_question(question: Question, change: ChangeQuestion, begun: Question) -> Question:
+def change_question(
+    question: Question, change: ChangeQuestion, begun: Question
+) -> Question:
     """A question with what a browser changes.
 
     Parameters
@@ -206,7 +208,9 @@ def change_question(question: Question, change: ChangeQuestion, begun: Question)
         raise InputError("cases", cases, "sets and names of cases")
     changed = replace(question, **given)
     if 0.0 < read_cars(changed.cars) < 1.0:
-        raise InputError("cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once")
+        raise InputError(
+            "cars", changed.cars, f"{BLIND} or {SEE}: the page tells each run once"
+        )
     # The detector is one of the choices, and may be a network that is slow to load.
     check_question(replace(changed, detector=DETECTOR_NAMES[0]))
     return changed
@@ -247,7 +251,9 @@ def question_record(question: Question, begun: Question) -> dict[str, Any]:
     if weights in WEIGHT_WORDS:
         meaning = say(f"meanings.{weights}")
     if question.score != AVOIDED:
-        meaning += " " + tr("A run that is not avoided counts by the speed that is left.")
+        meaning += " " + tr(
+            "A run that is not avoided counts by the speed that is left."
+        )
     return {
         "now": {field.name: getattr(question, field.name) for field in names},
         "choices": {
@@ -299,7 +305,9 @@ def state_record(history: History, scene: Scene) -> dict[str, Any]:
         records.append({**record, **_unit_fields(unit, scene)})
     return {
         "units": records,
-        "variants": [{"name": one.name, "units": len(one.units)} for one in state.variants],
+        "variants": [
+            {"name": one.name, "units": len(one.units)} for one in state.variants
+        ],
         "current": state.current,
         "poles": [_site_record(pole, is_own=True) for pole in state.poles],
         "canUndo": history.can_undo,
@@ -539,9 +547,9 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
     Returns
     -------
     dict
-        "band" has a byte for each cell, row by row from the south: the index of its band in
-        ``BANDS``, of which 0 is the finest; 254: coarser than all; 255: unseen. "box" is in
-        centimetres.
+        "band" has a byte for each cell, row by row from the south: the index of its
+        band in ``BANDS``, of which 0 is the finest; 254: coarser than all; 255: unseen.
+        "box" is in centimetres.
     """
     found = find_ground_coverage(scene, units)
     band = np.full(found.density.shape, 255, dtype=np.uint8)
@@ -557,7 +565,9 @@ def coverage_record(scene: Scene, units: Sequence[CandidatePose]) -> dict[str, A
         "columns": len(found.east_m),
         "band": to_base64(band),
         "road": to_base64(found.is_road.astype(np.uint8)),
-        "shares": {said(name): percent(value) for name, value in found.shares().items()},
+        "shares": {
+            said(name): percent(value) for name, value in found.shares().items()
+        },
     }
 
 

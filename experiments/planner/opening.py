@@ -174,7 +174,9 @@ class SceneOpening:
         if "keeps_left" in file.options:
             given["keeps_left"] = file.options["keeps_left"]
         try:
-            found = await reader.call("survey", str(file.path), on_progress=tell, **given)
+            found = await reader.call(
+                "survey", str(file.path), on_progress=tell, **given
+            )
         finally:
             self._at_work = None
             tell("", 0, 0)

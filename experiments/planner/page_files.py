@@ -12,7 +12,8 @@ from ..report.page import page_environment
 _KINDS = {".css": "text/css", ".js": "text/javascript"}
 # Scripts of the report that the page's own scripts use
 _SHARED_SCRIPTS = ("words.js", "run_numbers.js", "plan_drawing.js")
-# Files of the report are plain scripts; here they are modules, which export what is used.
+# Files of the report are plain scripts; here they are modules, which export what is
+# used.
 _EXPORTED = (
     b"export { element, drawGround, drawScale, addPatterns, MARKS, bodyCorners, "
     b"wedgeCorners, points, unpackBits, stretches, seconds, say, inWords };\n"
@@ -49,8 +50,8 @@ def page_html() -> str:
 def page_files() -> dict[str, tuple[bytes, str]]:
     """Files of the page by name: content and media type.
 
-    ``shared.js`` has scripts of the report, ``junction_map.js`` the chooser of junctions; both
-    become modules here.
+    ``shared.js`` has scripts of the report, ``junction_map.js`` the chooser of
+    junctions; both become modules here.
     """
     page = files("experiments.planner") / "page"
     found = {}

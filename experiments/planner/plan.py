@@ -77,8 +77,8 @@ class PlanState:
     current : int
         Index of the variant that is worked on.
     workspace : Workspace
-        Of the scene that the plan is for. Undo may lead to another scene with it; nothing
-        here looks into it.
+        Of the scene that the plan is for. Undo may lead to another scene with it;
+        nothing here looks into it.
     poles : tuple of Site
         Of one's own, beside the scene's sites.
     """
@@ -119,8 +119,8 @@ def add_variant(state: PlanState, variant: Variant, *, source: str = "") -> Plan
     variant : Variant
         The further one.
     source : str
-        Such as the file's name: it is added where the variant's name is taken, and then a
-        number.
+        Such as the file's name: it is added where the variant's name is taken, and then
+        a number.
 
     Raises
     ------
@@ -194,8 +194,9 @@ class History:
         state : PlanState
             What is shown from here.
         gesture : str
-            Name of the drag that it is a step of, if it is one: a step of the same gesture as the
-            last one takes that one's place, so that all is undone at once.
+            Name of the drag that it is a step of, if it is one: a step of the same
+            gesture as the last one takes that one's place, so that all is undone at
+            once.
         """
         is_same = bool(gesture) and gesture == self.gesture and not self.can_redo
         before = self.states[: self.now + 1]
@@ -215,7 +216,9 @@ class History:
 
     def of_newest(self, most: int) -> "History":
         """Without the steps in other than the newest workspaces, `most` of them."""
-        newest_first = dict.fromkeys(id(state.workspace) for state in reversed(self.states))
+        newest_first = dict.fromkeys(
+            id(state.workspace) for state in reversed(self.states)
+        )
         kept = list(newest_first)[:most]
         states = tuple(state for state in self.states if id(state.workspace) in kept)
         return History(states=states, now=len(states) - 1)

@@ -56,7 +56,9 @@ def check_plan(plan: Plan, scene: Scene) -> None:
     """Raise InputError unless all variants of a plan can be mounted in a scene."""
     for variant in plan.variants:
         if variant.units:
-            layout = Layout(name=variant.name, units=variant.units, scene_name=plan.scene_name)
+            layout = Layout(
+                name=variant.name, units=variant.units, scene_name=plan.scene_name
+            )
             check_layout(layout, scene)
 
 
@@ -141,7 +143,9 @@ def _pole_places(state: PlanState) -> dict[str, Any]:
     return {"poles": places}
 
 
-def plan_text(state: PlanState, scene: Scene, background: Background | None = None) -> str:
+def plan_text(
+    state: PlanState, scene: Scene, background: Background | None = None
+) -> str:
     """All variants in one file, each as a layout file has it, and the image below them.
 
     Parameters

@@ -65,14 +65,16 @@ def build_pole(scene: Scene, name: str, place_m: tuple[float, float]) -> Site:
     Raises
     ------
     InputError
-        It would stand in something or on the road, too far away, or no pole of the scene says
-        what is usual.
+        It would stand in something or on the road, too far away, or no pole of the
+        scene says what is usual.
     """
     standing = [site for site in scene.sites if site.kind != "mast arm"]
     if not standing:
         refuse("pole", "a scene without any", "one whose poles it can be like")
     # The first of those that are alike the most often
-    kinds = [(one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing]
+    kinds = [
+        (one.kind, *one.height_range_m.tolist(), one.capacity_units) for one in standing
+    ]
     usual_kind = max(kinds, key=kinds.count)
     usual = standing[kinds.index(usual_kind)]
     east_m, north_m = (round(check_finite("pole", value), 2) for value in place_m)
@@ -125,7 +127,9 @@ def put_pole(state: PlanState, change: PutPole, scene: Scene) -> PlanState:
     return replace(_each_unit(state, moved), poles=poles)
 
 
-def _each_unit(state: PlanState, change: Callable[[CandidatePose], CandidatePose]) -> PlanState:
+def _each_unit(
+    state: PlanState, change: Callable[[CandidatePose], CandidatePose]
+) -> PlanState:
     """The state with each unit of each variant changed."""
     variants = []
     for variant in state.variants:

@@ -138,15 +138,17 @@ async def ask_optimiser(
     Returns
     -------
     bool
-        True if all answers were added; False if there is none, or another scene was opened
-        meanwhile.
+        True if all answers were added; False if there is none, or another scene was
+        opened meanwhile.
     """
     tell = browsers.stages("optimiser")
     tell("start", 0, 0)
     try:
         shown = current()
         models = shown.sensors.option
-        await workers.optimiser.call("choose", models, shown.state.poles, on_progress=tell)
+        await workers.optimiser.call(
+            "choose", models, shown.state.poles, on_progress=tell
+        )
         answers = await workers.optimiser.call(
             "advise",
             begun.units,

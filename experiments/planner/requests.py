@@ -14,8 +14,8 @@ class _Request(Struct, tag_field="do", forbid_unknown_fields=True):
 class AddUnit(_Request, tag="add"):
     """Mount a sensor at a site; by default it looks at the middle of the junction.
 
-    A height that the site does not have is brought into its range: what is pasted may be from
-    another site.
+    A height that the site does not have is brought into its range: what is pasted may
+    be from another site.
     """
 
     site: str
@@ -186,5 +186,7 @@ def read_message(text: bytes) -> Message:
     except InputError as error:
         raise InputError("message", error.got, "one that the page sends") from None
     except msgspec.ValidationError as error:
-        raise InputError("message", Unquoted(error), "one that the page sends") from None
+        raise InputError(
+            "message", Unquoted(error), "one that the page sends"
+        ) from None
     return message

@@ -66,13 +66,15 @@ LINGER_LOST_S = 180.0
 _MAP_SUFFIXES = (".osm", ".osm.pbf", ".pbf", ".osm.gz", ".osm.bz2", ".xodr", ".zip")
 _IMAGES = "img-src 'self' data: blob:"
 _STRICT = (
-    f"default-src 'none'; script-src 'self'; style-src 'self'; {_IMAGES}; connect-src 'self'; "
-    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+    f"default-src 'none'; script-src 'self'; style-src 'self'; {_IMAGES}; connect-src"
+    " 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors"
+    " 'self'"
 )
-# The player's page is one file, as the report is: its own scripts and styles stand in it.
+# The player's page is one file, as the report is: its own scripts and styles stand in
+# it.
 _INLINE = (
-    f"default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; {_IMAGES}; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline';"
+    f" {_IMAGES}; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 
 _POLICY = "content-security-policy"
@@ -123,7 +125,9 @@ class Guard:
         As of :func:`allowed_hosts`.
     """
 
-    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] | None) -> None:
+    def __init__(
+        self, app: ASGIApp, *, token: str, hosts: frozenset[str] | None
+    ) -> None:
         self._app = app
         self._token = token
         self._hosts = hosts
@@ -158,7 +162,9 @@ class Guard:
         if scope["path"].startswith("/"):
             token = scope["path"].split("/")[1]
         if not secrets.compare_digest(token.encode(), self._token.encode()):
-            return tr("no such page; the address is the one that place-rsus plan has printed")
+            return tr(
+                "no such page; the address is the one that place-rsus plan has printed"
+            )
         return ""
 
 
@@ -180,7 +186,9 @@ class Pages:
             Route("/watch", self._answer(self._watch)),
             Route("/explain", self._answer(self._explain)),
             Route("/private", self._answer(self._private)),
-            Route("/background", self._answer(self._background), methods=["GET", "POST"]),
+            Route(
+                "/background", self._answer(self._background), methods=["GET", "POST"]
+            ),
             Route("/seen", self._answer(self._seen)),
             Route("/picture", self._answer(self._picture)),
             Route("/report.zip", self._answer(self._report)),
@@ -230,8 +238,8 @@ class Pages:
     async def _live(self, socket: WebSocket) -> None:
         """Talk to a browser until it leaves: messages to it, requests of it.
 
-        Each request is answered by "heard" with its number, so that the page knows which of its
-        changes the newest state has.
+        Each request is answered by "heard" with its number, so that the page knows
+        which of its changes the newest state has.
         """
         await socket.accept()
         waiting: asyncio.Queue[dict[str, Any]] = asyncio.Queue(_MAX_WAITING)
@@ -295,8 +303,8 @@ class Pages:
     async def _background(self, request: Request) -> Response:
         """The image below the plan; by POST another one, or with an empty body none.
 
-        An image with a file name is a raster that says where it lies; one without is sent with
-        two points that lay it.
+        An image with a file name is a raster that says where it lies; one without is
+        sent with two points that lay it.
         """
         if request.method == "POST":
             name = _file_name(request)
@@ -319,7 +327,9 @@ class Pages:
         if world:
             path.with_suffix(".wld").write_text("\n".join(world.split()))
         try:
-            background: Background = await self._session.call("lay_raster", str(path), crs)
+            background: Background = await self._session.call(
+                "lay_raster", str(path), crs
+            )
         except TaskError as error:
             raise TaskError(str(error).replace(str(path), name)) from None
         finally:
@@ -332,8 +342,8 @@ class Pages:
     async def _seen(self, request: Request) -> Response:
         """What a camera sees while it is aimed, small.
 
-        A problem is an answer like others, and no fault of the page: when it is answered, another
-        picture may be wanted, or the unit or the run be gone.
+        A problem is an answer like others, and no fault of the page: when it is
+        answered, another picture may be wanted, or the unit or the run be gone.
         """
         values = request.query_params
         wanted_px = _whole_number(values, "width", _WIDEST_PX)
@@ -417,18 +427,27 @@ class Pages:
         """Go on at a junction of the map that was sent last, or in that scene."""
         sent = self._map_file()
         session = self._session
-        junction = (await _body(request, _MAX_NAME_BYTES)).decode("utf-8", errors="replace")
+        junction = (await _body(request, _MAX_NAME_BYTES)).decode(
+            "utf-8", errors="replace"
+        )
         try:
             if sent.found.get("isScene"):
                 await session.open_scene(str(sent.path))
                 # The session's file from here on
                 session.map_file = None
             else:
-                names = {one["id"]: one["name"] for one in sent.found.get("junctions", ())}
+                names = {
+                    one["id"]: one["name"] for one in sent.found.get("junctions", ())
+                }
                 if junction not in names:
                     raise InputError("junction", junction, f"one of {sent.name}")
-                path = str(session.shown.workspace.work.scratch / f"scene-{next(self._numbers)}")
-                await session.open_scene(path, names[junction], of=sent, junction=junction)
+                path = str(
+                    session.shown.workspace.work.scratch
+                    / f"scene-{next(self._numbers)}"
+                )
+                await session.open_scene(
+                    path, names[junction], of=sent, junction=junction
+                )
         except TaskError as error:
             plain = str(error)
             if error.cause in CAUSES:
@@ -441,7 +460,11 @@ class Pages:
 
         Raises InputError if it is too large; nothing is left of it then.
         """
-        path = self._session.shown.workspace.work.scratch / f"received-{next(self._numbers)}" / name
+        path = (
+            self._session.shown.workspace.work.scratch
+            / f"received-{next(self._numbers)}"
+            / name
+        )
         path.parent.mkdir()
         try:
             with path.open("wb") as file:
@@ -535,8 +558,8 @@ async def _send_all(
 ) -> None:
     """Send what waits, until the browser is lost.
 
-    Of several messages of a kind that wait, such as numbers, only the newest is sent; but all
-    of those in ``_EACH``.
+    Of several messages of a kind that wait, such as numbers, only the newest is sent;
+    but all of those in ``_EACH``.
     """
     while True:
         messages = [await waiting.get()]
@@ -618,7 +641,9 @@ class RunningServer:
             self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
             where = getattr(error, "strerror", None) or error
-            raise InputError("--port", Unquoted(f"{host}:{port}: {where}"), "a free port") from None
+            raise InputError(
+                "--port", Unquoted(f"{host}:{port}: {where}"), "a free port"
+            ) from None
         self.port: int = self._socket.getsockname()[1]
         self.host = host
         self.token = secrets.token_urlsafe(24)
@@ -636,8 +661,8 @@ class RunningServer:
     def start(self) -> None:
         """Serve from here on.
 
-        Returns when the address is answered. Raises what the session or the server cannot begin
-        with.
+        Returns when the address is answered. Raises what the session or the server
+        cannot begin with.
         """
         self._thread.start()
         self._is_up.wait()
@@ -706,8 +731,8 @@ class RunningServer:
     async def _end_when_alone(self, session: Session, server: uvicorn.Server) -> None:
         """End some seconds after the last page was closed.
 
-        A page that is loaded again comes back within these; one whose connection was lost tries
-        for minutes.
+        A page that is loaded again comes back within these; one whose connection was
+        lost tries for minutes.
         """
         while not self.keeps_open:
             await asyncio.sleep(0.5)

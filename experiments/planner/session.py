@@ -40,12 +40,13 @@ from .workspace import Shown, Workspace, build_sensor_choice
 class Session:
     """Carries out what browsers ask: it changes what is :attr:`shown`, and wakes who follows it.
 
-    `shown` is a value, and :meth:`_go_to` alone replaces its history. Each of the parts does
-    one job with it: `browsers` are told, `counting` finds the numbers, `views` what units see,
-    `proposals` are the optimiser's, `question_change` and `scene_opening` work at what is to
-    come, `workers` are the processes.
+    `shown` is a value, and :meth:`_go_to` alone replaces its history. Each of the parts
+    does one job with it: `browsers` are told, `counting` finds the numbers, `views`
+    what units see, `proposals` are the optimiser's, `question_change` and
+    `scene_opening` work at what is to come, `workers` are the processes.
 
-    All methods but :meth:`stop` and :meth:`stop_processes` are for the thread of the event loop.
+    All methods but :meth:`stop` and :meth:`stop_processes` are for the thread of the
+    event loop.
 
     Parameters
     ----------
@@ -89,7 +90,10 @@ class Session:
         workspace = Workspace(work, setting, title=title, save=save)
         self.shown = _begin(workspace, begun or Plan(variants=()))
         # Files of plans, in the order of their scenes
-        self._saves = [] if save is None else [save]
+        if save is None:
+            self._saves = []
+        else:
+            self._saves = [save]
         self.browsers = Browsers()
         self.workers = Workers(make_worker, work)
         self.proposals = Proposals()
@@ -384,8 +388,8 @@ class Session:
     ) -> None:
         """Go on in another scene, from nothing; Undo leads back.
 
-        Where the plan has a file, that of the new scene gets another one. Parameters and
-        errors are those of :meth:`.opening.SceneOpening.open`.
+        Where the plan has a file, that of the new scene gets another one. Parameters
+        and errors are those of :meth:`.opening.SceneOpening.open`.
         """
         opened = await self.scene_opening.open(path, title, of=of, junction=junction)
         before = self.shown.workspace

@@ -58,7 +58,8 @@ class Work:
     question : Question
         Its scene is a path that the server chose.
     scratch : Path
-        Folder of this session, removed at its end; detections of units are cached there.
+        Folder of this session, removed at its end; detections of units are cached
+        there.
     compute : Compute
         Its cache has tables of whole grids.
     """
@@ -99,7 +100,9 @@ class Tasks:
         """Scene and runs, as ``evaluate`` builds them."""
         self._progress("setting", 0, 0)
         question = self._work.question
-        setting = build_setting(question, load_scene(question.scene), compute=self._compute)
+        setting = build_setting(
+            question, load_scene(question.scene), compute=self._compute
+        )
         return with_sight(setting, compute=self._compute)
 
     def open_setting(self) -> Setting:
@@ -115,7 +118,9 @@ class Tasks:
         # The name stands in the record of an evaluation.
         key = (layout.name, *key_of(layout.units))
         if key not in self._evaluations:
-            self._evaluations[key] = evaluate_layout(layout, self.setting, compute=self._of_units)
+            self._evaluations[key] = evaluate_layout(
+                layout, self.setting, compute=self._of_units
+            )
             while len(self._evaluations) > _MAX_EVALUATIONS:
                 self._evaluations.popitem(last=False)
         self._evaluations.move_to_end(key)
@@ -125,8 +130,12 @@ class Tasks:
         """A page that plays runs of a layout, the one asked for first: the report's own player."""
         self._run_index(run_id)
         evaluation = self._evaluation(layout)
-        part = interactive_part(self.setting, {layout.name: evaluation}, first_runs=(run_id,))
-        source = (Path(__file__).parent / "page" / "watch.html.j2").read_text(encoding="utf-8")
+        part = interactive_part(
+            self.setting, {layout.name: evaluation}, first_runs=(run_id,)
+        )
+        source = (Path(__file__).parent / "page" / "watch.html.j2").read_text(
+            encoding="utf-8"
+        )
         template = page_environment().from_string(source)
         page: str = template.render(interactive=part, title=run_id)
         return page
@@ -144,8 +153,9 @@ class Tasks:
         Returns
         -------
         dict
-            For the page: how many frames are in time; for each unit how many of them it detects,
-            and what keeps it from the others; the run and its parties to draw them.
+            For the page: how many frames are in time; for each unit how many of them it
+            detects, and what keeps it from the others; the run and its parties to draw
+            them.
 
         Raises
         ------
@@ -159,7 +169,9 @@ class Tasks:
         frames = axis.frames_of(index)
         time_s = axis.time_s[frames]
         last_s = float(axis.last_brake_time_s[index])
-        counts = np.asarray(is_in_time(time_s, last_s, latency_s=setting.rule.latency_s))
+        counts = np.asarray(
+            is_in_time(time_s, last_s, latency_s=setting.rule.latency_s)
+        )
         # Frames that came early enough, and in which the unit did not detect anybody
         looks = []
         for unit in layout.units:
@@ -180,7 +192,9 @@ class Tasks:
                 }
                 words.append(record)
             n_detected = n_in_time - len(look.frame_index)
-            units.append({"unit": look.unit.id, "detected": n_detected, "reasons": words})
+            units.append(
+                {"unit": look.unit.id, "detected": n_detected, "reasons": words}
+            )
         shown = []
         for number, at_s in enumerate(time_s):
             shown.append({"index": number, "time": localized(f"{at_s:.1f} s")})
@@ -203,7 +217,8 @@ class Tasks:
     def picture(self, layout: Layout, unit_id: str, run_id: str, frame: int) -> bytes:
         """Picture of a camera in a frame of a run, as JPEG.
 
-        Raises InputError if there is no such unit, run or frame, or the unit is a LiDAR.
+        Raises InputError if there is no such unit, run or frame, or the unit is a
+        LiDAR.
         """
         from placement.evaluator.pictures import find_frame, find_viewpoint, render
         from placement.imaging import Picture
@@ -219,8 +234,8 @@ class Tasks:
     def lay_raster(self, path: str, crs: str) -> Background:
         """The part of an aerial image that lies around the junction, north up.
 
-        `crs` is the reference system of a world file next to it. Raises InputError: it does not say
-        where it lies, or lies elsewhere.
+        `crs` is the reference system of a world file next to it. Raises InputError: it
+        does not say where it lies, or lies elsewhere.
         """
         return lay_raster(path, crs, self.setting.scene)
 
@@ -310,7 +325,9 @@ class Tasks:
             )
             scene = with_poles(self.setting.scene, self._poles)
             setting = replace(self.setting, scene=scene)
-            assembly = assemble(question, setting=setting, counts_money=True, compute=self._compute)
+            assembly = assemble(
+                question, setting=setting, counts_money=True, compute=self._compute
+            )
             self._adviser = Adviser(assembly, build_grid(question))
         return self._adviser
 
@@ -420,7 +437,9 @@ class Tasks:
 
         maps, junctions = self._read_map(path, keeps_left)
         chosen = choose_junction(maps[0], junctions, name=junction)
-        imported = cut_scene(maps, chosen, ImportOptions(sites=sites), progress=self._progress)
+        imported = cut_scene(
+            maps, chosen, ImportOptions(sites=sites), progress=self._progress
+        )
         Path(out).mkdir()
         save_scene(Path(out), imported.scene, sources=imported.sources)
 

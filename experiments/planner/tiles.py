@@ -12,7 +12,8 @@ from geometry.scene import Scene
 
 _HOST = r"[A-Za-z0-9](?:[A-Za-z0-9.-]*[A-Za-z0-9])?"
 _TEMPLATE = re.compile(
-    rf"(?P<origin>https?://(?P<host>{_HOST})(?::(?P<port>\d{{1,5}}))?)/[!#-&(-;=?-~]*"  # no ' " < >
+    # no ' " < >
+    rf"(?P<origin>https?://(?P<host>{_HOST})(?::(?P<port>\d{{1,5}}))?)/[!#-&(-;=?-~]*"
 )
 _HIGHEST_PORT = 65535
 # Around the junction, to each side
@@ -62,17 +63,19 @@ def read_tile_server(template: str, attribution: str) -> TileServer:
     names = sorted(re.findall(r"\{(.*?)\}", template))
     is_address = found is not None and int(found["port"] or 0) <= _HIGHEST_PORT
     if found is None or not is_address or names != ["x", "y", "z"]:
-        raise InputError("--tiles", template, "an address such as https://HOST/{z}/{x}/{y}.png")
+        raise InputError(
+            "--tiles", template, "an address such as https://HOST/{z}/{x}/{y}.png"
+        )
     return TileServer(template, attribution or found["host"], found["origin"])
 
 
 def tile_frame(scene: Scene) -> dict[str, Any] | None:
     """How tiles lie on the plan of a scene.
 
-    Tiles are squares of Web Mercator: of the whole map, 0 to 1 from west to east and from
-    north to south (EPSG:3857, scaled). Around the junction the plan is a polynomial of these
-    and they are one of the plan; each is fitted to a grid of 1.5 km to all sides, to less than
-    a millimetre.
+    Tiles are squares of Web Mercator: of the whole map, 0 to 1 from west to east and
+    from north to south (EPSG:3857, scaled). Around the junction the plan is a
+    polynomial of these and they are one of the plan; each is fitted to a grid of 1.5 km
+    to all sides, to less than a millimetre.
 
     Returns
     -------

@@ -81,8 +81,8 @@ class Views:
         unit_id : str
             The camera.
         **wanted
-            Run, frame and size, as :func:`~experiments.parts.camera_views.live_picture` takes
-            them.
+            Run, frame and size, as :func:`~experiments.parts.camera_views.live_picture`
+            takes them.
 
         Returns
         -------
@@ -94,8 +94,8 @@ class Views:
         InputError
             There is no such unit, run or frame.
         Cancelled
-            Another one was asked for meanwhile: of those that wait for their turn only the
-            newest is drawn.
+            Another one was asked for meanwhile: of those that wait for their turn only
+            the newest is drawn.
         """
         asked = object()
         self._newest_picture = asked

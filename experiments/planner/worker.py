@@ -46,7 +46,9 @@ class Worker:
         self._turn = asyncio.Lock()
         self.is_busy = False
 
-    async def call(self, method: str, *args: Any, on_progress: OnProgress, **kwargs: Any) -> Any:
+    async def call(
+        self, method: str, *args: Any, on_progress: OnProgress, **kwargs: Any
+    ) -> Any:
         """Result of a method, after all that were called before.
 
         Parameters
@@ -61,9 +63,11 @@ class Worker:
         Raises
         ------
         TaskError
-            The method refused what it was given, or something went wrong that nobody foresaw.
+            The method refused what it was given, or something went wrong that nobody
+            foresaw.
         DiedError
-            The process ended by itself or was killed, for example because memory ran out.
+            The process ended by itself or was killed, for example because memory ran
+            out.
         Cancelled
             :meth:`stop` was called meanwhile.
         """
@@ -123,7 +127,9 @@ class Worker:
         return self._connection
 
 
-def _exchange(connection: Connection, request: Any, tell: OnProgress) -> tuple[str, Any]:
+def _exchange(
+    connection: Connection, request: Any, tell: OnProgress
+) -> tuple[str, Any]:
     """Send a request and wait for its answer; ("ended", None) where the process ends."""
     try:
         connection.send(request)
@@ -143,8 +149,9 @@ def _serve(connection: Connection, work: Work, code: str) -> None:
     Parameters
     ----------
     connection : Connection
-        Gets requests (method, args, kwargs). For each it sends ("progress", stage) any number
-        of times, and then ("done", result), ("refused", (text, cause)) or ("failed", (text,)).
+        Gets requests (method, args, kwargs). For each it sends ("progress", stage) any
+        number of times, and then ("done", result), ("refused", (text, cause)) or
+        ("failed", (text,)).
     work : Work
         Of the :class:`.tasks.Tasks`.
     code : str

@@ -14,8 +14,8 @@ MakeWorker = Callable[[Work], Worker]
 class Workers:
     """The processes that work for what is shown.
 
-    The evaluator and the optimiser know one question and scene: :meth:`begin` replaces them.
-    The reader reads maps, which it remembers, whatever is shown.
+    The evaluator and the optimiser know one question and scene: :meth:`begin` replaces
+    them. The reader reads maps, which it remembers, whatever is shown.
     """
 
     def __init__(self, make: MakeWorker, work: Work) -> None:

@@ -51,7 +51,8 @@ _MAX_KNOWN = 300
 class Workspace:
     """A scene in which somebody plans: rays, views, private ground, and numbers known so far.
 
-    Undo leads back to earlier ones. It is shared with threads: what they change is guarded.
+    Undo leads back to earlier ones. It is shared with threads: what they change is
+    guarded.
 
     Parameters
     ----------
@@ -81,7 +82,9 @@ class Workspace:
         self.ground: PrivateGround | None = None
         self._sight: PrivateSight | None = None
         if work.question.no_look:
-            self.ground = load_private_ground(Path(work.question.no_look), setting.scene)
+            self.ground = load_private_ground(
+                Path(work.question.no_look), setting.scene
+            )
             self._sight = PrivateSight(setting.scene, self.ground)
         self._sight_turn = threading.Lock()
         self.live = LiveTable(setting, compute=work.compute)
@@ -281,8 +284,8 @@ def build_sensor_choice(question: Question) -> SensorChoice:
 class Shown:
     """What the browsers show at one moment; a change makes another one.
 
-    Whoever works in the background keeps the one that he has begun with, and compares its
-    workspace or its revision with the newest before he tells what he has found.
+    Whoever works in the background keeps the one that he has begun with, and compares
+    its workspace or its revision with the newest before he tells what he has found.
 
     Attributes
     ----------
@@ -343,5 +346,8 @@ class Shown:
     def first_units(self) -> tuple[CandidatePose, ...]:
         """A unit that is mounted nowhere: counting it prepares all that the first drag needs."""
         chosen = self.sensors.chosen
-        model = chosen[0] if chosen else load_candidate_grid().sensors[0].name
+        if chosen:
+            model = chosen[0]
+        else:
+            model = load_candidate_grid().sensors[0].name
         return first_units(self.stock, model)

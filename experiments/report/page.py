@@ -16,7 +16,12 @@ from placement.setting import Setting
 from ..figures.axes import unit_labels
 from ..language import language, mark, tr, trn
 from ..parts import added, answer, comparison, dangers, proof, road_users, study_cases
-from ..parts.accidents import accidents_section, cases_section, runs_section, unit_apr_table
+from ..parts.accidents import (
+    accidents_section,
+    cases_section,
+    runs_section,
+    unit_apr_table,
+)
 from ..parts.alternatives import failures_section
 from ..parts.assumptions import again_section, assumption_sentences, assumptions_section
 from ..parts.bill_of_materials import BillOfMaterials, bill_section, build_bill
@@ -34,8 +39,8 @@ from ..parts.units import build_plans, private_ground_section, units_section
 from ..side_process import SideProcess, Task
 
 FILE_NAME = "report.html"
-# In the order of questions: what to mount, how sure that is, who remains at risk, what if, what it
-# costs, how it was made.
+# In the order of questions: what to mount, how sure that is, who remains at risk, what
+# if, what it costs, how it was made.
 _IN_SIGHT = (
     *("units", "front", "proof", "comparison", "sampled"),
     *("accidents", "dangers", "failures", "private-ground", "bill"),
@@ -51,7 +56,10 @@ def page_environment() -> Environment:
     """How all pages are made from templates: text of others is shown as text."""
     environment = Environment(
         loader=ChoiceLoader(
-            [PackageLoader("experiments.report"), PackageLoader("experiments.scene", "")]
+            [
+                PackageLoader("experiments.report"),
+                PackageLoader("experiments.scene", ""),
+            ]
         ),
         autoescape=True,
         undefined=StrictUndefined,
@@ -96,8 +104,8 @@ def build_report(
 ) -> tuple[str, dict[str, Picture]]:
     """A result as one HTML page that loads nothing, and its pictures worth a file, by name.
 
-    The first evaluation is the subject. `command` makes the result again; `bill` knows more of the
-    costs than the scene.
+    The first evaluation is the subject. `command` makes the result again; `bill` knows
+    more of the costs than the scene.
     """
     tasks = begin_tasks(side or SideProcess(), result, setting, evaluations)
     shown, detailed = _shown(result, evaluations)
@@ -106,12 +114,15 @@ def build_report(
     for task in reversed(tasks):
         task.take()
     plan, *plans = tasks.plans.result()
-    pictures, bill = {"plan": plan}, bill or build_bill(subject.layout, setting.scene)
+    pictures = {"plan": plan}
+    bill = bill or build_bill(subject.layout, setting.scene)
     labels = unit_labels(subject.layout)
     layouts = {name: item.layout for name, item in shown.items()}
     sections: list[Section | None] = [
         units_section({name: layouts[name] for name in detailed}, plans, setting.scene),
-        accidents_section(evaluations, is_optimised=isinstance(result, PlacementResult)),
+        accidents_section(
+            evaluations, is_optimised=isinstance(result, PlacementResult)
+        ),
         added.section(result.added),
         road_users.section(result.road_users),
         tasks.dangers.result(),
@@ -141,7 +152,9 @@ def build_report(
     page = page_template().render(
         title=answer.title(result, setting, shown),
         first=build_first_screen(
-            *(result, setting, subject),
+            result,
+            setting,
+            subject,
             bill=bill,
             plan=plan,
             views=tasks.views.result(),
@@ -166,17 +179,28 @@ class Tasks(NamedTuple):
 
 
 def begin_tasks(
-    side: SideProcess, result: Result, setting: Setting, evaluations: Mapping[str, Evaluation]
+    side: SideProcess,
+    result: Result,
+    setting: Setting,
+    evaluations: Mapping[str, Evaluation],
 ) -> Tasks:
     """Begin what takes long to draw: the report that is written takes it from there."""
     shown, detailed = _shown(result, evaluations)
     layouts = {name: item.layout for name, item in detailed.items()}
-    others = [item.layout for item in [*shown.values()][1:]] if len(detailed) == 1 else []
-    front = result.front if isinstance(result, PlacementResult) else None
+    if len(detailed) == 1:
+        others = [item.layout for item in [*shown.values()][1:]]
+    else:
+        others = []
+    if isinstance(result, PlacementResult):
+        front = result.front
+    else:
+        front = None
     return Tasks(  # what takes the longest comes first
         plans=side.begin("plans", build_plans, setting, layouts, others),
         views=side.begin("views", camera_views, setting, next(iter(layouts.values()))),
-        dangers=side.begin("dangers", dangers.section, setting, shown, fusion=result.fusion),
+        dangers=side.begin(
+            "dangers", dangers.section, setting, shown, fusion=result.fusion
+        ),
         margins=side.begin("margins", margins_section, shown),
         front=side.begin("front", front_section, front),
     )

@@ -31,7 +31,9 @@ class RefusalRecord(Record, frozen=True, kw_only=True):
     position: Annotated[str, says("Where along the arms: 0, -15, +15 and so on.")] = "0"
     speeds_kmh: Annotated[tuple[float, ...], says("Speeds of the vehicle, in km/h.")]
     reason: Annotated[str, says("Why, in words.")]
-    is_possible: Annotated[bool, says("Only room is missing: it counts as possible.")] = True
+    is_possible: Annotated[
+        bool, says("Only room is missing: it counts as possible.")
+    ] = True
 
 
 class DrivesRecord(Record, frozen=True, kw_only=True):
@@ -41,17 +43,30 @@ class DrivesRecord(Record, frozen=True, kw_only=True):
     weathers: Annotated[tuple[str, ...], says("Weathers that were driven in.")]
     detector: Annotated[str, says("What detects: name.")]
     vut_sensors: Annotated[tuple[str, ...], says("Sensors of the vehicle under test.")]
-    cars: Annotated[Share, says("Of cars whose own sensors are one more unit (--cars).")] = 0.0
+    cars: Annotated[
+        Share, says("Of cars whose own sensors are one more unit (--cars).")
+    ] = 0.0
     packet_loss: Annotated[Share, says("Share of the units' messages that get lost.")]
-    vam_rate: Annotated[Share, says("Share of the road users that announce themselves.")]
+    vam_rate: Annotated[
+        Share, says("Share of the road users that announce themselves.")
+    ]
     track_memory_s: Annotated[
         float | None,
-        says("How long a confirmed track lives without detections, in seconds; null: for ever."),
+        says(
+            "How long a confirmed track lives without detections, in seconds; null: for"
+            " ever."
+        ),
     ]
-    not_driven: Annotated[tuple[RefusalRecord, ...], says("What has no room in the scene.")]
-    possible_runs: Annotated[int, says("Runs driven, and those that lack only room.", ge=1)]
+    not_driven: Annotated[
+        tuple[RefusalRecord, ...], says("What has no room in the scene.")
+    ]
+    possible_runs: Annotated[
+        int, says("Runs driven, and those that lack only room.", ge=1)
+    ]
     driven: Annotated[tuple[str, ...], says("What possible runs are missing, and why.")]
-    without_effect: Annotated[tuple[str, ...], says("What changes nothing, in words.")] = ()
+    without_effect: Annotated[
+        tuple[str, ...], says("What changes nothing, in words.")
+    ] = ()
 
 
 def build_drives_record(setting: Setting) -> DrivesRecord:
@@ -104,15 +119,23 @@ def describe_driven(setting: Setting) -> list[str]:
     limits = [*describe_limits(setting), *describe_left_out(setting)]
     if not lacking_room(setting):
         return limits
-    n_runs, n_possible = setting.axis.n_runs, _count_possible(setting)
+    n_runs = setting.axis.n_runs
+    n_possible = _count_possible(setting)
     first = tr("{n} of {all} possible runs could be driven", n=n_runs, all=n_possible)
     if n_runs == n_possible:
         first = tr("All {n} possible runs are driven", n=n_runs)
     gaps = list(_gaps(setting))
     n_left = len(gaps) - _MOST_GAPS
-    more = [tr("{n} more below", n=n_left)] if n_left > 0 else []
+    if n_left > 0:
+        more = [tr("{n} more below", n=n_left)]
+    else:
+        more = []
     missing = "; ".join([*gaps[:_MOST_GAPS], *more])
-    return [f"{first}: {missing}." if missing else f"{first}.", *_reasons(setting), *limits]
+    return [
+        f"{first}: {missing}." if missing else f"{first}.",
+        *_reasons(setting),
+        *limits,
+    ]
 
 
 def describe_limits(setting: Setting) -> list[str]:
@@ -151,7 +174,10 @@ def describe_left_out(setting: Setting) -> Iterator[str]:
     not_laid = [one for one in setting.refusals if one.left_out == "not laid"]
     reasons = grouped((one.reason.removesuffix("."), one.case.name) for one in not_laid)
     if reasons:
-        listed = [f"{joined(dict.fromkeys(names))}: {said(why)}" for why, names in reasons.items()]
+        listed = [
+            f"{joined(dict.fromkeys(names))}: {said(why)}"
+            for why, names in reasons.items()
+        ]
         yield tr("Not laid at any junction: {cases}.", cases="; ".join(listed))
 
 
@@ -181,7 +207,9 @@ def _gaps(setting: Setting) -> Iterator[str]:
     if nowhere:
         yield tr("no {cases} at all", cases=joined(dict.fromkeys(nowhere)))
     left = {
-        pair: one for pair, one in missing.items() if pair[0] not in nowhere and one.is_possible
+        pair: one
+        for pair, one in missing.items()
+        if pair[0] not in nowhere and one.is_possible
     }
     from_arms = {arm for _, arm in driven}
     silent = dict.fromkeys(arm for _, arm in left if arm not in from_arms)
@@ -209,10 +237,14 @@ def _reasons(setting: Setting) -> Iterator[str]:
     def count(group: Sequence[Refusal]) -> int:
         return sum(len(one.speeds_kmh) for one in group) * _n_weathers(setting)
 
-    ranked = sorted(groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1])))
+    ranked = sorted(
+        groups.items(), key=lambda item: (not item[1][0].is_possible, -count(item[1]))
+    )
     for reason, group in ranked:
         places = grouped((one.case.name, (one.approach, one.position)) for one in group)
-        cases = grouped((describe_places(grouped(where)), name) for name, where in places.items())
+        cases = grouped(
+            (describe_places(grouped(where)), name) for name, where in places.items()
+        )
         where = [
             tr("{cases} from the {places}", cases=joined(names), places=found)
             for found, names in cases.items()
@@ -241,13 +273,18 @@ def describe_places(positions: Mapping[str, Sequence[str]]) -> str:
     arms: dict[str, list[str]] = {}
     for arm, found in positions.items():
         names = list(dict.fromkeys(found))
-        where = "" if names == [AT_ZERO.name] else ", ".join(names)
+        if names == [AT_ZERO.name]:
+            where = ""
+        else:
+            where = ", ".join(names)
         arms.setdefault(where, []).append(said(arm))
     return joined(
         [
-            tr("{arms} (at {positions})", arms=joined(found), positions=where)
-            if where
-            else joined(found)
+            (
+                tr("{arms} (at {positions})", arms=joined(found), positions=where)
+                if where
+                else joined(found)
+            )
             for where, found in arms.items()
         ]
     )

@@ -1,8 +1,8 @@
 """A folder of results: written as a whole or not at all, and replaced only if nobody changed it.
 
-``SHA256SUMS`` in the folder lists its files with their hashes, so that ``sha256sum -c SHA256SUMS``
-checks it anywhere. A folder is replaced only if it holds the listed files, unchanged, and nothing
-else: what users put there, or changed there, is theirs.
+``SHA256SUMS`` in the folder lists its files with their hashes, so that ``sha256sum -c
+SHA256SUMS`` checks it anywhere. A folder is replaced only if it holds the listed files,
+unchanged, and nothing else: what users put there, or changed there, is theirs.
 """
 
 import ctypes
@@ -56,7 +56,10 @@ def _manifest_of(contents: Mapping[str, str | bytes]) -> str:
     """List of files that are not written yet, as :func:`write_manifest` writes it."""
     lines = []
     for name, content in sorted(contents.items()):
-        data = content.encode() if isinstance(content, str) else content
+        if isinstance(content, str):
+            data = content.encode()
+        else:
+            data = content
         lines.append(f"{hashlib.sha256(data).hexdigest()}  {name}\n")
     return "".join(lines)
 
@@ -71,7 +74,12 @@ def read_manifest(folder: Path) -> dict[str, str]:
     for number, line in enumerate(lines, start=1):
         digest, gap, name = line.partition("  ")
         where = f"{path}: line {number}"
-        if not gap or not name or len(digest) != 64 or set(digest) - set("0123456789abcdef"):
+        if (
+            not gap
+            or not name
+            or len(digest) != 64
+            or set(digest) - set("0123456789abcdef")
+        ):
             raise InputError(where, line, "a SHA-256 hash, two spaces, a name")
         if name in hashes:
             raise InputError(where, name, "every file once")
@@ -81,7 +89,8 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 def changed_files(folder: Path) -> dict[str, str]:
     """Files not as ``SHA256SUMS`` lists them, each "missing", "changed" or "not listed" there."""
-    listed, found = read_manifest(folder), listed_files(folder)
+    listed = read_manifest(folder)
+    found = listed_files(folder)
     changes = {name: "missing" for name in listed if name not in found}
     for name, path in found.items():
         if name not in listed:
@@ -141,8 +150,8 @@ def _try_to_write(folder: Path, existing: Path) -> None:
 def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Path]:
     """Fill a temporary folder, then put it in the place of `folder`, which may be a link.
 
-    `sign` is the key that signs the list of its files, see :mod:`.signatures`.
-    If the block raises, `folder` stays as it was; what was written is kept next to it if
+    `sign` is the key that signs the list of its files, see :mod:`.signatures`. If the
+    block raises, `folder` stays as it was; what was written is kept next to it if
     ``summary.json`` is among it, unless the user ends the program. Raises InputError as
     :func:`check_result_folder`, or if writing failed: it names the folder that is kept.
     """
@@ -165,7 +174,9 @@ def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Pat
             temporary.rename(kept)
             more = f"; what was computed is kept in {kept}"
             if isinstance(error, InputError):
-                raise InputError(error.where, error.got, f"{error.expected}{more}") from error
+                raise InputError(
+                    error.where, error.got, f"{error.expected}{more}"
+                ) from error
             if isinstance(error, OSError) and is_about(error, real, temporary):
                 raise unwritable(folder, error, more) from error
             error.add_note(more.removeprefix("; "))
@@ -190,7 +201,10 @@ def _check_existing(folder: Path, real: Path) -> None:
         raise InputError("--out", str(folder), "a folder, not a file")
     try:
         is_empty = not any(real.iterdir())
-        changes = {} if is_empty else changed_files(real)
+        if is_empty:
+            changes = {}
+        else:
+            changes = changed_files(real)
         has_manifest = (real / MANIFEST).exists()
     except OSError as error:
         raise unwritable(folder, error) from None
@@ -205,7 +219,8 @@ def _check_existing(folder: Path, real: Path) -> None:
         expected = "a new or empty folder, or one with earlier results and nothing else"
         raise InputError("--out", Unquoted(f"{folder}, which {what}"), expected)
     if real.is_mount() or Path.cwd().is_relative_to(real):
-        # Such a folder cannot be replaced, or not without pulling the rug from under a shell.
+        # Such a folder cannot be replaced, or not without pulling the rug from under a
+        # shell.
         got = Unquoted(f"{folder}, the current folder or a mounted one")
         raise InputError("--out", got, "a folder inside it")
 
@@ -217,12 +232,16 @@ def _put_in_place(temporary: Path, folder: Path, real: Path) -> None:
             temporary.rename(real)
         else:
             _check_existing(folder, real)  # files may have come, or changed, meanwhile
-            for path in [path for path in real.rglob("*") if path.name in _OF_FILE_MANAGERS]:
+            for path in [
+                path for path in real.rglob("*") if path.name in _OF_FILE_MANAGERS
+            ]:
                 path.unlink()
             replaced = temporary
             if not _exchange(temporary, real):
                 replaced = _free_name(real, "earlier")
-                real.rename(replaced)  # in sight: the program may be killed before the next line
+                real.rename(
+                    replaced
+                )  # in sight: the program may be killed before the next line
                 try:
                     temporary.rename(real)
                 except OSError:
@@ -239,7 +258,8 @@ def _exchange(first: Path, second: Path) -> bool:
     libc = ctypes.CDLL(None, use_errno=True)
     names = os.fsencode(first), os.fsencode(second)
     if hasattr(libc, "renameat2"):  # Linux
-        at_cwd, swap = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>
+        at_cwd = -100
+        swap = 2  # AT_FDCWD and RENAME_EXCHANGE of <fcntl.h> and <linux/fs.h>
         failed = libc.renameat2(at_cwd, names[0], at_cwd, names[1], swap)
     elif hasattr(libc, "renamex_np"):  # macOS
         swap = 2  # RENAME_SWAP of <sys/stdio.h>
@@ -255,7 +275,10 @@ def _exchange(first: Path, second: Path) -> bool:
 def _free_name(folder: Path, word: str) -> Path:
     """A free name next to a folder: ``latest.unfinished``."""
     stem = folder.name[:200]  # names have 255 bytes at most
-    names = [f"{stem}.{word}", *(f"{stem}.{word}-{number}" for number in range(2, 1000))]
+    names = [
+        f"{stem}.{word}",
+        *(f"{stem}.{word}-{number}" for number in range(2, 1000)),
+    ]
     return next(path for name in names if not (path := folder.with_name(name)).exists())
 
 
@@ -268,7 +291,9 @@ def remove_abandoned(parent: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def expect_results(out: Path | None, progress: StageProgress, *, sign: Path | None = None) -> None:
+def expect_results(
+    out: Path | None, progress: StageProgress, *, sign: Path | None = None
+) -> None:
     """Check a folder before a job that replaces it by :func:`new_result_folder`, if asked to.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign it.
@@ -313,7 +338,9 @@ def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
         raise unwritable(folder, error) from None
 
 
-def expect_files(out: Path | None, progress: StageProgress, *, sign: Path | None = None) -> None:
+def expect_files(
+    out: Path | None, progress: StageProgress, *, sign: Path | None = None
+) -> None:
     """Check a folder before a job whose result :func:`save_files` puts there, if asked to.
 
     Raises InputError: it cannot be written, or the key `sign` cannot sign its files.

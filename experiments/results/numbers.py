@@ -43,7 +43,9 @@ def cars_words(cars: float) -> str:
     """
     if not cars:
         return ""
-    return tr(", cars see") if cars == 1.0 else tr(", {share} of the cars see", share=percent(cars))
+    if cars == 1.0:
+        return tr(", cars see")
+    return tr(", {share} of the cars see", share=percent(cars))
 
 
 def points(share: float) -> str:
@@ -55,7 +57,9 @@ def points(share: float) -> str:
     ('2.2 points', '1 point')
     """
     shown = round(100.0 * share, 1) + 0.0
-    return tr("1 point") if shown == 1.0 else tr("{n} points", n=number(shown, 1))
+    if shown == 1.0:
+        return tr("1 point")
+    return tr("{n} points", n=number(shown, 1))
 
 
 def in_points(share: float | None) -> str:
@@ -80,17 +84,23 @@ def euros(amount: float | None) -> str:
     >>> euros(4500.0), euros(None)
     ('4,500 EUR', 'unknown')
     """
-    return tr("unknown") if amount is None else tr("{amount:,.0f} EUR", amount=amount)
+    if amount is None:
+        return tr("unknown")
+    return tr("{amount:,.0f} EUR", amount=amount)
 
 
 def finite_or_none(value: float) -> float | None:
     """A number as records have it: None in place of an infinity."""
-    return value if math.isfinite(value) else None
+    if math.isfinite(value):
+        return value
+    return None
 
 
 def or_nan(value: float | None) -> float:
     """A number as records have it: NaN where there is none."""
-    return math.nan if value is None else value
+    if value is None:
+        return math.nan
+    return value
 
 
 def milliseconds(time_s: float) -> str:
@@ -125,7 +135,9 @@ def grouped(pairs: Iterable[tuple[_K, _V]]) -> dict[_K, list[_V]]:
 def joined(words: Iterable[str]) -> str:
     """Words as a list in a sentence: "a", "a and b", "a, b and c"."""
     *first, last = words
-    return tr("{first} and {last}", first=", ".join(first), last=last) if first else last
+    if first:
+        return tr("{first} and {last}", first=", ".join(first), last=last)
+    return last
 
 
 def capital(text: str) -> str:
@@ -137,7 +149,9 @@ def first_of(words: Sequence[str], most: int) -> str:
     """The first words of a list with commas, and how many more there are."""
     listed = ", ".join(words[:most])
     n_left = len(words) - most
-    return tr("{listed} and {n} more", listed=listed, n=n_left) if n_left > 0 else listed
+    if n_left > 0:
+        return tr("{listed} and {n} more", listed=listed, n=n_left)
+    return listed
 
 
 def layout_words(name: str) -> str:
@@ -152,10 +166,14 @@ def layout_words(name: str) -> str:
         return tr("the study's 12 cameras ({name})", name=name)
     count = name.removeprefix("best-")
     if count != name and count.isdecimal():
-        return trn("the one found ({name})", "the {n} found ({name})", int(count), name=name)
+        return trn(
+            "the one found ({name})", "the {n} found ({name})", int(count), name=name
+        )
     return said(name)
 
 
 def shortened(text: str, width: int) -> str:
     """A text of at most so many letters; a longer one ends in an ellipsis."""
-    return text if len(text) <= width else text[: width - 1] + "\N{HORIZONTAL ELLIPSIS}"
+    if len(text) <= width:
+        return text
+    return text[: width - 1] + "\N{HORIZONTAL ELLIPSIS}"

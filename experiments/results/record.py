@@ -31,7 +31,11 @@ from scenarios.aeb import AebRule
 
 Share = Annotated[
     float,
-    Meta(ge=-1e-9, le=1.000000001, extra_json_schema={"title": "From 0 to 1, but for rounding."}),
+    Meta(
+        ge=-1e-9,
+        le=1.000000001,
+        extra_json_schema={"title": "From 0 to 1, but for rounding."},
+    ),
 ]
 RunId = Annotated[str, says("Name of a run, as in runs.parquet.", min_length=1)]
 StageName = Literal[
@@ -55,7 +59,9 @@ StageValues = Annotated[
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A part of a result. Each field says what it is; UNSET ones are not written."""
 
-    schema_rules: ClassVar[dict[str, object]] = {}  # of the JSON schema, about several keys
+    schema_rules: ClassVar[
+        dict[str, object]
+    ] = {}  # of the JSON schema, about several keys
 
 
 def to_plain(value: object) -> Any:
@@ -81,35 +87,56 @@ class UnitRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     site: Annotated[str, says("Site of the scene; empty: none.")]
     x_m: Annotated[float, says("East, in metres.")]
     y_m: Annotated[float, says("North, in metres.")]
-    z_m: Annotated[float, says("Above the road (of a slope: in the junction's middle), in metres.")]
+    z_m: Annotated[
+        float, says("Above the road (of a slope: in the junction's middle), in metres.")
+    ]
     yaw_deg: Annotated[float, says("Counter-clockwise from east, in degrees.")]
     pitch_deg: Annotated[float, says("Positive up, in degrees.", ge=-90, le=90)]
-    camera: Annotated[str | None, says("Model in catalogue or layout.json; this or lidar.")] = None
-    lidar: Annotated[str | None, says("Model in catalogue or layout.json; this or camera.")] = None
+    camera: Annotated[
+        str | None, says("Model in catalogue or layout.json; this or lidar.")
+    ] = None
+    lidar: Annotated[
+        str | None, says("Model in catalogue or layout.json; this or camera.")
+    ] = None
     fov_deg: Annotated[
         float | None,
-        says("Horizontal, to which a varifocal lens is set, in degrees; missing: the catalogue's."),
+        says(
+            "Horizontal, to which a varifocal lens is set, in degrees; missing: the"
+            " catalogue's."
+        ),
     ] = None
     latency_s: Annotated[
         Annotated[float, Meta(ge=0)] | None,
         says("Of this unit, in seconds; missing: that of the rule."),
     ] = None
     kind: Annotated[str | None, says("Of the site: lamp post, kerb and so on.")] = None
-    place: Annotated[str | None, says("Corner, or arm and street; empty: unknown.")] = None
-    assumed: Annotated[str | None, says("What is assumed of the site; missing: nothing.")] = None
+    place: Annotated[str | None, says("Corner, or arm and street; empty: unknown.")] = (
+        None
+    )
+    assumed: Annotated[
+        str | None, says("What is assumed of the site; missing: nothing.")
+    ] = None
 
 
 class StageRecord(Record, frozen=True, kw_only=True):
     """An objective on the detection table; they are optimised in order, each holding the last."""
 
     name: Annotated[StageName, says("Which objective.")]
-    objective: Annotated[float, says("Of the layout found, in the unit that the name ends in.")]
-    bound: Annotated[float | None, says("What no layout exceeds, or goes below; null: unknown.")]
-    gap: Annotated[float | None, says("Of the two, over the objective; 0: proven; null: infinite.")]
+    objective: Annotated[
+        float, says("Of the layout found, in the unit that the name ends in.")
+    ]
+    bound: Annotated[
+        float | None, says("What no layout exceeds, or goes below; null: unknown.")
+    ]
+    gap: Annotated[
+        float | None, says("Of the two, over the objective; 0: proven; null: infinite.")
+    ]
     seconds: Annotated[float, says("Time spent, in seconds.", ge=0)]
 
 
-def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[UnitRecord, ...]:
+def build_unit_records(
+    layout: Layout, scene: Scene | None = None
+) -> tuple[UnitRecord, ...]:
     """The units of a layout; with a scene also what people call where they are."""
     records = tuple(UnitRecord(**unit) for unit in layout_records(layout))
     if scene is None:
@@ -118,7 +145,12 @@ def build_unit_records(layout: Layout, scene: Scene | None = None) -> tuple[Unit
     assumed = assumed_sites(scene.notes)
     places = whereabouts(scene, [unit.pose.position_m[:2] for unit in layout.units])
     return tuple(
-        replace(record, kind=kinds.get(record.site), place=place, assumed=assumed.get(record.site))
+        replace(
+            record,
+            kind=kinds.get(record.site),
+            place=place,
+            assumed=assumed.get(record.site),
+        )
         for record, place in zip(records, places, strict=True)
     )
 
@@ -133,7 +165,9 @@ class LayoutValueRecord(Record, frozen=True, kw_only=True):
 
     apr: Annotated[Share, says("APR on the detection table.")]
     apr_one_failed: Annotated[Share, says("APR if the unit that is needed most fails.")]
-    smallest_margin_s: Annotated[float, says("Least time to spare, in seconds; 0: none.")]
+    smallest_margin_s: Annotated[
+        float, says("Least time to spare, in seconds; 0: none.")
+    ]
     mean_margin_s: Annotated[float, says("Mean time to spare, in seconds; 0: none.")]
     cost_eur: Annotated[float, says("Units, and sites once, in EUR.")]
 
@@ -142,14 +176,22 @@ class PartyAprRecord(Record, frozen=True, kw_only=True):
     """Accident prevention ratio of a sensing party."""
 
     all: Annotated[Share | None, says("APR over all runs, by weight.")]
-    by_case: Annotated[dict[str, Share | None], says("APR of each case; null: no run has weight.")]
+    by_case: Annotated[
+        dict[str, Share | None], says("APR of each case; null: no run has weight.")
+    ]
     by_position: Annotated[
         dict[str, Share | None],
-        says("The same of each position along the arms, such as -15; empty of recordings."),
+        says(
+            "The same of each position along the arms, such as -15; empty of"
+            " recordings."
+        ),
     ] = field(default_factory=dict)
     mean_impact_speed_kmh: Annotated[
         float | None,
-        says("Of the VUT at contact by weight, avoided runs as 0, in km/h; null of recordings."),
+        says(
+            "Of the VUT at contact by weight, avoided runs as 0, in km/h; null of"
+            " recordings."
+        ),
     ] = None
     score: Annotated[Share | None, says("Only with --score rating-2026.")] = None
 
@@ -158,31 +200,48 @@ class EvaluationRecord(Record, frozen=True, kw_only=True):
     """A layout by the evaluator: full perception and emergency braking."""
 
     vut: Annotated[PartyAprRecord, says("The vehicle under test by itself.")]
-    rsu_all: Annotated[PartyAprRecord, says("All units: in each frame, any of them may detect.")]
-    vut_and_rsus: Annotated[PartyAprRecord, says("All units and the vehicle's own sensors.")]
+    rsu_all: Annotated[
+        PartyAprRecord, says("All units: in each frame, any of them may detect.")
+    ]
+    vut_and_rsus: Annotated[
+        PartyAprRecord, says("All units and the vehicle's own sensors.")
+    ]
     units: Annotated[dict[str, PartyAprRecord], says("Each unit by itself, by its id.")]
-    vam: Annotated[PartyAprRecord | None, says("Road users' own messages; null: none.")] = None
-    all_sources: Annotated[PartyAprRecord | None, says("All together; null: no messages.")] = None
+    vam: Annotated[
+        PartyAprRecord | None, says("Road users' own messages; null: none.")
+    ] = None
+    all_sources: Annotated[
+        PartyAprRecord | None, says("All together; null: no messages.")
+    ] = None
     headline: Annotated[
         PartyAprRecord | None,
         says(
-            "What the layout is judged by where cars see (--cars): units and vehicle together, or "
-            "with a share of cars that see the weighted sum of that and rsu_all. Null: rsu_all."
+            "What the layout is judged by where cars see (--cars): units and vehicle"
+            " together, or with a share of cars that see the weighted sum of that and"
+            " rsu_all. Null: rsu_all."
         ),
     ] = None
-    apr_without_worst_unit: Annotated[Share | None, says("Of all but the most needed unit.")]
-    apr_without_worst_site: Annotated[Share | None, says("The same of poles, or null.")] = None
+    apr_without_worst_unit: Annotated[
+        Share | None, says("Of all but the most needed unit.")
+    ]
+    apr_without_worst_site: Annotated[
+        Share | None, says("The same of poles, or null.")
+    ] = None
 
     @property
     def judged(self) -> PartyAprRecord:
         """What the layout is judged by."""
-        return self.rsu_all if self.headline is None else self.headline
+        if self.headline is None:
+            return self.rsu_all
+        return self.headline
 
 
 def mixed(blind: Any, seeing: Any, cars: float) -> Any:
     """A record whose numbers are weighted by the share of cars that see; counts as for most."""
     if cars in (0.0, 1.0):
-        return seeing if cars else blind
+        if cars:
+            return seeing
+        return blind
     if isinstance(blind, float):
         return mix(blind, seeing, cars)
     if isinstance(blind, dict):
@@ -191,7 +250,11 @@ def mixed(blind: Any, seeing: Any, cars: float) -> Any:
         return blind
     names = blind.__struct_fields__
     return replace(
-        blind, **{name: mixed(getattr(blind, name), getattr(seeing, name), cars) for name in names}
+        blind,
+        **{
+            name: mixed(getattr(blind, name), getattr(seeing, name), cars)
+            for name in names
+        },
     )
 
 
@@ -205,11 +268,18 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
             by_case={**apr_by_case(verdict, axis)},
             by_position={**apr_by_position(verdict, axis)},
             mean_impact_speed_kmh=mean_impact_speed_kmh(verdict, axis),
-            score=None if evaluation.levels is None else score(verdict, axis, evaluation.levels),
+            score=(
+                None
+                if evaluation.levels is None
+                else score(verdict, axis, evaluation.levels)
+            ),
         )
 
-    blind, seeing = ratios(evaluation.rsu_all), ratios(evaluation.vut_and_rsus)
-    is_shared = any(len(units) > 1 for units in units_by_site(evaluation.layout).values())
+    blind = ratios(evaluation.rsu_all)
+    seeing = ratios(evaluation.vut_and_rsus)
+    is_shared = any(
+        len(units) > 1 for units in units_by_site(evaluation.layout).values()
+    )
     return EvaluationRecord(
         vut=ratios(evaluation.vut),
         rsu_all=blind,
@@ -218,7 +288,9 @@ def build_evaluation_record(evaluation: Evaluation, rule: AebRule) -> Evaluation
         units={name: ratios(verdict) for name, verdict in evaluation.units.items()},
         **{name: ratios(verdict) for name, verdict in evaluation.others.items()},
         apr_without_worst_unit=apr_one_failed(evaluation, rule),
-        apr_without_worst_site=apr_one_site_failed(evaluation, rule) if is_shared else None,
+        apr_without_worst_site=(
+            apr_one_site_failed(evaluation, rule) if is_shared else None
+        ),
     )
 
 

@@ -1,7 +1,8 @@
 """Signatures of result folders, made and checked by ``ssh-keygen``, which OpenSSH brings.
 
-``SHA256SUMS`` is what is signed: it names every other file with its hash. The signature lies next
-to it, as OpenSSH writes it, so that ``ssh-keygen -Y verify -n place-rsus`` checks it anywhere.
+``SHA256SUMS`` is what is signed: it names every other file with its hash. The signature
+lies next to it, as OpenSSH writes it, so that ``ssh-keygen -Y verify -n place-rsus``
+checks it anywhere.
 """
 
 import os
@@ -33,7 +34,8 @@ def check_signing_key(key: Path) -> None:
 def sign(content: bytes, key: Path) -> bytes:
     """Signature of a content, armoured as OpenSSH writes it.
 
-    `key` is a private key without passphrase, or a public key whose private one an agent holds.
+    `key` is a private key without passphrase, or a public key whose private one an
+    agent holds.
 
     Raises
     ------
@@ -43,10 +45,14 @@ def sign(content: bytes, key: Path) -> bytes:
     where = "--sign"
     _check_program(where)
     if not key.is_file():
-        raise InputError(where, Unquoted(f"{key}: no file"), "a file with a private key")
+        raise InputError(
+            where, Unquoted(f"{key}: no file"), "a file with a private key"
+        )
     done = _run(["-Y", "sign", "-f", str(key), "-n", NAMESPACE], content, where)
     if done.returncode != 0 or b"BEGIN SSH SIGNATURE" not in done.stdout:
-        expected = "a private key without passphrase, or a public key that ssh-agent has"
+        expected = (
+            "a private key without passphrase, or a public key that ssh-agent has"
+        )
         raise InputError(where, Unquoted(f"{key}: {_reason(done)}"), expected)
     return done.stdout
 
@@ -59,7 +65,8 @@ def write_signature(folder: Path, manifest: Path, key: Path) -> None:
 def signature_fault(folder: Path, manifest: Path, key: Path) -> str:
     """Why a folder's signature does not hold, in words; nothing if it holds.
 
-    `key` is a file with public keys, one a line, as OpenSSH writes them: ``id_ed25519.pub``.
+    `key` is a file with public keys, one a line, as OpenSSH writes them:
+    ``id_ed25519.pub``.
 
     Raises
     ------
@@ -76,7 +83,8 @@ def signature_fault(folder: Path, manifest: Path, key: Path) -> str:
     with tempfile.TemporaryDirectory(prefix="place-rsus-") as temporary:
         signers = Path(temporary) / "allowed_signers"
         signers.write_text(trusted, encoding="utf-8")
-        # A copy: ssh-keygen opens whatever the name is, and the folder is somebody else's.
+        # A copy: ssh-keygen opens whatever the name is, and the folder is somebody
+        # else's.
         copied = Path(temporary) / SIGNATURE
         copied.write_bytes(read_bytes(signature, max_bytes=_MAX_KEY_BYTES))
         arguments = ["-Y", "verify", "-f", str(signers), "-I", _SIGNER]
@@ -94,7 +102,9 @@ def _allowed_signers(key: Path, where: str) -> str:
     expected = "a file with public keys, such as id_ed25519.pub"
     text = read_text(key, expected)
     if _PRIVATE in text:
-        raise InputError(where, Unquoted(f"{key}: a private key"), f"{expected}: the public one")
+        raise InputError(
+            where, Unquoted(f"{key}: a private key"), f"{expected}: the public one"
+        )
     lines = []
     for line in text.splitlines():
         words = line.split()
@@ -109,10 +119,14 @@ def _allowed_signers(key: Path, where: str) -> str:
 
 def _check_program(where: str) -> None:
     if shutil.which(_PROGRAM) is None:
-        raise InputError(where, Unquoted(f"no {_PROGRAM}"), "OpenSSH 8.1 or later installed")
+        raise InputError(
+            where, Unquoted(f"no {_PROGRAM}"), "OpenSSH 8.1 or later installed"
+        )
 
 
-def _run(arguments: list[str], content: bytes, where: str) -> subprocess.CompletedProcess[bytes]:
+def _run(
+    arguments: list[str], content: bytes, where: str
+) -> subprocess.CompletedProcess[bytes]:
     """Run ``ssh-keygen`` where it can ask nobody for a passphrase."""
     quiet = {"SSH_ASKPASS_REQUIRE": "never", "LC_ALL": "C"}
     try:

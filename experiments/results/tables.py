@@ -46,8 +46,9 @@ def margin_s(verdict: Verdict, axis: FrameAxis) -> FloatArray:
 def apr_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
     """Ratios of every party, by case, approach, position, weather and speed.
 
-    "all" stands for every case, approach, position, weather or speed; a single position, weather or
-    speed has no rows of its own. The ratio is missing where none of the runs has weight.
+    "all" stands for every case, approach, position, weather or speed; a single
+    position, weather or speed has no rows of its own. The ratio is missing where none
+    of the runs has weight.
     """
     import pandas as pd
 
@@ -90,11 +91,15 @@ def runs_table(evaluations: Mapping[str, Evaluation]) -> "pd.DataFrame":
                     "confirmation_time_s": _missing(verdict.confirmation_time_s),
                     "margin_s": _missing(margin_s(verdict, axis)),
                     "is_avoided": verdict.is_avoided,
-                    "detected_share": np.add.reduceat(verdict.detected, axis.run_start[:-1])
+                    "detected_share": np.add.reduceat(
+                        verdict.detected, axis.run_start[:-1]
+                    )
                     / np.diff(axis.run_start),
-                    "impact_speed_kmh": np.nan
-                    if verdict.impact_speed_kmh is None
-                    else verdict.impact_speed_kmh,
+                    "impact_speed_kmh": (
+                        np.nan
+                        if verdict.impact_speed_kmh is None
+                        else verdict.impact_speed_kmh
+                    ),
                 }
             )
             for name, evaluation in evaluations.items()
@@ -110,11 +115,16 @@ def _run_groups(axis: FrameAxis) -> list[tuple[dict[str, str], BoolArray]]:
 
     def several(what: GroupedBy) -> list[RunGroup]:
         groups = groups_by(axis, what)
-        return groups if len(groups) > 1 else []
+        if len(groups) > 1:
+            return groups
+        return []
 
     every: list[RunGroup] = [(ALL, np.ones(axis.n_runs, dtype=bool))]
-    cases, arms = [*every, *groups_by(axis, "case")], groups_by(axis, "direction")
-    positions, weathers, speeds = several("position"), several("weather"), several("speed")
+    cases = [*every, *groups_by(axis, "case")]
+    arms = groups_by(axis, "direction")
+    positions = several("position")
+    weathers = several("weather")
+    speeds = several("speed")
     wanted = [
         *product(cases, [*every, *arms], every, [*every, *weathers], every),
         *product(cases, every, every, every, speeds),
@@ -159,9 +169,14 @@ def page_of(template: Traversable, **values: Any) -> str:
     from jinja2 import Environment, StrictUndefined
 
     page = Environment(
-        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
-    page.filters["table"] = lambda rows, *header: "\n".join(markdown_table(header, rows))
+    page.filters["table"] = lambda rows, *header: "\n".join(
+        markdown_table(header, rows)
+    )
     return page.from_string(template.read_text(encoding="utf-8")).render(values)
 
 
@@ -179,20 +194,28 @@ def safe_cell(cell: Any) -> Any:
     >>> safe_cell("=SUM(A1)"), safe_cell("-3.5"), safe_cell("north")
     ("'=SUM(A1)", '-3.5', 'north')
     """
-    return f"'{cell}" if _is_like_formula(cell) else cell
+    if _is_like_formula(cell):
+        return f"'{cell}"
+    return cell
 
 
 def plain_cell(cell: Any) -> Any:
     """The cell that :func:`safe_cell` was given."""
-    is_safe = isinstance(cell, str) and cell.startswith("'") and _is_like_formula(cell[1:])
-    return cell[1:] if is_safe else cell
+    is_safe = (
+        isinstance(cell, str) and cell.startswith("'") and _is_like_formula(cell[1:])
+    )
+    if is_safe:
+        return cell[1:]
+    return cell
 
 
 def _is_like_formula(cell: Any) -> bool:
     """A text begins as formulas do; also one that has such an apostrophe already."""
     if not isinstance(cell, str) or len(cell) == 1:
         return False
-    first = unicodedata.normalize("NFKC", cell.lstrip("'")[:1])  # also as wide as in Japanese
+    first = unicodedata.normalize(
+        "NFKC", cell.lstrip("'")[:1]
+    )  # also as wide as in Japanese
     if not first.startswith(_BEGINNINGS):
         return False
     try:

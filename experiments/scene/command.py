@@ -33,7 +33,9 @@ def _at(text: str) -> tuple[float, float]:
     return read_point(text, "--at")
 
 
-def reading_options(command: Callable[..., Any], *, staggered_m: float = 0.0) -> Callable[..., Any]:
+def reading_options(
+    command: Callable[..., Any], *, staggered_m: float = 0.0
+) -> Callable[..., Any]:
     """Add the options about facts that files do not state; the command gets one `reading`."""
 
     @wraps(command)
@@ -124,8 +126,8 @@ def reading_options(command: Callable[..., Any], *, staggered_m: float = 0.0) ->
 def scene() -> None:
     """Scenes: cut out of maps, looked at, checked.
 
-    A scene is a junction, its surroundings, and the sites at which sensors may be mounted; every
-    command about a junction takes one with --scene.
+    A scene is a junction, its surroundings, and the sites at which sensors may be
+    mounted; every command about a junction takes one with --scene.
     """
 
 
@@ -155,7 +157,8 @@ Examples:
     metavar="X,Y",
     expected="two numbers: X,Y",
     help=(
-        "A point near the junction, in the file's own coordinates: longitude,latitude or metres."
+        "A point near the junction, in the file's own coordinates: longitude,latitude"
+        " or metres."
     ),
 )
 @options.option(
@@ -187,7 +190,10 @@ Examples:
     "--terrain",
     type=click.Path(path_type=Path),
     metavar="DEM",
-    help=("Heights of the ground: a GeoTIFF (extra: terrain). By default those of the maps."),
+    help=(
+        "Heights of the ground: a GeoTIFF (extra: terrain). By default those of the"
+        " maps."
+    ),
 )
 @options.option(
     "--name",
@@ -203,17 +209,23 @@ Examples:
 )
 @reading_options
 @options.option(
-    "-o", "--out", type=click.Path(path_type=Path), required=True, help="Folder, or .zip file."
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder, or .zip file.",
 )
 @options.calling
-def import_(call: Call, /, *, files: tuple[str, ...], bbox: str, out: Path, **cut: Any) -> None:
+def import_(
+    call: Call, /, *, files: tuple[str, ...], bbox: str, out: Path, **cut: Any
+) -> None:
     """Make a scene of map files, around one junction.
 
-    Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm) or CommonRoad
-    (.xml); buildings and other things
-    from these, GeoJSON, GeoPackage, Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and
-    point clouds (LAS, LAZ, PCD). Where several junctions are in the map and none is named, the one
-    with the most arms is taken; `scene show FILE` lists them.
+    Roads come from OpenDRIVE (.xodr), OpenStreetMap (.osm, .osm.pbf), Lanelet2 (.osm)
+    or CommonRoad (.xml); buildings and other things from these, GeoJSON, GeoPackage,
+    Shapefile, CityJSON, CityGML, meshes (glTF, OBJ, PLY, STL) and point clouds (LAS,
+    LAZ, PCD). Where several junctions are in the map and none is named, the one with
+    the most arms is taken; `scene show FILE` lists them.
     """
     call.start()
     from geometry.maps.importing import ImportOptions
@@ -241,7 +253,8 @@ Examples:
     "--out",
     type=click.Path(path_type=Path),
     help=(
-        "Folder for plan.png and view.png; of a map for junctions.html, to choose one; else none."
+        "Folder for plan.png and view.png; of a map for junctions.html, to choose one;"
+        " else none."
     ),
 )
 @options.option(
@@ -252,7 +265,12 @@ Examples:
 )
 @options.calling
 def show(
-    call: Call, *, paths: tuple[str, ...], reading: "ReadingOptions", out: Path | None, sort: str
+    call: Call,
+    *,
+    paths: tuple[str, ...],
+    reading: "ReadingOptions",
+    out: Path | None,
+    sort: str,
 ) -> None:
     """Show a scene or a map: arms, lanes, sites, things, and what was left out and why."""
     call.start()
@@ -286,12 +304,16 @@ def check(call: Call, *, path: str) -> None:
 
 def scene_text(summary: "SceneResult") -> str:
     """Summary of a scene or a map for the terminal."""
-    side = "left" if summary.keeps_left else "right"
+    if summary.keeps_left:
+        side = "left"
+    else:
+        side = "right"
     lines = sentences(
-        f"{summary.name}: {_count(len(summary.junctions), 'junction')}, "
-        f"{_count(summary.buildings, 'building')}, {_count(summary.things, 'thing')} in all, "
-        f"{_count(summary.sites, 'site')}, {_count(summary.crosswalks, 'crosswalk')}; "
-        f"traffic keeps {side}; coordinates: {summary.crs or 'of no known place'}"
+        f"{summary.name}: {_count(len(summary.junctions), 'junction')},"
+        f" {_count(summary.buildings, 'building')},"
+        f" {_count(summary.things, 'thing')} in all, {_count(summary.sites, 'site')},"
+        f" {_count(summary.crosswalks, 'crosswalk')}; traffic keeps {side};"
+        f" coordinates: {summary.crs or 'of no known place'}"
     )
     lines += ["", *_junction_lines(summary.junctions)]
     if summary.site_list is not UNSET:
@@ -330,14 +352,23 @@ def _junction_lines(junctions: "Sequence[JunctionRecord]") -> list[str]:
         for counts in [(one.arms, one.lanes, one.signals, one.crossings)]
         for place in [(f"{one.x_m:.6f}", f"{one.y_m:.6f}")]
     ]
-    names = [f"{at}. {one.name}" for at, one in enumerate(junctions[:_MAX_LISTED], start=1)]
+    names = [
+        f"{at}. {one.name}" for at, one in enumerate(junctions[:_MAX_LISTED], start=1)
+    ]
     return [*listing(heads, rows, names), *_more(len(junctions))]
 
 
 def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
     heads = ["site", "kind", "x m", "y m", "mount m", "units"]
     rows = [
-        [site.id, site.kind, f"{site.x_m:.3f}", f"{site.y_m:.3f}", mount, str(site.capacity_units)]
+        [
+            site.id,
+            site.kind,
+            f"{site.x_m:.3f}",
+            f"{site.y_m:.3f}",
+            mount,
+            str(site.capacity_units),
+        ]
         for site in sites[:_MAX_LISTED]
         for mount in ["{:g} to {:g}".format(*site.height_range_m)]
     ]
@@ -346,7 +377,9 @@ def _site_lines(sites: "Sequence[SiteRecord]") -> list[str]:
 
 def _more(count: int) -> list[str]:
     left = count - _MAX_LISTED
-    return [f"  and {left} more: --json"] if left > 0 else []
+    if left > 0:
+        return [f"  and {left} more: --json"]
+    return []
 
 
 def _count(number: int, noun: str) -> str:

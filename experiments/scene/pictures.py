@@ -37,14 +37,20 @@ _COLOURS = {
 _ROAD = (0.70, 0.70, 0.71)
 _SKY = (0.97, 0.98, 1.0)
 _SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
-_WIDTH_PX, _HEIGHT_PX = 1200, 800
-_VIEW_DEG, _PITCH_DEG, _YAW_DEG = 42.0, -50.0, 60.0
+_WIDTH_PX = 1200
+_HEIGHT_PX = 800
+_VIEW_DEG = 42.0
+_PITCH_DEG = -50.0
+_YAW_DEG = 60.0
 _MAX_TRIANGLES = 400_000  # of buildings; more are not drawn
-_ROADS, _BUILDINGS = "#b8b8b8", "#e9e9e9"
+_ROADS = "#b8b8b8"
+_BUILDINGS = "#e9e9e9"
 _BEYOND = 0.08  # of the span of the junctions, around them
 _LEAST_M = 120.0
-_NAMED_M, _NAMED_AGAIN_M = 45.0, 250.0  # a street's name from a junction; and again
-_FINEST_M, _MOST_STEPS = 0.5, 8000  # of streets drawn in SVG: metres, and parts of its width
+_NAMED_M = 45.0
+_NAMED_AGAIN_M = 250.0  # a street's name from a junction; and again
+_FINEST_M = 0.5
+_MOST_STEPS = 8000  # of streets drawn in SVG: metres, and parts of its width
 HALO = withStroke(linewidth=2.5, foreground="white")
 
 
@@ -74,7 +80,9 @@ def plot_scene_plan(scene: Scene) -> Axes:
         )
         for site in scene.sites
     ]
-    draw_labels(axes, [*arm_names(scene, middle, half), *names], marks_m=places, mark=2.5)
+    draw_labels(
+        axes, [*arm_names(scene, middle, half), *names], marks_m=places, mark=2.5
+    )
     finish_axes(axes, x="east (m)", y="north (m)", size=9, hidden=())
     axes.set_title(literal(scene.name), fontsize=10)
     return axes
@@ -83,7 +91,9 @@ def plot_scene_plan(scene: Scene) -> Axes:
 def plot_scene_view(scene: Scene) -> Axes:
     """View of a scene from a height in the south-west: ray-cast, shaded by the sun's direction."""
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
-    picture = _cast_view(scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0))
+    picture = _cast_view(
+        scene, middle, distance_m=2.6 * min(_half_size_m(scene, middle), 70.0)
+    )
     axes = new_axes(WIDTH_IN, WIDTH_IN * _HEIGHT_PX / _WIDTH_PX)
     axes.imshow(picture)
     axes.set_axis_off()
@@ -93,8 +103,13 @@ def plot_scene_view(scene: Scene) -> Axes:
 
 def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
     is_thing = np.array([thing.class_name != "ground" for thing in scene.instances])
-    corners = scene.vertices_m[scene.triangles[is_thing[scene.triangle_instance]]][..., :2]
-    points = [corners.reshape(-1, 2), *(site.position_m[None, :2] for site in scene.sites)]
+    corners = scene.vertices_m[scene.triangles[is_thing[scene.triangle_instance]]][
+        ..., :2
+    ]
+    points = [
+        corners.reshape(-1, 2),
+        *(site.position_m[None, :2] for site in scene.sites),
+    ]
     reach = np.abs(np.concatenate([scene.outline_m, *points]) - middle_m).max()
     return float(np.clip(reach + 5.0, 45.0, 90.0))
 
@@ -102,7 +117,10 @@ def _half_size_m(scene: Scene, middle_m: FloatArray) -> float:
 def _draw_direction(axes: Axes, points_m: FloatArray, *, is_in: bool) -> None:
     """An arrow along a lane, some metres from its mouth."""
     far, near = points_at(points_m[::-1] if is_in else points_m, np.array([9.0, 4.0]))
-    start, end = (far, near) if is_in else (near, far)
+    if is_in:
+        start, end = (far, near)
+    else:
+        start, end = (near, far)
     axes.annotate(
         "",
         xy=(end[0], end[1]),
@@ -119,7 +137,12 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     focal = 0.5 * _WIDTH_PX / np.tan(np.radians(0.5 * _VIEW_DEG))
     u, v = np.meshgrid(np.arange(_WIDTH_PX) + 0.5, np.arange(_HEIGHT_PX) + 0.5)
     rays = np.stack(
-        [(u - 0.5 * _WIDTH_PX) / focal, (v - 0.5 * _HEIGHT_PX) / focal, np.ones_like(u)], axis=-1
+        [
+            (u - 0.5 * _WIDTH_PX) / focal,
+            (v - 0.5 * _HEIGHT_PX) / focal,
+            np.ones_like(u),
+        ],
+        axis=-1,
     ).reshape(-1, 3)
     vectors = (rays @ rotation.T * (4.0 * distance_m)).astype(np.float32)
     vertices = scene.vertices_m - [*middle_m, 0.0]
@@ -137,11 +160,17 @@ def _cast_view(scene: Scene, middle_m: FloatArray, *, distance_m: float) -> Floa
     point = origins[is_hit] + share[is_hit, None] * vectors[is_hit]
     to_sun = np.broadcast_to((300.0 * _SUN).astype(np.float32), point.shape)
     lifted = (point + 0.05 * normal).astype(np.float32)
-    in_shadow = caster.is_blocked(np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun))
+    in_shadow = caster.is_blocked(
+        np.ascontiguousarray(lifted), np.ascontiguousarray(to_sun)
+    )
     light = 0.55 + 0.45 * np.where(in_shadow, 0.0, np.clip(normal @ _SUN, 0.0, 1.0))
     of_instance = scene.triangle_instance[hit]
-    colour = np.array([_COLOURS[thing.class_name] for thing in scene.instances])[of_instance]
-    on_road = np.array([thing.class_name == "ground" for thing in scene.instances])[of_instance]
+    colour = np.array([_COLOURS[thing.class_name] for thing in scene.instances])[
+        of_instance
+    ]
+    on_road = np.array([thing.class_name == "ground" for thing in scene.instances])[
+        of_instance
+    ]
     road = road_area(scene)
     shapely.prepare(road)
     on_road[on_road] = shapely.contains_xy(road, *(point[on_road, :2] + middle_m).T)
@@ -155,10 +184,11 @@ def build_street_map(
 ) -> tuple[dict[str, Any], Callable[[FloatArray], FloatArray]]:
     """Driving lanes of maps as an SVG path, with room for places (n, 2) of the first map's system.
 
-    And the function that takes points (..., 2 or 3) of that system to metres to the right and down
-    from the map's upper left corner.
+    And the function that takes points (..., 2 or 3) of that system to metres to the
+    right and down from the map's upper left corner.
     """
-    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    low = places_m.min(axis=0)
+    high = places_m.max(axis=0)
     around = _BEYOND * (high - low) + _LEAST_M
     corner_m = np.array([low[0] - around[0], high[1] + around[1]])
 
@@ -167,13 +197,26 @@ def build_street_map(
 
     size_m = np.round(high - low + 2.0 * around, 1)
     finest_m = max(_FINEST_M, size_m.max() / _MOST_STEPS)
-    lines = (line_m for source in maps for line_m in _driving_lines(source, maps[0].crs))
-    ways = [shapely.simplify(shapely.LineString(place(line_m)), finest_m) for line_m in lines]
-    paths = ("L".join(f"{x:g},{y:g}" for x, y in shapely.get_coordinates(way)) for way in ways)
-    return {"size_m": size_m.tolist(), "streets": "".join(f"M{path}" for path in paths)}, place
+    lines = (
+        line_m for source in maps for line_m in _driving_lines(source, maps[0].crs)
+    )
+    ways = [
+        shapely.simplify(shapely.LineString(place(line_m)), finest_m)
+        for line_m in lines
+    ]
+    paths = (
+        "L".join(f"{x:g},{y:g}" for x, y in shapely.get_coordinates(way))
+        for way in ways
+    )
+    return {
+        "size_m": size_m.tolist(),
+        "streets": "".join(f"M{path}" for path in paths),
+    }, place
 
 
-def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dict[str, Any]:
+def junction_map(
+    maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]
+) -> dict[str, Any]:
     """The junctions of the first map to choose from, on its streets with their names, as JSON.
 
     Each has the cause for which it cannot be used, a key of ``CAUSES``, or none.
@@ -187,7 +230,9 @@ def junction_map(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed]) -> dic
         upright_deg = (turn_deg + 90.0) % 180.0 - 90.0
         place = {"name": road.name, "x": x, "y": y, "turn_deg": round(upright_deg)}
         if not re.fullmatch(r"(way|road) \S+", road.name):
-            names.setdefault((road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place)
+            names.setdefault(
+                (road.name, x // _NAMED_AGAIN_M, y // _NAMED_AGAIN_M), place
+            )
     junctions = [
         {
             **{"id": one.junction.id, "name": one.junction.name, "x": x, "y": y},
@@ -211,12 +256,18 @@ def junction_chooser(shown: dict[str, Any]) -> str:
     return str(_template("junction_map.html.j2").module.chooser(shown, CAUSES))
 
 
-def junctions_page(maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str) -> str:
+def junctions_page(
+    maps: Sequence[SourceMap], surveyed: Sequence[Surveyed], *, command: str
+) -> str:
     """A page to choose one of the junctions of the first map.
 
     It loads nothing. `command` makes a scene of a junction whose id follows.
     """
-    shown = {"name": maps[0].name, "shown": junction_map(maps, surveyed), "causes": CAUSES}
+    shown = {
+        "name": maps[0].name,
+        "shown": junction_map(maps, surveyed),
+        "causes": CAUSES,
+    }
     page: str = _template("junctions.html.j2").render(**shown, command=command)
     return page
 
@@ -225,7 +276,8 @@ def new_map_axes(
     maps: Sequence[SourceMap], places_m: FloatArray, *, width_in: float = WIDTH_IN
 ) -> Axes:
     """Axes with streets and buildings of maps around places (n, 2) in the first map's system."""
-    low, high = places_m.min(axis=0), places_m.max(axis=0)
+    low = places_m.min(axis=0)
+    high = places_m.max(axis=0)
     half = 0.5 * np.maximum(high - low, _LEAST_M) * (1.0 + 2.0 * _BEYOND) + 60.0
     middle = 0.5 * (low + high)
     axes = new_axes(width_in, width_in * float(np.clip(half[1] / half[0], 0.4, 1.6)))
@@ -251,7 +303,9 @@ def _driving_lines(source: SourceMap, crs: str) -> list[FloatArray]:
     return [_in_system(lane.centreline_m, source, crs) for lane in lanes]
 
 
-def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray) -> None:
+def _draw_map(
+    axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: FloatArray
+) -> None:
     faces = []
     for thing in source.things:
         if thing.class_name != "building" or not len(thing.triangles):
@@ -262,7 +316,9 @@ def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: Fl
         faces.append(points[thing.triangles])
     if faces and sum(map(len, faces)) <= _MAX_TRIANGLES:
         triangles = list(np.concatenate(faces))
-        axes.add_collection(PolyCollection(triangles, color=_BUILDINGS, lw=0.2, zorder=1))
+        axes.add_collection(
+            PolyCollection(triangles, color=_BUILDINGS, lw=0.2, zorder=1)
+        )
     lines = _driving_lines(source, crs)
     axes.add_collection(LineCollection(lines, colors=_ROADS, linewidths=0.7, zorder=2))
 
@@ -270,9 +326,14 @@ def _draw_map(axes: Axes, source: SourceMap, crs: str, low: FloatArray, high: Fl
 def _draw_scale(axes: Axes, middle: FloatArray, half: FloatArray) -> None:
     """A bar of a round length in the corner, and north."""
     length = 10.0 ** np.floor(np.log10(half[0]))
-    length *= next(step for step in (5.0, 2.0, 1.0) if step * length <= 0.6 * half[0] or step == 1)
-    x, y = middle[0] - 0.95 * half[0], middle[1] - 0.95 * half[1]
-    axes.plot([x, x + length], [y, y], color="black", lw=2.0, zorder=9, path_effects=[HALO])
+    length *= next(
+        step for step in (5.0, 2.0, 1.0) if step * length <= 0.6 * half[0] or step == 1
+    )
+    x = middle[0] - 0.95 * half[0]
+    y = middle[1] - 0.95 * half[1]
+    axes.plot(
+        [x, x + length], [y, y], color="black", lw=2.0, zorder=9, path_effects=[HALO]
+    )
     axes.annotate(
         f"{length:g} m, north is up",
         (x, y),

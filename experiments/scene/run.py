@@ -47,7 +47,8 @@ from ..results.folders import check_folder, write_files
 from ..results.record import Record
 from .pictures import junctions_page, plot_scene_plan, plot_scene_view
 
-PLAN_NAME, VIEW_NAME = "plan.png", "view.png"
+PLAN_NAME = "plan.png"
+VIEW_NAME = "view.png"
 JUNCTIONS_PAGE = "junctions.html"
 _STUDY = "town05"
 _DIGITS = 3  # a millimetre
@@ -67,7 +68,8 @@ class ArmRecord(Record, frozen=True, kw_only=True):
 class JunctionRecord(Record, frozen=True, kw_only=True):
     """A junction; x_m and y_m are in the map's system: in degrees where that has degrees.
 
-    Signals are poles with traffic lights; they and crossings lie within 15 m of the outline.
+    Signals are poles with traffic lights; they and crossings lie within 15 m of the
+    outline.
     """
 
     id: str
@@ -125,7 +127,8 @@ class SceneCheckResult(Record, frozen=True, kw_only=True):
 def build_scene_result(scene: Scene) -> SceneResult:
     """Summary of a scene."""
     junction = build_junction(scene)
-    # Rounded as in scene.toml, so that an import and a look at its folder report the same.
+    # Rounded as in scene.toml, so that an import and a look at its folder report the
+    # same.
     outline = np.round(scene.outline_m, _DIGITS)
     middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     position = middle + scene.source_origin_m
@@ -136,7 +139,9 @@ def build_scene_result(scene: Scene) -> SceneResult:
             name=arm.name,
             lanes_in=len(arm.entry_lanes),
             lanes_out=len(arm.exit_lanes),
-            parking_lanes=sum(lane.kind == "parking" for lane in (*arm.lanes_in, *arm.lanes_out)),
+            parking_lanes=sum(
+                lane.kind == "parking" for lane in (*arm.lanes_in, *arm.lanes_out)
+            ),
         )
         for arm in junction.arms.values()
     )
@@ -192,7 +197,12 @@ def _junction_record(surveyed: Surveyed) -> JunctionRecord:
 
 
 def run_import(
-    files: Sequence[str], options: ImportOptions, *, bbox: str, out: Path, progress: StageProgress
+    files: Sequence[str],
+    options: ImportOptions,
+    *,
+    bbox: str,
+    out: Path,
+    progress: StageProgress,
 ) -> SceneResult:
     """Make a scene of map files or of a `bbox`, and write it with two pictures; or InputError."""
     is_zip = out.suffix.lower() == ".zip"
@@ -204,18 +214,23 @@ def run_import(
         if bbox:
             paths.append(_fetch(bbox, Path(temporary) / "bbox.osm"))
         if [str(path) for path in paths] == [_STUDY] and not paths[0].exists():
-            scene, sources = load_study_scene(), tuple[str, ...]()
+            scene = load_study_scene()
+            sources = tuple[str, ...]()
             result = build_scene_result(scene)
         else:
             imported = import_scene(paths, options, progress=progress)
-            scene, sources = imported.scene, imported.sources
+            scene = imported.scene
+            sources = imported.sources
             result = build_scene_result(scene)
-            only, chosen = result.junctions[0], imported.chosen.junction
+            only = result.junctions[0]
+            chosen = imported.chosen.junction
             result = replace(
                 result,
                 junctions=(replace(only, id=chosen.id, name=chosen.name),),
                 other_junctions=len(imported.junctions) - 1,
-                assumed_heights=sum(thing.is_height_assumed for thing in scene.instances),
+                assumed_heights=sum(
+                    thing.is_height_assumed for thing in scene.instances
+                ),
             )
     progress(WRITING, 0, 0)
     with tempfile.TemporaryDirectory() as temporary:
@@ -226,10 +241,14 @@ def run_import(
                 pack_scene(folder, out)
             except OSError as error:
                 raise InputError(
-                    "--out", Unquoted(f"{out}: {error.strerror or error}"), "a file to write"
+                    "--out",
+                    Unquoted(f"{out}: {error.strerror or error}"),
+                    "a file to write",
                 ) from None
         else:
-            contents = {path.name: read_bytes(path) for path in sorted(folder.iterdir())}
+            contents = {
+                path.name: read_bytes(path) for path in sorted(folder.iterdir())
+            }
             contents |= _pictures(scene)
             contents[SCENE_FILE] = contents.pop(SCENE_FILE)  # last: where it is, all is
             write_files(out, contents)
@@ -248,12 +267,17 @@ def _check_target(out: Path, *, is_zip: bool) -> None:
     if out.exists() and not out.is_dir():
         refuse("--out", f"{out}, a file", "a folder, or a .zip file")
     if out.is_dir() and any(out.iterdir()) and not (out / SCENE_FILE).exists():
-        refuse("--out", f"{out}, which holds other things", "a new folder, or a scene's")
+        refuse(
+            "--out", f"{out}, which holds other things", "a new folder, or a scene's"
+        )
     check_folder(out)
 
 
 def _pictures(scene: Scene) -> dict[str, bytes]:
-    return {PLAN_NAME: to_png(plot_scene_plan(scene)), VIEW_NAME: to_png(plot_scene_view(scene))}
+    return {
+        PLAN_NAME: to_png(plot_scene_plan(scene)),
+        VIEW_NAME: to_png(plot_scene_view(scene)),
+    }
 
 
 def _fetch(bbox: str, path: Path) -> Path:
@@ -263,7 +287,9 @@ def _fetch(bbox: str, path: Path) -> Path:
     except ValueError:
         raise InputError("--bbox", bbox, "west,south,east,north in degrees") from None
     if not (-180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0):
-        raise InputError("--bbox", bbox, "west,south,east,north in degrees, in this order")
+        raise InputError(
+            "--bbox", bbox, "west,south,east,north in degrees, in this order"
+        )
     from geometry.maps.openstreetmap import fetch_openstreetmap
 
     fetch_openstreetmap((west, south, east, north), path)
@@ -274,7 +300,8 @@ def import_into_cache(
     question: Question, *, cache: Path, progress: StageProgress
 ) -> tuple[str, SceneResult]:
     """Folder and summary of a map's junction, imported below `cache` unless it was before."""
-    path, options = Path(question.scene), map_options(question)
+    path = Path(question.scene)
+    options = map_options(question)
     if not question.scene or not path.is_file() or has_scene(path):
         got = question.scene or "the study's junction"
         given = {"keeps_left": "driving-side"}.get(name := next(iter(options)), name)
@@ -293,7 +320,9 @@ def import_into_cache(
         except InputError:
             pass  # damaged: import it again
     folder.mkdir(parents=True, exist_ok=True)
-    return str(folder), run_import([question.scene], wanted, bbox="", out=folder, progress=progress)
+    return str(folder), run_import(
+        [question.scene], wanted, bbox="", out=folder, progress=progress
+    )
 
 
 def run_show(
@@ -311,7 +340,8 @@ def run_show(
     if paths and not (len(paths) == 1 and has_scene(Path(paths[0]))):
         given = [Path(path) for path in paths]
         maps, junctions = read_maps(given, reading, progress=progress)
-        roads, listed = maps[0], sort_junctions(junctions, sort)
+        roads = maps[0]
+        listed = sort_junctions(junctions, sort)
         if out is not None and not listed:
             refuse(roads.name, "no junction", "a map in which roads meet")
         things = [thing for source in maps for thing in source.things]
@@ -327,7 +357,10 @@ def run_show(
             crs=roads.source_crs or roads.crs or None,
         )
         command = f"place-rsus scene import {shlex.join(map(str, paths))}"
-        command += f" --staggered {reading.staggered_m:g}" if reading.staggered_m else ""
+        if reading.staggered_m:
+            command += f" --staggered {reading.staggered_m:g}"
+        else:
+            command += ""
         draw = partial(_pictures_of_map, maps, listed, command)
     else:
         scene = load_scene(paths[0] if paths else "")

@@ -1,7 +1,7 @@
 """The CarlaNCAP study's figures and ours: ``python -m experiments.study.reproduction``.
 
-Ours are those of its own setting, and of variants of it: one thing of ours, or that the study
-leaves open, is changed.
+Ours are those of its own setting, and of variants of it: one thing of ours, or that the
+study leaves open, is changed.
 """
 
 import math
@@ -46,7 +46,9 @@ from ..results.tables import page_of
 OWN_CASES = "CPNC-50,CBNA,CBLA"
 """The cases whose starts and figures the study publishes."""
 # At the junction alone, every run alike, a track for ever once confirmed.
-AS_STUDIED = Question(cases=OWN_CASES, along_arms="0", weights="run", track_memory_s=math.inf)
+AS_STUDIED = Question(
+    cases=OWN_CASES, along_arms="0", weights="run", track_memory_s=math.inf
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,10 +66,14 @@ def build_variants() -> tuple[Variant, ...]:
     open_corner = move_walls(base.scene, -5.0)
     settings = {
         "as it is": base,
-        "walls 0.5 m nearer to the corner": replace(base, scene=move_walls(base.scene, 0.5)),
+        "walls 0.5 m nearer to the corner": replace(
+            base, scene=move_walls(base.scene, 0.5)
+        ),
         "walls 5 m farther from the corner": replace(base, scene=open_corner),
         "no parked cars": _keep_parked(base, 0),
-        "no parked cars, walls 5 m farther": replace(_keep_parked(base, 0), scene=open_corner),
+        "no parked cars, walls 5 m farther": replace(
+            _keep_parked(base, 0), scene=open_corner
+        ),
         "two parked cars instead of eight": _keep_parked(base, 2),
         "parked row 1 m beside the VUT, not 0.5 m": _move_parked(base, 0.5),
         "smallest box 30 px": _detect_from(base, 30.0),
@@ -86,13 +92,19 @@ def _with_narrow(
 
     Theirs is the field of view of the study's text, on the VUT, too.
     """
-    layout, camera = load_carlancap_layout(), pick_camera("carla-ncap-rgb-90", "variants")
+    layout = load_carlancap_layout()
+    camera = pick_camera("carla-ncap-rgb-90", "variants")
     units = tuple(replace(unit, sensor=camera) for unit in layout.units)
     less_wide = replace(layout, units=units)
     return (
-        *(Variant(name=name, setting=one, layout=layout) for name, one in settings.items()),
         *(
-            Variant(name=name, setting=replace(one, vut_camera=camera), layout=less_wide)
+            Variant(name=name, setting=one, layout=layout)
+            for name, one in settings.items()
+        ),
+        *(
+            Variant(
+                name=name, setting=replace(one, vut_camera=camera), layout=less_wide
+            )
             for name, one in narrow.items()
         ),
     )
@@ -111,7 +123,9 @@ def move_walls(scene: Scene, by_m: float) -> Scene:
 
 
 def _keep_parked(setting: Setting, count: int) -> Setting:
-    runs = tuple(replace(run, obstruction=run.obstruction[:count]) for run in setting.runs)
+    runs = tuple(
+        replace(run, obstruction=run.obstruction[:count]) for run in setting.runs
+    )
     return replace(setting, runs=runs)
 
 
@@ -150,7 +164,9 @@ def build_additional_variants() -> tuple[Variant, ...]:
     """As it is first; some are about some of the cases only."""
     scene = load_study_scene()
     cases = {
-        case.name: case for case in select_cases("study").cases if case.name in ADDITIONAL_CASES
+        case.name: case
+        for case in select_cases("study").cases
+        if case.name in ADDITIONAL_CASES
     }
     turning = [cases[name] for name in TURNING]
     some = build_setting(replace(AS_STUDIED, cases=TURNING[0]), scene)
@@ -164,7 +180,9 @@ def build_additional_variants() -> tuple[Variant, ...]:
         f"a track lives for {live.rule.track_memory_s:g} s": live,
         LARGE_BOX: _detect_from(base, 60.0),
         **{
-            f"recordings of the last {last_s:g} s before the impact": _shorten(base, last_s)
+            f"recordings of the last {last_s:g} s before the impact": _shorten(
+                base, last_s
+            )
             for last_s in (5.0, 3.0, 1.0, 0.6)
         },
         **{
@@ -173,7 +191,9 @@ def build_additional_variants() -> tuple[Variant, ...]:
             )
             for place_m in (15, 30)
         },
-        "cyclist at 20 km/h": _lay(base, [replace(case, vru_speed_kmh=20.0) for case in turning]),
+        "cyclist at 20 km/h": _lay(
+            base, [replace(case, vru_speed_kmh=20.0) for case in turning]
+        ),
         **{
             f"met at {percent:g} % of the VUT's width": _lay(
                 base, [replace(case, impact_percent=percent) for case in turning]
@@ -182,7 +202,8 @@ def build_additional_variants() -> tuple[Variant, ...]:
         },
         **{
             f"met {away_m:g} m farther out on the exit arm, no buildings": _lay(
-                replace(base, scene=open_scene), [_farther(case, away_m) for case in turning]
+                replace(base, scene=open_scene),
+                [_farther(case, away_m) for case in turning],
             )
             for away_m in (15.0, 30.0)
         },
@@ -191,7 +212,9 @@ def build_additional_variants() -> tuple[Variant, ...]:
     return _with_narrow(settings, {_NARROW: base, BEHIND_NARROW: behind})
 
 
-def _lay(setting: Setting, cases: Iterable[Case], *, position: Position = AT_ZERO) -> Setting:
+def _lay(
+    setting: Setting, cases: Iterable[Case], *, position: Position = AT_ZERO
+) -> Setting:
     """A setting with other cases at all of their speeds, each run alike."""
     runs, _ = build_runs(
         setting.scene,
@@ -213,7 +236,9 @@ def _farther(case: Case, away_m: float) -> Case:
 
 def _without(scene: Scene, classes: Sequence[str]) -> Scene:
     """A scene without the things of some classes."""
-    kept = [i for i, thing in enumerate(scene.instances) if thing.class_name not in classes]
+    kept = [
+        i for i, thing in enumerate(scene.instances) if thing.class_name not in classes
+    ]
     number = np.full(len(scene.instances), -1, dtype=scene.triangle_instance.dtype)
     number[kept] = np.arange(len(kept))
     stays = number[scene.triangle_instance] >= 0
@@ -246,7 +271,11 @@ def _of_runs(setting: Setting, runs: Sequence[Run]) -> Setting:
 
 # ---------- the study's figures beside ours
 CASES = tuple(OWN_CASES.split(","))
-HEATMAP_SPEEDS_KMH = {"CPNC-50": 55, "CBNA": 60, "CBLA": 50}  # the runs that the study draws
+HEATMAP_SPEEDS_KMH = {
+    "CPNC-50": 55,
+    "CBNA": 60,
+    "CBLA": 50,
+}  # the runs that the study draws
 WEATHERS = ("day", "night", "rain", "fog")
 DETECTORS = ("geometric", "response")
 _NEARLY_ALL = 0.9
@@ -287,7 +316,11 @@ def load_published() -> Published:
 def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
     """Figures that the study publishes or leaves open, as shares of 1, by quantity and case."""
     axis = evaluation.axis
-    parties = {"the VUT": evaluation.vut, "any RSU": evaluation.rsu_all, **evaluation.units}
+    parties = {
+        "the VUT": evaluation.vut,
+        "any RSU": evaluation.rsu_all,
+        **evaluation.units,
+    }
     found = {}
     for case in dict.fromkeys(axis.cases):
         mask = np.array(axis.cases) == case
@@ -301,7 +334,8 @@ def quantities(evaluation: Evaluation) -> dict[tuple[str, str], float]:
 
 def write_reproduction(folder: Path, *, compute: Compute) -> None:
     """Evaluate all variants and weathers, and write ``reproduction.md`` with its heatmaps."""
-    variants, additional = build_variants(), build_additional_variants()
+    variants = build_variants()
+    additional = build_additional_variants()
     n_steps = len(variants) + len(DETECTORS) + len(additional)
     steps = count()
     quiet = replace(compute, progress=silent)
@@ -316,7 +350,9 @@ def write_reproduction(folder: Path, *, compute: Compute) -> None:
         question = replace(AS_STUDIED, weather=",".join(WEATHERS), detector=detector)
         setting = build_setting(question, variants[0].setting.scene)
         by_weather[detector] = evaluate(replace(variants[0], setting=setting))
-    of_additional = {variant.name: quantities(evaluate(variant)) for variant in additional}
+    of_additional = {
+        variant.name: quantities(evaluate(variant)) for variant in additional
+    }
     base = evaluations[0]
     heatmaps = [
         base.axis.run_ids.index(f"{case}/east/{speed}")
@@ -342,8 +378,11 @@ _Figures = Mapping[tuple[str, str], float]
 
 def _range(values: Iterable[float]) -> str:
     numbers = list(values)
-    low, high = percent(min(numbers)), percent(max(numbers))
-    return low if low == high else f"{low} to {high}"
+    low = percent(min(numbers))
+    high = percent(max(numbers))
+    if low == high:
+        return low
+    return f"{low} to {high}"
 
 
 def _published(found: Sequence[_Figures]) -> dict[str, Any]:
@@ -378,12 +417,22 @@ def _additional(by_variant: Mapping[str, _Figures]) -> dict[str, Any]:
     everyone = ("the VUT", "the best RSU", "any RSU")
     turned = [(f"APR of {who}", case) for who in everyone for case in TURNING]
     asked = {"LARGE_BOX": LARGE_BOX, "BEFORE": BEFORE, "BEHIND": BEHIND}
-    asked |= {"BEHIND_NARROW": BEHIND_NARROW, "FARTHEST": FARTHEST, "SHORTEST": SHORTEST}
+    asked |= {
+        "BEHIND_NARROW": BEHIND_NARROW,
+        "FARTHEST": FARTHEST,
+        "SHORTEST": SHORTEST,
+    }
     return asked | {
         "additional_names": names,
         "additional_cases": cases,
         "additional": [
-            ("published", *(" / ".join(published[name, case] for name in names) for case in cases)),
+            (
+                "published",
+                *(
+                    " / ".join(published[name, case] for name in names)
+                    for case in cases
+                ),
+            ),
             *(
                 (name, *(shown(values, case) for case in cases))
                 for name, values in by_variant.items()
@@ -395,7 +444,8 @@ def _additional(by_variant: Mapping[str, _Figures]) -> dict[str, Any]:
         "quiet": [
             name
             for name, values in by_variant.items()
-            if name != "as it is" and all(values.get(figure) == 1.0 for figure in turned)
+            if name != "as it is"
+            and all(values.get(figure) == 1.0 for figure in turned)
         ],
     }
 
@@ -403,22 +453,34 @@ def _additional(by_variant: Mapping[str, _Figures]) -> dict[str, Any]:
 def _by_unit(found: Sequence[_Figures], units: Sequence[str]) -> dict[str, Any]:
     """Every unit by itself, those that avoid all, and what is not published."""
     told = [(kind, case) for kind in ("APR", "frames") for case in CASES]
-    first, parties = found[0], ("the VUT", *units, "any RSU")
+    first = found[0]
+    parties = ("the VUT", *units, "any RSU")
     published = {(figure.quantity, figure.case) for figure in load_published().figures}
     wanted = [
-        (f"APR of {party}", case) for case in CASES for party in ("the VUT", "any RSU", *units)
+        (f"APR of {party}", case)
+        for case in CASES
+        for party in ("the VUT", "any RSU", *units)
     ]
     return {
         "unit_heads": [f"{kind} {case}" for kind, case in told],
         "units": [
-            (party, *(percent(first[f"{kind} of {party}", case]) for kind, case in told))
+            (
+                party,
+                *(percent(first[f"{kind} of {party}", case]) for kind, case in told),
+            )
             for party in parties
         ],
         "best": [
-            unit for unit in units if all(first[f"APR of {unit}", case] == 1.0 for case in CASES)
+            unit
+            for unit in units
+            if all(first[f"APR of {unit}", case] == 1.0 for case in CASES)
         ],
         "predictions": [
-            (*figure, percent(first[figure]), _range(values[figure] for values in found))
+            (
+                *figure,
+                percent(first[figure]),
+                _range(values[figure] for values in found),
+            )
             for figure in wanted
             if figure not in published
         ],
@@ -452,8 +514,13 @@ def _weather_rows(by_weather: dict[str, Evaluation]) -> list[tuple[str, ...]]:
                 float(np.mean([apr(verdict, axis, those) for verdict in units]))
                 for those in (mask, cyclists)
             )
-            together = apr(evaluation.vut, axis, mask), apr(evaluation.rsu_all, axis, mask)
-            rows.append((detector, weather, *map(percent, (together[0], *alone, together[1]))))
+            together = (
+                apr(evaluation.vut, axis, mask),
+                apr(evaluation.rsu_all, axis, mask),
+            )
+            rows.append(
+                (detector, weather, *map(percent, (together[0], *alone, together[1])))
+            )
     return rows
 
 
@@ -462,28 +529,37 @@ def _who_sees(evaluation: Evaluation, run_index: int) -> str:
     axis = evaluation.axis
     frames = axis.frames_of(run_index)
     in_time = axis.time_s[frames] <= axis.last_brake_time_s[run_index]
-    nearly_all, some = [], []
+    nearly_all = []
+    some = []
     for name, verdict in evaluation.units.items():
         detected = verdict.detected[frames]
         if detected.mean() >= _NEARLY_ALL:
             nearly_all.append(name)
         elif (detected & in_time).any():
             some.append(name)
-    outcome = "brakes in time" if evaluation.vut.is_avoided[run_index] else "brakes too late"
+    if evaluation.vut.is_avoided[run_index]:
+        outcome = "brakes in time"
+    else:
+        outcome = "brakes too late"
     seen = axis.time_s[frames][evaluation.vut.detected[frames]]
     if len(seen):
         late_s = float(seen[0] - axis.last_brake_time_s[run_index])
-        when = "after" if late_s > 0.0 else "before"
+        if late_s > 0.0:
+            when = "after"
+        else:
+            when = "before"
         outcome += f", sees the VRU from {abs(late_s):.1f} s {when} the last moment on"
     return (
-        f"* {axis.run_ids[run_index]}: the VUT alone {outcome}; in at least "
-        f"{100.0 * _NEARLY_ALL:g} % of the frames: {', '.join(nearly_all) or 'none'}; in some "
-        f"before the last moment: {', '.join(some) or 'none'}."
+        f"* {axis.run_ids[run_index]}: the VUT alone {outcome}; in at least"
+        f" {100.0 * _NEARLY_ALL:g} % of the frames: {', '.join(nearly_all) or 'none'};"
+        f" in some before the last moment: {', '.join(some) or 'none'}."
     )
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True
+)
 @click.option("--workers", type=int, default=2, show_default=True, help="Threads.")
 @click.option("--quiet", is_flag=True, help="No progress on stderr.")
 def main(out: Path, workers: int, quiet: bool) -> None:

@@ -38,7 +38,9 @@ from .source_map import (
 )
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]  # rings of indices of vertices
+_Surfaces = list[
+    list[list[Annotated[int, msgspec.Meta(ge=0)]]]
+]  # rings of indices of vertices
 _BOUNDARIES: dict[str, Any] = {
     **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
     "Solid": list[_Surfaces],
@@ -55,7 +57,8 @@ _MAX_DEPTH = 100  # of elements, and of references to references
 _MAX_VISITS = 20  # per element: references to references could make more of few
 _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
 _HREF = "{http://www.w3.org/1999/xlink}href"
-# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry property.
+# Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry
+# property.
 _Shape = tuple[int, int, list[Polygon3D]]
 
 
@@ -67,17 +70,21 @@ class CityObject:
     type_name: str  # one of CLASS_OF_TYPE
     polygons: tuple[Polygon3D, ...]  # its surfaces, or its footprint
     words: str = ""  # its name and function
-    is_footprint: bool = False  # level of detail 0: the polygons are to be raised by height_m
-    height_m: float | None = None  # of the top above the footprint, if the file gives it
+    is_footprint: bool = (
+        False  # level of detail 0: the polygons are to be raised by height_m
+    )
+    height_m: float | None = (
+        None  # of the top above the footprint, if the file gives it
+    )
 
 
 def read_cityjson(path: Path) -> SourceMap:
     """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
 
-    Each object is read in its highest level of detail below 3, or else in level 3; a footprint of
-    level 0 is raised by the measured height. Bridges are left out with tunnels and ground: the
-    scene's road is one plane. Heights are absolute. Raises InputError if it is damaged, or has
-    nothing solid.
+    Each object is read in its highest level of detail below 3, or else in level 3; a
+    footprint of level 0 is raised by the measured height. Bridges are left out with
+    tunnels and ground: the scene's road is one plane. Heights are absolute. Raises
+    InputError if it is damaged, or has nothing solid.
     """
     where = str(path)
     documents = list(_documents(read_text(path, "CityJSON"), where))
@@ -86,7 +93,10 @@ def read_cityjson(path: Path) -> SourceMap:
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
     check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
     metadata = head.get("metadata")
-    crs = metadata.get("referenceSystem") if isinstance(metadata, Mapping) else ""
+    if isinstance(metadata, Mapping):
+        crs = metadata.get("referenceSystem")
+    else:
+        crs = ""
     objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
@@ -100,14 +110,22 @@ def read_cityjson(path: Path) -> SourceMap:
     skipped = counted(left_out, "no building, plant, wall or furniture")
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
     # Easting comes first, whatever the reference system says.
-    return _city_map(path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False)
+    return _city_map(
+        path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False
+    )
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    lines = text.splitlines() if where.lower().endswith(".jsonl") else [text]
+    if where.lower().endswith(".jsonl"):
+        lines = text.splitlines()
+    else:
+        lines = [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
-            here = f"{where}: line {number}" if len(lines) > 1 else where
+            if len(lines) > 1:
+                here = f"{where}: line {number}"
+            else:
+                here = where
             yield parse_object(line, here, "CityJSON")
     if not text.strip():
         refuse(where, "an empty file", "CityJSON")
@@ -115,11 +133,17 @@ def _documents(text: str, where: str) -> Iterator[_Table]:
 
 def _transform(table: Any, where: str) -> list[FloatArray]:
     """Scale and translation of vertices, (3,) each; 1 and 0 where the file has none."""
-    table = {"scale": [1.0] * 3, "translate": [0.0] * 3} if table is None else table
+    if table is None:
+        table = {"scale": [1.0] * 3, "translate": [0.0] * 3}
+    else:
+        table = table
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: transform", table, "scale and translate")
     keys = ("scale", "translate")
-    return [float_array(table.get(key, ()), (3,), f"{where}: transform.{key}") for key in keys]
+    return [
+        float_array(table.get(key, ()), (3,), f"{where}: transform.{key}")
+        for key in keys
+    ]
 
 
 def _vertices(values: Any, where: str) -> FloatArray:
@@ -130,27 +154,43 @@ class _Templates:
     """Shapes that are used more than once, such as trees and lamps."""
 
     def __init__(self, table: Any, where: str) -> None:
-        table = table if isinstance(table, Mapping) else {}
+        if isinstance(table, Mapping):
+            table = table
+        else:
+            table = {}
         self.where = f"{where}: geometry-templates"
         self.templates = read_table(table.get("templates", []), list[Any], self.where)
         values = table.get("vertices-templates", [])
         self.vertices = _vertices(values, f"{self.where}.vertices-templates")
 
-    def place(self, geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
+    def place(
+        self, geometry: _Table, vertices: FloatArray, where: str
+    ) -> list[Polygon3D]:
         """Polygons of a template, moved to its place."""
         index: Any = geometry.get("template")
         here = f"{self.where}.templates[{index}]"
         template = _at(self.templates, index, f"{where}.template")
         anchor: Any = geometry.get("boundaries")
-        anchor = anchor[0] if isinstance(anchor, list) and len(anchor) == 1 else anchor
+        if isinstance(anchor, list) and len(anchor) == 1:
+            anchor = anchor[0]
+        else:
+            anchor = anchor
         foot = _at(vertices, anchor, f"{where}.boundaries")
         values = geometry.get("transformationMatrix", np.eye(4).reshape(-1))
-        matrix = float_array(values, (16,), f"{where}.transformationMatrix").reshape(4, 4)
-        if not isinstance(template, Mapping) or template.get("type") == "GeometryInstance":
+        matrix = float_array(values, (16,), f"{where}.transformationMatrix").reshape(
+            4, 4
+        )
+        if (
+            not isinstance(template, Mapping)
+            or template.get("type") == "GeometryInstance"
+        ):
             refuse(here, "no geometry", "one")
-        turn, shift = matrix[:3, :3].T, matrix[:3, 3]
+        turn = matrix[:3, :3].T
+        shift = matrix[:3, 3]
         polygons = _polygons(template, self.vertices, here)
-        return [[ring @ turn + shift + foot for ring in polygon] for polygon in polygons]
+        return [
+            [ring @ turn + shift + foot for ring in polygon] for polygon in polygons
+        ]
 
 
 def _objects(
@@ -163,7 +203,9 @@ def _objects(
 ) -> Iterator[CityObject]:
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
-        raise InputError(f"{where}: CityObjects", type(table).__name__, "a table of objects")
+        raise InputError(
+            f"{where}: CityObjects", type(table).__name__, "a table of objects"
+        )
     for name, entry in table.items():
         here = f"{where}: {name}"
         if not isinstance(entry, Mapping):
@@ -174,9 +216,14 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
-        named = children if isinstance(children, list) else []
+        if isinstance(children, list):
+            named = children
+        else:
+            named = []
         parts = [table.get(one) for one in named if isinstance(one, str)]
-        has_parts = any(isinstance(part, Mapping) and part.get("geometry") for part in parts)
+        has_parts = any(
+            isinstance(part, Mapping) and part.get("geometry") for part in parts
+        )
         if level < 1.0 and has_parts:
             continue
         if not polygons:
@@ -184,13 +231,18 @@ def _objects(
                 empty[type_name] += 1
             continue
         attributes = entry.get("attributes")
-        attributes = attributes if isinstance(attributes, Mapping) else {}
+        if isinstance(attributes, Mapping):
+            attributes = attributes
+        else:
+            attributes = {}
         yield CityObject(
             id=name,
             type_name=type_name,
             polygons=tuple(polygons),
             words=" ".join(
-                str(attributes[key])[:_MAX_NAME] for key in _TYPES["words"] if key in attributes
+                str(attributes[key])[:_MAX_NAME]
+                for key in _TYPES["words"]
+                if key in attributes
             ),
             is_footprint=level < 1.0,
             height_m=_height_m(attributes),
@@ -199,10 +251,14 @@ def _objects(
 
 def _height_m(attributes: _Table) -> float | None:
     """Height in the first of the known attributes; None: there is none, or no number."""
-    value = next((attributes[key] for key in _TYPES["heights"] if key in attributes), None)
+    value = next(
+        (attributes[key] for key in _TYPES["heights"] if key in attributes), None
+    )
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value) if abs(value) <= sys.float_info.max else None
+    if abs(value) <= sys.float_info.max:
+        return float(value)
+    return None
 
 
 def _best(
@@ -215,15 +271,21 @@ def _best(
         here = f"{where}.geometry[{index}]"
         if not isinstance(geometry, Mapping):
             raise InputError(here, geometry, "a geometry")
-        kind, level = str(geometry.get("type")), 1.0
+        kind = str(geometry.get("type"))
+        level = 1.0
         if kind == "GeometryInstance":
             polygons = templates.place(geometry, vertices, here)
         else:  # points and lines have none
             polygons = _polygons(geometry, vertices, here)
             try:
-                level = float(str(geometry.get("lod", "1"))) if kind in _BOUNDARIES else level
+                if kind in _BOUNDARIES:
+                    level = float(str(geometry.get("lod", "1")))
+                else:
+                    level = level
             except ValueError:
-                raise InputError(f"{here}.lod", geometry.get("lod"), "0 to 3.3") from None
+                raise InputError(
+                    f"{here}.lod", geometry.get("lod"), "0 to 3.3"
+                ) from None
         if polygons and _rank(level) > _rank(best[1]):
             best = (polygons, level)
     return best
@@ -231,27 +293,42 @@ def _best(
 
 def _rank(level: float) -> float:
     """Usefulness of a level of detail: below 3 the higher the better, then 3, then 0."""
-    return level if level < 3.0 else 0.99
+    if level < 3.0:
+        return level
+    return 0.99
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
     """Surfaces of a geometry, of solids those of the outer shells; points and lines have none."""
-    kind, here = str(geometry.get("type")), f"{where}.boundaries"
+    kind = str(geometry.get("type"))
+    here = f"{where}.boundaries"
     if kind not in _BOUNDARIES:
         return []
     nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
     if kind.endswith("Solid"):
-        solids = [nested] if kind == "Solid" else nested
+        if kind == "Solid":
+            solids = [nested]
+        else:
+            solids = nested
         nested = chain.from_iterable(shells[0] for shells in solids if shells)
     surfaces = [rings for rings in nested if rings]
-    highest = max((index for rings in surfaces for ring in rings for index in ring), default=-1)
+    highest = max(
+        (index for rings in surfaces for ring in rings for index in ring), default=-1
+    )
     if highest >= len(vertices):
         raise InputError(here, highest, f"vertices 0 to {len(vertices) - 1}")
-    return [[vertices[np.array(ring, dtype=np.int64)] for ring in rings] for rings in surfaces]
+    return [
+        [vertices[np.array(ring, dtype=np.int64)] for ring in rings]
+        for rings in surfaces
+    ]
 
 
 def _at(values: Any, index: Any, where: str) -> Any:
-    if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(values):
+    if (
+        not isinstance(index, int)
+        or isinstance(index, bool)
+        or not 0 <= index < len(values)
+    ):
         raise InputError(where, index, f"an index, 0 to {len(values) - 1}")
     return values[index]
 
@@ -277,7 +354,9 @@ def _city_map(
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
-    place = georeference(points[:, :2], declared_crs, where=where, follows_authority=by_axes)
+    place = georeference(
+        points[:, :2], declared_crs, where=where, follows_authority=by_axes
+    )
     points = place.to_metres(points, where)
     in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
     things: list[Thing] = []
@@ -285,7 +364,9 @@ def _city_map(
     ids: Counter[str] = Counter()
     n_triangles = 0
     for item in objects:
-        polygons = tuple(tuple(next(in_metres) for _ in polygon) for polygon in item.polygons)
+        polygons = tuple(
+            tuple(next(in_metres) for _ in polygon) for polygon in item.polygons
+        )
         try:
             thing = _thing(replace(item, polygons=polygons), unique_id(item.id, ids))
         except InputError as error:
@@ -294,7 +375,9 @@ def _city_map(
         things.append(thing)
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
-            refuse(where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city")
+            refuse(
+                where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city"
+            )
     if not things:
         refuse(where, "no surface with an area", "buildings" + _said(flat))
     return SourceMap(
@@ -311,7 +394,10 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
-        class_name = kind.class_name if kind and kind.class_name != "ground" else class_name
+        if kind and kind.class_name != "ground":
+            class_name = kind.class_name
+        else:
+            class_name = class_name
     if not item.is_footprint:
         mesh = surface_mesh(item.polygons)
         if not len(mesh[1]):
@@ -319,7 +405,10 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
         return Thing.of(thing_id, class_name, mesh)
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
-    raised_m = kind_of_class(class_name).height_m if height is None or is_assumed else height
+    if height is None or is_assumed:
+        raised_m = kind_of_class(class_name).height_m
+    else:
+        raised_m = height
     pieces = []
     for outer, *holes in item.polygons:
         bottom_m = float(outer[:, 2].min())
@@ -331,7 +420,9 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 def _said(skipped: Sequence[Note]) -> str:
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
-    return f"; skipped: {words}" if words else ""
+    if words:
+        return f"; skipped: {words}"
+    return ""
 
 
 # ---------- CityGML
@@ -341,14 +432,20 @@ def read_citygml(path: Path) -> SourceMap:
     root = read_xml(path, expected=_GML)
     namespace = root.tag.rpartition("}")[0]
     if local_name(root) != "CityModel" or "citygml" not in namespace.lower():
-        raise InputError(where, root.tag, "CityGML: a CityModel in a namespace of CityGML")
+        raise InputError(
+            where, root.tag, "CityGML: a CityModel in a namespace of CityGML"
+        )
     document = _Document(where, root)
     left_out: Counter[str] = Counter()
     empty: Counter[str] = Counter()
-    found = (document.city_object(feature, empty) for feature in document.features(left_out))
+    found = (
+        document.city_object(feature, empty) for feature in document.features(left_out)
+    )
     objects = [item for item in found if item is not None]
     skipped = counted(left_out, "no building, plant, wall or furniture")
-    skipped += counted(empty, "without a surface of level of detail 0 to 3 in this file")
+    skipped += counted(
+        empty, "without a surface of level of detail 0 to 3 in this file"
+    )
     declared, follows_authority = _reference_system(root, where)
     return _city_map(path, objects, skipped, declared, by_axes=follows_authority)
 
@@ -382,7 +479,9 @@ class _Document:
         type_name = local_name(feature)
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
         ranks = [(level, rank) for level, rank, _ in shapes]
-        level, kind = max(ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1))
+        level, kind = max(
+            ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1)
+        )
         parts = (part for part in feature.iter() if part is not feature)
         has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
         if level < 0 or (level == 0 and has_parts):
@@ -409,23 +508,34 @@ class _Document:
             if match:
                 level = int(match[1])
                 is_flat = match[2] in _TYPES["footprints"]
-                if level == 0 and (not is_flat or local_name(element) in _TYPES["surfaces"][1:]):
+                if level == 0 and (
+                    not is_flat or local_name(element) in _TYPES["surfaces"][1:]
+                ):
                     continue
-                rank = 2 if "Solid" in match[2] else int(match[2] != "RoofEdge")
+                if "Solid" in match[2]:
+                    rank = 2
+                else:
+                    rank = int(match[2] != "RoofEdge")
                 yield level, rank, list(self._polygons(child, depth + 1, 0))
             elif name in ("boundedBy", "boundary") or name in _TYPES["surfaces"]:
                 yield from self._shapes(child, depth + 1)
 
-    def _polygons(self, element: Element, depth: int, n_dimensions: int) -> Iterator[Polygon3D]:
+    def _polygons(
+        self, element: Element, depth: int, n_dimensions: int
+    ) -> Iterator[Polygon3D]:
         """Polygons of an element and of those in it, or to which it refers."""
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
-        name, n_dimensions = local_name(element), _n_dimensions(element) or n_dimensions
+        name = local_name(element)
+        n_dimensions = _n_dimensions(element) or n_dimensions
         if name in ("Polygon", "PolygonPatch", "Triangle", "Rectangle"):
             rings = [
                 self._ring(ring, n_dimensions)
-                for kinds in (("exterior", "outerBoundaryIs"), ("interior", "innerBoundaryIs"))
+                for kinds in (
+                    ("exterior", "outerBoundaryIs"),
+                    ("interior", "innerBoundaryIs"),
+                )
                 for boundary in element
                 if local_name(boundary) in kinds
                 for ring in boundary
@@ -434,9 +544,18 @@ class _Document:
                 yield rings
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
             reference = element.attrib.get(_HREF, "")
-            inside = [self.by_id.get(reference[1:])] if reference.startswith("#") else []
-            inside += [one for one in element if name != "Solid" or local_name(one) == "exterior"]
-            is_turned = name == "OrientableSurface" and element.attrib.get("orientation") == "-"
+            if reference.startswith("#"):
+                inside = [self.by_id.get(reference[1:])]
+            else:
+                inside = []
+            inside += [
+                one
+                for one in element
+                if name != "Solid" or local_name(one) == "exterior"
+            ]
+            is_turned = (
+                name == "OrientableSurface" and element.attrib.get("orientation") == "-"
+            )
             for child in (one for one in inside if one is not None):
                 for polygon in self._polygons(child, depth + 1, n_dimensions):
                     yield [ring[::-1] for ring in polygon] if is_turned else polygon
@@ -444,7 +563,8 @@ class _Document:
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         words: list[str] = []
         for element in ring.iter():
-            name, text = local_name(element), element.text or ""
+            name = local_name(element)
+            text = element.text or ""
             if name in ("posList", "pos"):
                 words += text.split()
             elif name == "coordinates":
@@ -471,17 +591,29 @@ def _gml_id(element: Element) -> str:
 def _n_dimensions(element: Element) -> int:
     """Coordinates per point as an element declares them; 0: it does not."""
     text = element.attrib.get("srsDimension", "")
-    return int(text) if text in ("2", "3") else 0
+    if text in ("2", "3"):
+        return int(text)
+    return 0
 
 
 def _measured_height_m(feature: Element) -> float | None:
     """Height that an object declares; None if it declares none, or one in an unknown unit."""
     for child in feature:
-        values = [child] if local_name(child) == "measuredHeight" else []
-        if local_name(child) == "height":  # CityGML 3.0: con:height/con:Height/con:value
+        if local_name(child) == "measuredHeight":
+            values = [child]
+        else:
+            values = []
+        if (
+            local_name(child) == "height"
+        ):  # CityGML 3.0: con:height/con:Height/con:value
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
-            unit = value.attrib.get("uom", "m").rpartition("#")[2].rpartition(":")[2].lower()
+            unit = (
+                value.attrib.get("uom", "m")
+                .rpartition("#")[2]
+                .rpartition(":")[2]
+                .lower()
+            )
             with suppress(ValueError, KeyError):
                 return float((value.text or "").strip()) * UNITS_M[unit]
     return None
@@ -492,7 +624,9 @@ def _reference_system(root: Element, where: str) -> tuple[str, bool]:
     from pyproj.exceptions import ProjError
 
     texts = (element.attrib.get("srsName", "").strip() for element in root.iter())
-    declared = dict.fromkeys(text for text in texts if text and not text.startswith("#"))
+    declared = dict.fromkeys(
+        text for text in texts if text and not text.startswith("#")
+    )
     planes: dict[str, str] = {}
     for text in list(declared)[:_MAX_DEPTH]:
         with suppress(ProjError):

@@ -19,7 +19,16 @@ from ..junction import (
 )
 from ..lines import steps_m, true_runs, unit
 from ..notes import Note, assumptions
-from ..scene import Body, Instance, Lane, LeadingRoad, Scene, Site, is_lane_width, join_bodies
+from ..scene import (
+    Body,
+    Instance,
+    Lane,
+    LeadingRoad,
+    Scene,
+    Site,
+    is_lane_width,
+    join_bodies,
+)
 from ..sensors import load_limits
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
@@ -36,14 +45,20 @@ from .source_map import (
     unique_id,
 )
 
-LANES_BEYOND_M = 70.0  # cars come from farther away than anything that could hide somebody
+LANES_BEYOND_M = (
+    70.0  # cars come from farther away than anything that could hide somebody
+)
 _SAME_LEVEL_M = 3.0
 _AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
 _CROSSWALK_WITHIN_M = 25.0
 _ASSUMED_M = 60.0  # on beyond the map
 _BENDS_PER_M = (
     0.0,
-    *(sign / radius_m for radius_m in (400.0, 200.0, 100.0, 60.0, 40.0, 25.0) for sign in (1, -1)),
+    *(
+        sign / radius_m
+        for radius_m in (400.0, 200.0, 100.0, 60.0, 40.0, 25.0)
+        for sign in (1, -1)
+    ),
 )
 _BESIDE_HOUSES_M = 0.3  # between such a lane and houses
 _LEAST_ASSUMED_M = 5.0
@@ -52,9 +67,12 @@ _STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at i
 _DIGITS_M = 0.002
 _NEIGHBOURS_BEYOND_M = 20.0
 _LOWEST_M = 0.2  # lower things hide nobody
-_MORE_M = 80.0  # beyond what is cut out: the ground is levelled with what lies around it
+_MORE_M = (
+    80.0  # beyond what is cut out: the ground is levelled with what lies around it
+)
 _THINGS_MORE_M = 30.0
-_FAR_FIELDS, _LINES = ("lanes", "connections"), "crosswalks_m"
+_FAR_FIELDS = ("lanes", "connections")
+_LINES = "crosswalks_m"
 _Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
 
 
@@ -66,14 +84,20 @@ class Surroundings:
     lanes: tuple[Lane, ...]  # to drive, park and cycle on
     outline_m: FloatArray  # (n, 2) of the junction's road surface
     crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
-    things: tuple[Thing, ...]  # z counts from the road in the junction's middle; ids are unique
+    things: tuple[
+        Thing, ...
+    ]  # z counts from the road in the junction's middle; ids are unique
     poles: tuple[Pole, ...]  # feet at z = 0, whatever the ground; ids are unique
     keeps_left: bool
     skipped: tuple[Note, ...]
     roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
-    terrain: Terrain | None = None  # the ground, 0 in the junction's middle; None: a plane
+    terrain: Terrain | None = (
+        None  # the ground, 0 in the junction's middle; None: a plane
+    )
     zero_height_m: float | None = None  # of the middle, as the map counts heights
-    neighbours_m: tuple[FloatArray, ...] = ()  # (n, 2) each, outlines of the junctions around it
+    neighbours_m: tuple[
+        FloatArray, ...
+    ] = ()  # (n, 2) each, outlines of the junctions around it
 
 
 def cut_out(
@@ -85,11 +109,13 @@ def cut_out(
 ) -> Surroundings:
     """Surroundings of a junction of the first map, with buildings and more from the others.
 
-    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in the
-    junction's middle in the other maps; by default 0 if a map counts heights above the ground, or
-    else that of its lowest thing. Raises InputError if the coordinates of the maps do not fit.
+    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in
+    the junction's middle in the other maps; by default 0 if a map counts heights above
+    the ground, or else that of its lowest thing. Raises InputError if the coordinates
+    of the maps do not fit.
     """
-    roads, frame = maps[0], frame_at(maps[0], junction.position_m)
+    roads = maps[0]
+    frame = frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
     half_m = radius_m + LANES_BEYOND_M
@@ -101,7 +127,10 @@ def cut_out(
     for source in maps:
         height_m = ground_m
         if source is roads:
-            height_m = junction.height_m if source.heights == "absolute" else None
+            if source.heights == "absolute":
+                height_m = junction.height_m
+            else:
+                height_m = None
         near = _near_things(source, frame, radius_m, skipped)
         for thing, vertices in _lowered(source, near, relief, height_m, skipped):
             thing_id = _unique(thing.id, source, taken)
@@ -110,10 +139,16 @@ def cut_out(
         for pole, foot in zip(source.poles, frame.take(feet, source), strict=True):
             if np.hypot(*foot[:2]) <= radius_m:
                 pole_id = _unique(pole.id, source, taken)
-                poles.append(replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0)))
+                poles.append(
+                    replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0))
+                )
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     skipped += _odd_lanes(roads, junction)
-    others = [frame.take(one.outline_m, roads) for one in roads.junctions if one.id != junction.id]
+    others = [
+        frame.take(one.outline_m, roads)
+        for one in roads.junctions
+        if one.id != junction.id
+    ]
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
         skipped.append(Note("other junctions around it", why, kind="roads"))
@@ -129,7 +164,9 @@ def cut_out(
         roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
         zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
-        neighbours_m=tuple(one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M),
+        neighbours_m=tuple(
+            one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M
+        ),
     )
 
 
@@ -143,10 +180,14 @@ def _lowered(
     """Things of a map that rise above the road, with vertices that count heights from it."""
     solid = [thing for thing in near if thing.class_name != "ground"]
     why = "the ground of a scene is that of its roads"
-    skipped += [Note(f"ground {one.id}", why) for one in near if one.class_name == "ground"]
+    skipped += [
+        Note(f"ground {one.id}", why) for one in near if one.class_name == "ground"
+    ]
     is_low: Counter[str] = Counter()
     n_floating = 0
-    for thing, lowered in zip(solid, relief.lower(source, solid, height_m), strict=True):
+    for thing, lowered in zip(
+        solid, relief.lower(source, solid, height_m), strict=True
+    ):
         vertices, is_set_down = lowered
         n_floating += is_set_down
         if relief.above_m(vertices).max() < _LOWEST_M:
@@ -155,13 +196,17 @@ def _lowered(
             yield thing, vertices
     if n_floating:
         why = "they would float above the ground below them: set down on it"
-        skipped.append(Note(f"{n_floating} buildings in {source.name}", why, kind="heights"))
+        skipped.append(
+            Note(f"{n_floating} buildings in {source.name}", why, kind="heights")
+        )
     for name, count in is_low.items():
         skipped.append(Note(f"{count} x {name} in {source.name}", "not above the road"))
 
 
 def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
-    begin, ahead = frame.take(np.stack([road.point_m, road.point_m + road.direction]), source)
+    begin, ahead = frame.take(
+        np.stack([road.point_m, road.point_m + road.direction]), source
+    )
     step = ahead - begin
     return replace(road, point_m=begin, direction=step / np.hypot(*step))
 
@@ -180,11 +225,16 @@ def build_scene(
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     plane = (np.column_stack([corners, np.zeros(4)]), faces)
-    ground = plane if terrain is None else terrain.mesh()
+    if terrain is None:
+        ground = plane
+    else:
+        ground = terrain.mesh()
     bodies: list[Body] = [(Instance(id=GROUND, class_name=GROUND), *ground)]
     for thing in surroundings.things:
         instance = Instance(
-            id=thing.id, class_name=thing.class_name, is_height_assumed=thing.is_height_assumed
+            id=thing.id,
+            class_name=thing.class_name,
+            is_height_assumed=thing.is_height_assumed,
         )
         bodies.append((instance, thing.vertices_m, thing.triangles))
     for pole in surroundings.poles:
@@ -196,7 +246,8 @@ def build_scene(
         name=name,
         **join_bodies(bodies),
         sites=tuple(
-            replace(one, position_m=on_ground(one.position_m[:2], terrain)) for one in sites
+            replace(one, position_m=on_ground(one.position_m[:2], terrain))
+            for one in sites
         ),
         outline_m=surroundings.outline_m,
         lanes=surroundings.lanes,
@@ -214,10 +265,17 @@ def build_scene(
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     """Lanes to the starts of entry lanes that nothing leads to: straight, or bent past houses."""
     arms = [  # the lanes behind which the map does not go on
-        [lane for lane in arm.entry_lanes if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0]
+        [
+            lane
+            for lane in arm.entry_lanes
+            if np.hypot(*lane.centreline_m[0]) < reach_m - 1.0
+        ]
         for arm in build_junction(scene).arms.values()
     ]
-    houses = houses_of(scene) if any(arms) else None
+    if any(arms):
+        houses = houses_of(scene)
+    else:
+        houses = None
     for lanes in filter(None, arms):
         for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
@@ -230,8 +288,11 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
                 step = chain[1] - chain[0]
                 chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
             if free_m > _LEAST_ASSUMED_M:
-                lane_id, line_m = f"{lane.id} beyond the map", chain[::-1]
-                yield Lane(id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m)
+                lane_id = f"{lane.id} beyond the map"
+                line_m = chain[::-1]
+                yield Lane(
+                    id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m
+                )
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
@@ -265,9 +326,13 @@ def _lanes(
 ) -> tuple[list[Lane], list[Lane]]:
     """Lanes around a junction and through it; and those assumed through others around it."""
     found: list[Lane] = []
-    ends: dict[str, list[Lane]] = defaultdict(list)  # by the junction into which they lead
+    ends: dict[str, list[Lane]] = defaultdict(
+        list
+    )  # by the junction into which they lead
     begins: dict[str, list[Lane]] = defaultdict(list)
-    for lane in (lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")):
+    for lane in (
+        lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")
+    ):
         whole = frame.take(lane.centreline_m[:, :2], roads)
         if junction.id in (lane.to_junction, lane.from_junction):
             points = _reaching(whole, reach_m, from_end=junction.id == lane.to_junction)
@@ -278,10 +343,17 @@ def _lanes(
         points = _apart(points)
         if len(points) < 2 or not is_lane_width(lane.width_m):
             continue
-        cut = Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points)
-        found.append(replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns))
+        cut = Lane(
+            id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points
+        )
+        found.append(
+            replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns)
+        )
         if lane.kind == "driving":
-            for others, at, name in ((ends, -1, lane.to_junction), (begins, 0, lane.from_junction)):
+            for others, at, name in (
+                (ends, -1, lane.to_junction),
+                (begins, 0, lane.from_junction),
+            ):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
                     others[name].append(found[-1])
     mapped = {lane.from_junction for lane in roads.connections}
@@ -295,9 +367,13 @@ def _lanes(
         points = _apart(whole)
         if is_taken and len(points) > 1 and is_lane_width(lane.width_m):
             width_m = lane.width_m
-            found.append(Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points))
+            found.append(
+                Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points)
+            )
     names = sorted((ends.keys() & begins.keys()) - mapped)
-    return found, [one for name in names for one in _straight_on(ends[name], begins[name])]
+    return found, [
+        one for name in names for one in _straight_on(ends[name], begins[name])
+    ]
 
 
 def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
@@ -305,7 +381,8 @@ def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
     own = [
         lane
         for lane in (*roads.lanes, *roads.connections)
-        if junction.id in (lane.to_junction, lane.from_junction) and lane.kind != "walking"
+        if junction.id in (lane.to_junction, lane.from_junction)
+        and lane.kind != "walking"
     ]
     n_odd = sum(not is_lane_width(lane.width_m) for lane in own)
     low_m, high_m = load_limits().lane_width_m
@@ -348,13 +425,19 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
 def _apart(points_m: FloatArray) -> FloatArray:
     """A line without points that a file with three digits could not tell from their neighbours."""
     is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
-    if not is_new[-1] and is_new.sum() > 1:  # the end stays, and the point before it goes
+    if (
+        not is_new[-1] and is_new.sum() > 1
+    ):  # the end stays, and the point before it goes
         is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
     return np.asarray(points_m[is_new])
 
 
 def _is_elsewhere(
-    line_m: FloatArray, lane: MapLane, junction: MapJunction, outline_m: FloatArray, reach_m: float
+    line_m: FloatArray,
+    lane: MapLane,
+    junction: MapJunction,
+    outline_m: FloatArray,
+    reach_m: float,
 ) -> bool:
     """True if a lane of other roads is far away, on another level, or ends at the outline."""
     distance = np.hypot(*line_m.T)
@@ -367,12 +450,19 @@ def _is_elsewhere(
 
 def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatArray:
     """The part of a line from one of its ends to where it first leaves the circle."""
-    points = points_m[::-1] if from_end else points_m
+    if from_end:
+        points = points_m[::-1]
+    else:
+        points = points_m
     outside = np.flatnonzero(np.hypot(*points.T) > reach_m)
     if len(outside):
         last = max(int(outside[0]), 1)
-        points = np.vstack([points[:last], _on_circle(points[last - 1], points[last], reach_m)])
-    return points[::-1] if from_end else points
+        points = np.vstack(
+            [points[:last], _on_circle(points[last - 1], points[last], reach_m)]
+        )
+    if from_end:
+        return points[::-1]
+    return points
 
 
 def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
@@ -383,24 +473,33 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
     begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     stretch = [points_m[begin:end]]
     if begin > 0:
-        stretch.insert(0, _on_circle(points_m[begin], points_m[begin - 1], reach_m)[None])
+        stretch.insert(
+            0, _on_circle(points_m[begin], points_m[begin - 1], reach_m)[None]
+        )
     if end < len(points_m):
         stretch.append(_on_circle(points_m[end - 1], points_m[end], reach_m)[None])
     return np.concatenate(stretch)
 
 
-def _on_circle(inside_m: FloatArray, outside_m: FloatArray, reach_m: float) -> FloatArray:
+def _on_circle(
+    inside_m: FloatArray, outside_m: FloatArray, reach_m: float
+) -> FloatArray:
     way = outside_m - inside_m
-    a, b, c = way @ way, inside_m @ way, inside_m @ inside_m - reach_m**2
+    a = way @ way
+    b = inside_m @ way
+    c = inside_m @ inside_m - reach_m**2
     if a == 0.0 or b * b - a * c < 0.0:
         return inside_m
     share = float(np.clip((-b + np.sqrt(b * b - a * c)) / a, 0.0, 1.0))
     return inside_m + share * way
 
 
-def _crosswalks(maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray) -> FloatArray:
+def _crosswalks(
+    maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray
+) -> FloatArray:
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
-    middles, lengths = lines.mean(axis=1), np.hypot(*(lines[:, 1] - lines[:, 0]).T)
+    middles = lines.mean(axis=1)
+    lengths = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
     off_m = np.array([distance_to_outline_m(middle, outline_m) for middle in middles])
     is_length = (lengths > 0.0) & (lengths <= load_limits().crosswalk_length_m)
     return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & is_length])
@@ -415,8 +514,12 @@ def _near_things(
     near: list[Thing] = []
     n_far = 0
     counts = [len(thing.vertices_m) for thing in source.things]
-    every = frame.take(np.concatenate([thing.vertices_m for thing in source.things]), source)
-    for thing, vertices in zip(source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True):
+    every = frame.take(
+        np.concatenate([thing.vertices_m for thing in source.things]), source
+    )
+    for thing, vertices in zip(
+        source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True
+    ):
         if len(vertices) and len(thing.triangles):
             if _off_m(vertices[:, :2]) > radius_m:
                 n_far += 1
@@ -425,8 +528,14 @@ def _near_things(
     if n_far:
         why = f"farther than {radius_m:g} m from the junction"
         if frame.map_crs and not source.crs:
-            lies = "the file names no coordinate reference system, and in that of the map with the"
-            why = f"{lies} roads they lie {why}: name it (such as EPSG:25832), or move them"
+            lies = (
+                "the file names no coordinate reference system, and in that of the map"
+                " with the"
+            )
+            why = (
+                f"{lies} roads they lie {why}: name it (such as EPSG:25832), or move"
+                " them"
+            )
         skipped.append(Note(f"{n_far} things in {source.name}", why))
     return near
 
@@ -463,7 +572,9 @@ class Neighbourhoods:
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
-        self._share = (radius_m + _THINGS_MORE_M) / self._half_m  # of the square that has things
+        self._share = (
+            radius_m + _THINGS_MORE_M
+        ) / self._half_m  # of the square that has things
         self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
@@ -476,24 +587,41 @@ class Neighbourhoods:
             here = corners
             if source.crs and roads.crs and source.crs != roads.crs:
                 here = transform(corners, roads.crs, source.crs)
-            low, high = here.min(axis=0), here.max(axis=0)
+            low = here.min(axis=0)
+            high = here.max(axis=0)
             less = 0.5 * (1.0 - self._share) * (high - low)
             part = _within(source, trees, (low, high), near=(low + less, high - less))
-            has_any = part.things or part.poles or len(part.crosswalks_m) or len(part.ground_m)
+            has_any = (
+                part.things
+                or part.poles
+                or len(part.crosswalks_m)
+                or len(part.ground_m)
+            )
             if source is roads or has_any:
                 parts.append(part)
         return tuple(parts)
 
 
 def _within(
-    source: SourceMap, trees: dict[str, shapely.STRtree], square: _Square, *, near: _Square
+    source: SourceMap,
+    trees: dict[str, shapely.STRtree],
+    square: _Square,
+    *,
+    near: _Square,
 ) -> SourceMap:
     """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
     found: dict[str, Any] = {}
     for name, tree in trees.items():
-        low, high = square if name in _FAR_FIELDS else near
-        every, at = getattr(source, name), np.sort(tree.query(shapely.box(*low, *high))).tolist()
-        found[name] = tuple(every[index] for index in at) if name != _LINES else every[at]
+        if name in _FAR_FIELDS:
+            low, high = square
+        else:
+            low, high = near
+        every = getattr(source, name)
+        at = np.sort(tree.query(shapely.box(*low, *high))).tolist()
+        if name != _LINES:
+            found[name] = tuple(every[index] for index in at)
+        else:
+            found[name] = every[at]
     low, high = square
     ground = source.ground_m[:, :2]
     is_near = ((ground >= low) & (ground <= high)).all(axis=1)

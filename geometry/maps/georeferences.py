@@ -30,7 +30,9 @@ _SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
 _MAX_TEXT = 20_000
 _MAX_M = 1e8  # twice around the earth
 _MAX_STRETCH = 0.005
-_EDGE_SHARE = 0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
+_EDGE_SHARE = (
+    0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
+)
 _ORIGIN_M = 1000.0
 _MIN_EXTENT_M = 1.0
 
@@ -47,23 +49,35 @@ class LocalFrame:
         """Points (..., 2 or 3) of a map, or else in the roads' system, here; heights stay."""
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
-            alike = "a file without a coordinate reference system, as the map with the junction"
+            alike = (
+                "a file without a coordinate reference system, as the map with the"
+                " junction"
+            )
             got = f"coordinates in {source.crs}"
             refuse(source.name, got, f"{alike}; or `crs` for that one")
         if not self.crs:
             points[..., :2] -= self.origin_m
             return points
-        points[..., :2] = transform(points[..., :2], source.crs or self.map_crs, self.crs)
+        points[..., :2] = transform(
+            points[..., :2], source.crs or self.map_crs, self.crs
+        )
         if not np.isfinite(points).all():
             got = f"coordinates that {source.crs or self.map_crs} does not have"
-            refuse(source.name, got, "metres within the area of its coordinate reference system")
+            refuse(
+                source.name,
+                got,
+                "metres within the area of its coordinate reference system",
+            )
         return points
 
 
 def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
     """Frame around a point (2,) of a map; raises InputError if the point is nowhere on earth."""
     point: FloatArray = np.array(point_m, dtype=np.float64).round()
-    crs = local_crs(point, source.crs, where=source.name) if source.crs else ""
+    if source.crs:
+        crs = local_crs(point, source.crs, where=source.name)
+    else:
+        crs = ""
     return LocalFrame(crs=crs, map_crs=source.crs, origin_m=point)
 
 
@@ -71,7 +85,9 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
     """Transverse Mercator around a point of another reference system; InputError: it is nowhere."""
     lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
-        refuse(where, f"a junction at {np.asarray(point_m).tolist()}", f"a place in {crs}")
+        refuse(
+            where, f"a junction at {np.asarray(point_m).tolist()}", f"a place in {crs}"
+        )
     return (
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
         "+k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
@@ -91,10 +107,14 @@ def _transformer(from_crs: str, to_crs: str) -> "Transformer":
     from pyproj.exceptions import ProjError
 
     try:
-        return Transformer.from_crs(parse_crs(from_crs), parse_crs(to_crs), always_xy=True)
+        return Transformer.from_crs(
+            parse_crs(from_crs), parse_crs(to_crs), always_xy=True
+        )
     except ProjError:
         where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
-        raise InputError(where, Unquoted("no way"), "reference systems that pyproj knows") from None
+        raise InputError(
+            where, Unquoted("no way"), "reference systems that pyproj knows"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,8 +122,12 @@ class Georeference:
     """How to bring a file's coordinates into a projected coordinate reference system."""
 
     crs: str  # projected, in metres, for pyproj; empty: unknown
-    source_crs: str  # the horizontal part of the declared one; empty: none, or none that fits
-    is_northing_first: bool = False  # the file's first coordinate is the northing or the latitude
+    source_crs: (
+        str  # the horizontal part of the declared one; empty: none, or none that fits
+    )
+    is_northing_first: bool = (
+        False  # the file's first coordinate is the northing or the latitude
+    )
     z_m: float = 1.0  # length of the file's unit of height
     notes: tuple[Note, ...] = ()  # on a declaration that was not followed
 
@@ -123,16 +147,21 @@ class Georeference:
 
 
 def georeference(
-    points: ArrayLike, declared: "str | CRS | None", *, where: str, follows_authority: bool = False
+    points: ArrayLike,
+    declared: "str | CRS | None",
+    *,
+    where: str,
+    follows_authority: bool = False,
 ) -> Georeference:
     """Find out where a file's coordinates, (n, 2) or the corners of their box, lie on earth.
 
-    Degrees, feet, and projections that stretch are projected to a transverse Mercator around the
-    middle of the data; projections in metres stay. With `follows_authority` coordinates come in the
-    order of the reference system's definition (GML), unless only the other lies in its area of use.
-    An unknown reference system, or one of elsewhere, is left out with a note. Raises InputError if
-    coordinates are not finite, are degrees instead of metres or the reverse, or have latitude and
-    longitude swapped.
+    Degrees, feet, and projections that stretch are projected to a transverse Mercator
+    around the middle of the data; projections in metres stay. With `follows_authority`
+    coordinates come in the order of the reference system's definition (GML), unless
+    only the other lies in its area of use. An unknown reference system, or one of
+    elsewhere, is left out with a note. Raises InputError if coordinates are not finite,
+    are degrees instead of metres or the reverse, or have latitude and longitude
+    swapped.
     """
     from pyproj.exceptions import ProjError
 
@@ -161,24 +190,43 @@ def georeference(
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
     if crs.is_geographic:
         northing_first = is_swapped
-        box = box[:, ::-1] if is_swapped else box
+        if is_swapped:
+            box = box[:, ::-1]
+        else:
+            box = box
         _refuse_no_degrees(box, where)
         lonlat = box.mean(axis=0)
     else:
         _refuse_degrees(box, where)
-        for northing_first in (is_swapped, not is_swapped) if follows_authority else (False,):
+        for northing_first in (
+            (is_swapped, not is_swapped) if follows_authority else (False,)
+        ):
             middle = (box[:, ::-1] if northing_first else box).mean(axis=0)
             if _is_meant_for(crs, middle):
                 break
         else:
-            area = crs.area_of_use.name if crs.area_of_use else "its area"
-            why = f"the coordinates lie outside {area}: taken as metres without a place on earth"
+            if crs.area_of_use:
+                area = crs.area_of_use.name
+            else:
+                area = "its area"
+            why = (
+                f"the coordinates lie outside {area}: taken as metres without a place"
+                " on earth"
+            )
             note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
         is_plane = _is_in_metres(crs, middle)
-        lonlat = None if is_plane else transform(middle[None, :], name, WGS84)[0]
-    plane = name if lonlat is None else local_crs(lonlat, WGS84, where=where)
-    return Georeference(crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m)
+        if is_plane:
+            lonlat = None
+        else:
+            lonlat = transform(middle[None, :], name, WGS84)[0]
+    if lonlat is None:
+        plane = name
+    else:
+        plane = local_crs(lonlat, WGS84, where=where)
+    return Georeference(
+        crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m
+    )
 
 
 def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
@@ -192,7 +240,9 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
             break
         crs = inner
     crs = crs.to_2d()
-    return crs if crs.is_geographic or crs.is_projected else None
+    if crs.is_geographic or crs.is_projected:
+        return crs
+    return None
 
 
 def why_no_plane(crs: str) -> str:
@@ -212,13 +262,17 @@ def why_no_plane(crs: str) -> str:
     if not system.is_projected:
         return "no projection"
     units = {round(axis.unit_conversion_factor, 9) for axis in system.axis_info[:2]}
-    return "" if units == {1.0} else "not in metres"
+    if units == {1.0}:
+        return ""
+    return "not in metres"
 
 
 def crs_name(crs: "CRS") -> str:
     """Shortest text from which pyproj makes the same reference system: a code, or WKT."""
     authority = crs.to_authority(min_confidence=100)
-    return ":".join(authority) if authority else crs.to_wkt()
+    if authority:
+        return ":".join(authority)
+    return crs.to_wkt()
 
 
 def _spelling(declared: str) -> str:
@@ -229,18 +283,28 @@ def _spelling(declared: str) -> str:
 
 def _vertical_unit_m(declared: "str | CRS | None") -> float:
     """Unit of heights in metres: that of the third axis, or else that of the plane."""
-    crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared or "")
+    crs = parse_crs(
+        _spelling(declared) if isinstance(declared, str) else declared or ""
+    )
     axes = [one.unit_conversion_factor for one in crs.axis_info]
     is_plane = len(axes) < 3 and (crs.is_geographic or not axes)
-    return 1.0 if is_plane else float(axes[2 if len(axes) > 2 else 0])
+    if is_plane:
+        return 1.0
+    return float(axes[2 if len(axes) > 2 else 0])
 
 
 def _refuse_degrees(box: FloatArray, where: str) -> None:
     """Refuse coordinates within -180 to 180 that span less than a metre: no map is so small."""
     if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
         size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
-        expected = "coordinates in metres, or the coordinate reference system that they are in"
-        refuse(where, f"degrees where metres are meant: {size} around {_words(box)}", expected)
+        expected = (
+            "coordinates in metres, or the coordinate reference system that they are in"
+        )
+        refuse(
+            where,
+            f"degrees where metres are meant: {size} around {_words(box)}",
+            expected,
+        )
 
 
 def _refuse_no_degrees(box: FloatArray, where: str) -> None:
@@ -248,10 +312,17 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
     if (np.abs(box) <= [180.0, 90.0]).all():
         return
     if (np.abs(box[:, ::-1]) <= [180.0, 90.0]).all():
-        got = f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
+        got = (
+            f"latitude and longitude swapped: a latitude of {np.abs(box[:, 1]).max():g}"
+        )
         refuse(where, got, "longitude first, latitude second, in degrees")
-    got = f"metres or another CRS where degrees are expected: coordinates around {_words(box)}"
-    expected = "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system"
+    got = (
+        "metres or another CRS where degrees are expected: coordinates around"
+        f" {_words(box)}"
+    )
+    expected = (
+        "longitude -180 to 180, latitude -90 to 90, or the coordinate reference system"
+    )
     refuse(where, got, f"{expected} in the file")
 
 
@@ -267,10 +338,19 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
-    width, height = (east - west) % 360.0 if east < west else east - west, north - south
+    if east < west:
+        width = (east - west) % 360.0
+    else:
+        width = east - west
+    height = north - south
     beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
-    edge = 0.0 if (np.abs(point) < _ORIGIN_M).all() else _EDGE_SHARE
-    is_beside = -edge * width <= beside and (width >= 180.0 or beside <= (1.0 + edge) * width)
+    if (np.abs(point) < _ORIGIN_M).all():
+        edge = 0.0
+    else:
+        edge = _EDGE_SHARE
+    is_beside = -edge * width <= beside and (
+        width >= 180.0 or beside <= (1.0 + edge) * width
+    )
     return bool(is_beside and south - edge * height <= lat <= north + edge * height)
 
 
@@ -290,4 +370,6 @@ def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
     except ProjError:
         return True
     scales = np.array([factors.meridional_scale, factors.parallel_scale])
-    return bool(not np.isfinite(scales).all() or (np.abs(scales - 1.0) < _MAX_STRETCH).all())
+    return bool(
+        not np.isfinite(scales).all() or (np.abs(scales - 1.0) < _MAX_STRETCH).all()
+    )

@@ -43,8 +43,12 @@ from .source_map import (
 
 MAX_FEATURES = 200_000
 SUFFIXES = (".geojson", ".json", ".gpkg", ".shp")
-# First bytes of a file: GDAL would take other things under these names too, and follow their links.
-_MAGIC = {".gpkg": (b"SQLite format 3\0", "a GeoPackage"), ".shp": (b"\0\0\x27\x0a", "a Shapefile")}
+# First bytes of a file: GDAL would take other things under these names too, and follow
+# their links.
+_MAGIC = {
+    ".gpkg": (b"SQLite format 3\0", "a GeoPackage"),
+    ".shp": (b"\0\0\x27\x0a", "a Shapefile"),
+}
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
@@ -90,7 +94,10 @@ def _read_geojson(path: Path) -> Features:
     where = str(path)
     document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
-    rows = document.get("features") if kind == "FeatureCollection" else [document]
+    if kind == "FeatureCollection":
+        rows = document.get("features")
+    else:
+        rows = [document]
     if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
         raise InputError(f"{where}: type", kind, "a FeatureCollection with features")
     _refuse_many(len(rows), where)
@@ -99,7 +106,8 @@ def _read_geojson(path: Path) -> Features:
         here = f"{where}: features[{index}]"
         if not isinstance(row, Mapping):
             raise InputError(here, row, "a Feature")
-        values, table = row.get("properties") or {}, row.get("geometry")
+        values = row.get("properties") or {}
+        table = row.get("geometry")
         if not isinstance(values, Mapping):
             raise InputError(f"{here}.properties", values, "a table")
         values = {str(key): value for key, value in values.items() if value is not None}
@@ -107,29 +115,52 @@ def _read_geojson(path: Path) -> Features:
             values.setdefault("id", row["id"])
         geometry = None
         if table is not None:
-            if not isinstance(table, Mapping) or table.get("type") not in _WORDS["geometries"]:
+            if (
+                not isinstance(table, Mapping)
+                or table.get("type") not in _WORDS["geometries"]
+            ):
                 raise InputError(
-                    f"{here}.geometry", table, "one of " + ", ".join(_WORDS["geometries"])
+                    f"{here}.geometry",
+                    table,
+                    "one of " + ", ".join(_WORDS["geometries"]),
                 )
             try:
                 geometry = shape(table)
             except (
-                *(ShapelyError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+                *(
+                    ShapelyError,
+                    ValueError,
+                    TypeError,
+                    KeyError,
+                    IndexError,
+                    AttributeError,
+                ),
                 *(OverflowError, RecursionError),
             ):
                 got = Unquoted(f"a broken {table['type']}")
-                expected = "finite coordinates, rings of four or more, nested as its type asks for"
+                expected = (
+                    "finite coordinates, rings of four or more, nested as its type"
+                    " asks for"
+                )
                 raise InputError(f"{here}.geometry", got, expected) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
-    return Features(features=tuple(features), crs=_geojson_crs(document.get("crs"), where))
+    return Features(
+        features=tuple(features), crs=_geojson_crs(document.get("crs"), where)
+    )
 
 
 def _geojson_crs(table: Any, where: str) -> str:
     """Reference system of a GeoJSON file: WGS 84 unless it names another."""
     if table is None:
         return WGS84
-    properties = table.get("properties") if isinstance(table, Mapping) else None
-    name = properties.get("name") if isinstance(properties, Mapping) else None
+    if isinstance(table, Mapping):
+        properties = table.get("properties")
+    else:
+        properties = None
+    if isinstance(properties, Mapping):
+        name = properties.get("name")
+    else:
+        name = None
     if not isinstance(name, str) or not name:
         raise InputError(f"{where}: crs", table, "a named one, or none for WGS 84")
     return name
@@ -145,14 +176,21 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 refuse(where, "something else", name)
-        for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # .dbf, .gpkg-wal, ..
+        for other in path.parent.glob(
+            f"{glob.escape(path.stem)}.*"
+        ):  # .dbf, .gpkg-wal, ..
             check_file(other)
         if path.suffix.lower() == ".gpkg":
             _check_tables(path)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # rings left open and the like, which GDAL mends
+            warnings.simplefilter(
+                "ignore"
+            )  # rings left open and the like, which GDAL mends
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
-            named = "one layer, by name: " + ", ".join(layers[:20]) if layers else "a layer"
+            if layers:
+                named = "one layer, by name: " + ", ".join(layers[:20])
+            else:
+                named = "a layer"
             if not layer and len(layers) != 1:
                 refuse(where, f"{len(layers)} layers", named)
             if layer and layer not in layers:
@@ -163,31 +201,47 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
                 refuse(where, f"a file for {info['driver']}", name)
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
-            table = pyogrio.read_dataframe(path, layer=layer, max_features=MAX_FEATURES + 1)
+            table = pyogrio.read_dataframe(
+                path, layer=layer, max_features=MAX_FEATURES + 1
+            )
     _refuse_many(len(table), where)
-    columns = {str(name): table[name].to_numpy() for name in table.columns if name != "geometry"}
+    columns = {
+        str(name): table[name].to_numpy()
+        for name in table.columns
+        if name != "geometry"
+    }
     is_known = {name: table[name].notna().to_numpy() for name in columns}
     features = [
         Feature(
             where=f"{where}: row {index + 1}",
             geometry=geometry,
             values={
-                name: value.item() if isinstance(value := values[index], np.generic) else value
+                name: (
+                    value.item()
+                    if isinstance(value := values[index], np.generic)
+                    else value
+                )
                 for name, values in columns.items()
                 if is_known[name][index]
             },
         )
         for index, geometry in enumerate(table.geometry.to_numpy())
     ]
-    return Features(features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt())
+    return Features(
+        features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt()
+    )
 
 
 def _check_tables(path: Path) -> None:
     """Raise InputError if a GeoPackage computes what it holds: that may go on for ever."""
     computed = []
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            for kind, name, made in database.execute("SELECT type, name, sql FROM sqlite_master"):
+        with closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+        ) as database:
+            for kind, name, made in database.execute(
+                "SELECT type, name, sql FROM sqlite_master"
+            ):
                 if kind == "view":
                     computed.append(name)
                 elif kind == "table" and re.match(
@@ -197,7 +251,11 @@ def _check_tables(path: Path) -> None:
                         computed.append(name)
                 elif kind == "table":
                     columns = "SELECT hidden FROM pragma_table_xinfo(?)"
-                    computed += [name for (hidden,) in database.execute(columns, (name,)) if hidden]
+                    computed += [
+                        name
+                        for (hidden,) in database.execute(columns, (name,))
+                        if hidden
+                    ]
     except sqlite3.Error as error:
         raise InputError(str(path), Unquoted(error), "a GeoPackage") from None
     if computed:
@@ -207,17 +265,24 @@ def _check_tables(path: Path) -> None:
 
 def _refuse_many(n_features: int, where: str) -> None:
     if n_features > MAX_FEATURES:
-        refuse(where, f"more than {MAX_FEATURES:,} features", "a part of it; cut it out first")
+        refuse(
+            where,
+            f"more than {MAX_FEATURES:,} features",
+            "a part of it; cut it out first",
+        )
 
 
 # ---------- footprints
-def read_footprints(path: Path, *, class_name: str = "building", layer: str = "") -> SourceMap:
+def read_footprints(
+    path: Path, *, class_name: str = "building", layer: str = ""
+) -> SourceMap:
     """Read footprints and raise them to solids.
 
-    Heights come from columns such as ``height``, ``building:levels`` or ``min_height``, in metres
-    unless the column (``height_ft``) or the value ("40 ft") says otherwise, or else from
-    ``data/things.toml``. Lines are walls if `class_name` or a column says so. Third coordinates are
-    ignored. Raises InputError if it is damaged, has no area, or does not fit its reference system.
+    Heights come from columns such as ``height``, ``building:levels`` or ``min_height``,
+    in metres unless the column (``height_ft``) or the value ("40 ft") says otherwise,
+    or else from ``data/things.toml``. Lines are walls if `class_name` or a column says
+    so. Third coordinates are ignored. Raises InputError if it is damaged, has no area,
+    or does not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
@@ -231,7 +296,9 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
         refuse(where, got, "polygons")
-    points = np.concatenate([shapely.get_coordinates(feature.geometry) for feature, _ in solid])
+    points = np.concatenate(
+        [shapely.get_coordinates(feature.geometry) for feature, _ in solid]
+    )
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
     failed: list[Note] = []
@@ -255,13 +322,17 @@ def read_footprints(path: Path, *, class_name: str = "building", layer: str = ""
     )
 
 
-def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKind | None:
+def _kind(
+    feature: Feature, class_name: str, left_out: Counter[str]
+) -> ThingKind | None:
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
     types = {part.geom_type for part in parts_of(feature.geometry)}
     values = feature.named
-    said = kind_from_name(" ".join(str(values[key]) for key in _WORDS["kinds"] if key in values))
+    said = kind_from_name(
+        " ".join(str(values[key]) for key in _WORDS["kinds"] if key in values)
+    )
     if said is not None and said.kind not in ("wall", "fence", "hedge"):
         said = None
     is_line = bool(types & {"LineString", "LinearRing"})
@@ -271,27 +342,37 @@ def _kind(feature: Feature, class_name: str, left_out: Counter[str]) -> ThingKin
     return None
 
 
-def _raised(feature: Feature, kind: ThingKind, thing_id: str, place: Georeference) -> Thing:
-    flat, where = shapely.force_2d(feature.geometry), feature.where
+def _raised(
+    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference
+) -> Thing:
+    flat = shapely.force_2d(feature.geometry)
+    where = feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
-    parts, style = parts_of(geometry), {"cap_style": "flat", "join_style": "mitre"}
+    parts = parts_of(geometry)
+    style = {"cap_style": "flat", "join_style": "mitre"}
     areas = [one for one in parts if one.geom_type == "Polygon" and not one.is_empty]
     if not areas:
         lines = [one for one in parts if one.geom_type in ("LineString", "LinearRing")]
         strips = [line.buffer(0.5 * kind.thickness_m, **style) for line in lines]
         areas = [part for strip in strips for part in polygons_of(strip)]
     bottom_m, top_m, is_assumed = _span_m(feature.values, kind)
-    pieces = [extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id) for one in areas]
+    pieces = [
+        extrude_polygon(one, bottom_m=bottom_m, top_m=top_m, where=thing_id)
+        for one in areas
+    ]
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
-    return Thing.of(thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed)
+    return Thing.of(
+        thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed
+    )
 
 
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
     """Heights of floor and roof above ground, and whether that of the roof is assumed."""
     defaults = thing_defaults()
     top, storeys, bottom, lowest = (
-        _length_m(values, _WORDS[key]) for key in ("tops", "storeys", "bottoms", "lowest_storeys")
+        _length_m(values, _WORDS[key])
+        for key in ("tops", "storeys", "bottoms", "lowest_storeys")
     )
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
@@ -299,7 +380,10 @@ def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, b
         top = None
     if bottom is None:
         bottom = (lowest or 0.0) * defaults.storey_height_m
-    top_m = kind.height_m if top is None else top
+    if top is None:
+        top_m = kind.height_m
+    else:
+        top_m = top
     return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
 
 
@@ -309,11 +393,19 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
-        column, scale = (base, UNITS_M[unit]) if unit in UNITS_M and base else (column, 1.0)
-        number = _number(value) if column in names else None
+        if unit in UNITS_M and base:
+            column, scale = (base, UNITS_M[unit])
+        else:
+            column, scale = (column, 1.0)
+        if column in names:
+            number = _number(value)
+        else:
+            number = None
         if number is not None:
             found.setdefault(names.index(column), number * scale)
-    return found[min(found)] if found else None
+    if found:
+        return found[min(found)]
+    return None
 
 
 def _number(value: Any) -> float | None:
@@ -321,10 +413,16 @@ def _number(value: Any) -> float | None:
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
-        return float(value) if abs(value) <= sys.float_info.max else None
+        if abs(value) <= sys.float_info.max:
+            return float(value)
+        return None
     return parse_length_m(str(value)[:60])
 
 
 def _column(key: str) -> str:
     """Name of a column in lower case, with _ for everything between words."""
-    return re.sub(r"[^0-9a-zäöüß]+", "_", key.strip().lower()[:60]).replace("ö", "oe").strip("_")
+    return (
+        re.sub(r"[^0-9a-zäöüß]+", "_", key.strip().lower()[:60])
+        .replace("ö", "oe")
+        .strip("_")
+    )

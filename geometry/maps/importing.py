@@ -66,15 +66,27 @@ _READERS = {
     "lanelets": ("lanelets", "read_lanelet2", ("keeps_left",)),
     "commonroad": ("lanelets", "read_commonroad", ("keeps_left",)),
     **dict.fromkeys(
-        _STREETS, ("openstreetmap", "read_openstreetmap", ("keeps_left", "staggered_m", "progress"))
+        _STREETS,
+        (
+            "openstreetmap",
+            "read_openstreetmap",
+            ("keeps_left", "staggered_m", "progress"),
+        ),
     ),
-    **dict.fromkeys(_FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))),
+    **dict.fromkeys(
+        _FOOTPRINTS, ("gis_files", "read_footprints", ("class_name", "layer"))
+    ),
     ".city.json": ("city_models", "read_cityjson", ()),
     ".citygml": ("city_models", "read_citygml", ()),
     **dict.fromkeys(_MESHES, ("mesh_files", "read_mesh", ("unit", "up", "class_name"))),
     **dict.fromkeys(_CLOUDS, ("point_clouds", "read_point_cloud", ("class_name",))),
 }
-_ROOTS = {"OpenDRIVE": ".xodr", "osm": ".osm", "CityModel": ".citygml", "commonRoad": "commonroad"}
+_ROOTS = {
+    "OpenDRIVE": ".xodr",
+    "osm": ".osm",
+    "CityModel": ".citygml",
+    "commonRoad": "commonroad",
+}
 DEFAULT_RADIUS_M = 80.0
 _RADIUS_LIMITS_M = (20.0, 500.0)
 
@@ -87,11 +99,18 @@ class Surveyed:
     arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
     n_lanes: int  # driving lanes into it and out of it
     n_driven: int  # arms from which a driving lane leads into it
-    # (2,); its middle in the file's coordinate reference system: longitude and latitude, or metres
+    # (2,); its middle in the file's coordinate reference system: longitude and
+    # latitude, or metres
     position: FloatArray
-    n_signals: int = 0  # poles with traffic lights inside it, or at most 15 m from its outline
-    n_crossings: int = 0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
-    roads: tuple[tuple[str, int], ...] = ()  # of each arm: class, and driving lanes in and out
+    n_signals: int = (
+        0  # poles with traffic lights inside it, or at most 15 m from its outline
+    )
+    n_crossings: int = (
+        0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
+    )
+    roads: tuple[
+        tuple[str, int], ...
+    ] = ()  # of each arm: class, and driving lanes in and out
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
@@ -100,14 +119,22 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction}:
             by_junction[name].append(lane)
-    lights = [pole.position_m[:2] for pole in source.poles if pole.kind == "traffic light"]
+    lights = [
+        pole.position_m[:2] for pole in source.poles if pole.kind == "traffic light"
+    ]
     signals = _count_near(source.junctions, np.array(lights).reshape(-1, 2))
     crossings = _count_near(source.junctions, source.crosswalks_m.mean(axis=1))
     found = [
-        replace(_survey(source, one, by_junction[one.id]), n_signals=lit, n_crossings=crossed)
+        replace(
+            _survey(source, one, by_junction[one.id]),
+            n_signals=lit,
+            n_crossings=crossed,
+        )
         for one, lit, crossed in zip(source.junctions, signals, crossings, strict=True)
     ]
-    middle = np.median([one.junction.position_m for one in found] or [np.zeros(2)], axis=0)
+    middle = np.median(
+        [one.junction.position_m for one in found] or [np.zeros(2)], axis=0
+    )
 
     def rank(one: Surveyed) -> tuple[float, ...]:
         off_m = float(np.hypot(*(one.junction.position_m - middle)))
@@ -118,7 +145,9 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
     areas = shapely.STRtree([area_of(one.outline_m) for one in junctions])
-    _, hit = areas.query(shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M)
+    _, hit = areas.query(
+        shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M
+    )
     return [*np.bincount(hit, minlength=len(junctions)).tolist()]
 
 
@@ -141,9 +170,10 @@ def choose_junction(
 ) -> Surveyed:
     """Choose a junction by name or point; by default the first.
 
-    `name`: id; or streets in any order, also shortened (St, Ave, Str.), or some of them; or a part
-    of the name that no other has; or "latitude, longitude". `at`: in the file's own coordinates;
-    points lie within 100 m. Raises InputError: none or several match.
+    `name`: id; or streets in any order, also shortened (St, Ave, Str.), or some of
+    them; or a part of the name that no other has; or "latitude, longitude". `at`: in
+    the file's own coordinates; points lie within 100 m. Raises InputError: none or
+    several match.
     """
     if not surveyed:
         refuse(source.name, "no junction", "a map in which roads meet")
@@ -157,7 +187,8 @@ def choose_junction(
             raise InputError("junction", name, expected)
         lon_lat = np.array([float(place[2]), float(place[1])])
         x, y = transform(lon_lat, WGS84, source.source_crs or source.crs)
-        where, at = "junction", (float(x), float(y))
+        where = "junction"
+        at = (float(x), float(y))
     if at is None:
         return surveyed[0]
     point = _in_map(source, at)
@@ -170,10 +201,17 @@ def choose_junction(
     nearest = min(surveyed, key=lambda one: away_m(one, point))
     if away_m(nearest, point) <= _NEAR_M:
         return nearest
-    got, exchanged = name or f"{at[0]:.8g},{at[1]:.8g}", _in_map(source, (at[1], at[0]))
+    got = name or f"{at[0]:.8g},{at[1]:.8g}"
+    exchanged = _in_map(source, (at[1], at[0]))
     if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
-        order = "longitude,latitude" if source.source_crs == "EPSG:4326" else "X,Y"
-        order = "latitude,longitude" if name else order
+        if source.source_crs == "EPSG:4326":
+            order = "longitude,latitude"
+        else:
+            order = "X,Y"
+        if name:
+            order = "latitude,longitude"
+        else:
+            order = order
         refuse(where, got, f"{order}: it is the other way round")
     place_of = ", ".join(f"{value:.8g}" for value in nearest.position)
     expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
@@ -187,7 +225,11 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
         [one for one in surveyed if one.junction.name.casefold() == wanted],
         [one for one in surveyed if _streets(one.junction.name) == _streets(name)],
         [one for one in surveyed if _streets(one.junction.name) >= _streets(name)],
-        [one for one in surveyed if _streets(one.junction.name) >= _streets(name, _BETWEEN)],
+        [
+            one
+            for one in surveyed
+            if _streets(one.junction.name) >= _streets(name, _BETWEEN)
+        ],
         [one for one in surveyed if wanted in one.junction.name.casefold()],
     ):
         if len(matches) == 1:
@@ -229,12 +271,16 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
-    many = len({one.junction.name for one in surveyed}) < len(surveyed)  # names tell nothing apart
+    many = len({one.junction.name for one in surveyed}) < len(
+        surveyed
+    )  # names tell nothing apart
     words = []
     for one in surveyed[:_MAX_LISTED]:
         label = one.junction.name
         if many:
-            label += " at " * bool(label) + ",".join(f"{value:.8g}" for value in one.position)
+            label += " at " * bool(label) + ",".join(
+                f"{value:.8g}" for value in one.position
+            )
         words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
     left = len(surveyed) - len(words)
     return ", ".join(words) + (f" and {left} more" if left else "")
@@ -243,14 +289,20 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
 def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
     """A point in the map's coordinates; infinite if it is nowhere on earth."""
     is_same = not source.crs or source.source_crs in ("", source.crs)
-    return np.array(at) if is_same else transform(np.array(at), source.source_crs, source.crs)
+    if is_same:
+        return np.array(at)
+    return transform(np.array(at), source.source_crs, source.crs)
 
 
-def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) -> Surveyed:
-    position, middle = junction.position_m, junction.position_m
+def _survey(
+    source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]
+) -> Surveyed:
+    position = junction.position_m
+    middle = junction.position_m
     if source.crs and source.source_crs not in ("", source.crs):
         position = transform(position, source.crs, source.source_crs)
-    # Near the origin, as build_junction's other users have it; nothing but the lanes counts.
+    # Near the origin, as build_junction's other users have it; nothing but the lanes
+    # counts.
     near = []
     limits = load_limits()
     for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
@@ -259,7 +311,9 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         line_m = whole_m[is_near][: limits.line_points]
         if len(line_m) < 2 or not is_lane_width(lane.width_m):
             continue
-        near.append(Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m))
+        near.append(
+            Lane(id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=line_m)
+        )
     scene = Scene(
         name=junction.id,
         **join_bodies([(Instance(id=GROUND, class_name=GROUND), *NOTHING)]),
@@ -279,7 +333,9 @@ def _survey(source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]) 
         junction=junction,
         arms=tuple(arms),
         n_lanes=sum(map(len, lanes_of)),
-        roads=tuple((classes[here[0].id] if here else "", len(here)) for here in lanes_of),
+        roads=tuple(
+            (classes[here[0].id] if here else "", len(here)) for here in lanes_of
+        ),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
     )
@@ -292,14 +348,21 @@ class ReadingOptions:
 
     unit: str | None = None  # of meshes
     up: str | None = None
-    class_name: str = "building"  # of meshes, point clouds and footprints that do not state theirs
-    keeps_left: bool | None = None  # whether traffic keeps left; by default what the map says
-    # side roads that meet a road of OpenStreetMap from either side, no farther apart: one junction
+    class_name: str = (
+        "building"  # of meshes, point clouds and footprints that do not state theirs
+    )
+    keeps_left: bool | None = (
+        None  # whether traffic keeps left; by default what the map says
+    )
+    # side roads that meet a road of OpenStreetMap from either side, no farther apart:
+    # one junction
     staggered_m: float = 0.0
-    crs: str = ""  # coordinate reference system of files that do not name one; empty: none
+    crs: str = (
+        ""  # coordinate reference system of files that do not name one; empty: none
+    )
     layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
-    # shift of everything without roads, which is then taken to lie in the coordinates of the map
-    # with the junction, whatever reference system it names
+    # shift of everything without roads, which is then taken to lie in the coordinates
+    # of the map with the junction, whatever reference system it names
     offset_m: tuple[float, float] | None = None
 
 
@@ -310,7 +373,9 @@ def read_map(
     options = options or ReadingOptions()
     crs = options.crs
     if crs and why_no_plane(crs):
-        raise InputError("crs", crs, "one that pyproj knows, in metres, such as EPSG:25832")
+        raise InputError(
+            "crs", crs, "one that pyproj knows, in metres, such as EPSG:25832"
+        )
     if not path.exists() or path.is_dir():
         refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
     check_file(path)
@@ -319,8 +384,13 @@ def read_map(
         source = _read(inside, options, progress)
     if options.offset_m is not None and not source.lanes:
         offset_m = np.array([*options.offset_m, 0.0])
-        things = (replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things)
-        poles = (replace(pole, position_m=pole.position_m + offset_m) for pole in source.poles)
+        things = (
+            replace(one, vertices_m=one.vertices_m + offset_m) for one in source.things
+        )
+        poles = (
+            replace(pole, position_m=pole.position_m + offset_m)
+            for pole in source.poles
+        )
         return replace(
             source,
             crs="",
@@ -354,7 +424,9 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     if kind not in _READERS:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
     module, function, fields = _READERS[kind]
-    read: Callable[..., SourceMap] = getattr(import_module(f"{__package__}.{module}"), function)
+    read: Callable[..., SourceMap] = getattr(
+        import_module(f"{__package__}.{module}"), function
+    )
     given = {name: getattr(options, name, progress) for name in fields}
     return read(path, **given)
 
@@ -391,12 +463,22 @@ _LANELET = re.compile(rb"""k=["']type["']\s+v=["']lanelet["']""")
 class ImportOptions:
     """Which part of the maps becomes the scene."""
 
-    junction: str = ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
-    at: tuple[float, float] | None = None  # a point near the junction instead of its name
-    radius_m: float = DEFAULT_RADIUS_M  # around its middle, within which things are kept
+    junction: str = (
+        ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
+    )
+    at: tuple[float, float] | None = (
+        None  # a point near the junction instead of its name
+    )
+    radius_m: float = (
+        DEFAULT_RADIUS_M  # around its middle, within which things are kept
+    )
     sites: str = "auto"  # or as :func:`geometry.maps.sites.choose_sites` has it
-    ground_m: float | None = None  # height of the road, see :func:`geometry.maps.cut.cut_out`
-    terrain: Path | None = None  # raster with the heights of the ground; None: those of the maps
+    ground_m: float | None = (
+        None  # height of the road, see :func:`geometry.maps.cut.cut_out`
+    )
+    terrain: Path | None = (
+        None  # raster with the heights of the ground; None: those of the maps
+    )
     name: str = ""  # of the scene; empty: after the file and the junction
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
@@ -458,21 +540,28 @@ def cut_scene(
     progress: Progress = silent,
 ) -> ImportedScene:
     """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
-    roads, junction, radius_m = maps[0], chosen.junction, options.radius_m
+    roads = maps[0]
+    junction = chosen.junction
+    radius_m = options.radius_m
     if not chosen.n_driven:
         where = f"{roads.name}: junction {junction.id}"
         refuse(where, "no lane that leads into it", "a junction that cars drive into")
     names = tuple(source.name for source in maps)
     if options.terrain is not None:
         progress("read terrain", 0, 0)
-        half_m, middle_m = radius_m + LANES_BEYOND_M, junction.position_m
-        terrain = read_elevation(options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m)
+        half_m = radius_m + LANES_BEYOND_M
+        middle_m = junction.position_m
+        terrain = read_elevation(
+            options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m
+        )
         maps = [roads, terrain, *maps[1:]]  # before others: its heights count
     progress("cut the junction out", 0, 0)
     surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
     progress("find sites", 0, 0)
     surroundings, settled = settle_poles(surroundings)
-    sites, site_notes = choose_sites(options.sites, surroundings, roads, radius_m=radius_m)
+    sites, site_notes = choose_sites(
+        options.sites, surroundings, roads, radius_m=radius_m
+    )
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{junction.id}",
@@ -492,14 +581,19 @@ def cut_scene(
     return ImportedScene(scene=scene, junctions=(chosen,), chosen=chosen, sources=names)
 
 
-def _site_notes(poles: Sequence[Pole], sites: Sequence[Site], where: str) -> Iterator[Note]:
+def _site_notes(
+    poles: Sequence[Pole], sites: Sequence[Site], where: str
+) -> Iterator[Note]:
     known = {site.id for site in sites}
     same: dict[tuple[str, str], list[str]] = defaultdict(list)
     for pole in poles:
         if pole.assumed and pole.id in known:
             same[pole.kind, pole.assumed].append(pole.id)
     for (kind, why), ids in same.items():
-        what = f"{kind} {ids[0]}" if len(ids) == 1 else f"{len(ids)} x {kind}"
+        if len(ids) == 1:
+            what = f"{kind} {ids[0]}"
+        else:
+            what = f"{len(ids)} x {kind}"
         yield Note(what, why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:

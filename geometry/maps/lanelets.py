@@ -40,11 +40,14 @@ from .source_map import (
 
 _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelets"]
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
-_JOINED_M = 0.5  # between the end of a lanelet and the beginning of the next one, at both bounds
+# between the end of a lanelet and the beginning of the next one, at both bounds
+_JOINED_M = 0.5
 _STEP_M = 2.0  # between points of a centreline
 _SAME_M = 0.01  # points nearer than this are one
 _MIN_OVERLAP_M2 = 2.0  # lanelets that cross, merge or part share more ground
-_NOWHERE_DEG = 0.5  # around latitude 0, longitude 0, where maps without a place are drawn
+_NOWHERE_DEG = (
+    0.5  # around latitude 0, longitude 0, where maps without a place are drawn
+)
 _BESIDE_M = 25.0  # between lanelets of both directions of a road
 _AGAINST = -0.95  # cosine between their directions
 _MAX_WAYS = 200  # through one junction from one lane
@@ -79,17 +82,25 @@ class Lanelet:
 
     def turned(self) -> "Lanelet":
         """The other way."""
-        return replace(self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1])
+        return replace(
+            self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1]
+        )
 
 
-def _lanelet(name: str, left_m: FloatArray, right_m: FloatArray, **known: Any) -> Lanelet:
+def _lanelet(
+    name: str, left_m: FloatArray, right_m: FloatArray, **known: Any
+) -> Lanelet:
     """A lanelet whose bounds are turned so that the left one lies on the left."""
     along = np.hypot(*(left_m[[0, -1], :2] - right_m[[0, -1], :2]).T).sum()
     across = np.hypot(*(left_m[[0, -1], :2] - right_m[[-1, 0], :2]).T).sum()
-    right_m = right_m[::-1] if across < along else right_m
+    if across < along:
+        right_m = right_m[::-1]
+    else:
+        right_m = right_m
     ring = shapely.LinearRing(np.concatenate([right_m[:, :2], left_m[::-1, :2]]))
     if not ring.is_ccw:
-        left_m, right_m = left_m[::-1], right_m[::-1]
+        left_m = left_m[::-1]
+        right_m = right_m[::-1]
     return Lanelet(id=name, left_m=left_m, right_m=right_m, **known)
 
 
@@ -99,27 +110,43 @@ def _build(
 ) -> tuple[list[MapLane], list[MapLane], list[MapJunction]]:
     """Lanes between junctions, lanes through them, and the junctions.
 
-    A junction is where lanelets of roads share ground, or what the file says: those that touch each
-    other, and those between them.
+    A junction is where lanelets of roads share ground, or what the file says: those
+    that touch each other, and those between them.
     """
-    roads = _with_right_sides([one for one in lanelets if one.kind == "driving"], omissions)
+    roads = _with_right_sides(
+        [one for one in lanelets if one.kind == "driving"], omissions
+    )
     roads += [one.turned() for one in roads if not one.is_oneway]
     follows = _followers(roads)
     ground = [one.polygon for one in roads]
     one, other = shapely.STRtree(ground).query(ground, predicate="intersects")
     inside = _inside(roads, ground, np.column_stack([one, other]))
     meets = inside[one] & inside[other]
-    links = coo_array((np.ones(meets.sum()), (one[meets], other[meets])), shape=(len(roads),) * 2)
+    links = coo_array(
+        (np.ones(meets.sum()), (one[meets], other[meets])), shape=(len(roads),) * 2
+    )
     label = connected_components(links, directed=False)[1]
-    members = [np.flatnonzero(inside & (label == at)).tolist() for at in np.unique(label[inside])]
-    junction_of = {one: f"j{number}" for number, some in enumerate(members, 1) for one in some}
-    paths = [_map_lane([one], one.id) for one in lanelets if one.kind in ("walking", "cycling")]
+    members = [
+        np.flatnonzero(inside & (label == at)).tolist()
+        for at in np.unique(label[inside])
+    ]
+    junction_of = {
+        one: f"j{number}" for number, some in enumerate(members, 1) for one in some
+    }
+    paths = [
+        _map_lane([one], one.id)
+        for one in lanelets
+        if one.kind in ("walking", "cycling")
+    ]
     lanes = [*_lanes(roads, follows, junction_of), *paths]
     tips_of = lanes_by_junction(lanes)
-    junctions, connections = [], []
+    junctions = []
+    connections = []
     for group in members:
         name = junction_of[group[0]]
-        surface = largest_polygon(shapely.union_all([ground[one].buffer(0.05) for one in group]))
+        surface = largest_polygon(
+            shapely.union_all([ground[one].buffer(0.05) for one in group])
+        )
         tips = tips_of[name]
         if surface is None or not tips:
             omissions.add("junctions", f"junction {name}", "no lane leads to it")
@@ -127,7 +154,9 @@ def _build(
         surface, _ = fit_outline(surface, tips)
         height_m = float(np.mean([roads[one].left_m[:, 2].mean() for one in group]))
         outline_m = np.asarray(surface.exterior.coords)[:-1]
-        junctions.append(MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m))
+        junctions.append(
+            MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m)
+        )
         connections += _connections(roads, follows, group, name)
     return with_known_junctions(lanes, junctions), connections, junctions
 
@@ -144,8 +173,13 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
             meets[after] |= before < n_roads
     is_wrong = meets[n_roads:] & ~meets[:n_roads]
     for index in np.flatnonzero(is_wrong).tolist():
-        why = "its left and right are exchanged: only so it leads from others, or to others"
-        omissions.add("lanelets with exchanged sides", f"lanelet {roads[index].id}", why)
+        why = (
+            "its left and right are exchanged: only so it leads from others, or to"
+            " others"
+        )
+        omissions.add(
+            "lanelets with exchanged sides", f"lanelet {roads[index].id}", why
+        )
     every = zip(roads, turned, is_wrong, strict=True)
     return [other if wrong else one for one, other, wrong in every]
 
@@ -162,7 +196,9 @@ def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
     return [[one for one in here if one != index] for index, here in enumerate(found)]
 
 
-def _inside(roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray) -> BoolArray:
+def _inside(
+    roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray
+) -> BoolArray:
     """Which lanelets lie in a junction, (n,): those that the file says, or that share ground.
 
     `pairs`, (k, 2), are those whose ground meets.
@@ -179,7 +215,9 @@ def _inside(roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray) ->
 
 
 def _lanes(
-    roads: Sequence[Lanelet], follows: Sequence[Sequence[int]], junction_of: Mapping[int, str]
+    roads: Sequence[Lanelet],
+    follows: Sequence[Sequence[int]],
+    junction_of: Mapping[int, str],
 ) -> Iterator[MapLane]:
     """Lanes outside junctions: lanelets that follow each other without a choice are one."""
     before: dict[int, list[int]] = {index: [] for index in range(len(roads))}
@@ -192,7 +230,9 @@ def _lanes(
         one: other
         for one in outside
         for other in follows[one]
-        if follows[one] == [other] and before[other] == [one] and other not in junction_of
+        if follows[one] == [other]
+        and before[other] == [one]
+        and other not in junction_of
     }
     done: set[int] = set()
     starts = [one for one in outside if one not in joints.values()]
@@ -205,18 +245,24 @@ def _lanes(
         done.update(chain)
         ends = (before[start], follows[chain[-1]])
         begin, end = (
-            next((junction_of[one] for one in some if one in junction_of), "") for some in ends
+            next((junction_of[one] for one in some if one in junction_of), "")
+            for some in ends
         )
         pieces = [roads[one] for one in chain]
         yield _map_lane(pieces, roads[start].id, from_junction=begin, to_junction=end)
 
 
 def _connections(
-    roads: Sequence[Lanelet], follows: Sequence[Sequence[int]], group: Sequence[int], name: str
+    roads: Sequence[Lanelet],
+    follows: Sequence[Sequence[int]],
+    group: Sequence[int],
+    name: str,
 ) -> list[MapLane]:
     """Ways through a junction: from each lanelet that nothing of it leads to, to where it ends."""
     members = set(group)
-    onwards = {one: [other for other in follows[one] if other in members] for one in group}
+    onwards = {
+        one: [other for other in follows[one] if other in members] for one in group
+    }
     led_to = {other for others in onwards.values() for other in others}
     found: list[MapLane] = []
     ways = [[one] for one in group if one not in led_to]
@@ -227,12 +273,18 @@ def _connections(
         if not further:
             chain = [roads[one] for one in way]
             lane_id = "-".join(one.id for one in chain)
-            found.append(_map_lane(chain, lane_id, from_junction=name, to_junction=name))
+            found.append(
+                _map_lane(chain, lane_id, from_junction=name, to_junction=name)
+            )
     return found
 
 
 def _map_lane(
-    chain: Sequence[Lanelet], lane_id: str, *, from_junction: str = "", to_junction: str = ""
+    chain: Sequence[Lanelet],
+    lane_id: str,
+    *,
+    from_junction: str = "",
+    to_junction: str = "",
 ) -> MapLane:
     edges_m = np.concatenate([one.edges_m for one in chain], axis=1)
     middle_m = edges_m.mean(axis=0)
@@ -259,8 +311,13 @@ def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
         apart_m = middle_m[other] - middle_m[one]
         is_beside = abs(apart_m @ ahead[one]) < abs(_cross(ahead[one], apart_m))
         if is_beside and ahead[one] @ ahead[other] < _AGAINST:
-            votes += 1 if _cross(ahead[one], apart_m) < 0.0 else -1
-    return votes > 0 if votes else None
+            if _cross(ahead[one], apart_m) < 0.0:
+                votes += 1
+            else:
+                votes += -1
+    if votes:
+        return votes > 0
+    return None
 
 
 def _cross(one: FloatArray, other: FloatArray) -> float:
@@ -283,7 +340,10 @@ def _source_map(
         keeps_left = _keeps_left([one for one in lanelets if one.kind == "driving"])
     if keeps_left is None:
         why = "no lanelets side by side show it: taken to keep right"
-        notes = (Note(what="side of the road", why=why, kind="side of the road"), *notes)
+        notes = (
+            Note(what="side of the road", why=why, kind="side of the road"),
+            *notes,
+        )
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
     return SourceMap(
@@ -302,16 +362,18 @@ def _source_map(
 def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a Lanelet2 map: OpenStreetMap XML with relations of type lanelet.
 
-    Lanelets of roads become lanes and junctions, crosswalks, walkways and bicycle lanes theirs,
-    traffic lights and signs poles, areas of buildings things. Positions are those of ``local_x``
-    and ``local_y`` where nodes have them, else latitude and longitude, in metres around the middle;
-    a map around 0, 0 has no place on earth. `keeps_left`: by default what neighbours show.
+    Lanelets of roads become lanes and junctions, crosswalks, walkways and bicycle lanes
+    theirs, traffic lights and signs poles, areas of buildings things. Positions are
+    those of ``local_x`` and ``local_y`` where nodes have them, else latitude and
+    longitude, in metres around the middle; a map around 0, 0 has no place on earth.
+    `keeps_left`: by default what neighbours show.
 
     Raises InputError if the file cannot be read, or has no lanelet for cars.
 
     References
     ----------
-    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC 2018, and
+    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC 2018,
+       and
        ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
     """
     elements = read_elements(path)
@@ -328,7 +390,9 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                 why = "no lane of cars, bicycles or people on the ground"
                 omissions.add("lanelets of other kinds", name, why)
             elif any(len(bound) < 2 for bound in bounds):
-                omissions.add("lanelets without bounds", name, "a bound is missing, or in pieces")
+                omissions.add(
+                    "lanelets without bounds", name, "a bound is missing, or in pieces"
+                )
             else:
                 lanelets.append(
                     _lanelet(
@@ -336,7 +400,9 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         *bounds,
                         kind=kind,
                         is_oneway=relation.tags.get("one_way", "yes") != "no",
-                        speed_limit_kmh=parse_speed_kmh(relation.tags.get("speed_limit", "")),
+                        speed_limit_kmh=parse_speed_kmh(
+                            relation.tags.get("speed_limit", "")
+                        ),
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )
@@ -350,9 +416,11 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         heights="absolute" if has_heights else "above ground",
         poles=tuple(_poles(elements, ways)),
         things=tuple(_buildings(elements, ways, omissions)),
-        ground_m=np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
-        if has_heights and lanelets
-        else np.empty((0, 3)),
+        ground_m=(
+            np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
+            if has_heights and lanelets
+            else np.empty((0, 3))
+        ),
     )
 
 
@@ -363,7 +431,9 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
     heights = np.array([float_of(some.get("ele", "")) for some in tags])
     height_m = np.nan_to_num(heights)
-    local = np.array([[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags])
+    local = np.array(
+        [[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags]
+    )
     if np.isfinite(local).all():
         return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
@@ -376,10 +446,20 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:
     """The lines of a side one after the other; empty where they do not meet."""
-    parts = [ways[ref] for ref, role in relation.members if role == side and ref in ways]
-    line = parts.pop(0) if parts else np.empty((0, 3))
+    parts = [
+        ways[ref] for ref, role in relation.members if role == side and ref in ways
+    ]
+    if parts:
+        line = parts.pop(0)
+    else:
+        line = np.empty((0, 3))
     for part in parts:
-        for first, second in ((line, part), (line, part[::-1]), (line[::-1], part), (part, line)):
+        for first, second in (
+            (line, part),
+            (line, part[::-1]),
+            (line[::-1], part),
+            (part, line),
+        ):
             if len(first) and len(second) and np.array_equal(first[-1], second[0]):
                 line = np.concatenate([first, second[1:]])
                 break
@@ -421,12 +501,14 @@ def _buildings(
 def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read the lanelets of a CommonRoad scenario, XML of version 2018b or 2020a, in its own metres.
 
-    Its traffic lights and signs become poles; its obstacles are left out: they drive in one
-    scenario. Raises InputError if the file cannot be read, or has no lanelet for cars.
+    Its traffic lights and signs become poles; its obstacles are left out: they drive in
+    one scenario. Raises InputError if the file cannot be read, or has no lanelet for
+    cars.
 
     References
     ----------
-    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks for motion
+    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks for
+       motion
        planning on roads", IV 2017, and the documentation of its XML format, 2020a.
     """
     root = read_xml(path, expected="CommonRoad")
@@ -448,14 +530,22 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         types = [one.text or "" for one in element.iter("laneletType")]
         kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
         if any(len(bound) < 2 for bound in bounds):
-            omissions.add("lanelets without bounds", f"lanelet {name}", "a bound has no points")
+            omissions.add(
+                "lanelets without bounds", f"lanelet {name}", "a bound has no points"
+            )
             continue
         one_way = element.find("userBidirectional") is None
         inside = name in crossing and kind == "driving"
-        one = _lanelet(name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside)
+        one = _lanelet(
+            name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside
+        )
         lanelets.append(one)
     poles = [
-        Pole(id=f"{kind}-{one.get('id')}".replace(" ", "-"), kind=kind, position_m=place[0])
+        Pole(
+            id=f"{kind}-{one.get('id')}".replace(" ", "-"),
+            kind=kind,
+            position_m=place[0],
+        )
         for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign"))
         for one in root.iter(tag)
         if one.get("id") and len(place := _points(one.find("position")))
@@ -469,7 +559,10 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 def _points(element: Element | None) -> FloatArray:
     """Points under an element, (n, 3)."""
     found = [
-        [float_of(point.findtext(axis) or ("0" if axis == "z" else "")) for axis in "xyz"]
+        [
+            float_of(point.findtext(axis) or ("0" if axis == "z" else ""))
+            for axis in "xyz"
+        ]
         for point in ([] if element is None else element.iter("point"))
     ]
     points = np.array(found).reshape(-1, 3)

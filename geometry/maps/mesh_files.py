@@ -25,23 +25,34 @@ from .source_map import (
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "in": 0.0254}
-UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")["up_axes"]
-_MIN_SIZE_M, _MAX_SIZE_M = 0.1, 20_000.0
-_SLANTED = (0.1, 0.98)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
+UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")[
+    "up_axes"
+]
+_MIN_SIZE_M = 0.1
+_MAX_SIZE_M = 20_000.0
+_SLANTED = (
+    0.1,
+    0.98,
+)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
 _MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
 _SURE_SHARE = 0.9
 _Part = tuple[str, FloatArray, NDArray[np.int32]]
 
 
 def read_mesh(
-    path: Path, *, unit: str | None = None, up: str | None = None, class_name: str = "building"
+    path: Path,
+    *,
+    unit: str | None = None,
+    up: str | None = None,
+    class_name: str = "building",
 ) -> SourceMap:
     """Read a mesh; every named part of it becomes a thing, where the file has it.
 
-    `unit` and the axis `up` must be given for all formats except glTF, which has metres, y up and
-    -z as north. `class_name` is for parts whose names do not say wall, tree, lamp or the like.
-    Raises InputError if the file is damaged; has no triangles, or more than five million; has a
-    size that no junction has; or if all roofs face down.
+    `unit` and the axis `up` must be given for all formats except glTF, which has
+    metres, y up and -z as north. `class_name` is for parts whose names do not say wall,
+    tree, lamp or the like. Raises InputError if the file is damaged; has no triangles,
+    or more than five million; has a size that no junction has; or if all roofs face
+    down.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -51,7 +62,8 @@ def read_mesh(
     if not is_gltf and (not unit or not up):
         got = f"a mesh format ({suffix}) that does not say its unit and its up axis"
         refuse(where, got, "`unit` and `up`, such as `unit` m `up` z")
-    unit, up = unit or "m", up or "y"
+    unit = unit or "m"
+    up = up or "y"
     check_one_of("unit", unit, UNITS_M)
     check_one_of("up", up, UP_AXES)
     parts, left_out = _parts(path, is_gltf)
@@ -62,8 +74,13 @@ def read_mesh(
         if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
             triangles = triangles[:, ::-1]  # so that it faces outwards
         kind = kind_from_name(name)
-        its_class = kind.class_name if kind else class_name
-        things.append(Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles)))
+        if kind:
+            its_class = kind.class_name
+        else:
+            its_class = class_name
+        things.append(
+            Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles))
+        )
     _check_size(things, where, unit)
     _check_roofs(things, where, up)
     skipped = tuple(counted(left_out, "no mesh"))
@@ -75,7 +92,9 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     import trimesh
 
     where = str(path)
-    options: dict[str, Any] = {"split_objects": True} if path.suffix.lower() == ".obj" else {}
+    options: dict[str, Any] = (
+        {"split_objects": True} if path.suffix.lower() == ".obj" else {}
+    )
     # Only a .gltf has its geometry in files beside it: its buffers.
     resolver = mesh_resolver(path, is_beside=path.suffix.lower() == ".gltf")
     options |= {"resolver": resolver, "skip_materials": True, "process": False}
@@ -87,8 +106,12 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
         if is_gltf:
             check_gltf(path)
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
-            scene = trimesh.load_scene(file, file_type=path.suffix.lower()[1:], **options)
-        for node in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
+            scene = trimesh.load_scene(
+                file, file_type=path.suffix.lower()[1:], **options
+            )
+        for (
+            node
+        ) in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
             matrix, geometry_name = scene.graph[node]
             geometry = scene.geometry[geometry_name]
             if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
@@ -96,22 +119,32 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
                 continue
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
-                refuse(where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh")
+                refuse(
+                    where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh"
+                )
             if geometry.metadata.get("from_gltf_primitive"):
-                node = scene.graph.transforms.parents.get(node, node)  # itself named at random
+                node = scene.graph.transforms.parents.get(
+                    node, node
+                )  # itself named at random
             name = _name(str(node), str(geometry_name), path.stem)
-            parts.append((name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}")))
+            parts.append(
+                (name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}"))
+            )
     if not parts:
         refuse(where, "no triangles", "a mesh of triangles")
     return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
 
 
-def _placed(geometry: Any, matrix: FloatArray, where: str) -> tuple[FloatArray, NDArray[np.int32]]:
+def _placed(
+    geometry: Any, matrix: FloatArray, where: str
+) -> tuple[FloatArray, NDArray[np.int32]]:
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
-        refuse(where, f"a triangle with vertex {outside[0]}", f"0 to {len(vertices) - 1}")
+        refuse(
+            where, f"a triangle with vertex {outside[0]}", f"0 to {len(vertices) - 1}"
+        )
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):
         placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
@@ -130,8 +163,13 @@ def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
 def _name(node: str, geometry: str, stem: str) -> str:
     """Name of a part: that of its node, or of its geometry where nodes only have numbers."""
     for name in (node, geometry):
-        if any(letter.isalpha() for letter in name) and name not in ("world", "geometry_0"):
-            return stem if name.lower().startswith(("geometry_", f"{stem.lower()}.")) else name
+        if any(letter.isalpha() for letter in name) and name not in (
+            "world",
+            "geometry_0",
+        ):
+            if name.lower().startswith(("geometry_", f"{stem.lower()}.")):
+                return stem
+            return name
     return stem
 
 
@@ -155,9 +193,17 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     areas = np.linalg.norm(normals, axis=1)
     rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
     is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
-    up_m2, down_m2 = (float(areas[is_slanted & side].sum()) for side in (rise > 0.0, rise < 0.0))
+    up_m2, down_m2 = (
+        float(areas[is_slanted & side].sum()) for side in (rise > 0.0, rise < 0.0)
+    )
     slanted_m2 = up_m2 + down_m2
-    if slanted_m2 > _MIN_SLANTED_SHARE * areas.sum() and down_m2 > _SURE_SHARE * slanted_m2:
-        other = up[1:] if up.startswith("-") else f"-{up}"
+    if (
+        slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
+        and down_m2 > _SURE_SHARE * slanted_m2
+    ):
+        if up.startswith("-"):
+            other = up[1:]
+        else:
+            other = f"-{up}"
         got = f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"
         refuse(where, got, f"an upright mesh; is up the other way: `up`={other}?")

@@ -63,18 +63,23 @@ class SiteWish:
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
 
-    Columns are those of ``docs/formats.md``; case does not matter, nor do units at the end of a
-    name, "height [m]"; a comma may stand for the decimal point. `crs` is the projected one of the
-    scene; empty: it has none. Raises InputError if the file cannot be read, or a field is missing
-    or wrong.
+    Columns are those of ``docs/formats.md``; case does not matter, nor do units at the
+    end of a name, "height [m]"; a comma may stand for the decimal point. `crs` is the
+    projected one of the scene; empty: it has none. Raises InputError if the file cannot
+    be read, or a field is missing or wrong.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
         rows = list(read_csv_rows(path))
-        names = list(rows[0][1]) if rows else []
+        if rows:
+            names = list(rows[0][1])
+        else:
+            names = []
         fields = known_columns(names, str(path))
         tell_unknown(names, fields, path)
-        rows = [(here, {fields[name]: row[name] for name in fields}) for here, row in rows]
+        rows = [
+            (here, {fields[name]: row[name] for name in fields}) for here, row in rows
+        ]
     elif suffix in SUFFIXES:
         rows = list(_geojson_rows(path, crs))
     else:
@@ -106,7 +111,9 @@ def known_columns(
                 words.pop()
         is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
         if is_other and "_".join(words[:-1]) in field_of:
-            raise InputError(f"{where}: column {name!r:.60}", words[-1], "metres and euros")
+            raise InputError(
+                f"{where}: column {name!r:.60}", words[-1], "metres and euros"
+            )
         field = field_of.get("_".join(words))
         if field is None:
             continue
@@ -130,7 +137,9 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
     """Log which columns of a file are not read, in one line."""
     unknown = [name[:60] for name in dict.fromkeys(names) if name not in known]
     if unknown:
-        _log.warning("%s: columns that are not known, and not read: %s", path, ", ".join(unknown))
+        _log.warning(
+            "%s: columns that are not known, and not read: %s", path, ", ".join(unknown)
+        )
 
 
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
@@ -140,26 +149,38 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
         refuse(str(path), f"{len(table.features):,} features", "fewer")
     known: dict[str, str] = {}
     for feature in table.features:
-        geometry, where = feature.geometry, feature.where
+        geometry = feature.geometry
+        where = feature.where
         fields = known_columns(list(feature.values), where)
         known |= fields
-        values = {fields[name]: value for name, value in feature.values.items() if name in fields}
+        values = {
+            fields[name]: value
+            for name, value in feature.values.items()
+            if name in fields
+        }
         if geometry is not None and not geometry.is_empty:
             if geometry.geom_type != "Point":
                 raise InputError(f"{where}.geometry", geometry.geom_type, "a Point")
             for name in ("x", "y", "lat", "lon"):
                 values.pop(name, None)
-            if declared.is_geographic and declared.to_authority() in (None, ("EPSG", "4326")):
+            if declared.is_geographic and declared.to_authority() in (
+                None,
+                ("EPSG", "4326"),
+            ):
                 values |= {"lon": geometry.x, "lat": geometry.y}
             elif not crs:
-                refuse(where, f"coordinates in {table.crs[:80]}", "x and y of the scene")
+                refuse(
+                    where, f"coordinates in {table.crs[:80]}", "x and y of the scene"
+                )
             else:
                 place = transform([geometry.x, geometry.y], table.crs, crs)
                 values["x"], values["y"] = place.tolist()
             if geometry.has_z:
                 values.setdefault("z", geometry.z)
         yield where, values
-    tell_unknown((name for feature in table.features for name in feature.values), known, path)
+    tell_unknown(
+        (name for feature in table.features for name in feature.values), known, path
+    )
 
 
 def _declared_crs(table: Features, where: str) -> "CRS":
@@ -207,12 +228,17 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
 
 def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
     """Position (2,) by x and y, or lat and lon, in a scene's system, in metres; or InputError."""
-    given = {name: read_number(values, name, where) for name in ("x", "y", "lat", "lon")}
+    given = {
+        name: read_number(values, name, where) for name in ("x", "y", "lat", "lon")
+    }
     x, y, lat, lon = given.values()
     if x is not None and y is not None:
         return np.array([x, y])
     if lat is None or lon is None:
-        wanted = ("x", "y") if (x is None) != (y is None) else ("lat", "lon")
+        if (x is None) != (y is None):
+            wanted = ("x", "y")
+        else:
+            wanted = ("lat", "lon")
         missing = " and ".join(name for name in wanted if given[name] is None)
         refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
@@ -223,9 +249,14 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
         raise InputError(f"{where}: lat", lat, expected)
     for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
         if abs(value) > limit:
-            raise InputError(f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees")
+            raise InputError(
+                f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees"
+            )
     position = transform([lon, lat], WGS84, crs)
-    swapped = transform([lat, lon], WGS84, crs) if abs(lon) <= 90.0 else np.full(2, np.inf)
+    if abs(lon) <= 90.0:
+        swapped = transform([lat, lon], WGS84, crs)
+    else:
+        swapped = np.full(2, np.inf)
     if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
         expected = "a place near the scene: are latitude and longitude swapped?"
         raise InputError(f"{where}: lat", lat, expected)
@@ -253,11 +284,16 @@ def read_number(
     if value is None or value == "":
         return None
     if isinstance(value, str) and "," in value:
-        thousands = "." if value.rfind(",") > value.rfind(".") else ","
+        if value.rfind(",") > value.rfind("."):
+            thousands = "."
+        else:
+            thousands = ","
         value = value.replace(thousands, "").replace(",", ".")
     number = float_of(value)
     if not np.isfinite(number) or (least is not None and number < least):
-        expected = "a finite number" + ("" if least is None else f", at least {least:g}")
+        expected = "a finite number" + (
+            "" if least is None else f", at least {least:g}"
+        )
         raise InputError(f"{where}: {field}", value, expected)
     return number
 
@@ -289,7 +325,9 @@ class Counts:
 
     # (n, 2); in the coordinates of the map; None: `junctions` are named
     positions_m: FloatArray | None
-    junctions: tuple[str, ...]  # id or name of the junction of each; empty: places are given
+    junctions: tuple[
+        str, ...
+    ]  # id or name of the junction of each; empty: places are given
     values: FloatArray  # (n,); at least 0
     column: str  # where the values stand; empty: each place counts 1
 
@@ -300,12 +338,17 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
     areas = []
     for number, feature in enumerate(table.features, start=1):
         if feature.geometry is not None and not feature.geometry.is_empty:
-            values = {str(key).strip().lower(): value for key, value in feature.values.items()}
+            values = {
+                str(key).strip().lower(): value for key, value in feature.values.items()
+            }
             name = next(
-                (str(values[key]) for key in _WORDS["names"] if key in values), f"area {number}"
+                (str(values[key]) for key in _WORDS["names"] if key in values),
+                f"area {number}",
             )
             place = _in_crs(feature, table, crs)
-            areas.append(Area(where=feature.where, name=name, geometry=place, values=values))
+            areas.append(
+                Area(where=feature.where, name=name, geometry=place, values=values)
+            )
     if not areas:
         refuse(str(path), "no geometry", "polygons")
     return tuple(areas)
@@ -314,9 +357,9 @@ def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
 def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     """Read counts: CSV with x and y, lat and lon, or junction; or points of a GIS file.
 
-    `crs` is that of the map and of x and y. `column`: of the counts; empty: "weight", "count" or
-    the like, or else each place counts 1. Raises InputError: no such column or place, or a wrong
-    count.
+    `crs` is that of the map and of x and y. `column`: of the counts; empty: "weight",
+    "count" or the like, or else each place counts 1. Raises InputError: no such column
+    or place, or a wrong count.
     """
     if path.suffix.lower() == ".csv":
         rows = list(read_csv_rows(path))
@@ -332,21 +375,32 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
             places.append(np.array([middle.x, middle.y]))
     if not rows:
         refuse(str(path), "nothing", "a row for each place")
-    names = {str(name): str(name).strip().lower() for _, values in rows for name in values}
+    names = {
+        str(name): str(name).strip().lower() for _, values in rows for name in values
+    }
     found = _column(names, column, path)
     counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()
-    by = next((name for name, plain in names.items() if plain in _WORDS["junctions"]), None)
+    by = next(
+        (name for name, plain in names.items() if plain in _WORDS["junctions"]), None
+    )
     if places is None and by is not None:
         junctions = tuple(str(row[by]).strip() for _, row in rows)
     elif places is None:
         places = []
         for where, row in rows:
             known = known_columns(list(row), where)
-            places.append(read_position({known[one]: row[one] for one in known}, where, crs))
-    positions = None if places is None else np.array(places).reshape(-1, 2)
+            places.append(
+                read_position({known[one]: row[one] for one in known}, where, crs)
+            )
+    if places is None:
+        positions = None
+    else:
+        positions = np.array(places).reshape(-1, 2)
     values = np.array(counts)
-    return Counts(positions_m=positions, junctions=junctions, values=values, column=found)
+    return Counts(
+        positions_m=positions, junctions=junctions, values=values, column=found
+    )
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:
@@ -360,7 +414,10 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
-    value = row.get(column) if column else 1.0
+    if column:
+        value = row.get(column)
+    else:
+        value = 1.0
     number = float_of(value)
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")
@@ -373,8 +430,11 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
         got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
         refuse(feature.where, got, "a map that says where on earth it lies: `crs`")
     declared = _declared_crs(table, feature.where)
-    flat, own_crs = shapely.force_2d(feature.geometry), declared.to_wkt()
-    moved: BaseGeometry = shapely.transform(flat, lambda points: transform(points, own_crs, crs))
+    flat = shapely.force_2d(feature.geometry)
+    own_crs = declared.to_wkt()
+    moved: BaseGeometry = shapely.transform(
+        flat, lambda points: transform(points, own_crs, crs)
+    )
     if not np.isfinite(shapely.get_coordinates(moved)).all():
         refuse(feature.where, "a place that is nowhere", f"places in {crs}")
     return moved
@@ -394,7 +454,9 @@ def areas_of(
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in, or no farther from than some metres."""
     tree = shapely.STRtree([area.geometry for area in areas])
-    point, area = tree.query(shapely.points(points_m), predicate="dwithin", distance=within_m)
+    point, area = tree.query(
+        shapely.points(points_m), predicate="dwithin", distance=within_m
+    )
     found: list[list[int]] = [[] for _ in points_m]
     for index, one in sorted(zip(point.tolist(), area.tolist(), strict=True)):
         found[index].append(one)

@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import laspy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, distance_transform_edt, grey_closing, grey_opening
+from scipy.ndimage import (
+    binary_fill_holes,
+    distance_transform_edt,
+    grey_closing,
+    grey_opening,
+)
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -37,13 +42,24 @@ CHUNK_POINTS = 1_000_000
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
-Points = tuple[FloatArray, NDArray[np.uint8]]  # coordinates (n, 3) and LAS classes (n,), 0: none
+Points = tuple[
+    FloatArray, NDArray[np.uint8]
+]  # coordinates (n, 3) and LAS classes (n,), 0: none
 _MAX_HEADER_BYTES = 65_536
 _PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}  # bytes, by type
 CELL_M = 1.0
 _MAX_CELLS = 16_000_000  # 4 km x 4 km
-_WINDOWS = (3, 5, 9, 17, 33, 65, 129)  # cells; buildings wider than the last are taken for hills
-_STEP_M, _SLOPE = 0.5, 0.1  # higher and steeper than this is not ground
+_WINDOWS = (
+    3,
+    5,
+    9,
+    17,
+    33,
+    65,
+    129,
+)  # cells; buildings wider than the last are taken for hills
+_STEP_M = 0.5
+_SLOPE = 0.1  # higher and steeper than this is not ground
 VOXEL_M = 0.25
 _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000
@@ -52,9 +68,13 @@ _MIDDLE = 1 << 19  # cell of the origin, on every axis
 _GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
 _MIN_HEIGHT_M = 0.5  # lower things hide nobody
 _MIN_VOXELS = 4
-_MIN_NEIGHBOURS = 6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
-_MIN_ROOF_M2, _MIN_FLAT_SHARE = 10.0, 0.8
-# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller names.
+_MIN_NEIGHBOURS = (
+    6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
+)
+_MIN_ROOF_M2 = 10.0
+_MIN_FLAT_SHARE = 0.8
+# Classes of LAS 1.4: the surface of a point. Others are of the class that the caller
+# names.
 _GROUND = (2,)
 _VEGETATION = (3, 4, 5)
 _BUILDING = (6,)
@@ -65,7 +85,9 @@ _LEFT_OUT = {
 _BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = 20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+MAX_COLUMN_VOXELS = (
+    20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
+)
 MAX_WALL_VOXELS = 100_000_000  # of all things of a file
 _MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
 
@@ -84,7 +106,9 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         _check_header(path)
         with _las_reader(path) as reader:
             crs = None
-            with suppress(Exception):  # whatever a damaged record makes laspy and pyproj raise
+            with suppress(
+                Exception
+            ):  # whatever a damaged record makes laspy and pyproj raise
                 crs = reader.header.parse_crs()
             yield crs, _chunks(reader, where)
 
@@ -93,7 +117,8 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
 def _las_reader(path: Path) -> Any:
     where = str(path)
     try:
-        # One thread: the parallel one of lazrs aborts the process where a chunk table is damaged.
+        # One thread: the parallel one of lazrs aborts the process where a chunk table
+        # is damaged.
         reader = laspy.open(open_file(path), laz_backend=laspy.LazBackend.Lazrs)
     except OSError:
         raise
@@ -102,12 +127,15 @@ def _las_reader(path: Path) -> Any:
     scales = np.array([reader.header.scales, reader.header.offsets], dtype=np.float64)
     if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
         reader.close()
-        raise InputError(f"{where}: header", scales.tolist(), "finite scales and offsets")
+        raise InputError(
+            f"{where}: header", scales.tolist(), "finite scales and offsets"
+        )
     return reader
 
 
 def _check_header(path: Path) -> None:
-    where, n_bytes = str(path), path.stat().st_size
+    where = str(path)
+    n_bytes = path.stat().st_size
     with open_file(path) as file:
         head = file.read(375)
         if len(head) < 227 or head[:4] != b"LASF":
@@ -115,12 +143,18 @@ def _check_header(path: Path) -> None:
         header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
         point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
         if head[25] >= 4 and len(head) >= 375:  # version 1.4
-            first_extended, n_extended, n_points_14 = struct.unpack_from("<QIQ", head, 235)
+            first_extended, n_extended, n_points_14 = struct.unpack_from(
+                "<QIQ", head, 235
+            )
             n_points = n_points_14 or n_points
             if n_extended and first_extended + 60 * n_extended > n_bytes:
                 refuse(where, f"{n_extended:,} extended records", "as many as fit")
         if n_points > MAX_POINTS:
-            refuse(where, f"{n_points:,} points", f"at most {MAX_POINTS:,}; thin it out first")
+            refuse(
+                where,
+                f"{n_points:,} points",
+                f"at most {MAX_POINTS:,}; thin it out first",
+            )
         if not n_points:
             refuse(where, "no points", "points")
         is_inside = header_bytes <= first_point <= n_bytes
@@ -145,11 +179,19 @@ def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> i
             break
         owner, number, n_bytes = struct.unpack_from("<16sHH", head, 2)
         data = file.read(n_bytes)
-        if owner.rstrip(b"\0") != b"laszip encoded" or number != 22204 or len(data) < 34:
+        if (
+            owner.rstrip(b"\0") != b"laszip encoded"
+            or number != 22204
+            or len(data) < 34
+        ):
             continue
         n_items = struct.unpack_from("<H", data, 32)[0]
-        items = [struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)]
-        sizes = [size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)]
+        items = [
+            struct.unpack_from("<3H", data, at) for at in range(34, len(data) - 5, 6)
+        ]
+        sizes = [
+            size for kind, size, _ in items if _ITEM_BYTES.get(kind, -1) in (0, size)
+        ]
         if not 0 < n_items == len(items) == len(sizes) or sum(sizes) != point_bytes:
             refuse(where, "packed points of no known kind", "LASzip")
         if items[0][0] not in _LAYERS:
@@ -165,7 +207,10 @@ def _check_chunks(
     n_bytes = file.seek(0, 2)
     file.seek(first_point)
     head = file.read(8)
-    at = struct.unpack("<q", head)[0] if len(head) == 8 else 0
+    if len(head) == 8:
+        at = struct.unpack("<q", head)[0]
+    else:
+        at = 0
     if at == -1:  # of a file that was written as a stream: in its last eight bytes
         file.seek(-8, 2)
         at = struct.unpack("<q", file.read(8))[0]
@@ -178,20 +223,32 @@ def _check_chunks(
         begin += point_bytes + 4
         file.seek(begin)
         sizes = file.read(4 * n_layers)
-        begin += len(sizes) + sum(struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3]))
-    if n_chunks * point_bytes > n_bytes or begin > at:  # a chunk's first point is not packed
+        begin += len(sizes) + sum(
+            struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
+        )
+    if (
+        n_chunks * point_bytes > n_bytes or begin > at
+    ):  # a chunk's first point is not packed
         refuse(where, f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
     try:
-        for points in reader.chunk_iterator(CHUNK_POINTS):  # no more than the header has
-            xyz = np.stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+        for points in reader.chunk_iterator(
+            CHUNK_POINTS
+        ):  # no more than the header has
+            xyz = np.stack(
+                [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1
+            )
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except BaseException as error:  # laspy raises anything, lazrs even others than Exception
-        raise InputError(where, Unquoted(_one_line(error)), "undamaged points") from None
+    except (
+        BaseException
+    ) as error:  # laspy raises anything, lazrs even others than Exception
+        raise InputError(
+            where, Unquoted(_one_line(error)), "undamaged points"
+        ) from None
 
 
 def _one_line(error: BaseException) -> str:
@@ -202,18 +259,27 @@ def _one_line(error: BaseException) -> str:
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     """Points with coordinates of an open PCD file, version 0.7, all of class 0; or InputError."""
     header = _pcd_header(file, where)
-    names, kinds = header.get("FIELDS", []), header.get("TYPE", [])
+    names = header.get("FIELDS", [])
+    kinds = header.get("TYPE", [])
     if not {"x", "y", "z"} <= set(names):
-        raise InputError(f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them")
+        raise InputError(
+            f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them"
+        )
     sizes = _integers(header, "SIZE", len(names), where)
     has_counts = "COUNT" in header
-    counts = _integers(header, "COUNT", len(names), where) if has_counts else [1] * len(sizes)
+    if has_counts:
+        counts = _integers(header, "COUNT", len(names), where)
+    else:
+        counts = [1] * len(sizes)
     n_points = _integers(header, "POINTS", 1, where)[0]
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
     formats = []
     for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
-        kind = kinds[index] if index < len(kinds) else ""
+        if index < len(kinds):
+            kind = kinds[index]
+        else:
+            kind = ""
         if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
             raise InputError(
                 f"{where}: field {name}", (kind, size), "a TYPE, SIZE and COUNT of PCD"
@@ -223,11 +289,15 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     encoding = " ".join(header.get("DATA", []))
     if encoding == "ascii":
         first = np.cumsum([0, *counts])
-        chunks = _pcd_ascii(file, [int(first[column]) for column in columns], n_points, where)
+        chunks = _pcd_ascii(
+            file, [int(first[column]) for column in columns], n_points, where
+        )
     elif encoding == "binary":
         chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
     else:
-        raise InputError(f"{where}: DATA", encoding, "ascii or binary; convert it first")
+        raise InputError(
+            f"{where}: DATA", encoding, "ascii or binary; convert it first"
+        )
     n_found = 0
     for xyz in chunks:
         xyz = xyz[~np.isnan(xyz).any(axis=1)]
@@ -242,7 +312,9 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
     while file.tell() < _MAX_HEADER_BYTES:
         line = file.readline(_MAX_HEADER_BYTES)
         words = line.decode("ascii", "replace").split()
-        if not line or (not header and words and words[0] not in ("#", "VERSION", "FIELDS")):
+        if not line or (
+            not header and words and words[0] not in ("#", "VERSION", "FIELDS")
+        ):
             if not line or not words[0].startswith("#"):
                 break
             continue
@@ -286,9 +358,13 @@ def _pcd_ascii(
         lines = [line for line in lines if line.strip()][: n_points - n_found]
         try:
             rows = [line.split() for line in lines]
-            numbers = np.array([[row[column] for column in columns] for row in rows], dtype=float)
+            numbers = np.array(
+                [[row[column] for column in columns] for row in rows], dtype=float
+            )
         except (ValueError, IndexError):
-            raise InputError(where, Unquoted("a line without x, y and z"), "numbers") from None
+            raise InputError(
+                where, Unquoted("a line without x, y and z"), "numbers"
+            ) from None
         n_found += len(lines)
         if len(lines):
             yield numbers.reshape(-1, 3)
@@ -308,10 +384,13 @@ class LowestPoints:
         """Add points, (n, 3)."""
         if not len(points_m):
             return
-        cells = np.concatenate([self._cells, np.floor(points_m[:, :2] / CELL_M).astype(np.int64)])
+        cells = np.concatenate(
+            [self._cells, np.floor(points_m[:, :2] / CELL_M).astype(np.int64)]
+        )
         z_m = np.concatenate([self._z_m, points_m[:, 2]])
         order = np.lexsort((z_m, cells[:, 1], cells[:, 0]))
-        cells, z_m = cells[order], z_m[order]
+        cells = cells[order]
+        z_m = z_m[order]
         is_first = np.ones(len(cells), dtype=np.bool_)
         is_first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
         self._cells, self._z_m = cells[is_first], z_m[is_first]
@@ -342,22 +421,25 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
 def filter_ground(heights_m: FloatArray) -> FloatArray:
     """Ground (n, m) under the lowest points of cells (NaN: none), in metres.
 
-    A cell that an opening lowers by more than the ground could rise within half the window carries
-    something, and gets the height of the nearest ground. K. Zhang et al., "A progressive
-    morphological filter for removing nonground measurements from airborne lidar data", 2003.
+    A cell that an opening lowers by more than the ground could rise within half the
+    window carries something, and gets the height of the nearest ground. K. Zhang et
+    al., "A progressive morphological filter for removing nonground measurements from
+    airborne lidar data", 2003.
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
         closed = grey_closing(surface, size=(3, 3))  # single points below the ground
         surface = np.where(closed - surface > 2.0 * _STEP_M, closed, surface)
     is_ground = np.ones(surface.shape, dtype=np.bool_)
-    opened, last = surface, 1
+    opened = surface
+    last = 1
     for window in _WINDOWS:
         if last >= max(surface.shape):
             break
         lower = grey_opening(opened, size=(window, window), mode="nearest")
         is_ground &= opened - lower <= _STEP_M + 0.5 * _SLOPE * (window - last) * CELL_M
-        opened, last = lower, window
+        opened = lower
+        last = window
     if not is_ground.any():
         return opened
     return fill_gaps(np.where(is_ground, surface, np.nan))
@@ -367,12 +449,13 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
 
-    Ground is removed: class 2, or else by a filter. The other points become voxels of 0.25 m,
-    doubled up to 2 m until those of a thin scan touch; voxels that touch become one thing. A voxel
-    hides exactly where there is a point, while a fitted surface closes gateways or stays open where
-    a scan is thin. Gaps of one voxel are bridged, enclosed voids filled, and roofs seen only from
-    the air filled to the ground. `class_name` is for points without a class. PCD is in metres, z
-    up. Raises InputError if it is damaged or too large, or only ground is left.
+    Ground is removed: class 2, or else by a filter. The other points become voxels of
+    0.25 m, doubled up to 2 m until those of a thin scan touch; voxels that touch become
+    one thing. A voxel hides exactly where there is a point, while a fitted surface
+    closes gateways or stays open where a scan is thin. Gaps of one voxel are bridged,
+    enclosed voids filled, and roofs seen only from the air filled to the ground.
+    `class_name` is for points without a class. PCD is in metres, z up. Raises
+    InputError if it is damaged or too large, or only ground is left.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
@@ -384,7 +467,9 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
             if not len(points):
                 continue
             if scan.place is None:
-                corners = np.array([points[:, :2].min(axis=0), points[:, :2].max(axis=0)])
+                corners = np.array(
+                    [points[:, :2].min(axis=0), points[:, :2].max(axis=0)]
+                )
                 scan.place = georeference(corners, crs, where=where)
             scan.add(scan.place.to_metres(points, where), classes, class_name)
     if scan.place is None:
@@ -427,13 +512,16 @@ class _Scan:
         assert self.origin_m is not None
         return self.origin_m + np.column_stack([east_north_m, height_m[tuple(cells.T)]])
 
-    def add(self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str) -> None:
+    def add(
+        self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str
+    ) -> None:
         """Add a chunk of points."""
         for number, name in _LEFT_OUT.items():
             if n_points := int((classes == number).sum()):
                 self.left_out[name] += n_points
         is_taken = ~np.isin(classes, list(_LEFT_OUT))
-        points_m, classes = points_m[is_taken], classes[is_taken]
+        points_m = points_m[is_taken]
+        classes = classes[is_taken]
         if not len(points_m):
             return
         if self.origin_m is None:
@@ -477,9 +565,15 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
         kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
-    solid = [keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)]
+    solid = [
+        keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)
+    ]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
-    voxel_m, most_m = VOXEL_M, 0.5 * _MAX_VOXEL_M if len(everything) else 0.0
+    voxel_m = VOXEL_M
+    if len(everything):
+        most_m = 0.5 * _MAX_VOXEL_M
+    else:
+        most_m = 0.0
     while voxel_m <= most_m and mean_neighbours(everything) < _MIN_NEIGHBOURS:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
@@ -511,21 +605,32 @@ def _things(
             else:
                 found.append((kind, part))
     if len(found) > _MAX_THINGS:
-        refuse(scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out")
+        refuse(
+            scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out"
+        )
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
     origin_m = np.append(scan.origin_m[:2], 0.0) - _MIDDLE * voxel_m
-    n_left, n_walls, where = MAX_TRIANGLES, MAX_WALL_VOXELS, scan.where
+    n_left = MAX_TRIANGLES
+    n_walls = MAX_WALL_VOXELS
+    where = scan.where
     for kind, part in found:
-        name = "building" if kind == "roofs" else kind
-        if kind == "roofs" or (name == class_name == "building" and _is_roof(part, voxel_m)):
+        if kind == "roofs":
+            name = "building"
+        else:
+            name = kind
+        if kind == "roofs" or (
+            name == class_name == "building" and _is_roof(part, voxel_m)
+        ):
             part = columns_to(part, _MIDDLE, where, n_left=n_walls)
             n_walls -= len(part)
         if kind != "vegetation":
             part = filled(part, _MIDDLE)
         names[name] += 1
-        mesh = faces(part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where)
+        mesh = faces(
+            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where
+        )
         n_left -= len(mesh[1])
         things.append(Thing.of(f"{name} {names[name]}", name, mesh))
     return things, small
@@ -593,7 +698,9 @@ def clusters(keys: IntArray) -> IntArray:
         here = np.flatnonzero(is_in(moved, keys))
         pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
     first, second = np.concatenate(pairs, axis=1)
-    graph = coo_array((np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n))
+    graph = coo_array(
+        (np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n)
+    )
     _, labels = connected_components(graph, directed=False)
     return np.asarray(labels, dtype=np.int64)
 
@@ -640,24 +747,39 @@ def columns_to(
         (MAX_WALL_VOXELS - n_left + total, MAX_WALL_VOXELS, "a file"),
     ):
         if n_voxels > most:
-            refuse(where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}")
+            refuse(
+                where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}"
+            )
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
     walls += np.arange(total)
     below = keys[(keys & _MASK) < floor]
-    return np.sort(np.concatenate([below, walls])) if len(below) else walls
+    if len(below):
+        return np.sort(np.concatenate([below, walls]))
+    return walls
 
 
 def faces(
-    keys: IntArray, *, origin_m: FloatArray, voxel_m: float, max_triangles: int, where: str
+    keys: IntArray,
+    *,
+    origin_m: FloatArray,
+    voxel_m: float,
+    max_triangles: int,
+    where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """The closed surface of sorted voxels in large rectangles, counter-clockwise from outside."""
-    quads = np.concatenate([_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)])
+    quads = np.concatenate(
+        [_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)]
+    )
     if 2 * len(quads) > max_triangles:
-        refuse(where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points")
+        refuse(
+            where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points"
+        )
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)
-    triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)
+    triangles = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(
+        np.int32
+    )
     return origin_m + voxel_m * unique, triangles
 
 
@@ -666,11 +788,14 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     step = sign << (2 - axis) * _BITS  # to the neighbour's key
     cells = to_cells(keys[~is_in(keys + step, keys)])
     u, v = [other for other in range(3) if other != axis]
-    slab, a, b = cells[:, axis], cells[:, u], cells[:, v]
+    slab = cells[:, axis]
+    a = cells[:, u]
+    b = cells[:, v]
     # Runs of faces that follow one another along v, then of equal runs along u.
     (slab, a, b_low), b_last = _runs((slab, a, b))
     (slab, b_low, b_last, a_low), a_last = _runs((slab, b_low, b_last, a))
-    a_high, b_high = a_last + 1, b_last + 1
+    a_high = a_last + 1
+    b_high = b_last + 1
     plane = slab + (sign > 0)
     quads = np.empty((len(slab), 4, 3), dtype=np.int64)
     quads[:, :, axis] = plane[:, None]
@@ -678,7 +803,9 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
     is_outward = (sign > 0) == (axis != 1)
-    return quads if is_outward else quads[:, ::-1]
+    if is_outward:
+        return quads
+    return quads[:, ::-1]
 
 
 def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:

@@ -19,14 +19,19 @@ from .source_map import MapJunction, SourceMap, Thing
 _STEP_M = 2.0  # of the grid
 _FLAT_M = 0.1  # ground that is nowhere higher or lower than this is a plane
 _BEYOND_M = 50.0  # points farther outside have no say
-_SAME_LEVEL_M, _STEEPEST = 2.0, 0.08  # more than this above the arms' roads is a bridge
-_OTHER_ZERO_M = 3.0  # a map whose things are this far off counts heights from another zero
+_SAME_LEVEL_M = 2.0
+_STEEPEST = 0.08  # more than this above the arms' roads is a bridge
+_OTHER_ZERO_M = (
+    3.0  # a map whose things are this far off counts heights from another zero
+)
 _FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there
 _COARSEST_M = 30.0  # the global models; coarser ones know no street
 _MIDDLE_M = 60.0  # there must be a height this near to the junction
 _LIMITS_M = (-500.0, 9000.0)
 _MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
-_MAX_BLOCK_BYTES = 100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
+_MAX_BLOCK_BYTES = (
+    100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
+)
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # GDAL would look at files of any of its formats next to the raster, such as a mask.
 _ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
@@ -38,15 +43,20 @@ class Relief:
     """The ground around a junction: its middle is at z = 0."""
 
     terrain: Terrain | None = None  # none: the plane z = 0
-    zero_m: float = 0.0  # height of the middle of the junction as `source` counts heights
+    zero_m: float = (
+        0.0  # height of the middle of the junction as `source` counts heights
+    )
     roads: SourceMap | None = None
-    # ground of the map with the roads, as that counts heights, where another source has them
+    # ground of the map with the roads, as that counts heights, where another source has
+    # them
     roads_m: Terrain | None = None
     notes: tuple[Note, ...] = ()  # what was made of the heights
 
     def at(self, points_m: FloatArray) -> FloatArray:
         """Height of the ground at points (n, 2)."""
-        return np.zeros(len(points_m)) if self.terrain is None else self.terrain.at(points_m)
+        if self.terrain is None:
+            return np.zeros(len(points_m))
+        return self.terrain.at(points_m)
 
     def above_m(self, vertices_m: FloatArray) -> FloatArray:
         """Height of vertices (n, 3) above the ground below them."""
@@ -57,14 +67,17 @@ class Relief:
     ) -> Iterator[tuple[FloatArray, bool]]:
         """Vertices of a map's things with heights from z = 0, and whether they were set down.
 
-        `given_m` is the height in the map of the road in the junction's middle. Where a map counts
-        heights above the ground, walls follow it, and other things stand on the lowest ground below
-        them.
+        `given_m` is the height in the map of the road in the junction's middle. Where a
+        map counts heights above the ground, walls follow it, and other things stand on
+        the lowest ground below them.
         """
         if source.heights == "above ground" and given_m is None:
             for thing in things:
                 ground = self.at(thing.vertices_m[:, :2])
-                up = ground if thing.class_name == "wall" else ground.min()
+                if thing.class_name == "wall":
+                    up = ground
+                else:
+                    up = ground.min()
                 yield _lifted(thing, up), False
             return
         zero_m = self._zero_m(source, things, given_m)
@@ -76,13 +89,21 @@ class Relief:
                 own_m = self.roads_m.at(middle) - self.roads_m.at(np.zeros(2))
                 vertices[:, 2] += self.at(middle) - own_m
             gap_m = float(vertices[:, 2].min() - self.at(vertices[:, :2]).min())
-            floats = may_float and thing.class_name == "building" and _FLAT_M < gap_m <= _FLOATS_M
+            floats = (
+                may_float
+                and thing.class_name == "building"
+                and _FLAT_M < gap_m <= _FLOATS_M
+            )
             yield vertices - [0.0, 0.0, gap_m if floats else 0.0], floats
 
-    def _zero_m(self, source: SourceMap, things: Sequence[Thing], given_m: float | None) -> float:
+    def _zero_m(
+        self, source: SourceMap, things: Sequence[Thing], given_m: float | None
+    ) -> float:
         """The height in a map that becomes z = 0."""
         if source is self.roads and source.heights == "absolute":
-            return self.zero_m if self.roads_m is None else float(self.roads_m.at(np.zeros(2)))
+            if self.roads_m is None:
+                return self.zero_m
+            return float(self.roads_m.at(np.zeros(2)))
         if given_m is not None or not things:
             return given_m or 0.0
         if self.terrain is None:
@@ -107,14 +128,18 @@ def find_relief(
 ) -> Relief:
     """The ground within a square around a junction of the first map.
 
-    Heights are those of the first of the other maps that has some near the junction, or of the
-    roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have no say.
+    Heights are those of the first of the other maps that has some near the junction, or
+    of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have no
+    say.
     """
     roads = maps[0]
     own = _near(frame.take(roads.ground_m, roads), half_m)
     if roads.heights == "absolute":
         own = _on_level(own, roads, junction, frame)
-    found = [(other.name, _near(frame.take(other.ground_m, other), half_m)) for other in maps[1:]]
+    found = [
+        (other.name, _near(frame.take(other.ground_m, other), half_m))
+        for other in maps[1:]
+    ]
     found.append((roads.name, own))
     name, points = next((one for one in found if len(one[1])), ("", own))
     if not name:
@@ -126,13 +151,17 @@ def find_relief(
     if np.abs(terrain.height_m).max() <= _FLAT_M:
         return Relief()
     is_other = points is not own and roads.heights == "absolute" and len(own) > 0
-    why = f"ground from {terrain.height_m.min():.1f} m to {terrain.height_m.max():.1f} m"
+    why = (
+        f"ground from {terrain.height_m.min():.1f} m to {terrain.height_m.max():.1f} m"
+    )
     return Relief(
         terrain=terrain,
         zero_m=middle_m,
         roads=roads,
         roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        notes=(Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),),
+        notes=(
+            Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),
+        ),
     )
 
 
@@ -144,7 +173,11 @@ def _on_level(
     points_m: FloatArray, roads: SourceMap, junction: MapJunction, frame: LocalFrame
 ) -> FloatArray:
     """Points that are not far above or below the nearest road that leads to the junction."""
-    own = [one for one in roads.lanes if junction.id in (one.from_junction, one.to_junction)]
+    own = [
+        one
+        for one in roads.lanes
+        if junction.id in (one.from_junction, one.to_junction)
+    ]
     arms = [lane.centreline_m for lane in own]
     middle = np.append(junction.position_m, junction.height_m)
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
@@ -154,26 +187,34 @@ def _on_level(
 
 
 # ---------- heights of the ground from GeoTIFF rasters
-def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float) -> SourceMap:
+def read_elevation(
+    path: Path, *, crs: str, middle_m: FloatArray, half_m: float
+) -> SourceMap:
     """Read the heights of a raster in the square around a place as a map of ground alone.
 
-    `path`: one band of heights in metres, with a reference system. `crs`: that of `middle_m` and of
-    the map. `half_m`: to each side. Raises InputError: it is no such GeoTIFF, lies elsewhere, is
-    too coarse, too fine or in too large blocks. MissingExtraError: rasterio is not installed.
+    `path`: one band of heights in metres, with a reference system. `crs`: that of
+    `middle_m` and of the map. `half_m`: to each side. Raises InputError: it is no such
+    GeoTIFF, lies elsewhere, is too coarse, too fine or in too large blocks.
+    MissingExtraError: rasterio is not installed.
     """
     try:
         import rasterio
         from pyproj.exceptions import ProjError
     except ImportError:
         raise MissingExtraError(
-            "reading rasters of heights needs rasterio: pip install place-rsus[terrain] "
-            "(in a checkout: uv run --extra terrain place-rsus ..)"
+            "reading rasters of heights needs rasterio: pip install place-rsus[terrain]"
+            " (in a checkout: uv run --extra terrain place-rsus ..)"
         ) from None
     with open_file(path) as file:
-        if not file.read(4).startswith(_MAGIC):  # GDAL goes by content: a text may name an address
+        if not file.read(4).startswith(
+            _MAGIC
+        ):  # GDAL goes by content: a text may name an address
             refuse(str(path), "something else", _EXPECTED)
     if not crs:
-        expected = "a map that says where on earth it lies: `crs` says it for one that does not"
+        expected = (
+            "a map that says where on earth it lies: `crs` says it for one that"
+            " does not"
+        )
         raise InputError("terrain", str(path), expected)
     with (
         reading(path, _EXPECTED, rasterio.errors.RasterioError, ProjError),
@@ -184,7 +225,9 @@ def read_elevation(path: Path, *, crs: str, middle_m: FloatArray, half_m: float)
     return SourceMap(name=path.name, crs=crs, source_crs=crs, ground_m=points)
 
 
-def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float) -> FloatArray:
+def _read(
+    raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
+) -> FloatArray:
     if raster.count != 1:
         refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
@@ -203,14 +246,25 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     if left >= right or top >= bottom:
         refuse(where, "a raster that lies elsewhere", "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
-    column, row = np.meshgrid(np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5)
+    column, row = np.meshgrid(
+        np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5
+    )
     places = transform(np.stack(grid @ (column, row), axis=-1), own_crs, crs)
-    middle = 0.5 * np.array([[left + right], [top + bottom]]) + [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    middle = 0.5 * np.array([[left + right], [top + bottom]]) + [
+        [0.0, 1.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
     corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
-        refuse(where, f"pixels of {size_m:.0f} m", f"at most {_COARSEST_M:g} m: finer heights")
-    band = np.ma.masked_invalid(raster.read(1, window=((top, bottom), (left, right)), masked=True))
+        refuse(
+            where,
+            f"pixels of {size_m:.0f} m",
+            f"at most {_COARSEST_M:g} m: finer heights",
+        )
+    band = np.ma.masked_invalid(
+        raster.read(1, window=((top, bottom), (left, right)), masked=True)
+    )
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
     is_known = np.isfinite(heights)
@@ -222,7 +276,9 @@ def _read(raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
     points = np.column_stack([places[is_known], heights[is_known]])
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
-        refuse(where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it")
+        refuse(
+            where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it"
+        )
     return points
 
 
@@ -241,4 +297,7 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
     """First and last but one of the pixels that values lie in, one more on each side, inside."""
-    return (max(int(np.floor(values.min())) - 1, 0), min(int(np.ceil(values.max())) + 1, size))
+    return (
+        max(int(np.floor(values.min())) - 1, 0),
+        min(int(np.ceil(values.max())) + 1, size),
+    )

@@ -41,7 +41,9 @@ _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
 _LONGER_M = 1.0  # the outline is not square to every lane
 _BELOW_ROOF_M = 0.3  # a sensor and its bracket
-AUTO, MAP, KERB = "auto", "map", "kerb:"
+AUTO = "auto"
+MAP = "map"
+KERB = "kerb:"
 _AUTO: dict[str, float] = load_data("geometry.maps", "sites.toml")["auto"]
 _SPACINGS_M = (2.0, 100.0)
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
@@ -62,14 +64,19 @@ def kerb_sites(
     outline = float_array(outline_m, (-1, 2), "outline_m")
     if len(outline) < 3:
         raise InputError("outline_m", len(outline), "at least three points")
-    inside, ring = area_of(outline), shapely.LinearRing(outline)
+    inside = area_of(outline)
+    ring = shapely.LinearRing(outline)
     roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
-    strips = shapely.STRtree([_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms])
+    strips = shapely.STRtree(
+        [_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms]
+    )
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
-            along, points, outwards = _offset(line, sign * (0.5 * lane.width_m + SETBACK_M))
+            along, points, outwards = _offset(
+                line, sign * (0.5 * lane.width_m + SETBACK_M)
+            )
             shapes = shapely.points(points)
             free = shapely.distance(shapes, inside) > 0.5 * SETBACK_M
             free &= shapely.distance(shapes, ring) <= _REACH_M
@@ -81,7 +88,9 @@ def kerb_sites(
                     next_m = along[place] + spacing_m
                     name = f"kerb {lane.id} {side} {along[place]:.0f} m"
                     position = np.round(points[place], 3)
-                    sites.setdefault(name, SiteWish(id=name, kind="kerb", position_m=position))
+                    sites.setdefault(
+                        name, SiteWish(id=name, kind="kerb", position_m=position)
+                    )
     return tuple(sites.values())
 
 
@@ -90,10 +99,13 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
         start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), outline)
-        is_stub = length_m(line) < 2.0 * _AT_OUTLINE_M  # its far end is at the outline, too
+        is_stub = (
+            length_m(line) < 2.0 * _AT_OUTLINE_M
+        )  # its far end is at the outline, too
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
-        joined, used = [line], {lane.id}
+        joined = [line]
+        used = {lane.id}
         while length_m(np.concatenate(joined)) < _REACH_M + 10.0:
             following = (
                 (other.id, points)
@@ -122,9 +134,12 @@ def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
     return longer.buffer(0.5 * lane.width_m + beside_m, cap_style="flat")
 
 
-def _offset(line: FloatArray, offset_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _offset(
+    line: FloatArray, offset_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
-    pieces, at = steps_m(line), along_m(line)
+    pieces = steps_m(line)
+    at = along_m(line)
     along: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
     piece = np.clip(np.searchsorted(at, along, side="right") - 1, 0, len(pieces) - 1)
     ahead = np.diff(line, axis=0)[piece] / pieces[piece, None]
@@ -139,7 +154,9 @@ def _is_median(
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
-    rays = shapely.linestrings(np.stack([points, points + _MEDIAN_M * outwards], axis=1))
+    rays = shapely.linestrings(
+        np.stack([points, points + _MEDIAN_M * outwards], axis=1)
+    )
     for lane, line in arms:
         strip = _strip(lane, line, beside_m=0.0)
         for index in np.flatnonzero(shapely.intersects(rays, strip) & ~is_median):
@@ -157,7 +174,9 @@ def tidy_sites(
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
-    reasons = {at: f"inside {thing.class_name} {thing.id}" for at, thing in around.items()}
+    reasons = {
+        at: f"inside {thing.class_name} {thing.id}" for at, thing in around.items()
+    }
     left = [index for index in range(len(sites)) if index not in reasons]
     kept: list[int] = []
     for index in sorted(left, key=lambda index: (-sites[index].n_said, index)):
@@ -167,7 +186,9 @@ def tidy_sites(
             reasons[index] = f"{apart_m.min():.1f} m beside {beside.id}"
         else:
             kept.append(index)
-    notes = [Note(f"site {sites[index].id}", reasons[index]) for index in sorted(reasons)]
+    notes = [
+        Note(f"site {sites[index].id}", reasons[index]) for index in sorted(reasons)
+    ]
     return tuple(sites[index] for index in sorted(kept)), tuple(notes)
 
 
@@ -196,7 +217,9 @@ def _is_list(where: str) -> bool:
         return False
     if Path(where).suffix.lower() in SUFFIXES:
         return True
-    raise InputError("sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file")
+    raise InputError(
+        "sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file"
+    )
 
 
 def choose_sites(
@@ -204,10 +227,11 @@ def choose_sites(
 ) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
-    `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates of `roads`),
-    or "auto": the poles of the map but for low sign posts and what belongs to another junction, and
-    masts along the kerbs where none of them is near the middle, see ``data/sites.toml``. Raises
-    InputError if `where` cannot be read, or no site is left within `radius_m`.
+    `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates
+    of `roads`), or "auto": the poles of the map but for low sign posts and what belongs
+    to another junction, and masts along the kerbs where none of them is near the
+    middle, see ``data/sites.toml``. Raises InputError if `where` cannot be read, or no
+    site is left within `radius_m`.
     """
     notes: list[Note] = []
     if _is_list(where):
@@ -247,7 +271,9 @@ def _settled(
         else:
             kept.append(replace(wish, position_m=place.position_m))
             why = f"it stood {place.why}"
-            notes.append(Note(f"site {wish.id}", why, kind="sites", site_ids=(wish.id,)))
+            notes.append(
+                Note(f"site {wish.id}", why, kind="sites", site_ids=(wish.id,))
+            )
     return kept
 
 
@@ -267,24 +293,38 @@ def _own_poles(
     low: list[SiteWish] = []
     far: list[SiteWish] = []
     for wish, is_far in zip(wishes, is_other.tolist(), strict=True):
-        is_low = wish.kind == "sign" and (heights_m[wish.id] or sign_m) < _AUTO["min_sign_m"]
+        is_low = (
+            wish.kind == "sign" and (heights_m[wish.id] or sign_m) < _AUTO["min_sign_m"]
+        )
         (far if is_far else low if is_low else kept).append(wish)
     for group, noun, why in (
-        (far, "poles", f"within {_AUTO['neighbour_m']:g} m of another junction, nearer than here"),
+        (
+            far,
+            "poles",
+            f"within {_AUTO['neighbour_m']:g} m of another junction, nearer than here",
+        ),
         (low, "sign posts", f"lower than {_AUTO['min_sign_m']:g} m"),
     ):
         if group:
             what = f"{len(group)} {noun}, such as {group[0].id}"
-            what = what if len(group) > 1 else f"{group[0].kind} {group[0].id}"
+            if len(group) > 1:
+                what = what
+            else:
+                what = f"{group[0].kind} {group[0].id}"
             notes.append(Note(what, f"{why}: no site unless asked for"))
     return kept
 
 
 def _masts(
-    poles: Sequence[SiteWish], surroundings: Surroundings, radius_m: float, notes: list[Note]
+    poles: Sequence[SiteWish],
+    surroundings: Surroundings,
+    radius_m: float,
+    notes: list[Note],
 ) -> list[SiteWish]:
     """Masts along the kerbs where no pole is near the junction's middle, which is noted."""
-    nearest_m = min((float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf)
+    nearest_m = min(
+        (float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf
+    )
     if nearest_m <= _AUTO["near_m"]:
         return []
     where = f"none within {radius_m:g} m"
@@ -301,15 +341,20 @@ def _below_roofs(
     """Sites that carry sensors no higher than what is above them lets them."""
     kept = []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
-    for wish, clear_m in zip(wishes, clear_heights_m(positions, surroundings), strict=True):
-        most_m, (low_m, high_m) = round(float(clear_m) - _BELOW_ROOF_M, 3), _mounts_m(wish)
+    for wish, clear_m in zip(
+        wishes, clear_heights_m(positions, surroundings), strict=True
+    ):
+        most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
+        (low_m, high_m) = _mounts_m(wish)
         if most_m >= high_m:
             kept.append(wish)
         elif most_m < MIN_POLE_M:
             why = f"below a roof {clear_m:g} m above the ground: too low for sensors"
             notes.append(Note(f"site {wish.id}", why))
         else:
-            kept.append(replace(wish, min_height_m=min(low_m, most_m), max_height_m=most_m))
+            kept.append(
+                replace(wish, min_height_m=min(low_m, most_m), max_height_m=most_m)
+            )
     return kept
 
 
@@ -326,29 +371,42 @@ def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
     return wishes
 
 
-def _kerbs(surroundings: Surroundings, spacing_m: float, radius_m: float) -> list[SiteWish]:
+def _kerbs(
+    surroundings: Surroundings, spacing_m: float, radius_m: float
+) -> list[SiteWish]:
     """Sites along the kerbs, named by where they lie: kerb-ne-1 is the nearest one there."""
     count: Counter[str] = Counter()
     named = []
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
         if np.hypot(*wish.position_m) <= radius_m:
-            octant = "".join(word[0] for word in compass_point(wish.position_m).split("-"))
+            octant = "".join(
+                word[0] for word in compass_point(wish.position_m).split("-")
+            )
             count[octant] += 1
             named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return named
 
 
 def _listed(
-    path: Path, surroundings: Surroundings, roads: SourceMap, radius_m: float, notes: list[Note]
+    path: Path,
+    surroundings: Surroundings,
+    roads: SourceMap,
+    radius_m: float,
+    notes: list[Note],
 ) -> list[SiteWish]:
-    listed, frame = read_sites(path, crs=roads.crs), surroundings.frame
-    every = [replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed]
+    listed = read_sites(path, crs=roads.crs)
+    frame = surroundings.frame
+    every = [
+        replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed
+    ]
     wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
     if n_far := len(every) - len(wishes):
         why = f"farther than {radius_m:g} m from the junction"
         notes.append(Note(f"{n_far} sites in {path.name}", why))
-    if dark := sum(wish.has_power is False or wish.has_fibre is False for wish in wishes):
+    if dark := sum(
+        wish.has_power is False or wish.has_fibre is False for wish in wishes
+    ):
         why = "only what cost_eur states is counted"
         notes.append(Note(f"power or fibre that {dark} sites lack", why))
     return wishes
@@ -369,15 +427,23 @@ def _kind_of(wish: SiteWish) -> PoleKind:
 def _mounts_m(wish: SiteWish) -> tuple[float, float]:
     """Lowest and highest mount above the road in metres: as listed, or usual for its kind."""
     low_m, high_m = _kind_of(wish).height_range_m
-    low_m = low_m if wish.min_height_m is None else wish.min_height_m
-    high_m = max(high_m, low_m) if wish.max_height_m is None else wish.max_height_m
+    if wish.min_height_m is None:
+        low_m = low_m
+    else:
+        low_m = wish.min_height_m
+    if wish.max_height_m is None:
+        high_m = max(high_m, low_m)
+    else:
+        high_m = wish.max_height_m
     return min(low_m, high_m), high_m
 
 
 def _site(wish: SiteWish) -> Site:
     low_m, high_m = _mounts_m(wish)
     if low_m <= 0.0:
-        raise InputError(f"site {wish.id}: mount height", low_m, "metres above the road, > 0")
+        raise InputError(
+            f"site {wish.id}: mount height", low_m, "metres above the road, > 0"
+        )
     return Site(
         id=wish.id,
         position_m=np.append(wish.position_m, 0.0),
@@ -403,10 +469,14 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     road = covered_area(surroundings.outline_m, surroundings.lanes)
     shapely.prepare(road)
     is_on_road = shapely.intersects_xy(road, *positions.T)
-    standing = [thing for thing in standing_things(surroundings) if len(thing.triangles)]
+    standing = [
+        thing for thing in standing_things(surroundings) if len(thing.triangles)
+    ]
     solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
-    boxes = shapely.STRtree([shapely.box(*low, *high) for low, high in map(_box, solid)])
+    boxes = shapely.STRtree(
+        [shapely.box(*low, *high) for low, high in map(_box, solid)]
+    )
     blocked = _without_gaps(shapely.buffer(road, SETBACK_M, quad_segs=4))
     places = []
     for index, position in enumerate(positions):
@@ -414,36 +484,57 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         if not is_on_road[index] and wall is None:
             places.append(Place(position))
             continue
-        most_m = _MAX_MOVE_M if wall is None else _MAX_MOVE_FROM_WALL_M
+        if wall is None:
+            most_m = _MAX_MOVE_M
+        else:
+            most_m = _MAX_MOVE_FROM_WALL_M
         point = shapely.Point(position)
-        close = np.sort(boxes.query(point, predicate="dwithin", distance=most_m + 1.0)).tolist()
-        near = [footprint(solid[at]).buffer(_FROM_WALL_M, join_style="mitre") for at in close]
+        close = np.sort(
+            boxes.query(point, predicate="dwithin", distance=most_m + 1.0)
+        ).tolist()
+        near = [
+            footprint(solid[at]).buffer(_FROM_WALL_M, join_style="mitre")
+            for at in close
+        ]
         around = shapely.box(*(position - most_m - 1.0), *(position + most_m + 1.0))
         here = _without_gaps(shapely.union_all([blocked.intersection(around), *near]))
         edge = here.boundary.difference(around.boundary.buffer(0.01))
-        why, target = "on a lane or in the junction", "to the nearest kerb"
+        why = "on a lane or in the junction"
+        target = "to the nearest kerb"
         if wall is not None:
-            why, target = f"inside {wall.class_name} {wall.id}", "out of it"
+            why = f"inside {wall.class_name} {wall.id}"
+            target = "out of it"
         if edge.is_empty or edge.distance(point) > most_m:
-            places.append(Place(None, f"{why}, farther than {most_m:g} m from where it could"))
+            places.append(
+                Place(None, f"{why}, farther than {most_m:g} m from where it could")
+            )
             continue
         nearest = np.asarray(shapely.shortest_line(point, edge).coords)[1]
         away_m = float(np.hypot(*(nearest - position)))
-        places.append(Place(np.round(nearest, 3), f"{why}: moved {away_m:.1f} m {target}"))
+        places.append(
+            Place(np.round(nearest, 3), f"{why}: moved {away_m:.1f} m {target}")
+        )
     return places
 
 
 def _without_gaps(area: Any) -> Any:
     """An area without small holes: gaps between lanes that are drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    islands = [[one for one in part.interiors if Polygon(one).area > _ISLAND_M2] for part in parts]
+    islands = [
+        [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
+        for part in parts
+    ]
     pairs = zip(parts, islands, strict=True)
     return shapely.union_all([Polygon(part.exterior, holes) for part, holes in pairs])
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:
     """Things that stand on the ground; roofs, bridges and the like are passed below."""
-    return [thing for thing in surroundings.things if _headroom_m(thing, surroundings) < HEADROOM_M]
+    return [
+        thing
+        for thing in surroundings.things
+        if _headroom_m(thing, surroundings) < HEADROOM_M
+    ]
 
 
 def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> FloatArray:
@@ -451,14 +542,20 @@ def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> Floa
     clear: FloatArray = np.full(len(positions_m), np.inf)
     for thing in surroundings.things:
         above_m = _headroom_m(thing, surroundings)
-        if thing.class_name == "building" and len(thing.triangles) and above_m >= HEADROOM_M:
+        if (
+            thing.class_name == "building"
+            and len(thing.triangles)
+            and above_m >= HEADROOM_M
+        ):
             under = is_under(positions_m, thing)
             clear[under] = np.minimum(clear[under], above_m)
     return clear
 
 
 def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
-    return headroom_m(thing.vertices_m, surroundings.terrain) if len(thing.vertices_m) else 0.0
+    if len(thing.vertices_m):
+        return headroom_m(thing.vertices_m, surroundings.terrain)
+    return 0.0
 
 
 def footprint(thing: Thing) -> Any:
@@ -469,7 +566,9 @@ def footprint(thing: Thing) -> Any:
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
     """Which points lie within the footprint of a thing: below or above it."""
     low, high = _box(thing)
-    result = np.asarray(((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool)
+    result = np.asarray(
+        ((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool
+    )
     if result.any():
         result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
     return result
@@ -491,7 +590,9 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
     for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
         offsets_m = {mast.id: (mast.position_m - pole.position_m)[:2] for mast in masts}
-        away_m = {name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()}
+        away_m = {
+            name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()
+        }
         mast = min(away_m, key=away_m.__getitem__, default="")
         hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
         if hangs and mast and away_m[mast] <= _MAST_ARM_M:
@@ -501,7 +602,11 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
             notes.append(Note(what, f"no site: it stands {place.why}"))
             continue
         if place.why:
-            notes.append(Note(what, f"it stood {place.why}", kind="sites", site_ids=(pole.id,)))
-            pole = replace(pole, position_m=np.append(place.position_m, pole.position_m[2]))
+            notes.append(
+                Note(what, f"it stood {place.why}", kind="sites", site_ids=(pole.id,))
+            )
+            pole = replace(
+                pole, position_m=np.append(place.position_m, pole.position_m[2])
+            )
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(notes)

@@ -38,7 +38,9 @@ _MAX_NESTED = 50  # collections within collections
 _SECTIONS = 10  # of a pole's cylinder
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
-_FEET_AND_INCHES = re.compile(rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?")
+_FEET_AND_INCHES = re.compile(
+    rf"([0-9]{{1,6}})\s*(?:'|ft|feet)\s*{_NUMBER}\s*(?:\"|''|in|inches)?"
+)
 _RANGE = re.compile(rf"{_NUMBER}\s*(?:-|\.\.|;|to)\s*{_NUMBER}\s*([a-z]*)")
 _SPEED = re.compile(r"([0-9]{1,3}(?:[.,][0-9]{1,9})?)\s*([a-z/]*)")
 _UNITS = load_data("geometry.maps", "words.toml")
@@ -50,30 +52,37 @@ MIN_POLE_M = 2.5
 def triangulate(rings_m: Polygon3D) -> Mesh:
     """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
 
-    It is projected across Newell's normal (Sutherland, Sproull, Schumacker, 1974), cut by ear
-    clipping there, and keeps its own corners, so that one that is not quite flat still meets its
-    neighbours. The outer ring runs counter-clockwise seen from the front. Returns none if it has no
-    area.
+    It is projected across Newell's normal (Sutherland, Sproull, Schumacker, 1974), cut
+    by ear clipping there, and keeps its own corners, so that one that is not quite flat
+    still meets its neighbours. The outer ring runs counter-clockwise seen from the
+    front. Returns none if it has no area.
     """
-    rings = [ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3]
+    rings = [
+        ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3
+    ]
     if not rings or len(_without_repeats(rings_m[0])) < 3:
         return NOTHING
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
     products = outer.T @ outer[[*range(1, len(outer)), 0]]
-    normal = np.array([products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))])
+    normal = np.array(
+        [products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))]
+    )
     length = float(np.sqrt(normal @ normal))
     if not length > 2.0 * _MIN_AREA_M2:
         return NOTHING
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
-    across = np.zeros(3)  # to the normal: the axis least like it, less what lies along the normal
+    across = np.zeros(
+        3
+    )  # to the normal: the axis least like it, less what lies along the normal
     across[np.argmin(np.abs(normal))] = 1.0
     across -= (across @ normal) * normal
     across /= np.sqrt(across @ across)
-    (a_x, a_y, a_z), (n_x, n_y, n_z) = across, normal
+    (a_x, a_y, a_z) = across
+    (n_x, n_y, n_z) = normal
     onwards = (n_y * a_z - n_z * a_y, n_z * a_x - n_x * a_z, n_x * a_y - n_y * a_x)
     flat = (vertices - middle) @ np.array([across, onwards]).T
     return vertices, clip_ears(flat, np.cumsum([len(ring) for ring in rings]))
@@ -85,7 +94,8 @@ def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
     found = mapbox_earcut.triangulate_float64(flat_m, corners)
     triangles: NDArray[np.int32] = np.asarray(found, dtype=np.int32).reshape(-1, 3)
     a, b, c = np.moveaxis(flat_m[triangles], 1, 0)
-    ab, ac = b - a, c - a
+    ab = b - a
+    ac = c - a
     turns_right = ab[:, 0] * ac[:, 1] < ab[:, 1] * ac[:, 0]
     triangles[turns_right] = triangles[turns_right, ::-1]
     return triangles
@@ -99,8 +109,11 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
         return NOTHING
     corners, triangles = join(pieces)
     rounded = np.round(corners / _SAME_M).astype(np.int64)
-    _, taken, merged = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
-    vertices, triangles = corners[taken], merged.reshape(-1)[triangles].astype(np.int32)
+    _, taken, merged = np.unique(
+        rounded, axis=0, return_index=True, return_inverse=True
+    )
+    vertices = corners[taken]
+    triangles = merged.reshape(-1)[triangles].astype(np.int32)
     has_area = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles = triangles[has_area]
     if is_closed(triangles) and volume_m3(vertices, triangles) < 0.0:
@@ -110,8 +123,13 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
 
 def is_closed(triangles: NDArray[np.int32]) -> bool:
     """Every edge is used as often in one direction as in the other."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    n_vertices = int(triangles.max()) + 1 if len(triangles) else 0
+    edges = np.concatenate(
+        [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
+    )
+    if len(triangles):
+        n_vertices = int(triangles.max()) + 1
+    else:
+        n_vertices = 0
     forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
     back = np.sort(edges[:, 1].astype(np.int64) * n_vertices + edges[:, 0])
     return bool(len(triangles)) and bool((forth == back).all())
@@ -129,7 +147,9 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    return np.asarray(points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)])
+    return np.asarray(
+        points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
+    )
 
 
 def extrude(
@@ -153,8 +173,8 @@ def extrude_polygon(
 ) -> Mesh:
     """Closed solid over a polygon with its holes; one that crosses itself is mended first.
 
-    Raises InputError, with `where` in its message, if no area is left or the roof is not above the
-    floor.
+    Raises InputError, with `where` in its message, if no area is left or the roof is
+    not above the floor.
     """
     import trimesh
 
@@ -179,7 +199,9 @@ def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
 
 def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
     """Polygons of a geometry, or of a collection of such, that have more than an area."""
-    return [p for p in parts_of(shape) if p.geom_type == "Polygon" and p.area > above_m2]
+    return [
+        p for p in parts_of(shape) if p.geom_type == "Polygon" and p.area > above_m2
+    ]
 
 
 @cache
@@ -188,7 +210,9 @@ def unit_ball() -> Mesh:
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=1)
-    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(ball.faces, dtype=np.int32)
+    return np.asarray(ball.vertices, dtype=np.float64), np.asarray(
+        ball.faces, dtype=np.int32
+    )
 
 
 @cache
@@ -198,7 +222,9 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
     segment = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     prism = trimesh.creation.cylinder(radius=1.0, segment=segment, sections=n_sides)
-    return np.asarray(prism.vertices, dtype=np.float64), np.asarray(prism.faces, dtype=np.int32)
+    return np.asarray(prism.vertices, dtype=np.float64), np.asarray(
+        prism.faces, dtype=np.int32
+    )
 
 
 # ---------- content of a map file
@@ -214,13 +240,23 @@ class MapLane:
 
     id: str  # from the source; unique in the map
     kind: str  # one of ``LANE_KINDS``
-    width_m: float  # mean full width; of a lane that leads to a junction along the last 30 m
-    centreline_m: FloatArray  # (n, 3); in driving direction, or that of the next driving lane
-    from_junction: str = ""  # ids of the junctions at whose outlines it stops; empty: none
+    width_m: (
+        float  # mean full width; of a lane that leads to a junction along the last 30 m
+    )
+    centreline_m: (
+        FloatArray  # (n, 3); in driving direction, or that of the next driving lane
+    )
+    from_junction: str = (
+        ""  # ids of the junctions at whose outlines it stops; empty: none
+    )
     to_junction: str = ""
-    speed_limit_kmh: float | None = None  # where it leads into a junction, or else out of one
+    speed_limit_kmh: float | None = (
+        None  # where it leads into a junction, or else out of one
+    )
     turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
-    road_class: str = ""  # there, as OpenStreetMap calls it ("primary"); empty: not known
+    road_class: str = (
+        ""  # there, as OpenStreetMap calls it ("primary"); empty: not known
+    )
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "from_junction", "to_junction")
@@ -230,7 +266,9 @@ class MapLane:
             raise InputError(f"{where}.width_m", self.width_m, "metres, > 0")
         set_arrays(self, f"{where}.", centreline_m=(-1, 3))
         if len(self.centreline_m) < 2:
-            raise InputError(f"{where}.centreline_m", len(self.centreline_m), "at least two points")
+            raise InputError(
+                f"{where}.centreline_m", len(self.centreline_m), "at least two points"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -239,21 +277,28 @@ class MapJunction:
 
     id: str  # from the source; unique in the map
     name: str  # for people, such as the streets that meet; may be empty
-    outline_m: FloatArray  # (n, 2); of its road surface, where the lanes of its arms begin and end
+    # (n, 2); of its road surface, where the lanes of its arms begin and end
+    outline_m: FloatArray
     height_m: float = 0.0  # height of the road in its middle, as the map counts heights
-    roads: tuple[LeadingRoad, ...] = ()  # that lead to it, as the map's network has them
+    roads: tuple[
+        LeadingRoad, ...
+    ] = ()  # that lead to it, as the map's network has them
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "name")
         where = f"junction {self.id}."
         set_arrays(self, where, outline_m=(-1, 2))
         if len(self.outline_m) < 3:
-            raise InputError(f"{where}outline_m", len(self.outline_m), "at least three points")
+            raise InputError(
+                f"{where}outline_m", len(self.outline_m), "at least three points"
+            )
 
     @property
     def position_m(self) -> FloatArray:
         """Its middle, (2,): that of the box around the outline."""
-        return np.asarray(0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0)))
+        return np.asarray(
+            0.5 * (self.outline_m.min(axis=0) + self.outline_m.max(axis=0))
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,7 +308,9 @@ class Thing:
     id: str  # from the source; unique in the map
     class_name: str  # one of :data:`geometry.scene.CLASS_NAMES`
     vertices_m: FloatArray  # (n, 3); heights as the map counts them
-    triangles: NDArray[np.int32]  # (m, 3); vertex indices, counter-clockwise seen from outside
+    triangles: NDArray[
+        np.int32
+    ]  # (m, 3); vertex indices, counter-clockwise seen from outside
     is_height_assumed: bool = False  # the source does not give its height
 
     def __post_init__(self) -> None:
@@ -272,19 +319,29 @@ class Thing:
         set_arrays(self, f"{where}.", vertices_m=(-1, 3))
         n_vertices = len(self.vertices_m)
         triangles = freeze(np.array(self.triangles, dtype=np.int32).reshape(-1, 3))
-        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < n_vertices):
+        if len(triangles) and not (
+            triangles.min() >= 0 and triangles.max() < n_vertices
+        ):
             expected = f"indices below {n_vertices}"
             raise InputError(f"{where}.triangles", int(triangles.max()), expected)
         object.__setattr__(self, "triangles", triangles)
 
     @classmethod
     def of(
-        cls, thing_id: str, class_name: str, mesh: Mesh, *, is_height_assumed: bool = False
+        cls,
+        thing_id: str,
+        class_name: str,
+        mesh: Mesh,
+        *,
+        is_height_assumed: bool = False,
     ) -> "Thing":
         """Thing with the vertices and triangles of a mesh."""
         fields: dict[str, Any] = {"vertices_m": mesh[0], "triangles": mesh[1]}
         return cls(
-            id=thing_id, class_name=class_name, is_height_assumed=is_height_assumed, **fields
+            id=thing_id,
+            class_name=class_name,
+            is_height_assumed=is_height_assumed,
+            **fields,
         )
 
 
@@ -295,8 +352,12 @@ class Pole:
     id: str  # from the source; unique in the map
     kind: str  # one of ``POLE_KINDS``
     position_m: FloatArray  # (3,); position of its foot
-    height_m: float | None = None  # height of its top above its foot, if the source gives it
-    assumed: str = ""  # why its position is not that of the source, in words; empty: it is
+    height_m: float | None = (
+        None  # height of its top above its foot, if the source gives it
+    )
+    assumed: str = (
+        ""  # why its position is not that of the source, in words; empty: it is
+    )
 
     def __post_init__(self) -> None:
         _clean_names(self, "id")
@@ -357,11 +418,14 @@ class SourceMap:
     """The content of one map file."""
 
     name: str  # name of the file
-    crs: str  # projected one of all coordinates here, in metres, for pyproj; empty: unknown
+    # projected one of all coordinates here, in metres, for pyproj; empty: unknown
+    crs: str
     source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
     heights: Heights = "above ground"  # zero of the z axis
     lanes: tuple[MapLane, ...] = ()
-    connections: tuple[MapLane, ...] = ()  # lanes through junctions, if the map has them
+    connections: tuple[
+        MapLane, ...
+    ] = ()  # lanes through junctions, if the map has them
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
@@ -377,8 +441,9 @@ class SourceMap:
 
     def __repr__(self) -> str:
         return (
-            f"SourceMap({self.name!r}, {len(self.lanes)} lanes, {len(self.junctions)} junctions, "
-            f"{len(self.things)} things, {len(self.poles)} poles)"
+            f"SourceMap({self.name!r}, {len(self.lanes)} lanes,"
+            f" {len(self.junctions)} junctions, {len(self.things)} things,"
+            f" {len(self.poles)} poles)"
         )
 
 
@@ -389,7 +454,9 @@ class ThingKind:
 
     kind: str
     class_name: str  # one of geometry.scene.CLASS_NAMES
-    words: tuple[str, ...]  # in names of such things, in lower case; see :func:`has_word`
+    words: tuple[
+        str, ...
+    ]  # in names of such things, in lower case; see :func:`has_word`
     height_m: float  # assumed where nothing is stated, as is the thickness
     thickness_m: float
 
@@ -401,7 +468,9 @@ class ThingDefaults:
     storey_height_m: float
     max_height_m: float  # larger values are not taken for heights
     max_storeys: int  # larger values are not taken for numbers of storeys
-    kinds: tuple[ThingKind, ...]  # in the order in which names are searched for their words
+    kinds: tuple[
+        ThingKind, ...
+    ]  # in the order in which names are searched for their words
 
 
 @cache
@@ -475,9 +544,17 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     height_m = pole.height_m or kind.height_m
     foot = np.append(pole.position_m[:2], 0.0)
     ends = [foot, foot + [0.0, 0.0, height_m]]
-    body = trimesh.creation.cylinder(radius=kind.radius_m, segment=ends, sections=_SECTIONS)
-    class_name = "traffic light" if pole.kind == "traffic light" else "lamp post"
-    return class_name, (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
+    body = trimesh.creation.cylinder(
+        radius=kind.radius_m, segment=ends, sections=_SECTIONS
+    )
+    if pole.kind == "traffic light":
+        class_name = "traffic light"
+    else:
+        class_name = "lamp post"
+    return class_name, (
+        np.asarray(body.vertices),
+        np.asarray(body.faces, dtype=np.int32),
+    )
 
 
 def mount_range_m(pole: Pole) -> tuple[float, float]:
@@ -502,7 +579,10 @@ def parse_length_m(text: str) -> float | None:
     if match := _FEET_AND_INCHES.fullmatch(text):
         return _number(match[1]) * UNITS_M["ft"] + _number(match[2]) * UNITS_M["in"]
     match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
-    *numbers, unit = match.groups() if match else ("", "?")
+    if match:
+        *numbers, unit = match.groups()
+    else:
+        *numbers, unit = ("", "?")
     if unit not in UNITS_M:
         return None
     return sum(map(_number, numbers)) / len(numbers) * UNITS_M[unit]
@@ -515,8 +595,13 @@ def parse_speed_kmh(text: str) -> float | None:
     [50.0, 48.28032, None, None]
     """
     match = _SPEED.fullmatch(text.strip().lower())
-    unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0) if match else 0.0
-    return _number(match[1]) * unit_kmh or None if match else None
+    if match:
+        unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0)
+    else:
+        unit_kmh = 0.0
+    if match:
+        return _number(match[1]) * unit_kmh or None
+    return None
 
 
 def _number(text: str) -> float:

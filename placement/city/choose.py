@@ -1,7 +1,8 @@
 """Which junction gets what: the best sum over all junctions, objective by objective, with bounds.
 
-APR by the junctions' weights; APR if at each junction the unit needed most fails; smallest time
-to spare; its mean over the accidents prevented; cost. Each stage holds those before it.
+APR by the junctions' weights; APR if at each junction the unit needed most fails;
+smallest time to spare; its mean over the accidents prevented; cost. Each stage holds
+those before it.
 """
 
 from collections.abc import Sequence
@@ -24,10 +25,11 @@ from .fronts import Options
 
 # ---------- the multiple-choice knapsack
 #
-# Prices on the limits give a bound (Lagrangian relaxation), and by how much each option falls
-# short of its group's best. Only options that fall short by little can be in a better choice: they
-# are the core, which HiGHS solves (D. Pisinger, "A minimal algorithm for the multiple-choice
-# knapsack problem", 1995). A small problem is all core.
+# Prices on the limits give a bound (Lagrangian relaxation), and by how much each option
+# falls short of its group's best. Only options that fall short by little can be in a
+# better choice: they are the core, which HiGHS solves (D. Pisinger, "A minimal
+# algorithm for the multiple-choice knapsack problem", 1995). A small problem is all
+# core.
 
 
 CORE_OPTIONS = 4_000
@@ -35,7 +37,9 @@ CORE_OPTIONS = 4_000
 _MAX_CORE = 40_000
 _ROUNDING = 1.0e-9  # of sums, relative
 _MAX_CUTS = 120
-_UNIT_SUM = 1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
+_UNIT_SUM = (
+    1.0e5  # the solver's objective: its tolerance of 1e-6 is then 1e-11 of the sum
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,7 +48,9 @@ class Knapsack:
 
     group: IntArray  # (n,): ascending, 0, 1, 2
     profit: FloatArray  # (n,): of each option
-    rows: FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
+    rows: (
+        FloatArray  # (m, n): what an option takes of each limit; negative: what it adds
+    )
     limits: FloatArray  # (m,): what all chosen options may take together
 
     @property
@@ -62,8 +68,8 @@ class Knapsack:
 class Choice:
     """Options that were chosen."""
 
-    # (n_groups,): option of each group; None: nothing was found within the time, or `bound` is
-    # minus infinity and nothing keeps the limits
+    # (n_groups,): option of each group; None: nothing was found within the time, or
+    # `bound` is minus infinity and nothing keeps the limits
     chosen: IntArray | None
     # objective, bound: sum of profits, and what no choice exceeds
     objective: float
@@ -89,9 +95,16 @@ def solve_knapsack(
         return _choice(problem, chosen, bound)
     prices = best_prices(problem, end_s=now_s() + 0.5 * time_limit_s)
     best, relaxed, short = _shortfalls(problem, prices)
-    incumbent = best if problem.is_within(best) else None
-    objective = -np.inf if incumbent is None else float(problem.profit[incumbent].sum())
-    bound, size = relaxed, core_options
+    if problem.is_within(best):
+        incumbent = best
+    else:
+        incumbent = None
+    if incumbent is None:
+        objective = -np.inf
+    else:
+        objective = float(problem.profit[incumbent].sum())
+    bound = relaxed
+    size = core_options
     while True:
         is_core, least_outside = _core(short, best, size)
         left_s = end_s - now_s()
@@ -99,8 +112,10 @@ def solve_knapsack(
             break
         found, core_bound = _solve_core(problem, is_core, gap=gap, end_s=end_s)
         if found is not None and problem.profit[found].sum() > objective:
-            incumbent, objective = found, float(problem.profit[found].sum())
-        # A choice is in the core, or has an option outside, which falls short by as much.
+            incumbent = found
+            objective = float(problem.profit[found].sum())
+        # A choice is in the core, or has an option outside, which falls short by as
+        # much.
         bound = min(bound, max(core_bound, relaxed - least_outside))
         size = int((short <= relaxed - objective + _tiny(relaxed)).sum())
         is_done = is_core.all() or least_outside > relaxed - objective
@@ -111,14 +126,19 @@ def solve_knapsack(
 
 
 def _choice(problem: Knapsack, chosen: IntArray | None, bound: float) -> Choice:
-    objective = -np.inf if chosen is None else float(problem.profit[chosen].sum())
+    if chosen is None:
+        objective = -np.inf
+    else:
+        objective = float(problem.profit[chosen].sum())
     if chosen is not None and bound <= objective + _tiny(objective):
         bound = objective
     return Choice(chosen=chosen, objective=objective, bound=bound)
 
 
 def _tiny(amount: float) -> float:
-    return _ROUNDING * max(1.0, abs(amount)) if np.isfinite(amount) else 0.0
+    if np.isfinite(amount):
+        return _ROUNDING * max(1.0, abs(amount))
+    return 0.0
 
 
 # ---------- prices on the limits
@@ -131,7 +151,9 @@ def priced_choice(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, floa
     return best, float(most.sum() + prices @ problem.limits)
 
 
-def _shortfalls(problem: Knapsack, prices: FloatArray) -> tuple[IntArray, float, FloatArray]:
+def _shortfalls(
+    problem: Knapsack, prices: FloatArray
+) -> tuple[IntArray, float, FloatArray]:
     """As :func:`priced_choice`, and by how much each option falls short of its group's best."""
     best, bound = priced_choice(problem, prices)
     worth = problem.profit - prices @ problem.rows
@@ -145,14 +167,21 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
     """
     from scipy.optimize import linprog
 
-    scale = np.abs(problem.profit).sum() / np.maximum(np.abs(problem.rows).sum(axis=1), 1.0e-300)
-    n_rows, most = len(problem.limits), 10.0
-    cuts, heights = [], []
-    prices, lowest, best = np.zeros(n_rows), np.inf, np.zeros(n_rows)
+    scale = np.abs(problem.profit).sum() / np.maximum(
+        np.abs(problem.rows).sum(axis=1), 1.0e-300
+    )
+    n_rows = len(problem.limits)
+    most = 10.0
+    cuts = []
+    heights = []
+    prices = np.zeros(n_rows)
+    lowest = np.inf
+    best = np.zeros(n_rows)
     for _ in range(_MAX_CUTS):
         chosen, bound = priced_choice(problem, prices * scale)
         if bound < lowest:
-            lowest, best = bound, prices
+            lowest = bound
+            best = prices
         # bound(p) >= bound + slope . (p - prices)
         slope = (problem.limits - problem.rows[:, chosen].sum(axis=1)) * scale
         cuts.append(np.append(slope, -1.0))
@@ -177,8 +206,8 @@ def best_prices(problem: Knapsack, *, end_s: float = np.inf) -> FloatArray:
 def _core(short: FloatArray, best: IntArray, size: int) -> tuple[BoolArray, float]:
     """Options that fall short by least, and by how much the first one outside does.
 
-    The best option of each group whose others are in the core is there, too; groups without others
-    are settled.
+    The best option of each group whose others are in the core is there, too; groups
+    without others are settled.
     """
     others = np.ones(len(short), dtype=bool)
     others[best] = False
@@ -204,41 +233,54 @@ def _solve_core(
     group = problem.group[rows]
     count = np.bincount(group, minlength=int(problem.group[-1]) + 1)
     is_open = count[group] > 1
-    settled, free = rows[~is_open], rows[is_open]
+    settled = rows[~is_open]
+    free = rows[is_open]
     fixed = float(problem.profit[settled].sum())
     limits = problem.limits - problem.rows[:, settled].sum(axis=1)
     if not len(free):
         is_within = problem.is_within(settled)
-        return (settled, fixed) if is_within else (None, -np.inf)
+        if is_within:
+            return (settled, fixed)
+        return (None, -np.inf)
     groups, position = np.unique(problem.group[free], return_inverse=True)
     one_of_each = sp.csr_array(
-        (np.ones(len(free)), (position, np.arange(len(free)))), shape=(len(groups), len(free))
+        (np.ones(len(free)), (position, np.arange(len(free)))),
+        shape=(len(groups), len(free)),
     )
     profit = problem.profit[free]
     unit = max(float(np.abs(profit).sum()), 1.0e-300) / _UNIT_SUM
-    total = max(abs(fixed + float(np.maximum.reduceat(profit, _first(position)).sum())), 1.0e-300)
+    total = max(
+        abs(fixed + float(np.maximum.reduceat(profit, _first(position)).sum())),
+        1.0e-300,
+    )
     room = limits.copy()
     for _ in range(3):
         x = cp.Variable(len(free), boolean=True)
         constraints = [one_of_each @ x == 1.0]
         if len(room):
             size = np.maximum(np.abs(problem.rows[:, free]).max(axis=1), 1.0e-300)
-            constraints.append((problem.rows[:, free] / size[:, None]) @ x <= room / size)
+            constraints.append(
+                (problem.rows[:, free] / size[:, None]) @ x <= room / size
+            )
         stated = cp.Problem(cp.Maximize((profit / unit) @ x), constraints)
         # The solver's gap is relative to the part that is open, ours to the whole.
         part = max(abs(total - fixed), 1.0e-9 * total)
         answer = run_solver(
-            stated, time_limit_s=max(end_s - now_s(), 0.1), gap=min(gap * total / part, 1.0)
+            stated,
+            time_limit_s=max(end_s - now_s(), 0.1),
+            gap=min(gap * total / part, 1.0),
         )
         bound = fixed + answer.bound * unit
         if not answer.is_found:
             return None, bound
-        # Of each group the option that is nearest to 1: the solver's ones are nearly so.
+        # Of each group the option that is nearest to 1: the solver's ones are nearly
+        # so.
         best = np.lexsort((-x.value, position))[_first(position)]
         chosen = np.sort(np.concatenate([settled, free[best]]))
         if problem.is_within(chosen):
             return chosen, max(bound, float(problem.profit[chosen].sum()))
-        # Within the solver's tolerance, but not within ours: leave as much room as it took.
+        # Within the solver's tolerance, but not within ours: leave as much room as it
+        # took.
         over = problem.rows[:, chosen].sum(axis=1) - problem.limits
         room -= np.maximum(over, 0.0)
     return None, bound
@@ -249,7 +291,9 @@ def _first(position: IntArray) -> IntArray:
 
 
 # ---------- the choice
-_HELD = 1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
+_HELD = (
+    1.0e5  # scale of rows that hold an earlier stage: the solver's tolerance is 1e-6
+)
 _STAGES_SHARE = 0.5  # of the time, for the first stage and its bound
 
 
@@ -278,11 +322,11 @@ class CityChoice:
     """Option that each junction gets."""
 
     rows: IntArray  # (n_junctions,): row of the options, for each junction
-    # a stage for each objective. The bound of the first holds for all layouts of all junctions,
-    # those of the others for the points of the fronts
+    # a stage for each objective. The bound of the first holds for all layouts of all
+    # junctions, those of the others for the points of the fronts
     certificate: Certificate
-    # what no choice among the points exceeds in the first stage: what is between this and the first
-    # stage's bound is what the fronts leave open
+    # what no choice among the points exceeds in the first stage: what is between this
+    # and the first stage's bound is what the fronts leave open
     bound_of_points: float
 
 
@@ -298,10 +342,11 @@ def choose(
 ) -> CityChoice:
     """The best choice of one option for each junction, with its certificate.
 
-    `options` are the points of the fronts, `weight` (n_junctions,) that of each junction's
-    accidents, `bounds` those of :func:`placement.city.fronts.stack_bounds`, by default the points.
-    A stage counts as settled at a relative `gap`; `time_limit_s` is for all stages. Raises
-    InputError where a least APR cannot be reached, or not within the budgets.
+    `options` are the points of the fronts, `weight` (n_junctions,) that of each
+    junction's accidents, `bounds` those of :func:`placement.city.fronts.stack_bounds`,
+    by default the points. A stage counts as settled at a relative `gap`; `time_limit_s`
+    is for all stages. Raises InputError where a least APR cannot be reached, or not
+    within the budgets.
     """
     end_s = now_s() + time_limit_s
     share = weight / weight.sum()
@@ -345,19 +390,26 @@ def choose(
     )
 
 
-def city_values(options: Options, rows: IntArray, weight: FloatArray) -> dict[Objective, float]:
+def city_values(
+    options: Options, rows: IntArray, weight: FloatArray
+) -> dict[Objective, float]:
     """Worth of a choice, objective by objective; 0 where nothing is prevented."""
-    taken, share = options.taken(rows), weight / weight.sum()
+    taken = options.taken(rows)
+    share = weight / weight.sum()
     prevented = share * taken.apr
     counts = taken.apr > TOLERANCE
     total = float(prevented.sum())
     return {
         Objective.APR: total,
         Objective.APR_ONE_FAILED: float(share @ taken.apr_one_failed),
-        Objective.SMALLEST_MARGIN: float(taken.smallest_margin_s[counts].min(initial=np.inf))
-        if counts.any()
-        else 0.0,
-        Objective.MEAN_MARGIN: float(prevented @ taken.mean_margin_s) / total if total else 0.0,
+        Objective.SMALLEST_MARGIN: (
+            float(taken.smallest_margin_s[counts].min(initial=np.inf))
+            if counts.any()
+            else 0.0
+        ),
+        Objective.MEAN_MARGIN: (
+            float(prevented @ taken.mean_margin_s) / total if total else 0.0
+        ),
         Objective.COST: float(taken.cost_eur.sum()),
     }
 
@@ -419,21 +471,32 @@ class _Later:
     def solve(self, apr: float) -> list[Stage]:
         by_weight = self.share[self.options.junction]
         self.held.append((by_weight * self.options.apr, apr))
-        one_failed = self._most(Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed)
+        one_failed = self._most(
+            Objective.APR_ONE_FAILED, by_weight * self.options.apr_one_failed
+        )
         smallest = self._smallest_margin()
-        # At a given APR, the sum of prevented accidents by their time to spare says the same.
-        prevented = self.share[self.options.junction] * self.options.apr  # fewer than before
-        mean = self._most(Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr)
+        # At a given APR, the sum of prevented accidents by their time to spare says the
+        # same.
+        prevented = (
+            self.share[self.options.junction] * self.options.apr
+        )  # fewer than before
+        mean = self._most(
+            Objective.MEAN_MARGIN, prevented * self.options.mean_margin_s, unit=apr
+        )
         cost = self._most(Objective.COST, -self.options.cost_eur, unit=-1.0)
         return [one_failed, smallest, mean, cost]
 
-    def _knapsack(self, profit: FloatArray, rows: IntArray | slice = slice(None)) -> Knapsack:
+    def _knapsack(
+        self, profit: FloatArray, rows: IntArray | slice = slice(None)
+    ) -> Knapsack:
         whole = _problem(self.options, self.share, self.wishes, profit=profit)
         least = [-_HELD * (value - TOLERANCE) for _, value in self.held]
         return Knapsack(
             group=whole.group[rows],
             profit=profit[rows],
-            rows=np.vstack([whole.rows, *(-_HELD * row for row, _ in self.held)])[:, rows],
+            rows=np.vstack([whole.rows, *(-_HELD * row for row, _ in self.held)])[
+                :, rows
+            ],
             limits=np.append(whole.limits, least),
         )
 
@@ -441,7 +504,9 @@ class _Later:
         time_limit_s = max(0.5 * (self.end_s - now_s()), 1.0)
         return solve_knapsack(problem, gap=gap, time_limit_s=time_limit_s)
 
-    def _most(self, objective: Objective, profit: FloatArray, *, unit: float = 1.0) -> Stage:
+    def _most(
+        self, objective: Objective, profit: FloatArray, *, unit: float = 1.0
+    ) -> Stage:
         began_s = now_s()
         found = self._solve(self._knapsack(profit), self.gap)
         if found.chosen is not None and found.objective > profit[self.chosen].sum():
@@ -451,12 +516,15 @@ class _Later:
             self.held.append((profit, value))
         if unit == 0.0:  # nothing is prevented: there is no time to spare
             return build_stage(objective, 0.0, 0.0, now_s() - began_s)
-        return build_stage(objective, value / unit, found.bound / unit, now_s() - began_s)
+        return build_stage(
+            objective, value / unit, found.bound / unit, now_s() - began_s
+        )
 
     def _smallest_margin(self) -> Stage:
         """The largest smallest margin: options with less are left out, as many as can be."""
         began_s = now_s()
-        margin_s, counts = self.options.smallest_margin_s, self.options.apr > TOLERANCE
+        margin_s = self.options.smallest_margin_s
+        counts = self.options.apr > TOLERANCE
 
         def reached() -> float:
             values = city_values(self.options, self.chosen, self.share)
@@ -465,8 +533,12 @@ class _Later:
         value = reached()
         levels = np.unique(margin_s[counts & (margin_s > value + TOLERANCE)])
         profit = np.zeros(len(self.options))
-        low, high = 0, len(levels)  # levels below low can be kept, those from high on cannot
-        bound = float(levels[-1]) if len(levels) else value
+        low = 0
+        high = len(levels)  # levels below low can be kept, those from high on cannot
+        if len(levels):
+            bound = float(levels[-1])
+        else:
+            bound = value
         while low < high and now_s() < self.end_s:
             middle = (low + high) // 2
             rows = np.flatnonzero(~counts | (margin_s >= levels[middle] - TOLERANCE))
@@ -478,7 +550,10 @@ class _Later:
                     break  # the time was up
             if found is None:
                 high = middle
-                bound = float(levels[middle - 1]) if middle else value
+                if middle:
+                    bound = float(levels[middle - 1])
+                else:
+                    bound = value
             else:
                 self.chosen = rows[found]
                 low = middle + 1
@@ -501,17 +576,23 @@ def _check_reach(
         short = np.flatnonzero(most < wishes.least_apr - TOLERANCE)
         if len(short):
             first = int(short[0])
-            name = names[first] if names else str(first)
+            if names:
+                name = names[first]
+            else:
+                name = str(first)
             raise InputError(
                 "areas: min_apr",
                 float(wishes.least_apr[first]),
-                f"at most {_floor(most[first])}, what the best layout found reaches at {name}",
+                f"at most {_floor(most[first])}, what the best layout found reaches at"
+                f" {name}",
             )
     for district in wishes.districts:
         part, is_in = _part(district, share)
         reach = float((part * is_in) @ most)
         if reach < district.least_apr - TOLERANCE:
-            expected = f"at most {_floor(reach)}, what can be reached in {district.name}"
+            expected = (
+                f"at most {_floor(reach)}, what can be reached in {district.name}"
+            )
             raise InputError("min_district_apr", district.least_apr, expected)
 
 
@@ -520,16 +601,33 @@ def _unmet(options: Options, share: FloatArray, wishes: CityWishes) -> InputErro
     in_money = wishes.budget_eur is not None
     free = replace(wishes, budget_eur=None, budget_units=None)
     left = options.taken(np.flatnonzero(_may_be(options, free)))
-    taken = left.cost_eur if in_money else left.units.astype(np.float64)
+    if in_money:
+        taken = left.cost_eur
+    else:
+        taken = left.units.astype(np.float64)
     found = solve_knapsack(_problem(left, share, free, profit=-taken))
-    option = "budget_eur" if in_money else "budget_units"
-    got = wishes.budget_eur if in_money else wishes.budget_units
+    if in_money:
+        option = "budget_eur"
+    else:
+        option = "budget_units"
+    if in_money:
+        got = wishes.budget_eur
+    else:
+        got = wishes.budget_units
     if found.chosen is None:
         return InputError(option, got, "least APRs that can be met together")
     least = -found.objective
-    amount = f"{least:,.0f} EUR" if in_money else f"{least:.0f} units"
-    also = " and more units" if in_money and wishes.budget_units is not None else ""
-    return InputError(option, got, f"at least {amount}{also}, to reach the APRs asked for")
+    if in_money:
+        amount = f"{least:,.0f} EUR"
+    else:
+        amount = f"{least:.0f} units"
+    if in_money and wishes.budget_units is not None:
+        also = " and more units"
+    else:
+        also = ""
+    return InputError(
+        option, got, f"at least {amount}{also}, to reach the APRs asked for"
+    )
 
 
 def _floor(share: float) -> str:
@@ -550,25 +648,36 @@ class Step:
 def city_front(options: Options, weight: FloatArray, *, by_cost: bool) -> list[Step]:
     """The city's front by money or units: who joins, or gets more, at each step.
 
-    The first option of each junction takes nothing. Each step's choice is the best of all for what
-    it takes, as every choice that is best at some price (H. Everett, "Generalized Lagrange
-    multiplier method", 1963); between two steps there are others, which the knapsack finds.
+    The first option of each junction takes nothing. Each step's choice is the best of
+    all for what it takes, as every choice that is best at some price (H. Everett,
+    "Generalized Lagrange multiplier method", 1963); between two steps there are others,
+    which the knapsack finds.
     """
     share = weight / weight.sum()
-    taken = options.cost_eur if by_cost else options.units.astype(np.float64)
-    starts = [*np.flatnonzero(np.diff(options.junction, prepend=-1)).tolist(), len(options)]
+    if by_cost:
+        taken = options.cost_eur
+    else:
+        taken = options.units.astype(np.float64)
+    starts = [
+        *np.flatnonzero(np.diff(options.junction, prepend=-1)).tolist(),
+        len(options),
+    ]
     rises: list[tuple[float, int, int, int]] = []
     for junction, (begin, end) in enumerate(pairwise(starts)):
         at = begin
         while True:
             more = np.arange(begin, end)
-            more = more[(taken[more] > taken[at]) & (options.apr[more] > options.apr[at])]
+            more = more[
+                (taken[more] > taken[at]) & (options.apr[more] > options.apr[at])
+            ]
             if not len(more):
                 break
             slope = (options.apr[more] - options.apr[at]) / (taken[more] - taken[at])
             steepest = np.flatnonzero(slope >= slope.max() * (1.0 - 1.0e-12))
             best = int(more[steepest[np.argmax(taken[more[steepest]])]])
-            rises.append((-float(slope.max()) * float(share[junction]), junction, at, best))
+            rises.append(
+                (-float(slope.max()) * float(share[junction]), junction, at, best)
+            )
             at = best
     steps = []
     base = starts[:-1]
@@ -591,7 +700,8 @@ class Phases:
     """When the junctions are ready."""
 
     year: IntArray  # (n,): from 1; 0 where nothing is mounted
-    # Sum over junctions of gain times the years, up to the last one, in which it is there
+    # Sum over junctions of gain times the years, up to the last one, in which it is
+    # there
     gain_years: float
     bound: float  # What no other order exceeds
 
@@ -601,16 +711,20 @@ def plan_phases(
 ) -> Phases:
     """Spread units over years, at most so many a year: the most gain times years that it is there.
 
-    A junction counts from the year in which its last unit is mounted. Solved as a mixed-integer
-    model, or for thousands of junctions by the largest gain per unit first (Smith, 1956), with the
-    bound where units may be divided. `units` and `gain`, (n,), are those of each junction. Raises
-    InputError if the years, by default as many as it takes, do not suffice.
+    A junction counts from the year in which its last unit is mounted. Solved as a
+    mixed-integer model, or for thousands of junctions by the largest gain per unit
+    first (Smith, 1956), with the bound where units may be divided. `units` and `gain`,
+    (n,), are those of each junction. Raises InputError if the years, by default as many
+    as it takes, do not suffice.
     """
     total = int(units.sum())
     needed = -(-total // units_per_year)
     n_years = max(needed if years is None else years, 1)
     if needed > n_years:
-        expected = f"at least {needed}, for {total} units, at most {units_per_year} of them a year"
+        expected = (
+            f"at least {needed}, for {total} units, at most {units_per_year} of them a"
+            " year"
+        )
         raise InputError("years", years, expected)
     rows = np.flatnonzero(units > 0)
     year = np.zeros(len(units), dtype=np.int64)
@@ -628,7 +742,9 @@ def plan_phases(
 
 
 def _gain_years(year: IntArray, gain: FloatArray, n_years: int) -> float:
-    return float(gain @ (n_years + 1 - year)) if len(gain) else 0.0
+    if len(gain):
+        return float(gain @ (n_years + 1 - year))
+    return 0.0
 
 
 def _in_order(

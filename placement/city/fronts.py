@@ -66,12 +66,17 @@ class JunctionFront:
     """Layouts that a junction may get, and bounds that no layout there exceeds."""
 
     points: tuple[Point, ...]  # the first takes nothing
-    by_units: Steps  # from so many new units on, up to the next step, no layout has a higher APR
-    by_cost: Steps  # from so many euros on, up to the next step, no layout has a higher APR
+    # from so many new units on, up to the next step, no layout has a higher APR
+    by_units: Steps
+    by_cost: (
+        Steps  # from so many euros on, up to the next step, no layout has a higher APR
+    )
 
     def __post_init__(self) -> None:
         if not self.points or self.points[0].units or self.points[0].cost_eur:
-            raise InputError("front", Unquoted("no point without units"), "it as the first")
+            raise InputError(
+                "front", Unquoted("no point without units"), "it as the first"
+            )
         for name in ("by_units", "by_cost"):
             steps = getattr(self, name)
             if not steps or steps[0][0] != 0:
@@ -88,20 +93,23 @@ def build_junction_front(
 ) -> JunctionFront:
     """A front of the points that no other one beats, with steps that rise.
 
-    A point without new units is among them; `by_units` and `by_cost` are steps (from, APR) from 0
-    on, ascending, in any order of APR.
+    A point without new units is among them; `by_units` and `by_cost` are steps (from,
+    APR) from 0 on, ascending, in any order of APR.
     """
     found = sorted(points, key=lambda point: (point.units, point.cost_eur, -point.apr))
     kept = [
         point
         for index, point in enumerate(found)
         if not any(
-            point.is_beaten_by(other) and (not other.is_beaten_by(point) or before < index)
+            point.is_beaten_by(other)
+            and (not other.is_beaten_by(point) or before < index)
             for before, other in enumerate(found)
             if before != index
         )
     ]
-    return JunctionFront(points=tuple(kept), by_units=lowered(by_units), by_cost=lowered(by_cost))
+    return JunctionFront(
+        points=tuple(kept), by_units=lowered(by_units), by_cost=lowered(by_cost)
+    )
 
 
 def value_at(steps: Sequence[tuple[float, float]], place: float) -> float:
@@ -112,7 +120,9 @@ def value_at(steps: Sequence[tuple[float, float]], place: float) -> float:
 def lowest(steps: Sequence[Steps]) -> Steps:
     """Bounds of which each is the least of several that hold."""
     starts = sorted({start for each in steps for start, _ in each})
-    return tuple((start, min(value_at(each, start) for each in steps)) for start in starts)
+    return tuple(
+        (start, min(value_at(each, start) for each in steps)) for start in starts
+    )
 
 
 def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
@@ -130,11 +140,13 @@ def lowered(steps: Sequence[tuple[float, float]]) -> Steps:
 class Options:
     """Options of many junctions, one per row."""
 
-    junction: IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
+    junction: (
+        IntArray  # (n,): ascending, 0, 1, 2 ..; each junction has an option at least
+    )
     units: IntArray  # (n,): new units
     cost_eur: FloatArray  # (n,): of these. [EUR]
-    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is worth, see
-    # :class:`Point`
+    # apr, apr_one_failed, smallest_margin_s, mean_margin_s: (n,): what the option is
+    # worth, see :class:`Point`
     apr: FloatArray
     apr_one_failed: FloatArray
     smallest_margin_s: FloatArray
@@ -146,7 +158,9 @@ class Options:
     @property
     def n_junctions(self) -> int:
         """Number of junctions."""
-        return int(self.junction[-1]) + 1 if len(self.junction) else 0
+        if len(self.junction):
+            return int(self.junction[-1]) + 1
+        return 0
 
     def taken(self, rows: IntArray) -> "Options":
         """Some of the options, by rows in ascending order; each junction keeps one at least."""
@@ -160,9 +174,14 @@ def stack_fronts(fronts: Sequence[JunctionFront]) -> Options:
     """The points of many fronts as options."""
     points = [point for front in fronts for point in front.points]
     return Options(
-        junction=np.repeat(np.arange(len(fronts)), [len(front.points) for front in fronts]),
+        junction=np.repeat(
+            np.arange(len(fronts)), [len(front.points) for front in fronts]
+        ),
         units=np.array([point.units for point in points]),
-        **{name: np.array([getattr(point, name) for point in points]) for name in _VALUES},
+        **{
+            name: np.array([getattr(point, name) for point in points])
+            for name in _VALUES
+        },
     )
 
 
@@ -171,19 +190,27 @@ def stack_bounds(
 ) -> Options:
     """Upper bounds of layouts other than the points, as options whose other values are 0.
 
-    Each layout of a junction takes at least as much as one of them and has no higher APR. With
-    units and cost counted, an option stands for a step of both.
+    Each layout of a junction takes at least as much as one of them and has no higher
+    APR. With units and cost counted, an option stands for a step of both.
     """
     rows = []
     for index, front in enumerate(fronts):
-        by_units = front.by_units if counts_units else ((0, front.by_units[-1][1]),)
-        by_cost = front.by_cost if counts_cost else ((0.0, front.by_cost[-1][1]),)
+        if counts_units:
+            by_units = front.by_units
+        else:
+            by_units = ((0, front.by_units[-1][1]),)
+        if counts_cost:
+            by_cost = front.by_cost
+        else:
+            by_cost = ((0.0, front.by_cost[-1][1]),)
         for row, (n_units, most) in enumerate(by_units):
             for column, (eur, bound) in enumerate(by_cost):
                 value = min(most, bound)
                 # Fewer units, or less money, may bound it as well.
                 is_bound = row and min(by_units[row - 1][1], bound) == value
-                if not is_bound and not (column and min(most, by_cost[column - 1][1]) == value):
+                if not is_bound and not (
+                    column and min(most, by_cost[column - 1][1]) == value
+                ):
                     rows.append((index, n_units, eur, value))
     junction, units, cost_eur, apr = np.array(rows).T
     unknown = np.zeros(len(rows))
@@ -207,15 +234,18 @@ _MAX_TIERS = 3
 class SiteFront:
     """Layouts and bounds of so many sites with more units than one."""
 
-    # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are not
-    # bounded
+    # APR that no layout exceeds whose new units are at 0, 1, 2 .. sites; more sites are
+    # not bounded
     limits: tuple[float, ...]
-    # good ones with fewer sites than new units: rows of the detection table, with the existing ones
+    # good ones with fewer sites than new units: rows of the detection table, with the
+    # existing ones
     layouts: tuple[tuple[int, ...], ...]
 
     def limit(self, n_sites: int) -> float:
         """Upper bound of the APR of layouts at so many sites."""
-        return self.limits[n_sites] if n_sites < len(self.limits) else 1.0
+        if n_sites < len(self.limits):
+            return self.limits[n_sites]
+        return 1.0
 
 
 def rooms_of(limits: Limits) -> IntArray:
@@ -224,25 +254,33 @@ def rooms_of(limits: Limits) -> IntArray:
     n_existing = np.bincount(sites[limits.is_forced], minlength=limits.n_sites)
     is_free = ~limits.is_forced & ~limits.is_forbidden
     room: IntArray = np.minimum(
-        limits.site_capacity - n_existing, np.bincount(sites[is_free], minlength=limits.n_sites)
+        limits.site_capacity - n_existing,
+        np.bincount(sites[is_free], minlength=limits.n_sites),
     )
     return room
 
 
 def front_by_sites(
-    problem: PlacementProblem, *, base_apr: float, max_units: int, effort: Callable[[], Effort]
+    problem: PlacementProblem,
+    *,
+    base_apr: float,
+    max_units: int,
+    effort: Callable[[], Effort],
 ) -> SiteFront:
     """Layouts of more new units than sites, and what bounds them, for up to `max_units` new units.
 
-    The problem has no floors, and its prices do not count. `base_apr` is that of the existing
-    units; `effort` says what the next step may take. No bounds where each unit confirms alone.
+    The problem has no floors, and its prices do not count. `base_apr` is that of the
+    existing units; `effort` says what the next step may take. No bounds where each unit
+    confirms alone.
     """
     limits = problem.limits
     room = rooms_of(limits)
     if room.max(initial=0) < 2:
         return SiteFront(limits=(base_apr,), layouts=())
     # A site counts 1, in place of money.
-    has_existing = np.bincount(limits.site_index[limits.is_forced], minlength=limits.n_sites) > 0
+    has_existing = (
+        np.bincount(limits.site_index[limits.is_forced], minlength=limits.n_sites) > 0
+    )
     counted = replace(
         problem,
         limits=replace(
@@ -254,7 +292,9 @@ def front_by_sites(
     )
     reduced = presolve(counted)
     is_free = ~reduced.limits.is_forced & (room[reduced.limits.site_index] > 0)
-    if not is_free.any():  # what remains is mounted already, or where there is no more room
+    if (
+        not is_free.any()
+    ):  # what remains is mounted already, or where there is no more room
         return SiteFront(limits=(base_apr,), layouts=())
     most = int(room.max())
     bounds, full, are_best = _front_of_full_sites(
@@ -264,9 +304,13 @@ def front_by_sites(
     n_existing = int(limits.is_forced.sum())
     widest = np.sort(room)[::-1]
     for n_sites in range(1, min(max_units, int((room > 0).sum()) + 1)):
-        for n_units in range(n_sites + 1, min(max_units, int(widest[:n_sites].sum())) + 1):
+        for n_units in range(
+            n_sites + 1, min(max_units, int(widest[:n_sites].sum())) + 1
+        ):
             within = replace(
-                counted.limits, budget_units=n_units + n_existing, budget_eur=float(n_sites)
+                counted.limits,
+                budget_units=n_units + n_existing,
+                budget_eur=float(n_sites),
             )
             at = replace(reduced, limits=within.of_poses(reduced.pose_index))
             parts = _parts_of(full.get(n_sites, ()), limits, n_units + n_existing)
@@ -286,15 +330,20 @@ def price_tiers_eur(limits: Limits) -> list[tuple[float, float]]:
     """Lowest and highest price of the sites in each tier, cheap ones first; three tiers at most."""
     prices = np.unique(limits.site_cost_eur[rooms_of(limits) > 0]).tolist()
     own = [(price, price) for price in prices[:_MAX_TIERS]]
-    return own if len(prices) <= _MAX_TIERS else [*own[:-1], (prices[_MAX_TIERS - 1], prices[-1])]
+    if len(prices) <= _MAX_TIERS:
+        return own
+    return [*own[:-1], (prices[_MAX_TIERS - 1], prices[-1])]
 
 
-def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]) -> Steps:
+def bounds_by_money(
+    limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFront]]
+) -> Steps:
     """Upper bound of the APR by money: by the units and sites that it buys at most.
 
-    So many new units at so many sites, the dearest of some tier, cost at least what the cheapest
-    ones and one site of that tier do, and do no more than sites up to that tier can. Of each tier,
-    all sites first: the lowest price of its sites, and bounds by new units and by their sites.
+    So many new units at so many sites, the dearest of some tier, cost at least what the
+    cheapest ones and one site of that tier do, and do no more than sites up to that
+    tier can. Of each tier, all sites first: the lowest price of its sites, and bounds
+    by new units and by their sites.
     """
     free = ~limits.is_forbidden & ~limits.is_forced
     room = rooms_of(limits)
@@ -307,7 +356,9 @@ def bounds_by_money(limits: Limits, tiers: Sequence[tuple[float, Steps, SiteFron
     for own_eur, by_units, by_sites in tiers:
         for n_sites, most in enumerate(carried, start=1):
             for n_units in range(n_sites, min(max_units, int(most)) + 1):
-                eur = round(float(own_eur + cheapest[n_sites - 1] + units[n_units - 1]), 6)
+                eur = round(
+                    float(own_eur + cheapest[n_sites - 1] + units[n_units - 1]), 6
+                )
                 bound = min(value_at(by_units, n_units), by_sites.limit(n_sites))
                 least[eur] = max(least.get(eur, 0.0), bound)
     costs = sorted(least)
@@ -325,11 +376,15 @@ def _front_of_full_sites(
 ) -> tuple[list[float], dict[int, tuple[int, ...]], bool]:
     """Bounds for 1, 2 .. full sites, the layout of each number, and whether those are the best.
 
-    They are where poses are columns one by one; of a class the pose that adds most is taken.
+    They are where poses are columns one by one; of a class the pose that adds most is
+    taken.
     """
-    limits, table = problem.limits, problem.table
+    limits = problem.limits
+    table = problem.table
     free = reduced.pose_index[~limits.is_forced[reduced.pose_index]]
-    at_site = [free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)]
+    at_site = [
+        free[limits.site_index[free] == site].tolist() for site in range(limits.n_sites)
+    ]
     sizes = [min(len(here), int(room[site])) for site, here in enumerate(at_site)]
     if problem.fusion != "any" or not len(free):
         return [], {}, False
@@ -358,7 +413,8 @@ def _front_of_full_sites(
         ),
     )
     max_sites = min(max_sites, len({site for site, _ in sets}))
-    bounds, layouts = [], {}
+    bounds = []
+    layouts = {}
     for point in pareto_front(of_sets, max_units=max_sites, effort=effort()).points:
         bounds.append(point.apr_bound)
         chosen_classes = chain.from_iterable(sets[row][1] for row in point.pose_index)
@@ -366,7 +422,9 @@ def _front_of_full_sites(
     return bounds, layouts, all(len(each) == 1 for here in classes for each in here)
 
 
-def _one_of_each(reduced: ReducedProblem, classes: list[tuple[int, ...]]) -> tuple[int, ...]:
+def _one_of_each(
+    reduced: ReducedProblem, classes: list[tuple[int, ...]]
+) -> tuple[int, ...]:
     """Existing units, and of each class the pose that adds most to those before it."""
     units = forced_units(reduced)
     for poses in classes:
@@ -382,14 +440,19 @@ def _classes_of(
 
     A class sees what any of its poses does: bounds hold, but are higher.
     """
-    n_sets = sum(comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size)
+    n_sets = sum(
+        comb(len(here), size) for here, size in zip(at_site, sizes, strict=True) if size
+    )
     if n_sets <= _MAX_SETS:
         return [[(pose,) for pose in here] for here in at_site]
     from scipy.cluster.hierarchy import fcluster, linkage
 
     most = max(sizes)
     n_sites = sum(size > 0 for size in sizes)
-    while most < max(map(len, at_site)) and n_sites * comb(most + 1, max(sizes)) <= _MAX_SETS:
+    while (
+        most < max(map(len, at_site))
+        and n_sites * comb(most + 1, max(sizes)) <= _MAX_SETS
+    ):
         most += 1
     classes: list[list[tuple[int, ...]]] = []
     for here in at_site:
@@ -399,11 +462,15 @@ def _classes_of(
         seen = table.detected(here).astype(np.float32)
         number = fcluster(linkage(seen, "ward"), most, "maxclust")
         poses = np.array(here)
-        classes.append([tuple(poses[number == each].tolist()) for each in np.unique(number)])
+        classes.append(
+            [tuple(poses[number == each].tolist()) for each in np.unique(number)]
+        )
     return classes
 
 
-def _parts_of(layout: tuple[int, ...], limits: Limits, n_units: int) -> list[tuple[int, ...]]:
+def _parts_of(
+    layout: tuple[int, ...], limits: Limits, n_units: int
+) -> list[tuple[int, ...]]:
     """Layouts of so many units, among them all existing ones, out of a larger one."""
     existing = [pose for pose in layout if limits.is_forced[pose]]
     new = [pose for pose in layout if not limits.is_forced[pose]]
@@ -423,5 +490,6 @@ def _improved(
         sets = extend_greedily(reduced, units)[None, :]
         best.offer(sets, set_values(reduced, sets))
     assert best.units is not None
-    limit, deadline = Search(reduced).limit, deadline_in(effort.time_limit_s)
+    limit = Search(reduced).limit
+    deadline = deadline_in(effort.time_limit_s)
     return to_full(reduced, improve(reduced, best.units, limit, deadline=deadline))

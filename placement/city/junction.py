@@ -53,8 +53,8 @@ class JunctionWishes:
 
     grid: CandidateGrid  # poses at each site
     max_units: int  # most new units
-    # for all of it; of what is left after the detection table, the optimiser takes what the
-    # question allows it. [s]
+    # for all of it; of what is left after the detection table, the optimiser takes what
+    # the question allows it. [s]
     time_limit_s: float
     existing: Layout | None = None  # what is mounted there already
 
@@ -64,13 +64,17 @@ class SolvedJunction:
     """A junction's front with its layouts, and the sizes of its question."""
 
     front: JunctionFront  # points and bounds
-    layouts: tuple[Layout | None, ...]  # of each point, existing units too; None: nothing mounted
+    layouts: tuple[
+        Layout | None, ...
+    ]  # of each point, existing units too; None: nothing mounted
     sites: int
     poses: int
     runs: int
     possible_runs: int  # these, and those for which the junction has no room
     frames: int
-    seconds: dict[str, float]  # processor time of the thread that solved it, by stage. [s]
+    seconds: dict[
+        str, float
+    ]  # processor time of the thread that solved it, by stage. [s]
 
 
 def solve_junction(
@@ -78,8 +82,9 @@ def solve_junction(
 ) -> SolvedJunction:
     """Find the front of a junction; its first point takes nothing.
 
-    `question` says what is driven and what sites cost. Raises InputError if nothing can be driven
-    there or no site can carry a unit, TimeUpError if the time was up before there was a front.
+    `question` says what is driven and what sites cost. Raises InputError if nothing can
+    be driven there or no site can carry a unit, TimeUpError if the time was up before
+    there was a front.
     """
     watch = _Watch(wishes.time_limit_s, compute)
     compute = replace(compute, progress=watch)
@@ -96,7 +101,8 @@ def solve_junction(
         compute=compute,
     )
     watch.begin("detection table")
-    candidates, problem = assembly.candidates, assembly.problem
+    candidates = assembly.candidates
+    problem = assembly.problem
     end_s = now_s() + min(watch.left_s(), question.time_limit_s)
 
     def effort() -> Effort:
@@ -113,7 +119,9 @@ def solve_junction(
     coarse = {candidate.id for candidate in build_candidates(scene, rule, extra=extra)}
     first = np.flatnonzero([candidate.id in coarse for candidate in candidates])
     try:
-        front, chosen = find_front(problem, effort=effort, begin=watch.begin, first=first)
+        front, chosen = find_front(
+            problem, effort=effort, begin=watch.begin, first=first
+        )
     except UnmetError as error:
         raise InputError(error.where, error.got, error.expected) from None
     setting = assembly.setting
@@ -142,24 +150,34 @@ def find_front(
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """Front of what units and money buy, and the layout of each point; the first takes nothing.
 
-    The problem has a number of units, the existing ones among them, and no floors. `effort` says
-    what the next step may take, `begin` is called with each step. No point is worse than what the
-    poses `first`, (n,), the existing ones among them, can do. Layouts are rows of the table.
+    The problem has a number of units, the existing ones among them, and no floors.
+    `effort` says what the next step may take, `begin` is called with each step. No
+    point is worse than what the poses `first`, (n,), the existing ones among them, can
+    do. Layouts are rows of the table.
     """
     limits = problem.limits
     forced = tuple(np.flatnonzero(limits.is_forced).tolist())
     n_existing = len(forced)
-    base = placement_value(problem, forced)  # what the VUT avoids by itself, where there are none
+    base = placement_value(
+        problem, forced
+    )  # what the VUT avoids by itself, where there are none
 
-    def fronts_of(part: PlacementProblem, tell: Callable[[str], None]) -> tuple[Front, SiteFront]:
+    def fronts_of(
+        part: PlacementProblem, tell: Callable[[str], None]
+    ) -> tuple[Front, SiteFront]:
         assert limits.budget_units is not None
         tell("front by units")
         by_units = pareto_front(
-            part, max_units=limits.budget_units, min_units=max(n_existing, 1), effort=effort()
+            part,
+            max_units=limits.budget_units,
+            min_units=max(n_existing, 1),
+            effort=effort(),
         )
         tell("front by sites")
         most = limits.budget_units - n_existing
-        by_sites = front_by_sites(part, base_apr=base.apr, max_units=most, effort=effort)
+        by_sites = front_by_sites(
+            part, base_apr=base.apr, max_units=most, effort=effort
+        )
         return by_units, by_sites
 
     few: list[tuple[int, ...]] = []
@@ -169,7 +187,8 @@ def find_front(
         if (rooms_of(part.limits) > 0).any():
             _, found = find_front(part, effort=effort, begin=lambda _: None)
             few = [tuple(first[list(layout)].tolist()) for layout in found]
-    fronts, by_cost = [fronts_of(problem, begin)], None
+    fronts = [fronts_of(problem, begin)]
+    by_cost = None
     tiers = price_tiers_eur(limits)
     free = ~limits.is_forbidden & ~limits.is_forced
     site_eur = limits.site_cost_eur[limits.site_index]
@@ -188,14 +207,23 @@ def find_front(
                 raise
     lowest_eur = [least_eur for least_eur, _ in reversed(tiers)] or [0.0]
     return _merge(
-        problem, list(zip(lowest_eur, fronts, strict=True)), by_cost, few, base, n_existing
+        problem,
+        list(zip(lowest_eur, fronts, strict=True)),
+        by_cost,
+        few,
+        base,
+        n_existing,
     )
 
 
 def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int:
     """As many new units as are asked for, or as the sites have room for."""
     room = {
-        site.id: site.capacity_units if question.site_capacity is None else question.site_capacity
+        site.id: (
+            site.capacity_units
+            if question.site_capacity is None
+            else question.site_capacity
+        )
         for site in scene.sites
         if site.use != "forbidden"
     }
@@ -204,7 +232,9 @@ def _most_units(scene: Scene, question: Question, wishes: JunctionWishes) -> int
             room[unit.site_id] = max(room[unit.site_id] - 1, 0)
     most = min(wishes.max_units, sum(room.values()))
     if most < 1:
-        raise InputError(f"{scene.name}: sites", Unquoted("none with room"), "one that is free")
+        raise InputError(
+            f"{scene.name}: sites", Unquoted("none with room"), "one that is free"
+        )
     return most
 
 
@@ -219,21 +249,32 @@ def _merge(
 ) -> tuple[JunctionFront, list[tuple[int, ...]]]:
     """The points of all fronts that no other one beats, and the poses of each.
 
-    `tiers` are fronts with all sites, then with cheaper ones, and the least of their prices;
-    `others` are more layouts.
+    `tiers` are fronts with all sites, then with cheaper ones, and the least of their
+    prices; `others` are more layouts.
     """
     forced = tuple(np.flatnonzero(problem.limits.is_forced).tolist())
     poses = {point_of(base, units=0, cost_eur=0.0): forced}
     layouts = [(placement_value(problem, layout), layout) for layout in others]
-    layouts += [(found.value, found.pose_index) for found in by_cost.points] if by_cost else []
+    if by_cost:
+        layouts += [(found.value, found.pose_index) for found in by_cost.points]
+    else:
+        layouts += []
     for _, (by_units, by_sites) in tiers:
         layouts += [(found.value, found.pose_index) for found in by_units.points]
-        layouts += [(placement_value(problem, layout), layout) for layout in by_sites.layouts]
+        layouts += [
+            (placement_value(problem, layout), layout) for layout in by_sites.layouts
+        ]
     for value, layout in layouts:
         if n_new := len(layout) - n_existing:
-            poses.setdefault(point_of(value, units=n_new, cost_eur=value.cost_eur), layout)
+            poses.setdefault(
+                point_of(value, units=n_new, cost_eur=value.cost_eur), layout
+            )
     bounds = [
-        (eur, _bounds_by_units(by_units, base=base.apr, n_existing=n_existing), by_sites)
+        (
+            eur,
+            _bounds_by_units(by_units, base=base.apr, n_existing=n_existing),
+            by_sites,
+        )
         for eur, (by_units, by_sites) in tiers
     ]
     unit_steps = bounds[0][1]
@@ -259,8 +300,9 @@ def _bounds_by_units(front: Front, *, base: float, n_existing: int) -> Steps:
 def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> Steps:
     """Upper bound of the APR by money.
 
-    The first stage of a point says what is better than the point before it costs at least: better
-    by the step of the front, so that up to a step more is not ruled out for less money.
+    The first stage of a point says what is better than the point before it costs at
+    least: better by the step of the front, so that up to a step more is not ruled out
+    for less money.
     """
     steps: list[tuple[float, float]] = [(0.0, base)]
 
@@ -273,7 +315,10 @@ def _bounds_by_cost(front: Front, *, base: float, most: float, step: float) -> S
 
     points = front.points
     for index, point in enumerate(points):
-        beyond = most if index + 1 == len(points) else points[index + 1].apr_bound
+        if index + 1 == len(points):
+            beyond = most
+        else:
+            beyond = points[index + 1].apr_bound
         here = max(point.apr_bound, min(point.value.apr + step, beyond))
         add(point.certificate.stages[0].bound, here)
     if front.settled is None:
@@ -286,7 +331,8 @@ class _Watch:
     """Takes the time of each stage, and ends what takes too long."""
 
     def __init__(self, limit_s: float, compute: Compute) -> None:
-        self._end_s, self._limit_s = now_s() + limit_s, limit_s
+        self._end_s = now_s() + limit_s
+        self._limit_s = limit_s
         self._progress = compute.progress
         self._stage, self._began_s = "begin", time.process_time()
         self._seconds: dict[str, float] = {}
@@ -294,7 +340,9 @@ class _Watch:
     def __call__(self, stage: str, done: int, total: int, /) -> None:
         self._progress(stage, done, total)
         if self.left_s() < 0.0 and not self._stage.startswith("front"):
-            raise TimeUpError(f"{self._limit_s:g} s were up in the stage '{self._stage}'")
+            raise TimeUpError(
+                f"{self._limit_s:g} s were up in the stage '{self._stage}'"
+            )
 
     def begin(self, stage: str) -> None:
         self._note()
@@ -303,12 +351,16 @@ class _Watch:
 
     def _note(self) -> None:
         at_s = time.process_time()
-        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + at_s - self._began_s
+        self._seconds[self._stage] = (
+            self._seconds.get(self._stage, 0.0) + at_s - self._began_s
+        )
         self._began_s = at_s
 
     def finish(self) -> dict[str, float]:
         self._note()
-        return {name: round(s, 2) for name, s in self._seconds.items() if name != "begin"}
+        return {
+            name: round(s, 2) for name, s in self._seconds.items() if name != "begin"
+        }
 
     def left_s(self) -> float:
         return self._end_s - now_s()

@@ -1,8 +1,9 @@
 """Detectors: image evidence in, boxes with confidence out.
 
-``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone and one
-that misses with a probability, and finds detectors by name or file. ``network`` shows rendered
-pictures to an ONNX file. ``fitting`` makes a response table of what a detector really found.
+``evidence`` says what they get and give. ``built_in`` has one that looks at boxes alone
+and one that misses with a probability, and finds detectors by name or file. ``network``
+shows rendered pictures to an ONNX file. ``fitting`` makes a response table of what a
+detector really found.
 """
 
 from .built_in import DETECTOR_NAMES as DETECTOR_NAMES

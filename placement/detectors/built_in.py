@@ -13,7 +13,15 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, set_arrays
 from geometry.errors import InputError, check_field, check_one_of, refuse
-from geometry.files import Table, load_data, load_toml, read_table, take, take_list, take_number
+from geometry.files import (
+    Table,
+    load_data,
+    load_toml,
+    read_table,
+    take,
+    take_list,
+    take_number,
+)
 from geometry.image_boxes import box_height_px, iou
 
 from .evidence import (
@@ -34,7 +42,8 @@ from .evidence import (
 class GeometricDetector:
     """Detects by boxes alone: the same evidence always gives the same answer."""
 
-    # the box of the visible part must overlap that of the whole VRU (amodal) by more than this
+    # the box of the visible part must overlap that of the whole VRU (amodal) by more
+    # than this
     min_iou: float
     min_box_height_px: float  # the visible box must be at least this high. [px]
     min_contrast: float = 0.0  # the VRU must stand out by at least this much
@@ -46,7 +55,11 @@ class GeometricDetector:
     def __post_init__(self) -> None:
         for field, is_valid, expected in (
             ("min_iou", 0.0 <= self.min_iou < 1.0, "0 <= IoU < 1"),
-            ("min_box_height_px", 0.0 <= self.min_box_height_px < np.inf, "pixels, at least 0"),
+            (
+                "min_box_height_px",
+                0.0 <= self.min_box_height_px < np.inf,
+                "pixels, at least 0",
+            ),
             ("min_contrast", 0.0 <= self.min_contrast <= 1.0, "0 .. 1"),
         ):
             check_field(self, "detector", field, is_valid, expected)
@@ -55,9 +68,12 @@ class GeometricDetector:
     def description(self) -> str:
         """When it detects."""
         return (
-            "A road user counts as detected in a frame if the box around its visible part overlaps "
-            f"the box around all of it by more than {self.min_iou:g} (intersection over union), is "
-            f"at least {self.min_box_height_px:g} pixels high, and light and air leave it a "
+            "A road user counts as detected in a frame if the box around its visible"
+            " part overlaps "
+            f"the box around all of it by more than {self.min_iou:g} (intersection over"
+            " union), is "
+            f"at least {self.min_box_height_px:g} pixels high, and light and air leave"
+            " it a "
             f"contrast of at least {100.0 * self.min_contrast:g} %."
             f"{self.lidar.description if self.lidar else ''}"
         )
@@ -72,14 +88,18 @@ class GeometricDetector:
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
         """The least height where the contrast is enough, infinite elsewhere, (n,)."""
-        is_clear = np.broadcast_to(evidence.contrast >= self.min_contrast, len(evidence))
+        is_clear = np.broadcast_to(
+            evidence.contrast >= self.min_contrast, len(evidence)
+        )
         return np.where(is_clear, self.min_box_height_px, np.inf)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
         """The visible boxes of what it detects; `rng` is not used."""
         rows = np.flatnonzero(self.is_expected(evidence))
         return Detections(
-            row_index=rows, boxes_px=evidence.visible_px[rows], confidence=np.ones(len(rows))
+            row_index=rows,
+            boxes_px=evidence.visible_px[rows],
+            confidence=np.ones(len(rows)),
         )
 
     def fingerprint(self) -> tuple[object, ...]:
@@ -97,7 +117,12 @@ _POSITIVES = (
     "contrast_steepness",
 )
 _HALVINGS = 10  # of errors of boxes
-_PROBABILITIES = ("cyclist_end_on", "box_noise_share", "frame_correlation", "plan_probability")
+_PROBABILITIES = (
+    "cyclist_end_on",
+    "box_noise_share",
+    "frame_correlation",
+    "plan_probability",
+)
 _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
 """What can be measured; from which probability on a plan counts on a frame is chosen."""
 
@@ -106,7 +131,9 @@ _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
 class LastingNoise:
     """What decides a frame, as far as it is the same in all frames of a run; all noise has 1."""
 
-    person: FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
+    person: (
+        FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
+    )
     person_share: float  # variance of it
     unit_person_share: float  # variance of what one unit and one person have in common
 
@@ -121,7 +148,9 @@ class LastingNoise:
         0 where what lasts alone makes them more alike than that.
         """
         lasting = self.person_share + self.unit_person_share
-        return max(0.0, correlation - lasting) / (1.0 - lasting) if lasting < 1.0 else 0.0
+        if lasting < 1.0:
+            return max(0.0, correlation - lasting) / (1.0 - lasting)
+        return 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,30 +158,37 @@ class ResponseDetector:
     """Detects with a probability; each frame is drawn at random."""
 
     name: str  # "response", or the file that it comes from
-    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1, and the
-    # probability of a correct detection there; linear between
+    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1,
+    # and the probability of a correct detection there; linear between
     seen_share: FloatArray
     recall: FloatArray
-    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of the visible
-    # box. [px]
+    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of
+    # the visible box. [px]
     height_half_px: float
     height_steepness: float
     min_box_height_px: float  # smaller boxes are never detected. [px]
     class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
-    cyclist_end_on: float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
-    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness), relative to
-    # that at full contrast
+    cyclist_end_on: (
+        float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
+    )
+    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness),
+    # relative to that at full contrast
     contrast_half: float
     contrast_steepness: float
-    box_noise_share: float  # standard deviation of each side, as share of the box's width or height
+    box_noise_share: (
+        float  # standard deviation of each side, as share of the box's width or height
+    )
     frame_correlation: float  # between the random draws of consecutive frames
     plan_probability: float  # a plan counts on a detection from this probability on
     assumed: tuple[str, ...] = ()  # classes of which nothing is measured
     # further figures that are assumed, by their keys; None: the file does not say
     assumed_figures: tuple[str, ...] | None = None
-    # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None: unknown.
+    # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None:
+    # unknown.
     false_tracks_per_hour: Interval | None = None
-    lasting: LastingNoise | None = None  # in a sampled world; None: all noise is that of frames
+    lasting: LastingNoise | None = (
+        None  # in a sampled world; None: all noise is that of frames
+    )
     lidar: LidarTable | None = None
 
     needs_pictures = False
@@ -162,8 +198,10 @@ class ResponseDetector:
         """When it detects."""
         return (
             "Whether a road user is detected in a frame is drawn by the response model "
-            f"{self.name}: the probability depends on its height in pixels, the share that is "
-            "seen, its class, the side that it shows and its contrast in light and weather. The "
+            f"{self.name}: the probability depends on its height in pixels, the share"
+            " that is "
+            "seen, its class, the side that it shows and its contrast in light and"
+            " weather. The "
             "detection table counts on frames with a probability of at least "
             f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
             f"{self.lidar.description if self.lidar else ''}"
@@ -183,10 +221,18 @@ class ResponseDetector:
         """How many of its figures are measured, and which are assumed."""
         if self.assumed_figures is None:
             return f"{self.name} does not say which of its figures are measured."
-        names = [one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)]
+        names = [
+            one for one in _FIGURES if one in (*self.assumed, *self.assumed_figures)
+        ]
         n_measured = len(_FIGURES) - len(names)
-        listed = f"; assumed: {', '.join(names)}" if names else ""
-        return f"Of the {len(_FIGURES)} figures of {self.name} {n_measured} are measured{listed}."
+        if names:
+            listed = f"; assumed: {', '.join(names)}"
+        else:
+            listed = ""
+        return (
+            f"Of the {len(_FIGURES)} figures of {self.name} {n_measured} are"
+            f" measured{listed}."
+        )
 
     @property
     def alarm_words(self) -> str:
@@ -195,17 +241,24 @@ class ResponseDetector:
         if rate is None:
             return ""
         return (
-            f" As measured on its pictures, a unit confirms {rate.value:.3g} tracks of nothing per "
-            f"hour (95 %: {rate.low:.3g} to {rate.high:.3g}), each of which may brake a car that "
-            "it seems to cross the path of; they are no part of the verdicts."
+            f" As measured on its pictures, a unit confirms {rate.value:.3g} tracks of"
+            f" nothing per hour (95 %: {rate.low:.3g} to {rate.high:.3g}), each of"
+            " which may brake a car that it seems to cross the path of; they are no"
+            " part of the verdicts."
         )
 
     def __post_init__(self) -> None:
         n = (len(self.seen_share),)
         set_arrays(self, "", seen_share=n, recall=n, class_factor=(len(VRU_CLASSES),))
         share = self.seen_share
-        if len(share) < 2 or (share[0], share[-1]) != (0.0, 1.0) or (np.diff(share) <= 0.0).any():
-            raise InputError("seen_share", share.tolist(), "shares that ascend from 0 to 1")
+        if (
+            len(share) < 2
+            or (share[0], share[-1]) != (0.0, 1.0)
+            or (np.diff(share) <= 0.0).any()
+        ):
+            raise InputError(
+                "seen_share", share.tolist(), "shares that ascend from 0 to 1"
+            )
         for field in (*_PROBABILITIES, "recall", "class_factor"):
             values = np.atleast_1d(getattr(self, field))
             outside = values[~((values >= 0.0) & (values <= 1.0))]
@@ -230,12 +283,17 @@ class ResponseDetector:
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
         """Height at which the probability reaches `plan_probability`, (n,)."""
-        most, least = self._most(evidence), max(self.min_box_height_px, 1.0e-9)
+        most = self._most(evidence)
+        least = max(self.min_box_height_px, 1.0e-9)
         if self.plan_probability == 0.0:
             return np.zeros(len(evidence))
         with np.errstate(divide="ignore", invalid="ignore"):
-            odds = np.where(most > self.plan_probability, most / self.plan_probability - 1.0, 0.0)
-            height: FloatArray = self.height_half_px * odds ** (-1.0 / self.height_steepness)
+            odds = np.where(
+                most > self.plan_probability, most / self.plan_probability - 1.0, 0.0
+            )
+            height: FloatArray = self.height_half_px * odds ** (
+                -1.0 / self.height_steepness
+            )
         return np.maximum(height, least)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
@@ -249,7 +307,9 @@ class ResponseDetector:
         rows = np.flatnonzero(chance < probability)
         return Detections(
             row_index=rows,
-            boxes_px=_correct_boxes(evidence.visible_px[rows], self.box_noise_share * noise[rows]),
+            boxes_px=_correct_boxes(
+                evidence.visible_px[rows], self.box_noise_share * noise[rows]
+            ),
             confidence=probability[rows],
         )
 
@@ -257,8 +317,14 @@ class ResponseDetector:
         """Everything that `is_expected` depends on."""
         return (
             "response",
-            *(getattr(self, name).tobytes() for name in ("seen_share", "recall", "class_factor")),
-            *(getattr(self, name) for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")),
+            *(
+                getattr(self, name).tobytes()
+                for name in ("seen_share", "recall", "class_factor")
+            ),
+            *(
+                getattr(self, name)
+                for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")
+            ),
             *([self.lidar] if self.lidar else []),
         )
 
@@ -267,11 +333,15 @@ class ResponseDetector:
         lasting = self.lasting
         if lasting is None:
             return linked_noise(draws, self.frame_correlation, rng)
-        linked = linked_noise(draws, lasting.frame_correlation(self.frame_correlation), rng)
+        linked = linked_noise(
+            draws, lasting.frame_correlation(self.frame_correlation), rng
+        )
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
         own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
         own_part = np.sqrt(lasting.unit_person_share) * own
-        return np.asarray(own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws])
+        return np.asarray(
+            own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
+        )
 
     def _most(self, evidence: Evidence) -> FloatArray:
         """Probability of a correct detection of a box of any height, (n,)."""
@@ -284,13 +354,15 @@ class ResponseDetector:
         )
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
-        factor, is_cyclist = np.ones(len(aspect_deg)), vru_class == VRU_CLASSES.index("cyclist")
+        factor = np.ones(len(aspect_deg))
+        is_cyclist = vru_class == VRU_CLASSES.index("cyclist")
         end_on = np.cos(np.radians(aspect_deg[is_cyclist])) ** 2
         factor[is_cyclist] = 1.0 - (1.0 - self.cyclist_end_on) * end_on
         return factor
 
     def _contrast_factor(self, contrast: FloatArray) -> FloatArray:
-        half, steepness = self.contrast_half, self.contrast_steepness
+        half = self.contrast_half
+        steepness = self.contrast_steepness
         full = _rising(np.ones(1), half=half, steepness=steepness)
         return _rising(contrast, half=half, steepness=steepness) / full
 
@@ -304,8 +376,8 @@ def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
 def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
     """Boxes (n, 4) whose sides are off by shares (n, 4) of their sizes, as far as they are correct.
 
-    The probability is that of a correct detection: an error that would make the box miss the road
-    user is halved until it does not.
+    The probability is that of a correct detection: an error that would make the box
+    miss the road user is halved until it does not.
     """
     off = np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2) * error
     for _ in range(_HALVINGS):
@@ -320,7 +392,8 @@ def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
 DETECTOR_NAMES = ("geometric", "response", "pole-2015", "car-2019", "cnn-table", "cnn")
 """Of cameras; ``LIDAR_NAMES`` may follow any of them, or a file, behind a plus sign."""
 LIDAR_NAMES = ("pointrcnn-2019",)
-_FILE, _NETWORK_FILE = "detectors.toml", "vru.onnx"
+_FILE = "detectors.toml"
+_NETWORK_FILE = "vru.onnx"
 # Tables fitted to what a detector found: on rendered pictures, and on real recordings.
 _TABLE_FILES = {
     "response": _FILE,
@@ -333,11 +406,11 @@ _TABLE_FILES = {
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
     """Detector by name or file; `where` names it in messages.
 
-    Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table ``[response]`` as in
-    ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES`` behind a plus sign says what
-    LiDARs find; alone, cameras go by the first of ``DETECTOR_NAMES``. Raises InputError if the name
-    is unknown or the file cannot be used, MissingExtraError for "cnn" or an ONNX file without
-    onnxruntime.
+    Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table
+    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES``
+    behind a plus sign says what LiDARs find; alone, cameras go by the first of
+    ``DETECTOR_NAMES``. Raises InputError if the name is unknown or the file cannot be
+    used, MissingExtraError for "cnn" or an ONNX file without onnxruntime.
     """
     cameras, _, lidars = name.rpartition("+")
     if lidars in LIDAR_NAMES:
@@ -357,7 +430,9 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     if path.suffix == ".onnx":
         return _load_network(path.name, path, "onnx")
     known = ", ".join((*DETECTOR_NAMES, *LIDAR_NAMES))
-    raise InputError(where, name, f"{known}, a .toml file with a response table, or an .onnx file")
+    raise InputError(
+        where, name, f"{known}, a .toml file with a response table, or an .onnx file"
+    )
 
 
 def is_drawn(name: str) -> bool:
@@ -397,7 +472,9 @@ def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
     """A network from a file, with the limits of a section of ``data/detectors.toml``."""
     from .network import NetworkDetector, load_onnx_model
 
-    return NetworkDetector(name=name, model=load_onnx_model(path), **_limits(section), **how)
+    return NetworkDetector(
+        name=name, model=load_onnx_model(path), **_limits(section), **how
+    )
 
 
 def built_in_response() -> ResponseDetector:
@@ -427,10 +504,14 @@ def _defaults() -> dict[str, Any]:
 
 def _limits(section: str) -> dict[str, Any]:
     """Numbers of a section, by the detector's fields."""
-    return read_table(take(_defaults(), section, _FILE), dict[str, float], f"{_FILE}: {section}")
+    return read_table(
+        take(_defaults(), section, _FILE), dict[str, float], f"{_FILE}: {section}"
+    )
 
 
-def _read_response(source: Path | Traversable, document: Table, *, name: str) -> ResponseDetector:
+def _read_response(
+    source: Path | Traversable, document: Table, *, name: str
+) -> ResponseDetector:
     """Response table of a document; errors name the file and the line."""
     table = document.get("response")
     if not isinstance(table, dict):
@@ -441,7 +522,8 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
             for key in ("seen_share", "recall")
         )
         numbers: dict[str, Any] = {
-            key: take_number(table, key, "response") for key in (*_POSITIVES, *_PROBABILITIES)
+            key: take_number(table, key, "response")
+            for key in (*_POSITIVES, *_PROBABILITIES)
         }
         factors, assumed = _read_classes(table)
         for key, factor in factors.items():
@@ -466,7 +548,8 @@ def _read_response(source: Path | Traversable, document: Table, *, name: str) ->
 def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     """Factor by class, and the classes of which nothing is measured.
 
-    A file need not know the classes that the built-in table assumes: there it has the same factor.
+    A file need not know the classes that the built-in table assumes: there it has the
+    same factor.
     """
     given = _defaults()["response"]
     named = _read_names(table, "assumed", VRU_CLASSES) or ()
@@ -481,7 +564,9 @@ def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...]
     names = take_list({key: [], **table}, key, "response")
     for name in names:
         check_one_of(key, name, known)
-    return tuple(names) if key in table else None
+    if key in table:
+        return tuple(names)
+    return None
 
 
 def _read_alarms(document: Table) -> Interval | None:
@@ -500,7 +585,12 @@ def _line(source: Path | Traversable, key: str) -> int:
     """Line of a key in the table ``[response]``; that of the table if the key is missing."""
     lines = source.read_text(encoding="utf-8").splitlines()
     header = next(
-        (index for index, text in enumerate(lines) if re.match(r"\s*\[\s*response\s*\]", text)), 0
+        (
+            index
+            for index, text in enumerate(lines)
+            if re.match(r"\s*\[\s*response\s*\]", text)
+        ),
+        0,
     )
     for index in range(header + 1, len(lines)):
         if re.match(r"\s*\[", lines[index]):

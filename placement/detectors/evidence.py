@@ -14,7 +14,9 @@ from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
-_ADULT_FROM_M = 1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
+_ADULT_FROM_M = (
+    1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
+)
 
 Image = NDArray[np.uint8]
 
@@ -64,7 +66,9 @@ class Crop(NamedTuple):
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
         """Boxes (n, 4) of the crop in pixels of the image."""
         corner = np.array([self.left_px, self.top_px] * 2)
-        return np.asarray((boxes_px + corner) * self.scale + np.array(self.middle_px * 2))
+        return np.asarray(
+            (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
+        )
 
 
 class Crops(Protocol):
@@ -81,8 +85,8 @@ class Crops(Protocol):
 class Evidence:
     """Image evidence: a row for each VRU in a unit's image in a frame."""
 
-    # visible_px, amodal_px: (n, 4): box of what is seen, and of the whole VRU inside the image;
-    # zeros where there is none. [px]
+    # visible_px, amodal_px: (n, 4): box of what is seen, and of the whole VRU inside
+    # the image; zeros where there is none. [px]
     visible_px: FloatArray
     amodal_px: FloatArray
     # (n,) or (1,): of the VRU against what is behind it, as light and air leave it
@@ -91,14 +95,16 @@ class Evidence:
     visible_share: FloatArray = field(default_factory=lambda: np.ones(1))
     # (n,) or (1,): share of the VRU that the image's edges do not cut off
     inside_share: FloatArray = field(default_factory=lambda: np.ones(1))
-    # (n,) or (1,): between the line of sight and the VRU's heading: 0 from behind or ahead, 90 from
-    # the side
+    # (n,) or (1,): between the line of sight and the VRU's heading: 0 from behind or
+    # ahead, 90 from the side
     aspect_deg: FloatArray
     vru_class: IntArray  # (n,) or (1,): into ``VRU_CLASSES``
-    # (n,): rows with the same number share their random draw: the same frame of the same run in
-    # different weathers. Consecutive numbers are consecutive frames.
+    # (n,): rows with the same number share their random draw: the same frame of the
+    # same run in different weathers. Consecutive numbers are consecutive frames.
     draw_index: IntArray
-    picture: Callable[[int], Image] | None = None  # from a row to its image, (h, w, 3) uint8, RGB
+    picture: Callable[[int], Image] | None = (
+        None  # from a row to its image, (h, w, 3) uint8, RGB
+    )
     crops: Crops | None = None
 
     def __len__(self) -> int:
@@ -121,7 +127,9 @@ def load_min_iou() -> float:
     return take_number(table["box_rule"], "min_iou", "detectors.toml: box_rule")
 
 
-def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) -> BoolArray:
+def is_matched(
+    detections: Detections, truth_px: FloatArray, *, min_iou: float
+) -> BoolArray:
     """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
 
     `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
@@ -136,8 +144,9 @@ def is_matched(detections: Detections, truth_px: FloatArray, *, min_iou: float) 
 class LidarTable:
     """What a detector finds in the points of a LiDAR, of those on whom there are enough of them.
 
-    Of each class, in the order of ``VRU_CLASSES``: shares found at `distance_m`, straight lines
-    between, and the correlation between the random draws of consecutive frames.
+    Of each class, in the order of ``VRU_CLASSES``: shares found at `distance_m`,
+    straight lines between, and the correlation between the random draws of consecutive
+    frames.
     """
 
     name: str
@@ -150,9 +159,9 @@ class LidarTable:
     def description(self) -> str:
         """When it detects, in a sentence."""
         return (
-            f" What LiDARs find of those on whom there are enough points is drawn by {self.name}, "
-            "by class and distance; the detection table counts on frames with a probability of at "
-            f"least {self.plan_probability:g}."
+            " What LiDARs find of those on whom there are enough points is drawn by"
+            f" {self.name}, by class and distance; the detection table counts on frames"
+            f" with a probability of at least {self.plan_probability:g}."
         )
 
     def probability(self, distance_m: FloatArray, vru_class: IntArray) -> FloatArray:
@@ -175,7 +184,9 @@ class LidarTable:
         """Draw which rows are detected, (n,); those of the same `draw_index` share their draw."""
         from scipy.special import ndtr
 
-        draws, first, row_draw = np.unique(draw_index, return_index=True, return_inverse=True)
+        draws, first, row_draw = np.unique(
+            draw_index, return_index=True, return_inverse=True
+        )
         links = np.array(self.frame_correlation)[vru_class[first]]
         chance = ndtr(linked_noise(draws, links, rng))[row_draw]
         return chance < self.probability(distance_m, vru_class)
@@ -230,7 +241,8 @@ class PlanningDetector(Detector, Protocol):
     def least_height_px(self, evidence: Evidence) -> FloatArray:
         """Height of the visible box from which on `is_expected` is true, (n,); infinite if none is.
 
-        Of VRUs whose visible box is that of the whole; the boxes of the evidence are not looked at.
+        Of VRUs whose visible box is that of the whole; the boxes of the evidence are
+        not looked at.
         """
 
     def fingerprint(self) -> tuple[Any, ...]:

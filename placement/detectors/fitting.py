@@ -1,8 +1,8 @@
 """Response tables fitted to what a detector really found, and its false alarms.
 
-The probabilities of :class:`ResponseDetector` are fitted by maximum likelihood to frames in which
-a road user could be detected, and was or was not. Frames of one camera and one run resemble one
-another, so that intervals count such tracks, not frames.
+The probabilities of :class:`ResponseDetector` are fitted by maximum likelihood to
+frames in which a road user could be detected, and was or was not. Frames of one camera
+and one run resemble one another, so that intervals count such tracks, not frames.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -21,7 +21,9 @@ from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
 
 # ---------- sightings and false alarms
-_SAME_ALARM_IOU = 0.3  # boxes of consecutive frames that overlap by more are of one thing
+_SAME_ALARM_IOU = (
+    0.3  # boxes of consecutive frames that overlap by more are of one thing
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,16 +34,19 @@ class Sightings:
     # (n,): share of the road user that is seen: not hidden, and inside the image
     seen_share: FloatArray
     contrast: FloatArray  # (n,): against what is behind it, as light and air leave it
-    # (n,): between line of sight and heading: 0 from behind or ahead, 90 from the side. [deg]
+    # (n,): between line of sight and heading: 0 from behind or ahead, 90 from the side.
+    # [deg]
     aspect_deg: FloatArray
     vru_class: IntArray  # (n,): into ``VRU_CLASSES``
     # (n,): a box of the detector overlaps the visible box by more than the study's IoU
     is_found: BoolArray
-    # (n, 4): left, upper, right and lower side of that box minus those of the visible one, as
-    # shares of its width or height; NaN where nothing is found
+    # (n, 4): left, upper, right and lower side of that box minus those of the visible
+    # one, as shares of its width or height; NaN where nothing is found
     box_error: FloatArray
     track: IntArray  # (n,): equal for frames of one camera and one run
-    frame: IntArray  # (n,): its number: consecutive ones of a track are consecutive frames
+    frame: (
+        IntArray  # (n,): its number: consecutive ones of a track are consecutive frames
+    )
 
     def __post_init__(self) -> None:
         n = len(self.height_px)
@@ -90,14 +95,18 @@ class LabelledPicture:
     seen_share: FloatArray
     contrast: FloatArray
     aspect_deg: FloatArray
-    found_px: FloatArray  # (m, 4): boxes of the detector that count, of any class of road user [px]
+    # (m, 4): boxes of the detector that count, of any class of road user [px]
+    found_px: FloatArray
     # (n, m): which box is of a class that counts for which label; by default all are
     finds: BoolArray | None = None
-    # (k, 4): the boxes that are false alarms where they overlap no label; by default all. A box
-    # around a person and a bicycle, say, is none next to these two.
+    # (k, 4): the boxes that are false alarms where they overlap no label; by default
+    # all. A box around a person and a bicycle, say, is none next to these two.
     alone_px: FloatArray | None = None
-    is_whole: bool = True  # all of it was looked at: otherwise its false alarms are not counted
-    # (n,): whose label it is, where each road user is a track of its own; by default the picture's
+    is_whole: bool = (
+        True  # all of it was looked at: otherwise its false alarms are not counted
+    )
+    # (n,): whose label it is, where each road user is a track of its own; by default
+    # the picture's
     label_track: IntArray | None = None
 
 
@@ -110,7 +119,9 @@ class FalseAlarms:
     per_picture: Interval
     chances: int  # pictures with enough consecutive ones before them to confirm a track
     confirmed: int  # false tracks that were confirmed there
-    per_hour: Interval | None  # of these, by one unit; None without consecutive pictures
+    per_hour: (
+        Interval | None
+    )  # of these, by one unit; None without consecutive pictures
 
 
 class _Last(NamedTuple):
@@ -127,9 +138,9 @@ def gather_sightings(
 ) -> tuple[Sightings, FalseAlarms]:
     """Match boxes with labels, picture by picture; those of a track in the order of their frames.
 
-    Gives a row for each label, in their order; a box finds one of them. As many frames in a row as
-    `n_confirmations` confirm a track. A false track lasts while its boxes of consecutive frames
-    overlap by an IoU of more than 0.3, and is counted once.
+    Gives a row for each label, in their order; a box finds one of them. As many frames
+    in a row as `n_confirmations` confirm a track. A false track lasts while its boxes
+    of consecutive frames overlap by an IoU of more than 0.3, and is counted once.
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
@@ -142,7 +153,11 @@ def gather_sightings(
                 [
                     box_height_px(one.label_px),
                     *(one.seen_share, one.contrast, one.aspect_deg, one.label_class),
-                    np.full(n_labels, one.track) if one.label_track is None else one.label_track,
+                    (
+                        np.full(n_labels, one.track)
+                        if one.label_track is None
+                        else one.label_track
+                    ),
                     np.full(n_labels, one.frame),
                     _errors(one, overlap),
                 ]
@@ -151,13 +166,17 @@ def gather_sightings(
         if not one.is_whole:
             continue
         n_pictures += 1
-        alone = one.found_px if one.alone_px is None else one.alone_px
+        if one.alone_px is None:
+            alone = one.found_px
+        else:
+            alone = one.alone_px
         alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
         n_alarms += len(alarms)
         before = last.get(one.track)
         if before is None or one.frame != before.frame + 1:
             before = _Last(0, 0, alarms[:0], [])
-        n_row, lasted = before.n_row + 1, _lasting(before, alarms)
+        n_row = before.n_row + 1
+        lasted = _lasting(before, alarms)
         n_chances += n_row >= n_confirmations
         n_confirmed += lasted.count(n_confirmations)
         last[one.track] = _Last(one.frame, n_row, alarms, lasted)
@@ -181,9 +200,11 @@ def gather_sightings(
         per_picture=poisson(n_alarms, max(n_pictures, 1)),
         chances=n_chances,
         confirmed=n_confirmed,
-        per_hour=poisson(n_confirmed, n_chances).times(3600.0 * frame_rate_hz)
-        if n_chances
-        else None,
+        per_hour=(
+            poisson(n_confirmed, n_chances).times(3600.0 * frame_rate_hz)
+            if n_chances
+            else None
+        ),
     )
 
 
@@ -195,9 +216,12 @@ def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
     counted = np.where(overlap > load_min_iou(), overlap, 0.0)
     if picture.finds is not None:
         counted = np.where(picture.finds, counted, 0.0)
-    label, box = linear_sum_assignment(counted, maximize=True)  # each box finds one at most
+    label, box = linear_sum_assignment(
+        counted, maximize=True
+    )  # each box finds one at most
     is_match = counted[label, box] > 0.0
-    label, box = label[is_match], box[is_match]
+    label = label[is_match]
+    box = box[is_match]
     truth = picture.label_px[label]
     size = np.tile(truth[:, 2:] - truth[:, :2], 2)
     error[label] = (picture.found_px[box] - truth) / size
@@ -214,15 +238,16 @@ def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
         if overlap[new, old] <= _SAME_ALARM_IOU:
             continue
         lasted[new] = before.lasted[old] + 1
-        overlap[new], overlap[:, old] = -1.0, -1.0
+        overlap[new] = -1.0
+        overlap[:, old] = -1.0
     return lasted
 
 
 def wilson(n_found: int, n_all: int) -> Interval:
     """A share with its 95 % interval; 0 .. 1 of nothing.
 
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
-    1927.
+    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical
+    inference", 1927.
 
     >>> wilson(8, 10)
     Interval(value=0.8, low=0.49..., high=0.94...)
@@ -232,14 +257,21 @@ def wilson(n_found: int, n_all: int) -> Interval:
     z = 1.959964
     share = n_found / n_all
     middle = (share + z**2 / (2.0 * n_all)) / (1.0 + z**2 / n_all)
-    half = z / (1.0 + z**2 / n_all) * np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
-    return Interval(share, max(0.0, middle - float(half)), min(1.0, middle + float(half)))
+    half = (
+        z
+        / (1.0 + z**2 / n_all)
+        * np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
+    )
+    return Interval(
+        share, max(0.0, middle - float(half)), min(1.0, middle + float(half))
+    )
 
 
 def share_by_track(found: BoolArray, track: IntArray) -> Interval:
     """Share of frames (n,) found, with a 95 % interval that counts tracks.
 
-    Tracks are drawn with repetition (bootstrap); the interval is never narrower than Wilson's.
+    Tracks are drawn with repetition (bootstrap); the interval is never narrower than
+    Wilson's.
     """
     plain = wilson(int(found.sum()), len(found))
     _, which = np.unique(track, return_inverse=True)
@@ -266,7 +298,10 @@ def poisson(n_events: int, n_chances: float) -> Interval:
 
     if n_chances <= 0.0:
         raise ValueError(f"n_chances: got {n_chances}; expected more than 0")
-    low = float(chi2.ppf(0.025, 2 * n_events)) / 2.0 if n_events else 0.0
+    if n_events:
+        low = float(chi2.ppf(0.025, 2 * n_events)) / 2.0
+    else:
+        low = 0.0
     high = float(chi2.ppf(0.975, 2 * n_events + 2)) / 2.0
     return Interval(n_events / n_chances, low / n_chances, high / n_chances)
 
@@ -287,11 +322,16 @@ _KEYS = (
 )
 _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
 _MOST_PER_DRAW = 20_000  # frames
-_PRIOR_FRAMES = 2.0  # how many frames the built-in table weighs: decides what no frame tells
-# How far parameters may go from the built-in table: logits of shares, logarithms of the others.
+_PRIOR_FRAMES = (
+    2.0  # how many frames the built-in table weighs: decides what no frame tells
+)
+# How far parameters may go from the built-in table: logits of shares, logarithms of the
+# others.
 _END_ON = len(SEEN_KNOTS) - 1  # among the parameters: after the ratios of recalls
 _CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))  # factor by class
-_REACH = np.array([6.0] * (_END_ON + 1) + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2)
+_REACH = np.array(
+    [6.0] * (_END_ON + 1) + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2
+)
 _CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
 _PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
 _MAX_CORRELATION = 0.98
@@ -314,13 +354,19 @@ class ResponseFit:
     """A fitted response table, how sure it is, and how well it predicts."""
 
     detector: ResponseDetector
-    intervals: Mapping[str, Interval]  # by the table's keys; recall as "recall[2]" and so on
+    intervals: Mapping[
+        str, Interval
+    ]  # by the table's keys; recall as "recall[2]" and so on
     calibration: tuple[Group, ...]  # by predicted probability
-    groups: Mapping[str, tuple[Group, ...]]  # by height, seen share, class, aspect, contrast
+    groups: Mapping[
+        str, tuple[Group, ...]
+    ]  # by height, seen share, class, aspect, contrast
     frames: int
     found: int
     tracks: int
-    is_contrast_fitted: bool  # otherwise the built-in figures stand: all frames had one contrast
+    is_contrast_fitted: (
+        bool  # otherwise the built-in figures stand: all frames had one contrast
+    )
 
 
 def fit_response(
@@ -333,10 +379,10 @@ def fit_response(
 ) -> ResponseFit:
     """Fit a response table to what was found in at least 50 frames, five found and five missed.
 
-    `draws` sets of figures are drawn for the intervals, by `seed`; `progress` gets the number of
-    fits done, and of all. What no frame says, such as of a class that never appears, is as in the
-    built-in table, which weighs as much as two frames. Raises InputError if there are too few
-    frames.
+    `draws` sets of figures are drawn for the intervals, by `seed`; `progress` gets the
+    number of fits done, and of all. What no frame says, such as of a class that never
+    appears, is as in the built-in table, which weighs as much as two frames. Raises
+    InputError if there are too few frames.
     """
     n_found = int(sightings.is_found.sum())
     least = min(n_found, len(sightings) - n_found)
@@ -344,7 +390,8 @@ def fit_response(
         refuse(
             "frames with a road user",
             f"{len(sightings)}, {n_found} of them found",
-            f"at least {_LEAST_FRAMES}, with {_LEAST_OF_EACH} found and {_LEAST_OF_EACH} missed",
+            f"at least {_LEAST_FRAMES}, with {_LEAST_OF_EACH} found and"
+            f" {_LEAST_OF_EACH} missed",
         )
     free = _free(sightings)
     progress(0, 2)
@@ -363,7 +410,9 @@ def fit_response(
             key: _interval(spread.get(key, np.full(1, value)), value)
             for key, value in values.items()
         },
-        calibration=_by_bins("", probability, np.linspace(0.0, 1.0, 11), sightings, probability),
+        calibration=_by_bins(
+            "", probability, np.linspace(0.0, 1.0, 11), sightings, probability
+        ),
         groups=_groups(sightings, probability),
         frames=len(sightings),
         found=n_found,
@@ -384,7 +433,9 @@ def _free(sightings: Sightings) -> BoolArray:
     free = np.ones(len(_prior()), dtype=bool)
     is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
     free[_END_ON] = is_there[VRU_CLASSES.index("cyclist")]
-    free[_CLASSES] = is_there & (is_there.sum() > 1)  # factors are relative to one another
+    free[_CLASSES] = is_there & (
+        is_there.sum() > 1
+    )  # factors are relative to one another
     free[_CLASSES.stop :] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
     return free
 
@@ -420,19 +471,27 @@ def _log_chance(values: FloatArray, evidence: Evidence, found: BoolArray) -> Flo
 
 # ---------- how sure the figures are
 def _table_spread(
-    sightings: Sightings, best: FloatArray, free: BoolArray, draws: int, rng: np.random.Generator
+    sightings: Sightings,
+    best: FloatArray,
+    free: BoolArray,
+    draws: int,
+    rng: np.random.Generator,
 ) -> dict[str, FloatArray]:
     """Figures of the table for parameters drawn around the best ones, by name.
 
-    Source: H. White, "Maximum likelihood estimation of misspecified models", 1982: the sandwich of
-    curvature and of the scores' spread, whose scores are summed up by track.
+    Source: H. White, "Maximum likelihood estimation of misspecified models", 1982: the
+    sandwich of curvature and of the scores' spread, whose scores are summed up by
+    track.
     """
-    evidence, found = sightings.evidence(), sightings.is_found
+    evidence = sightings.evidence()
+    found = sightings.is_found
     columns = []
     for index in np.flatnonzero(free).tolist():
         step = np.zeros(len(best))
         step[index] = _STEP
-        above, below = (_log_chance(best + way * step, evidence, found) for way in (1.0, -1.0))
+        above, below = (
+            _log_chance(best + way * step, evidence, found) for way in (1.0, -1.0)
+        )
         columns.append((above - below) / (2.0 * _STEP))
     score = np.stack(columns, axis=1)
     bread = score.T @ score + _PRIOR_FRAMES / len(best) * np.eye(score.shape[1])
@@ -441,13 +500,21 @@ def _table_spread(
     inverse = np.linalg.inv(bread)
     covariance = inverse @ (by_track.T @ by_track) @ inverse
     drawn = rng.multivariate_normal(best[free], covariance, size=draws, method="eigh")
-    low, high = (_prior() - _REACH)[free], (_prior() + _REACH)[free]
-    numbers = [_numbers(_detector(_whole(row, free), "")) for row in np.clip(drawn, low, high)]
-    return {key: np.array([one[key] for one in numbers]) for key in (numbers or [{}])[0]}
+    low = (_prior() - _REACH)[free]
+    high = (_prior() + _REACH)[free]
+    numbers = [
+        _numbers(_detector(_whole(row, free), "")) for row in np.clip(drawn, low, high)
+    ]
+    return {
+        key: np.array([one[key] for one in numbers]) for key in (numbers or [{}])[0]
+    }
 
 
 def _other_spread(
-    sightings: Sightings, detector: ResponseDetector, draws: int, rng: np.random.Generator
+    sightings: Sightings,
+    detector: ResponseDetector,
+    draws: int,
+    rng: np.random.Generator,
 ) -> dict[str, FloatArray]:
     """Figures that are no parameters, for tracks drawn with repetition (bootstrap), by name."""
     numbers = []
@@ -479,7 +546,8 @@ def _detector(values: FloatArray, name: str) -> ResponseDetector:
     """The table of parameters: logits of ratios of recalls and of the end-on factor, logarithms."""
     table = built_in_response()
     shares = 1.0 / (1.0 + np.exp(-values[: _END_ON + 1]))
-    # Each recall is a share of the next one, so that recall never falls with what is seen.
+    # Each recall is a share of the next one, so that recall never falls with what is
+    # seen.
     recall = np.cumprod(shares[:_END_ON][::-1])[::-1]
     half_px, steepness = np.exp(values[_END_ON + 1 : _CLASSES.start]).tolist()
     factor = np.exp(values[_CLASSES] - values[_CLASSES].max())
@@ -502,20 +570,29 @@ def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetecto
     """With the noise of boxes, the correlation of frames, and the least height found."""
     errors = sightings.box_error[sightings.is_found]
     middle = np.median(errors, axis=0)
-    noise = 1.4826 * float(np.median(np.abs(errors - middle)))  # of a normal distribution
+    noise = 1.4826 * float(
+        np.median(np.abs(errors - middle))
+    )  # of a normal distribution
     probability = detector.probability(sightings.evidence())
     return replace(
         detector,
         box_noise_share=min(noise, 1.0),
         frame_correlation=_frame_correlation(sightings, probability),
-        min_box_height_px=max(1.0, float(sightings.height_px[sightings.is_found].min())),
-        assumed=tuple(n for i, n in enumerate(VRU_CLASSES) if i not in sightings.vru_class),
+        min_box_height_px=max(
+            1.0, float(sightings.height_px[sightings.is_found].min())
+        ),
+        assumed=tuple(
+            n for i, n in enumerate(VRU_CLASSES) if i not in sightings.vru_class
+        ),
     )
 
 
 def _numbers(detector: ResponseDetector) -> dict[str, float]:
     """Fitted figures by their names in the table."""
-    recall = {f"recall[{index}]": value for index, value in enumerate(detector.recall.tolist())}
+    recall = {
+        f"recall[{index}]": value
+        for index, value in enumerate(detector.recall.tolist())
+    }
     classes = dict(zip(VRU_CLASSES, detector.class_factor.tolist(), strict=True))
     return recall | classes | {key: float(getattr(detector, key)) for key in _KEYS}
 
@@ -527,7 +604,9 @@ def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
     drawn = rng.integers(len(starts), size=len(starts))
     ends = np.cumsum(counts[drawn])
     drawn = drawn[: max(1, int(np.searchsorted(ends, _MOST_PER_DRAW, side="right")))]
-    return np.concatenate([order[starts[one] : starts[one] + counts[one]] for one in drawn])
+    return np.concatenate(
+        [order[starts[one] : starts[one] + counts[one]] for one in drawn]
+    )
 
 
 # ---------- correlation of consecutive frames
@@ -542,7 +621,8 @@ def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
     order = np.lexsort((sightings.frame, sightings.track))
     same = np.diff(sightings.track[order]) == 0
     next_ = same & (np.diff(sightings.frame[order]) == 1)
-    first, second = order[:-1][next_], order[1:][next_]
+    first = order[:-1][next_]
+    second = order[1:][next_]
     if not len(first):
         return 0.0
     levels = ndtri(np.clip(probability, *_PROBABILITY))
@@ -565,17 +645,21 @@ _SHARES = np.linspace(0.0, 0.95, 96)
 
 
 def fit_lasting_share(
-    sightings: Sightings, probability: FloatArray, *, seed: int = 0, draws: int = _SHARE_DRAWS
+    sightings: Sightings,
+    probability: FloatArray,
+    *,
+    seed: int = 0,
+    draws: int = _SHARE_DRAWS,
 ) -> Interval:
     """Share of the variance of what decides a frame that is the same in all frames of a track.
 
-    Frames of a track are correlated by s + (1 - s) r^distance, as :class:`LastingNoise` has it. Of
-    all pairs 1 to 55 frames apart it is found which s and r make what was found and missed most
-    likely, with each distance as heavy as another. 95 % interval: tracks drawn with repetition.
-    Raises InputError where no frames are consecutive.
+    Frames of a track are correlated by s + (1 - s) r^distance, as :class:`LastingNoise`
+    has it. Of all pairs 1 to 55 frames apart it is found which s and r make what was
+    found and missed most likely, with each distance as heavy as another. 95 % interval:
+    tracks drawn with repetition. Raises InputError where no frames are consecutive.
 
-    Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods", Statistica
-    Sinica 21 (2011).
+    Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods",
+    Statistica Sinica 21 (2011).
     """
     tracks, which = np.unique(sightings.track, return_inverse=True)
     share, falling = (one.ravel() for one in np.meshgrid(_SHARES, _CORRELATIONS))
@@ -588,7 +672,9 @@ def fit_lasting_share(
     if not likely.any():
         refuse("frames", "none consecutive", "consecutive frames of a track")
     rng = np.random.default_rng(seed)
-    drawn = rng.multinomial(len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws)
+    drawn = rng.multinomial(
+        len(tracks), np.full(len(tracks), 1.0 / len(tracks)), size=draws
+    )
     best = float(share[likely.sum(axis=0).argmax()])
     return _interval(share[(drawn @ likely).argmax(axis=1)], best)
 
@@ -601,16 +687,20 @@ def _pair_likelihood(
 
     likely = np.zeros((which.max() + 1, len(_CORRELATIONS)))
     order = np.lexsort((sightings.frame, sightings.track))
-    first, second = order[:-distance], order[distance:]
+    first = order[:-distance]
+    second = order[distance:]
     is_pair = which[first] == which[second]
     is_pair &= sightings.frame[second] - sightings.frame[first] == distance
-    first, second = first[is_pair], second[is_pair]
+    first = first[is_pair]
+    second = second[is_pair]
     sign = np.where(sightings.is_found, 1.0, -1.0)
     level = sign * ndtri(np.clip(probability, *_PROBABILITY))
     same = sign[first] == sign[second]
     for column, correlation in enumerate(_CORRELATIONS):
         # Of one that is found and one that is missed, the noise of one is turned over.
-        joint = joint_normal(level[first], level[second], np.where(same, correlation, -correlation))
+        joint = joint_normal(
+            level[first], level[second], np.where(same, correlation, -correlation)
+        )
         np.add.at(likely[:, column], which[first], np.log(np.maximum(joint, 1.0e-12)))
     return likely / max(1, len(first))
 
@@ -620,18 +710,22 @@ def joint_normal(
 ) -> FloatArray:
     """Probability that two correlated standard normal numbers lie below `first` and `second`.
 
-    Source: Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal integral", 1990:
-    the integral of the density over the correlation.
+    Source: Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal
+    integral", 1990: the integral of the density over the correlation.
     """
     from scipy.special import ndtr
 
     nodes, weights = leggauss(20)
-    # Over the arc sine of the correlation the integrand is smooth up to a correlation of 1.
+    # Over the arc sine of the correlation the integrand is smooth up to a correlation
+    # of 1.
     angle = np.broadcast_to(np.arcsin(correlation), first.shape)
     sine = np.sin(0.5 * angle[:, None] * (nodes + 1.0))
-    a, b = first[:, None], second[:, None]
+    a = first[:, None]
+    b = second[:, None]
     density = np.exp(-0.5 * (a**2 - 2.0 * sine * a * b + b**2) / (1.0 - sine**2))
-    return np.asarray(ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi))
+    return np.asarray(
+        ndtr(first) * ndtr(second) + density @ weights * angle / (4.0 * np.pi)
+    )
 
 
 def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float:
@@ -649,7 +743,9 @@ def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> Response
     """The fit with the correlation of consecutive frames at another frame rate."""
     key = "frame_correlation"
     figures = astuple(fit.intervals[key])
-    there = Interval(*(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in figures))
+    there = Interval(
+        *(correlation_at(one, from_hz=from_hz, to_hz=to_hz) for one in figures)
+    )
     return replace(
         fit,
         detector=replace(fit.detector, frame_correlation=there.value),
@@ -663,8 +759,8 @@ def calibration_error(probability: FloatArray, found: BoolArray) -> float:
 
     Each bin weighs as much as it has frames.
 
-    Source: M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning",
-    2015.
+    Source: M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian
+    binning", 2015.
 
     >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
     0.25
@@ -680,17 +776,27 @@ _ASPECT_EDGES_DEG = (0.0, 22.5, 45.0, 67.5, 90.0)
 _CONTRAST_EDGES = (0.0, 0.1, 0.3, 0.6, np.inf)
 
 
-def _groups(sightings: Sightings, probability: FloatArray) -> dict[str, tuple[Group, ...]]:
+def _groups(
+    sightings: Sightings, probability: FloatArray
+) -> dict[str, tuple[Group, ...]]:
     by_class = [
         _group(kind, sightings.vru_class == number, sightings, probability)
         for number, kind in enumerate(VRU_CLASSES)
     ]
     return {
-        "height": _by_bins(" px", sightings.height_px, _HEIGHT_EDGES_PX, sightings, probability),
-        "seen": _by_bins("", sightings.seen_share, _SHARE_EDGES, sightings, probability),
+        "height": _by_bins(
+            " px", sightings.height_px, _HEIGHT_EDGES_PX, sightings, probability
+        ),
+        "seen": _by_bins(
+            "", sightings.seen_share, _SHARE_EDGES, sightings, probability
+        ),
         "class": tuple(group for group in by_class if group.frames),
-        "aspect": _by_bins(" deg", sightings.aspect_deg, _ASPECT_EDGES_DEG, sightings, probability),
-        "contrast": _by_bins("", sightings.contrast, _CONTRAST_EDGES, sightings, probability),
+        "aspect": _by_bins(
+            " deg", sightings.aspect_deg, _ASPECT_EDGES_DEG, sightings, probability
+        ),
+        "contrast": _by_bins(
+            "", sightings.contrast, _CONTRAST_EDGES, sightings, probability
+        ),
     }
 
 
@@ -703,15 +809,22 @@ def _by_bins(
 ) -> tuple[Group, ...]:
     """Groups between edges, the last one with its upper edge; empty ones are left out."""
     bounds = [float(edge) for edge in edges]
-    which = np.clip(np.searchsorted(bounds, values, side="right") - 1, 0, len(bounds) - 2)
+    which = np.clip(
+        np.searchsorted(bounds, values, side="right") - 1, 0, len(bounds) - 2
+    )
     groups = []
     for number, (low, high) in enumerate(pairwise(bounds)):
-        words = f"{low:g}{unit} and more" if np.isinf(high) else f"{low:g} to {high:g}{unit}"
+        if np.isinf(high):
+            words = f"{low:g}{unit} and more"
+        else:
+            words = f"{low:g} to {high:g}{unit}"
         groups.append(_group(words, which == number, sightings, probability))
     return tuple(group for group in groups if group.frames)
 
 
-def _group(name: str, rows: BoolArray, sightings: Sightings, probability: FloatArray) -> Group:
+def _group(
+    name: str, rows: BoolArray, sightings: Sightings, probability: FloatArray
+) -> Group:
     found = sightings.is_found[rows]
     return Group(
         name=name,

@@ -1,7 +1,8 @@
 """Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures.
 
-Every family of networks lays its outputs out in its own way, and the file does not say which it
-is. So the outputs of one trial run are looked at, and an :class:`Export` says how all are read.
+Every family of networks lays its outputs out in its own way, and the file does not say
+which it is. So the outputs of one trial run are looked at, and an :class:`Export` says
+how all are read.
 """
 
 import ast
@@ -21,7 +22,15 @@ from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
 from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
 
-from .evidence import VRU_CLASSES, Crop, Detections, Evidence, Image, LidarTable, load_min_iou
+from .evidence import (
+    VRU_CLASSES,
+    Crop,
+    Detections,
+    Evidence,
+    Image,
+    LidarTable,
+    load_min_iou,
+)
 
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
 Array = NDArray[Any]
@@ -29,15 +38,25 @@ Outputs = Mapping[str, Array]
 Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
 
 VRU_KINDS = ("person", "bicycle", "cyclist")
-KINDS = (*VRU_KINDS, "motorcycle", "motorcyclist", "car")  # what a network's classes may mean here
+KINDS = (
+    *VRU_KINDS,
+    "motorcycle",
+    "motorcyclist",
+    "car",
+)  # what a network's classes may mean here
 
 _EXPECTED = (
-    "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes); "
-    "(1, 4 + classes, n); (1, n, 6); or logits (1, n, classes), pred_boxes (1, n, 4); with "
-    "names in the metadata, or COCO's 80 or 91 classes"
+    "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes);"
+    " (1, 4 + classes, n); (1, n, 6); or logits (1, n, classes), pred_boxes (1, n, 4);"
+    " with names in the metadata, or COCO's 80 or 91 classes"
 )
-# DETR, its first implementation, RF-DETR. Other pairs of these shapes are no logits (YOLO-NAS).
-_QUERY_NAMES = (("logits", "pred_boxes"), ("pred_logits", "pred_boxes"), ("labels", "dets"))
+# DETR, its first implementation, RF-DETR. Other pairs of these shapes are no logits
+# (YOLO-NAS).
+_QUERY_NAMES = (
+    ("logits", "pred_boxes"),
+    ("pred_logits", "pred_boxes"),
+    ("labels", "dets"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,11 +64,15 @@ class Export:
     """How a network's outputs are read, and what it needs to be shown."""
 
     kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
-    read: Callable[[Outputs], Found]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
+    read: Callable[
+        [Outputs], Found
+    ]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
     stride_px: int = 1  # images of free size are padded to its multiples
     is_suppressed: bool = True  # overlapping boxes of one class have been removed
     is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread
-    is_relative: bool = False  # boxes are shares of the image's width and height, not pixels
+    is_relative: bool = (
+        False  # boxes are shares of the image's width and height, not pixels
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +107,8 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
             found[scores[0]].reshape(-1),
         )
 
-    # Labels do not tell their number: torchvision uses COCO's 91, RT-DETR, in batches, its 80.
+    # Labels do not tell their number: torchvision uses COCO's 91, RT-DETR, in batches,
+    # its 80.
     return Export(kinds=numberings[0 if is_batch else -1].kinds, read=read)
 
 
@@ -102,14 +126,23 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
 
     def read(found: Outputs) -> Found:
-        from scipy.special import expit, softmax  # takes longer to load than all else here
+        from scipy.special import (
+            expit,
+            softmax,
+        )  # takes longer to load than all else here
 
         values = found[logits][0].astype(np.float64)
-        scores = softmax(values, axis=-1)[:, :-1] if n_more else expit(values)
+        if n_more:
+            scores = softmax(values, axis=-1)[:, :-1]
+        else:
+            scores = expit(values)
         return _around(found[boxes][0]), *_best(scores)
 
     return Export(
-        kinds=numbering.kinds, read=read, is_relative=True, is_imagenet=numbering.is_coco91
+        kinds=numbering.kinds,
+        read=read,
+        is_relative=True,
+        is_imagenet=numbering.is_coco91,
     )
 
 
@@ -130,7 +163,9 @@ def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
             return table[:, :4], table[:, 5], table[:, 4]
         if has_objectness:  # middle, size, objectness and a score per class in each row
             return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
-        return _around(table[:4].T), *_best(table[4:].T)  # the same in columns, without objectness
+        return _around(table[:4].T), *_best(
+            table[4:].T
+        )  # the same in columns, without objectness
 
     return Export(
         kinds=numbering.kinds,
@@ -153,7 +188,10 @@ def _best(scores: Array) -> tuple[Array, Array]:
 
 def _numberings(names: str | None, where: str) -> list[_Numbering]:
     """Possible numberings: the file's own, or COCO's."""
-    named = None if names is None else _read_names(names, where)
+    if names is None:
+        named = None
+    else:
+        named = _read_names(names, where)
     if named is not None:
         return [named]
     return [
@@ -169,7 +207,8 @@ def _numberings(names: str | None, where: str) -> list[_Numbering]:
 def _read_names(text: str, where: str) -> _Numbering | None:
     """Class names as Ultralytics writes them: a dictionary, or a list, as Python shows it.
 
-    Nothing where every class is named by its own number, as in files trained without names.
+    Nothing where every class is named by its own number, as in files trained without
+    names.
     """
     try:
         value = ast.literal_eval(text)
@@ -189,7 +228,9 @@ def _read_names(text: str, where: str) -> _Numbering | None:
 
 def kind_of_name() -> dict[str, str]:
     """The meaning of class names."""
-    return {word: kind for kind, words in onnx_setting("names").items() for word in words}
+    return {
+        word: kind for kind, words in onnx_setting("names").items() for word in words
+    }
 
 
 # ---------- images in, boxes out
@@ -217,8 +258,11 @@ def letterbox(
     height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if size != (width, height):
-        image = np.asarray(PilImage.fromarray(image).resize(size, PilImage.Resampling.BILINEAR))
-    left, top = (width_px - size[0]) // 2, (height_px - size[1]) // 2
+        image = np.asarray(
+            PilImage.fromarray(image).resize(size, PilImage.Resampling.BILINEAR)
+        )
+    left = (width_px - size[0]) // 2
+    top = (height_px - size[1]) // 2
     pixels = np.full((height_px, width_px, 3), onnx_setting("fill"), dtype=np.uint8)
     pixels[top : top + size[1], left : left + size[0]] = image
     return Letterbox(
@@ -234,7 +278,10 @@ _PIXEL_TYPES: dict[str, type[np.generic]] = {
     "tensor(float16)": np.float16,
     "tensor(uint8)": np.uint8,
 }
-_SIDE_INPUTS = ("pixel_mask", "orig_target_sizes")  # of DETR and RT-DETR: known without asking
+_SIDE_INPUTS = (
+    "pixel_mask",
+    "orig_target_sizes",
+)  # of DETR and RT-DETR: known without asking
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -273,7 +320,9 @@ class _Session:
         if self.pixel_type is not np.uint8:
             image = pixels.astype(np.float32) / np.float32(255.0)
             if is_imagenet:
-                image = (image - onnx_setting("imagenet_mean")) / onnx_setting("imagenet_std")
+                image = (image - onnx_setting("imagenet_mean")) / onnx_setting(
+                    "imagenet_std"
+                )
             image = image.astype(self.pixel_type)
         chw = np.ascontiguousarray(image.transpose(2, 0, 1))
         height, width = pixels.shape[:2]
@@ -287,8 +336,12 @@ class _Session:
         try:
             values = self.session.run(names, feed)
         except Exception as error:  # onnxruntime's own errors share no other base
-            raise InputError(str(self.path), _first_line(error), "a network that runs") from None
-        return {name: np.asarray(value) for name, value in zip(names, values, strict=True)}
+            raise InputError(
+                str(self.path), _first_line(error), "a network that runs"
+            ) from None
+        return {
+            name: np.asarray(value) for name, value in zip(names, values, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -302,9 +355,15 @@ class OnnxModel:
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
         """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
 
-        Raises :class:`InputError` if the image has another shape or type, or the network fails.
+        Raises :class:`InputError` if the image has another shape or type, or the
+        network fails.
         """
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        if (
+            image.dtype != np.uint8
+            or image.ndim != 3
+            or image.shape[2] != 3
+            or image.size == 0
+        ):
             got = f"{image.dtype} of shape {image.shape}"
             refuse("image", got, "uint8 of shape (height, width, 3)")
         fitted = _fit(image, self.session, self.export.stride_px)
@@ -323,9 +382,13 @@ class OnnxModel:
         height, width = image.shape[:2]
         boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
         order = np.argsort(-confidence, kind="stable")
-        order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]  # some lie in the padding
+        order = order[
+            (boxes[order, :2] < boxes[order, 2:]).all(axis=1)
+        ]  # some lie in the padding
         if not self.export.is_suppressed:
-            left = suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
+            left = suppress(
+                boxes[order], class_ids[order], max_iou=onnx_setting("max_iou")
+            )
             order = order[left]
         found = ImageBoxes(boxes, class_ids, confidence, self.export.kinds)
         return found.take(order)
@@ -334,11 +397,12 @@ class OnnxModel:
 def load_onnx_model(path: Path) -> OnnxModel:
     """Load a detector as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
 
-    A grey image is shown to the network once, to see what it gives. YOLOX cannot be distinguished
-    from YOLOv5, but expects blue first and 0 .. 255, and gives steps of its grid instead of pixels:
-    its boxes come out wrong. Without class names in the file's metadata, COCO's 80 or 91 classes
-    are decided by their number, 91 where the file gives labels only. Raises InputError, also if it
-    is no detector or no class is known, or MissingExtraError if onnxruntime is not installed.
+    A grey image is shown to the network once, to see what it gives. YOLOX cannot be
+    distinguished from YOLOv5, but expects blue first and 0 .. 255, and gives steps of
+    its grid instead of pixels: its boxes come out wrong. Without class names in the
+    file's metadata, COCO's 80 or 91 classes are decided by their number, 91 where the
+    file gives labels only. Raises InputError, also if it is no detector or no class is
+    known, or MissingExtraError if onnxruntime is not installed.
     """
     if not path.is_file():
         refuse(str(path), "no such file", "an ONNX file")
@@ -352,7 +416,10 @@ def load_onnx_model(path: Path) -> OnnxModel:
     if len(outputs) >= 3:
         export = _labelled(outputs, numberings)
     else:
-        family = _queries if len(outputs) == 2 else _table
+        if len(outputs) == 2:
+            family = _queries
+        else:
+            family = _table
         exports = (family(outputs, numbering) for numbering in numberings)
         export = next((export for export in exports if export is not None), None)
     if export is None:
@@ -367,10 +434,11 @@ def load_onnx_model(path: Path) -> OnnxModel:
 def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
     """Boxes (n, 4) that count for one of ``VRU_CLASSES``, and their confidence (n,).
 
-    A network that knows persons and bicycles finds a cyclist as either or both: the box around a
-    person and a bicycle that overlap counts as a cyclist, with the lower of the two confidences; so
-    does each of them alone, for the other may be missed. The same holds for motorcycles. A
-    detection is matched with one road user, so surplus boxes do no harm.
+    A network that knows persons and bicycles finds a cyclist as either or both: the box
+    around a person and a bicycle that overlap counts as a cyclist, with the lower of
+    the two confidences; so does each of them alone, for the other may be missed. The
+    same holds for motorcycles. A detection is matched with one road user, so surplus
+    boxes do no harm.
     """
 
     def of_kind(kind: str) -> tuple[FloatArray, FloatArray]:
@@ -382,9 +450,11 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
     if vru_class not in ridden:
         return of_kind(onnx_setting("kinds_of_class")[vru_class][0])
     cycle, rider = ridden[vru_class]
-    persons, cycles = of_kind("person"), of_kind(cycle)
+    persons = of_kind("person")
+    cycles = of_kind(cycle)
     who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
-    a, b = persons[0][who], cycles[0][what]
+    a = persons[0][who]
+    b = cycles[0][what]
     joined = (
         np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
         np.minimum(persons[1][who], cycles[1][what]),
@@ -396,8 +466,8 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
     """Indices (m,) of boxes that survive greedy non-maximum suppression.
 
-    Boxes (n, 4) are in descending order of confidence; one goes if a better one of its class
-    overlaps it by an IoU of more than `max_iou`.
+    Boxes (n, 4) are in descending order of confidence; one goes if a better one of its
+    class overlaps it by an IoU of more than `max_iou`.
     """
     is_left: BoolArray = np.ones(len(boxes_px), dtype=bool)
     for index in range(len(boxes_px)):
@@ -412,7 +482,9 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
     """Image as the network needs it: scaled to fixed sides, padded to the grid along free ones."""
     height, width = image.shape[:2]
     sides = ((session.width_px, width), (session.height_px, height))
-    scale = min((fixed / side for fixed, side in sides if fixed is not None), default=1.0)
+    scale = min(
+        (fixed / side for fixed, side in sides if fixed is not None), default=1.0
+    )
     across, down = (
         math.ceil(side * scale / stride_px) * stride_px if fixed is None else fixed
         for fixed, side in sides
@@ -442,14 +514,21 @@ def _open(path: Path) -> _Session:
         raise InputError(str(path), _first_line(error), "an ONNX file") from None
     inputs = session.get_inputs()
     images = [entry for entry in inputs if entry.name not in _SIDE_INPUTS]
-    shape = list(images[0].shape) if len(images) == 1 else []
+    if len(images) == 1:
+        shape = list(images[0].shape)
+    else:
+        shape = []
     has_batch = len(shape) == 4
     is_image = len(shape) in (3, 4) and _may_be(shape[-3], 3)
     is_image = is_image and (not has_batch or _may_be(shape[0], 1))
     if not is_image or images[0].type not in _PIXEL_TYPES:
-        got = ", ".join(f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs)
+        got = ", ".join(
+            f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs
+        )
         refuse(str(path), f"inputs {got or 'none'}", _IMAGE)
-    height, width = (side if isinstance(side, int) and side > 0 else None for side in shape[-2:])
+    height, width = (
+        side if isinstance(side, int) and side > 0 else None for side in shape[-2:]
+    )
     return _Session(
         path=path,
         session=session,
@@ -474,15 +553,18 @@ def _first_line(error: Exception) -> Unquoted:
 
 # ---------- the detector
 _SCALES = (1, 2, 4, 8)
-_CHOSEN_BY = {"geometric": "by boxes alone", "cnn-table": "by the response table fitted to it"}
+_CHOSEN_BY = {
+    "geometric": "by boxes alone",
+    "cnn-table": "by the response table fitted to it",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
     """Detects by a network; pictures in which the VRU is too small are not shown to it.
 
-    A network that looks at crops is shown the surroundings of the VRU only. Whole pictures it sees
-    at several scales.
+    A network that looks at crops is shown the surroundings of the VRU only. Whole
+    pictures it sees at several scales.
     """
 
     name: str  # name of the file, or "cnn"
@@ -491,7 +573,9 @@ class NetworkDetector:
     min_confidence: float  # boxes below it do not count
     looks_at_crops: bool = False
     plans_with: str = "geometric"  # the built-in detector by which poses are chosen
-    alarm_words: str = ""  # how often it confirms what is not there, if that was measured
+    alarm_words: str = (
+        ""  # how often it confirms what is not there, if that was measured
+    )
     lidar: LidarTable | None = None
 
     needs_pictures = True
@@ -502,8 +586,10 @@ class NetworkDetector:
         return (
             f"The network {self.name} looks at rendered pictures"
             f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
-            f"count from a confidence of {self.min_confidence:g} on where they overlap the road "
-            f"user's visible part by more than {load_min_iou():g} (intersection over union). Poses "
+            f"count from a confidence of {self.min_confidence:g} on where they overlap"
+            " the road "
+            f"user's visible part by more than {load_min_iou():g} (intersection over"
+            " union). Poses "
             f"are chosen {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}"
             f"{self.lidar.description if self.lidar else ''}"
         )
@@ -511,8 +597,8 @@ class NetworkDetector:
     def look(self, image: Image) -> ImageBoxes:
         """Find road users in a whole picture, (h, w, 3) uint8.
 
-        A network for crops is shown it at full size, a half, a quarter and an eighth, for it knows
-        road users of few sizes only.
+        A network for crops is shown it at full size, a half, a quarter and an eighth,
+        for it knows road users of few sizes only.
         """
         if not self.looks_at_crops:
             return self.model.detect(image)
@@ -527,7 +613,9 @@ class NetworkDetector:
         class_ids = np.concatenate([found.class_ids for found, _ in parts])
         confidence = np.concatenate([found.confidence for found, _ in parts])
         order = np.argsort(-confidence, kind="stable")
-        left = order[suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))]
+        left = order[
+            suppress(boxes[order], class_ids[order], max_iou=onnx_setting("max_iou"))
+        ]
         return ImageBoxes(boxes, class_ids, confidence, parts[0][0].kinds).take(left)
 
     def look_at(self, crop: Crop) -> ImageBoxes:
@@ -565,7 +653,9 @@ class NetworkDetector:
             confidence=np.concatenate([np.empty(0), *confidence]),
         )
 
-    def _find(self, rows: list[int], evidence: Evidence) -> Iterator[tuple[int, ImageBoxes]]:
+    def _find(
+        self, rows: list[int], evidence: Evidence
+    ) -> Iterator[tuple[int, ImageBoxes]]:
         """Boxes in the images of rows, or around their VRUs; what looks the same is seen once."""
         if not self.looks_at_crops:
             assert evidence.picture is not None

@@ -47,7 +47,9 @@ UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = "evaluate"
 
-_VUT_JOBS = 4  # nothing repeats in the VUT's images: they take longer than those of an RSU
+_VUT_JOBS = (
+    4  # nothing repeats in the VUT's images: they take longer than those of an RSU
+)
 _POLL_S = 0.5
 
 
@@ -67,9 +69,10 @@ def watch(
 ) -> dict[UnitKey, BoolArray]:
     """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU, (n_frames,) each.
 
-    No message is lost yet. Progress is called from the calling thread: first with poses looked
-    from, a quarter of the VUT's frames counting as one; then, where the detector looks at
-    pictures, with pictures. What is cached of an earlier call is not looked at again.
+    No message is lost yet. Progress is called from the calling thread: first with poses
+    looked from, a quarter of the VUT's frames counting as one; then, where the detector
+    looks at pictures, with pictures. What is cached of an earlier call is not looked at
+    again.
     """
     names = _names(setting, units)
     cached = _open_cache(setting, compute)
@@ -104,10 +107,14 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
 _KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
 
 
-def _names(setting: Setting, units: Mapping[UnitKey, CandidatePose]) -> dict[UnitKey, str]:
+def _names(
+    setting: Setting, units: Mapping[UnitKey, CandidatePose]
+) -> dict[UnitKey, str]:
     """Names in the cache of the frames in which each unit and the VUT detect."""
     hashes = Fingerprints()
-    vut = hashes.of(setting.vut_sensors, setting.vut_camera, load_vut_camera(), load_vut_lidar())
+    vut = hashes.of(
+        setting.vut_sensors, setting.vut_camera, load_vut_camera(), load_vut_lidar()
+    )
     return {VUT_KEY: f"vut-{vut}"} | {
         key: f"unit-{hashes.of(unit.pose, unit.sensor)}" for key, unit in units.items()
     }
@@ -126,17 +133,30 @@ def _open_cache(setting: Setting, compute: Compute) -> CachedArrays:
 
 def _fingerprint(setting: Setting, seed: int) -> str:
     """Hash of all that detections depend on, but for the units and what the VUT looks with."""
-    scene, runs = setting.scene, setting.runs
+    scene = setting.scene
+    runs = setting.runs
     weathers = dict.fromkeys(run.weather for run in runs)
     return Fingerprints().of(
-        *(_KIND, seed, setting.detector, load_min_iou(), load_lidar_detection()),
-        *(scene.vertices_m, scene.triangles, scene.triangle_instance),
+        _KIND,
+        seed,
+        setting.detector,
+        load_min_iou(),
+        load_lidar_detection(),
+        scene.vertices_m,
+        scene.triangles,
+        scene.triangle_instance,
         [instance.class_name for instance in scene.instances],
         [pick_weather(name, "runs: weather") for name in weathers],
         draw_index(runs),
         [
             (
-                *(run.weather, run.encounter.vut, run.encounter.vru, run.obstruction, run.traffic),
+                *(
+                    run.weather,
+                    run.encounter.vut,
+                    run.encounter.vru,
+                    run.obstruction,
+                    run.traffic,
+                ),
                 *(run.terrain, run.time_s, run.vut_position_m, run.vut_yaw_deg),
                 *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
             )
@@ -163,7 +183,9 @@ class _Watcher:
         """Evidence of cameras, and the frames in which LiDARs detect."""
         from . import perceive
 
-        seed, around, mount = self._seed, self._surroundings, self._mount
+        seed = self._seed
+        around = self._surroundings
+        mount = self._mount
         least_px = self._setting.detector.min_box_height_px
         n_frames = self._setting.axis.n_frames
         parts = np.array_split(np.arange(n_frames), min(_VUT_JOBS, n_frames))
@@ -175,7 +197,8 @@ class _Watcher:
                 by_vut = [
                     pool.submit(
                         perceive.perceive_frames,
-                        *(around.take(frames), mount),
+                        around.take(frames),
+                        mount,
                         min_height_px=least_px,
                     )
                     for frames in parts
@@ -189,12 +212,16 @@ class _Watcher:
                 if isinstance(unit.sensor, LidarModel):
                     scans[key] = pool.submit(
                         perceive.scan_frames,
-                        *(around, unit.pose, unit.sensor, build_rng(seed, key)),
+                        around,
+                        unit.pose,
+                        unit.sensor,
+                        build_rng(seed, key),
                     )
                 else:
                     looks[key] = pool.submit(
                         perceive.perceive_frames,
-                        *(around, (unit.pose, unit.sensor)),
+                        around,
+                        (unit.pose, unit.sensor),
                         min_height_px=least_px,
                     )
             jobs: list[Future[Any]] = [*by_vut, *looks.values(), *scans.values()]
@@ -213,16 +240,22 @@ class _Watcher:
         self, key: UnitKey, is_enough: BoolArray, unit: CandidatePose | None
     ) -> BoolArray:
         """Of the frames with enough points on the VRU those in which the detector finds it."""
-        table, runs, around = self._setting.detector.lidar, self._setting.runs, self._surroundings
+        table = self._setting.detector.lidar
+        runs = self._setting.runs
+        around = self._surroundings
         if table is None:
             return is_enough
         vru, vut = (
             np.concatenate([getattr(run, name)[:, :2] for run in runs])
             for name in ("vru_position_m", "vut_position_m")
         )
-        distance = np.hypot(*(vru - (vut if unit is None else unit.pose.position_m[:2])).T)
+        distance = np.hypot(
+            *(vru - (vut if unit is None else unit.pose.position_m[:2])).T
+        )
         rng = build_rng(self._seed, key, table.name)
-        return is_enough & table.detect(distance, around.vru_class, around.draw_index, rng)
+        return is_enough & table.detect(
+            distance, around.vru_class, around.draw_index, rng
+        )
 
     def find(
         self, looks: Mapping[UnitKey, Evidence], units: Mapping[UnitKey, CandidatePose]
@@ -237,18 +270,23 @@ class _Watcher:
         from .pictures import PictureSource
 
         source = PictureSource(self._setting.scene, self._setting.runs, seed=self._seed)
-        # The VUT's pictures take longest, for nothing stands still in them: they are drawn first.
+        # The VUT's pictures take longest, for nothing stands still in them: they are
+        # drawn first.
         longest_first = sorted(looks.items(), key=lambda item: item[0] != VUT_KEY)
         with threads(self._compute.workers) as pool, closing(source):
             found = {
                 key: pool.submit(
-                    self._detect, key, self._with_pictures(evidence, source, units.get(key))
+                    self._detect,
+                    key,
+                    self._with_pictures(evidence, source, units.get(key)),
                 )
                 for key, evidence in longest_first
             }
             pending = set(found.values())
             while pending:
-                done, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
+                done, pending = wait(
+                    pending, timeout=_POLL_S, return_when=FIRST_COMPLETED
+                )
                 for future in done:
                     future.result()
                 self._compute.progress(STAGE, source.n_drawn, n_pictures)
@@ -272,9 +310,14 @@ class _Watcher:
 
 def _join(parts: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive frames in one."""
-    values = {one.name: [getattr(part, one.name) for part in parts] for one in fields(Evidence)}
+    values = {
+        one.name: [getattr(part, one.name) for part in parts]
+        for one in fields(Evidence)
+    }
     arrays: dict[str, Any] = {
-        name: np.concatenate(each) for name, each in values.items() if each[0] is not None
+        name: np.concatenate(each)
+        for name, each in values.items()
+        if each[0] is not None
     }
     return Evidence(**arrays)
 
@@ -289,20 +332,32 @@ class Judge:
     """Verdicts on the same runs; remembers which onsets of braking end in contact, and how fast."""
 
     def __init__(
-        self, runs: Sequence[Run], axis: FrameAxis, rule: AebRule, levels: Levels | None = None
+        self,
+        runs: Sequence[Run],
+        axis: FrameAxis,
+        rule: AebRule,
+        levels: Levels | None = None,
     ) -> None:
-        self.axis, self.levels, self._runs, self._rule = axis, levels, runs, rule
+        self.axis = axis
+        self.levels = levels
+        self._runs = runs
+        self._rule = rule
         # By encounter, which runs that differ by weather alone share, then by onset.
-        self._contacts: dict[int, dict[float, _Contact]] = {id(run.encounter): {} for run in runs}
+        self._contacts: dict[int, dict[float, _Contact]] = {
+            id(run.encounter): {} for run in runs
+        }
 
     def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
         """Verdicts on groups of parties: in each frame any one of a group may be the detector.
 
-        Braking begins when the last message has arrived that confirms the track which is alive at
-        the last moment; whether it avoids is asked of the bodies, not of the last moment.
+        Braking begins when the last message has arrived that confirms the track which
+        is alive at the last moment; whether it avoids is asked of the bodies, not of
+        the last moment.
         """
         arrivals = [earliest_arrival_s(parties, self.axis) for parties in fused]
-        onsets = [find_onsets(arrival, self.axis, rule=self._rule) for arrival in arrivals]
+        onsets = [
+            find_onsets(arrival, self.axis, rule=self._rule) for arrival in arrivals
+        ]
         contacts = self._find_contacts(np.array([each.onset_s for each in onsets]))
         return [
             Verdict(
@@ -325,13 +380,18 @@ class Judge:
         """
         contacts = np.empty((len(onset_s), 3, len(self._runs)))
         for index, run in enumerate(self._runs):
-            asked, known = onset_s[:, index].tolist(), self._contacts[id(run.encounter)]
+            asked = onset_s[:, index].tolist()
+            known = self._contacts[id(run.encounter)]
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
                 found = find_contacts(run.encounter, new, self._rule)
                 columns = (found.time_s, found.speed_mps, found.closing_mps)
                 known.update(
-                    zip(new, zip(*(c.tolist() for c in columns), strict=True), strict=True)
+                    zip(
+                        new,
+                        zip(*(c.tolist() for c in columns), strict=True),
+                        strict=True,
+                    )
                 )
             contacts[:, :, index] = [known[each] for each in asked]
         return contacts
@@ -347,17 +407,29 @@ class Seen:
     vam: Party | None = None
 
 
-def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> list[Evaluation]:
+def judge_layouts(
+    judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0
+) -> list[Evaluation]:
     """Evaluations of layouts by what their units and the VUT detect; `cars`: share that sees."""
     fused: list[dict[tuple[str, ...], list[Party]]] = []
     for one in seen:
-        rsus, vam = [*one.units.values()], [] if one.vam is None else [one.vam]
+        rsus = [*one.units.values()]
+        if one.vam is None:
+            vam = []
+        else:
+            vam = [one.vam]
         fused.append(
             {("unit", name): [party] for name, party in one.units.items()}
-            | {("vut",): [one.vut], ("rsu_all",): rsus, ("vut_and_rsus",): [*rsus, one.vut]}
+            | {
+                ("vut",): [one.vut],
+                ("rsu_all",): rsus,
+                ("vut_and_rsus",): [*rsus, one.vut],
+            }
             | ({("vam",): vam, ("all_sources",): [*rsus, one.vut, *vam]} if vam else {})
         )
-    verdicts = iter(judge.verdicts([parties for groups in fused for parties in groups.values()]))
+    verdicts = iter(
+        judge.verdicts([parties for groups in fused for parties in groups.values()])
+    )
     evaluations = []
     for one, groups in zip(seen, fused, strict=True):
         found = {key: next(verdicts) for key in groups}
@@ -369,7 +441,9 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> l
                 units={name: found["unit", name] for name in one.units},
                 rsu_all=found["rsu_all",],
                 vut_and_rsus=found["vut_and_rsus",],
-                others={name: found[name,] for name in ("vam", "all_sources") if one.vam},
+                others={
+                    name: found[name,] for name in ("vam", "all_sources") if one.vam
+                },
                 levels=judge.levels,
                 cars=cars,
             )
@@ -382,11 +456,12 @@ def judge_layouts(judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0) -> l
 class VamRule:
     """When a device sends: see ``data/vam.toml``."""
 
-    # min_interval_s, max_interval_s: not sooner after the last message, and not later. [s]
+    # min_interval_s, max_interval_s: not sooner after the last message, and not later.
+    # [s]
     min_interval_s: float
     max_interval_s: float
-    # position_change_m, speed_change_mps, heading_change_deg: changes that make a message due.
-    # [m], [m/s], [deg]
+    # position_change_m, speed_change_mps, heading_change_deg: changes that make a
+    # message due. [m], [m/s], [deg]
     position_change_m: float
     speed_change_mps: float
     heading_change_deg: float
@@ -400,9 +475,14 @@ def load_vam_rule() -> VamRule:
 
 def sent_frames(run: Run, rule: VamRule) -> BoolArray:
     """Frames of a run in which the VRU's device sends, (n_frames,) bool; the first is one."""
-    time, position, yaw = run.time_s, run.vru_position_m, run.vru_yaw_deg
+    time = run.time_s
+    position = run.vru_position_m
+    yaw = run.vru_yaw_deg
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
-    speed = np.append(steps / np.diff(time), 0.0) if len(time) > 1 else np.zeros(1)
+    if len(time) > 1:
+        speed = np.append(steps / np.diff(time), 0.0)
+    else:
+        speed = np.zeros(1)
     if len(time) > 1:
         speed[-1] = speed[-2]
     is_sent = np.zeros(len(time), dtype=bool)
@@ -413,7 +493,8 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
         is_due = waited_s >= rule.max_interval_s or (
             waited_s >= rule.min_interval_s
             and (
-                np.linalg.norm(position[frame] - position[last]) > rule.position_change_m
+                np.linalg.norm(position[frame] - position[last])
+                > rule.position_change_m
                 or abs(speed[frame] - speed[last]) > rule.speed_change_mps
                 or abs(wrap_deg(yaw[frame] - yaw[last])) > rule.heading_change_deg
             )
@@ -424,11 +505,14 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
     return is_sent
 
 
-def known_frames(runs: Sequence[Run], links: Radio, rng: np.random.Generator) -> BoolArray:
+def known_frames(
+    runs: Sequence[Run], links: Radio, rng: np.random.Generator
+) -> BoolArray:
     """Frames of all runs, end to end, in which the VUT knows of the VRU from its own messages.
 
-    The random numbers say who is equipped and which messages are lost. A message that was received
-    counts until the next one must come. The device is taken to know its own position exactly.
+    The random numbers say who is equipped and which messages are lost. A message that
+    was received counts until the next one must come. The device is taken to know its
+    own position exactly.
     """
     rule = load_vam_rule()
     random: dict[int, tuple[float, FloatArray]] = {}
@@ -462,14 +546,17 @@ def evaluate_layouts(
 ) -> list[Evaluation]:
     """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
 
-    One per layout; units at the same pose in several layouts are rendered once. Misses, lost
-    messages and who carries a device are random; the random numbers of a unit depend on its pose,
-    not on the layout that it is part of. For the progress see :func:`watch`. Raises InputError: the
-    setting's axis does not belong to its runs.
+    One per layout; units at the same pose in several layouts are rendered once. Misses,
+    lost messages and who carries a device are random; the random numbers of a unit
+    depend on its pose, not on the layout that it is part of. For the progress see
+    :func:`watch`. Raises InputError: the setting's axis does not belong to its runs.
     """
-    runs, axis = setting.runs, setting.axis
+    runs = setting.runs
+    axis = setting.axis
     times_s = np.concatenate([run.time_s for run in runs])
-    if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(times_s, axis.time_s):
+    if tuple(run.id for run in runs) != axis.run_ids or not np.array_equal(
+        times_s, axis.time_s
+    ):
         refuse("axis", "frames of other runs", "the frame axis of these runs")
     compute.progress(STAGE, 0, 0)
     units = {unit_key(unit): unit for layout in layouts for unit in layout.units}
@@ -504,5 +591,8 @@ def _arriving(
     for unit in layout.units:
         random = build_rng(seed, unit_key(unit), "cpm").random(len(draws))
         arrives = (random >= setting.radio.packet_loss)[frame_draw]
-        units[unit.id] = (detected[unit_key(unit)] & arrives, unit.latency(setting.rule))
+        units[unit.id] = (
+            detected[unit_key(unit)] & arrives,
+            unit.latency(setting.rule),
+        )
     return units

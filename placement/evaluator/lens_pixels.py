@@ -1,7 +1,7 @@
 """Pixels of a picture through a lens that show the VRU: a ray for each of them.
 
-Straight edges are bent there, so that :mod:`.pixels`, which draws triangles between straight edges,
-is of no use. A pixel's ray is that of its middle, undistorted.
+Straight edges are bent there, so that :mod:`.pixels`, which draws triangles between
+straight edges, is of no use. A pixel's ray is that of its middle, undistorted.
 """
 
 from typing import NamedTuple
@@ -16,10 +16,13 @@ from .surroundings import Solid
 
 _MIN_DEPTH_M = 1.0e-6
 _TOUCH_M = 1.0e-3  # what the VRU stands on does not hide it; more than rounding of rays
-# By so much of its size and so many pixels a body may reach beyond its corners as the lens bends
-# its edges; of one that takes up more of the picture all pixels are looked at.
+# By so much of its size and so many pixels a body may reach beyond its corners as the
+# lens bends its edges; of one that takes up more of the picture all pixels are looked
+# at.
 _FAR_OUT = 2.0 * np.tan(SEEN_RAD)
-_BULGE, _MARGIN_PX, _LARGE = 0.1, 2.0, 0.4
+_BULGE = 0.1
+_MARGIN_PX = 2.0
+_LARGE = 0.4
 Window = tuple[int, int, int, int]
 
 
@@ -33,7 +36,9 @@ class _Rays(NamedTuple):
 
     def take(self, some: BoolArray) -> "_Rays":
         """Some of them."""
-        return _Rays(self.columns[some], self.rows[some], self.ways[some], self.depth_m[some])
+        return _Rays(
+            self.columns[some], self.rows[some], self.ways[some], self.depth_m[some]
+        )
 
 
 def see_through_lens(
@@ -48,7 +53,8 @@ def see_through_lens(
     """Fill `seen`, which is blank: boxes and shares, as :func:`.pixels.see` does for pinholes."""
     vertices = vru.meshes[0].vertices_m
     for sight in range(len(sights.vru.shift)):
-        turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
+        turn = sights.vru.turn[sight]
+        shift = sights.vru.shift[sight]
         window, seen.inside_share[sight] = _find_window(
             camera, vertices @ turn.T + shift, min_height_px
         )
@@ -65,7 +71,9 @@ def see_through_lens(
             continue
         for frame in range(frames.start, frames.stop):
             left = free
-            for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
+            for row in range(
+                sights.vehicle_start[frame], sights.vehicle_start[frame + 1]
+            ):
                 vehicle = vehicles[sights.vehicle_kind[row]]
                 if len(left.columns):
                     is_hidden = _is_hidden(camera, vehicle, sights.vehicles, row, left)
@@ -80,30 +88,39 @@ def _find_window(
 ) -> tuple[Window, float]:
     """Pixels that may show a body with corners (n, 3), camera frame; and its share inside.
 
-    Zeros if none may, or the part is not so high; all of them where the body reaches behind. The
-    share is that of its box, 0 where it reaches behind. Where the lens shows nothing points lie
-    straight on, so that the box around them holds what it shows.
+    Zeros if none may, or the part is not so high; all of them where the body reaches
+    behind. The share is that of its box, 0 where it reaches behind. Where the lens
+    shows nothing points lie straight on, so that the box around them holds what it
+    shows.
     """
-    nothing, everything = (0, 0, 0, 0), (0, 0, camera.width_px, camera.height_px)
+    nothing = (0, 0, 0, 0)
+    everything = (0, 0, camera.width_px, camera.height_px)
     depth = corners[:, 2]
     if (depth <= _MIN_DEPTH_M).all() or camera.height_px < min_height_px:
         return nothing, 0.0
     at_depth_1 = corners[:, :2] / np.maximum(depth, _MIN_DEPTH_M)[:, None]
-    # What lies beside the lens or behind it is far out of the picture, in its direction.
+    # What lies beside the lens or behind it is far out of the picture, in its
+    # direction.
     radius = np.linalg.norm(at_depth_1, axis=1, keepdims=True)
     at_depth_1 *= np.minimum(1.0, _FAR_OUT / np.maximum(radius, _MIN_DEPTH_M))
     is_behind = bool((depth <= _MIN_DEPTH_M).any())
     middle = corners.mean(axis=0)
-    is_far = np.linalg.norm(middle) > 2.0 * np.linalg.norm(corners - middle, axis=1).max()
+    is_far = (
+        np.linalg.norm(middle) > 2.0 * np.linalg.norm(corners - middle, axis=1).max()
+    )
     if is_behind and not is_far:
         return everything, 0.0
     if is_far and not is_shown(at_depth_1, camera).any():
         return nothing, 0.0
     shown = shown_points(at_depth_1, camera)
-    low, high = shown.min(axis=0), shown.max(axis=0)
+    low = shown.min(axis=0)
+    high = shown.max(axis=0)
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
-    share = 0.0 if is_behind else float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
+    if is_behind:
+        share = 0.0
+    else:
+        share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
     if is_behind and not inside.all():
         return nothing, 0.0
     if (high - low > _LARGE * size).any():
@@ -116,7 +133,9 @@ def _find_window(
     return (*first, *last), share
 
 
-def _meet(camera: CameraModel, vru: Solid, placed: Placed, row: int, window: Window) -> _Rays:
+def _meet(
+    camera: CameraModel, vru: Solid, placed: Placed, row: int, window: Window
+) -> _Rays:
     """Rays of a window's pixels that meet the VRU."""
     x_low, y_low, x_high, y_high = window
     across = pixel_grid(camera)[y_low:y_high, x_low:x_high]
@@ -132,7 +151,8 @@ def _cast(
     camera: CameraModel, solid: Solid, placed: Placed, row: int, ways: FloatArray
 ) -> FloatArray:
     """Depths (n,) at which rays first meet a body from the near limit on; infinite: nowhere."""
-    turn, shift = placed.turn[row], placed.shift[row]
+    turn = placed.turn[row]
+    shift = placed.shift[row]
     near = camera.near_m / np.linalg.norm(ways, axis=1)
     starts = (near[:, None] * ways - shift) @ turn
     rays = starts.astype(np.float32), (ways @ turn).astype(np.float32)
@@ -151,5 +171,6 @@ def _box(rays: _Rays) -> FloatArray:
     """Box around the rays' pixels, (4,); zeros if there are none."""
     if not len(rays.columns):
         return np.zeros(4)
-    columns, rows = rays.columns, rays.rows
+    columns = rays.columns
+    rows = rays.rows
     return np.array([columns.min(), rows.min(), columns.max() + 1.0, rows.max() + 1.0])

@@ -1,8 +1,8 @@
 """Boxes of the VRU in every frame, derived from pixels, and LiDAR points on it.
 
-Each unit is a sensor that is fixed to something: an RSU to the world, the VUT's sensors to the VUT.
-Seen from there many instants look the same but for the VUT and other vehicles that drive: such a
-sight is drawn, or scanned, once.
+Each unit is a sensor that is fixed to something: an RSU to the world, the VUT's sensors
+to the VUT. Seen from there many instants look the same but for the VUT and other
+vehicles that drive: such a sight is drawn, or scanned, once.
 """
 
 from collections.abc import Iterator
@@ -70,15 +70,19 @@ class _Station:
 
 def _stand(surroundings: Surroundings, at: Pose | VutCamera) -> _Station:
     """Frames as a fixed sensor has them before it, or one on the VUT, which is not seen then."""
-    static_poses, vru_poses = surroundings.static_poses, surroundings.vru_poses
-    vehicle_index, vehicle_poses = surroundings.traffic_index, surroundings.traffic_poses
+    static_poses = surroundings.static_poses
+    vru_poses = surroundings.vru_poses
+    vehicle_index = surroundings.traffic_index
+    vehicle_poses = surroundings.traffic_poses
     if isinstance(at, Pose):
-        pose, tilt_deg = at, np.zeros(len(vru_poses))
+        pose = at
+        tilt_deg = np.zeros(len(vru_poses))
         vehicle_index = np.insert(vehicle_index, 0, 0, axis=1)
         vehicle_poses = np.insert(vehicle_poses, 0, surroundings.vut_poses, axis=1)
         sight_index = surroundings.sight_index
     else:
-        pose, tilt_deg = at.pose_on(surroundings.vut_actor), surroundings.vut_pitch_deg
+        pose = at.pose_on(surroundings.vut_actor)
+        tilt_deg = surroundings.vut_pitch_deg
         vut_poses = level_carriers(surroundings, pose)
         static_poses, vru_poses, vehicle_poses = (
             relative_road_poses(poses, vut_poses)
@@ -100,10 +104,16 @@ def _stand(surroundings: Surroundings, at: Pose | VutCamera) -> _Station:
     )
 
 
-def _same_bodies(surroundings: Surroundings, station: _Station) -> Iterator[tuple[slice, int, int]]:
+def _same_bodies(
+    surroundings: Surroundings, station: _Station
+) -> Iterator[tuple[slice, int, int]]:
     """Sights with the same static world and the same body, and the numbers of these two."""
-    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[station.first]
-    changes = np.flatnonzero((np.diff(kinds, axis=0, prepend=-1) != 0).any(axis=1)).tolist()
+    kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[
+        station.first
+    ]
+    changes = np.flatnonzero(
+        (np.diff(kinds, axis=0, prepend=-1) != 0).any(axis=1)
+    ).tolist()
     for begin, end in pairwise([*changes, len(kinds)]):
         yield slice(begin, end), *kinds[begin].tolist()
 
@@ -122,11 +132,15 @@ def perceive_frames(
 ) -> Evidence:
     """Evidence of a camera, one row for each frame; the VUT's own does not see the VUT.
 
-    Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are zeros.
+    Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are
+    zeros.
     """
     at, camera = (by, by.camera) if isinstance(by, VutCamera) else by
     station = _stand(surroundings, at)
-    pose, order, start, first = station.pose, station.order, station.start, station.first
+    pose = station.pose
+    order = station.order
+    start = station.start
+    first = station.first
     n_frames = len(order)
     vru = _place(pose, station.vru_poses[first], station.tilt_deg[first])
     static = _place(pose, station.static_poses[first], station.tilt_deg[first])
@@ -145,7 +159,8 @@ def perceive_frames(
     )
     distance_m = np.empty(n_frames)
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
-        body, static_solid = surroundings.vrus[vru_index], surroundings.statics[static_index]
+        body = surroundings.vrus[vru_index]
+        static_solid = surroundings.statics[static_index]
         frames = slice(start[sights.start], start[sights.stop])
         driving = slice(vehicle_start[frames.start], vehicle_start[frames.stop])
         placed = Sights(
@@ -159,19 +174,33 @@ def perceive_frames(
         if camera.is_pinhole:
             standing, parked = static_solid.meshes
             see(
-                *(image, min_height_px, body.meshes[0].skin, body.hull_m),
-                *(standing.tree, parked.tree, surroundings.vehicle_trees),
-                *(placed, seen.take(sights, frames)),
+                image,
+                min_height_px,
+                body.meshes[0].skin,
+                body.hull_m,
+                standing.tree,
+                parked.tree,
+                surroundings.vehicle_trees,
+                placed,
+                seen.take(sights, frames),
             )
         else:
             see_through_lens(
-                *(camera, min_height_px, body, static_solid, surroundings.vehicles),
-                *(placed, seen.take(sights, frames)),
+                camera,
+                min_height_px,
+                body,
+                static_solid,
+                surroundings.vehicles,
+                placed,
+                seen.take(sights, frames),
             )
         of_kind = order[frames]
-        distance_m[of_kind] = _distances_m(pose, station.vru_poses[of_kind], body.hull_m)
+        distance_m[of_kind] = _distances_m(
+            pose, station.vru_poses[of_kind], body.hull_m
+        )
     sight = station.sight_of_frame
-    visible, shares = np.empty((n_frames, 4)), np.empty(n_frames)
+    visible = np.empty((n_frames, 4))
+    shares = np.empty(n_frames)
     visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
     sightline_m = station.vru_poses[:, :2] - pose.position_m[:2]
     return Evidence(
@@ -208,7 +237,9 @@ def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
 class _Echoes(NamedTuple):
     """Beams that reach the VRU in one sight."""
 
-    directions: FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
+    directions: (
+        FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
+    )
     distance_m: FloatArray  # (n,)
     incidence_cos: FloatArray  # (n,)
 
@@ -217,23 +248,32 @@ class _Echoes(NamedTuple):
 
 
 def scan_frames(
-    surroundings: Surroundings, at: Pose | VutCamera, lidar: LidarModel, rng: np.random.Generator
+    surroundings: Surroundings,
+    at: Pose | VutCamera,
+    lidar: LidarModel,
+    rng: np.random.Generator,
 ) -> BoolArray:
     """Frames in which a LiDAR gets enough points on the VRU, (n_frames,) bool.
 
-    It is fixed, or the VUT's own at the place of its camera. The random numbers say which pulses
-    come back.
+    It is fixed, or the VUT's own at the place of its camera. The random numbers say
+    which pulses come back.
     """
     station = _stand(surroundings, at)
-    pose, first = station.pose, station.first
+    pose = station.pose
+    first = station.first
     detected = np.zeros(len(station.order), dtype=bool)
-    random: dict[int, FloatArray] = {}  # one for all weathers: what differs is the weather's
+    random: dict[
+        int, FloatArray
+    ] = {}  # one for all weathers: what differs is the weather's
     beams = beam_directions(lidar).reshape(-1, 3)
     poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
     sight_of_frame = station.sight_of_frame
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
-        static, vru = surroundings.statics[static_index], surroundings.vrus[vru_index]
-        in_parts = np.array_split(first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE))
+        static = surroundings.statics[static_index]
+        vru = surroundings.vrus[vru_index]
+        in_parts = np.array_split(
+            first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE)
+        )
         of_sights = [
             echoes
             for part in in_parts
@@ -254,7 +294,9 @@ def scan_frames(
             vru_class = VRU_CLASSES[surroundings.vru_class[frame]]
             if draw not in random:
                 random[draw] = rng.random(len(echoes.distance_m))
-            detected[frame] = _is_enough(echoes, lidar, weather, vru_class, random[draw])
+            detected[frame] = _is_enough(
+                echoes, lidar, weather, vru_class, random[draw]
+            )
     return detected
 
 
@@ -269,12 +311,18 @@ def _look(
 ) -> Iterator[_Echoes]:
     """Beams that reach the VRU before anything that stands still, sight by sight."""
     vru_poses = poses[:, 4:]
-    turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)  # from the LiDAR's own frame
+    turns = body_rotation(
+        pose.yaw_deg, pose.pitch_deg + tilt_deg
+    )  # from the LiDAR's own frame
     distance = _distances_m(pose, vru_poses, vru.hull_m)
     radius_m = float(
-        np.linalg.norm(vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1).max()
+        np.linalg.norm(
+            vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1
+        ).max()
     )
-    middle = np.column_stack([vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]])
+    middle = np.column_stack(
+        [vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]]
+    )
     towards = (middle - pose.position_m) / distance[:, None]
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
@@ -283,15 +331,24 @@ def _look(
     sight = near[cone]
     cosine = np.einsum("ni,ni->n", towards_lidar[sight], beams[beam])
     is_close = cosine >= np.cos(half_angle[sight])
-    sight, beam = sight[is_close], beam[is_close]
+    sight = sight[is_close]
+    beam = beam[is_close]
     directions = np.einsum("nij,nj->ni", turns[sight], beams[beam])
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
-    sight, directions, depth, triangle = sight[hits], directions[hits], depth[hits], triangle[hits]
+    sight = sight[hits]
+    directions = directions[hits]
+    depth = depth[hits]
+    triangle = triangle[hits]
     before, _ = _cast(pose, lidar, static, poses[sight, :4], directions)
     free = depth < before
-    sight, directions, depth, triangle = sight[free], directions[free], depth[free], triangle[free]
-    normals = np.einsum("nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle])
+    sight = sight[free]
+    directions = directions[free]
+    depth = depth[free]
+    triangle = triangle[free]
+    normals = np.einsum(
+        "nij,nj->ni", body_rotation(vru_poses[sight, 2]), vru.normals[triangle]
+    )
     cosine = np.abs(np.einsum("ni,ni->n", normals, directions))
     ends = np.searchsorted(sight, np.arange(len(poses) + 1))
     for start, end in pairwise(ends):
@@ -309,9 +366,9 @@ def _beams_around(
 ) -> tuple[IntArray, IntArray]:
     """Cones and beams (n,) in them, cone by cone: line by line, each from right to left.
 
-    Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into the flattened
-    scan pattern. Over the seam of a LiDAR that scans all round they go on: a cone has the same
-    beams in the same order however the LiDAR is turned.
+    Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into
+    the flattened scan pattern. Over the seam of a LiDAR that scans all round they go
+    on: a cone has the same beams in the same order however the LiDAR is turned.
     """
     chord = 2.0 * np.sin(0.5 * half_angle_rad) + _SLACK
     found = _beam_tree(lidar).query_ball_point(towards, chord)
@@ -326,7 +383,11 @@ def _beams_around(
 
 
 def _cast(
-    pose: Pose, lidar: LidarModel, solid: Solid, road_poses: FloatArray, directions: FloatArray
+    pose: Pose,
+    lidar: LidarModel,
+    solid: Solid,
+    road_poses: FloatArray,
+    directions: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
     """Distance to a solid along each beam, and the triangle hit; infinite and -1 where none is."""
     rotations = body_rotation(road_poses[:, 2])
@@ -342,7 +403,11 @@ def _cast(
 
 
 def _before(
-    echoes: _Echoes, pose: Pose, lidar: LidarModel, vehicle: Solid, road_pose: FloatArray
+    echoes: _Echoes,
+    pose: Pose,
+    lidar: LidarModel,
+    vehicle: Solid,
+    road_pose: FloatArray,
 ) -> _Echoes:
     """Beams that a vehicle does not stop on their way."""
     up_m = 0.5 * vehicle.hull_m[:, 2].max() + road_pose[3]
@@ -358,7 +423,11 @@ def _before(
 
 
 def _is_enough(
-    echoes: _Echoes, lidar: LidarModel, weather: Weather, vru_class: str, random: FloatArray
+    echoes: _Echoes,
+    lidar: LidarModel,
+    weather: Weather,
+    vru_class: str,
+    random: FloatArray,
 ) -> bool:
     """True if enough pulses come back from the VRU."""
     detection = load_lidar_detection()

@@ -44,20 +44,25 @@ from .surroundings import (
 
 PictureOfFrame = Callable[[int], Image]
 _CROP_SIDES_PX = (64, 96, 128, 160)
-_ROOM = 0.625  # share of a crop that a road user may take up; for larger ones the scale is less
+# share of a crop that a road user may take up; for larger ones the scale is less
+_ROOM = 0.625
 _HALO_PX = 4.0  # by which blur and glare reach beyond a body
 
 
 class PictureSource:
     """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
 
-    `n_drawn` counts pictures so far, and crops, those included that look like an earlier one.
+    `n_drawn` counts pictures so far, and crops, those included that look like an
+    earlier one.
     """
 
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
-        self._scene, self._runs = scene, runs
+        self._scene = scene
+        self._runs = runs
         self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
-        self._start = np.concatenate([[0], np.cumsum([len(run.time_s) for run in runs])])
+        self._start = np.concatenate(
+            [[0], np.cumsum([len(run.time_s) for run in runs])]
+        )
         self._still: dict[tuple[object, ...], tuple[Backdrop, FrameMesh]] = {}
         self._whites: dict[tuple[object, ...], float] = {}
         self._lock = Lock()
@@ -73,7 +78,9 @@ class PictureSource:
 
         def picture(frame: int) -> Image:
             pose, model = _placed(camera, *self._find(frame))
-            return self._draw(frame, pose, model, with_vut=not isinstance(camera, VutCamera))
+            return self._draw(
+                frame, pose, model, with_vut=not isinstance(camera, VutCamera)
+            )
 
         return picture
 
@@ -85,10 +92,16 @@ class PictureSource:
         run_index = int(np.searchsorted(self._start, frame, side="right")) - 1
         return self._runs[run_index], frame - int(self._start[run_index])
 
-    def _draw(self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool) -> Image:
+    def _draw(
+        self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool
+    ) -> Image:
         run, index = self._find(frame)
         picture = draw_picture(
-            *(self._standing(run)[0], run, index, pose, camera),
+            self._standing(run)[0],
+            run,
+            index,
+            pose,
+            camera,
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=with_vut,
             compute=self._compute,
@@ -98,9 +111,15 @@ class PictureSource:
 
     def _draw_crop(self, frame: int, view: "_View") -> Crop:
         run, index = self._find(frame)
-        small, window = view.small, view.window
+        small = view.small
+        window = view.window
         picture = draw_crop(
-            *(*self._standing(run), run, index, view.pose, small, window),
+            *self._standing(run),
+            run,
+            index,
+            view.pose,
+            small,
+            window,
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=view.shows_vut,
             white_cd_m2=self._white(run, view) if view.is_fixed else None,
@@ -171,13 +190,18 @@ class _View(NamedTuple):
 class Crops:
     """Crops of a camera's pictures around the road user; see :class:`~..detectors.evidence.Crops`.
 
-    A road user that would fill a crop is drawn at a half, a third and so on of the camera's
-    resolution. Where the VUT, its shadow and its mirror image lie outside a crop by daylight, the
-    VUT is left out: then all frames with the same road user look the same.
+    A road user that would fill a crop is drawn at a half, a third and so on of the
+    camera's resolution. Where the VUT, its shadow and its mirror image lie outside a
+    crop by daylight, the VUT is left out: then all frames with the same road user look
+    the same.
     """
 
-    def __init__(self, source: PictureSource, camera: FrameCamera, boxes_px: FloatArray) -> None:
-        self._source, self._camera, self._boxes_px = source, camera, boxes_px
+    def __init__(
+        self, source: PictureSource, camera: FrameCamera, boxes_px: FloatArray
+    ) -> None:
+        self._source = source
+        self._camera = camera
+        self._boxes_px = boxes_px
 
     def key(self, frame: int) -> tuple[object, ...]:
         """Equal for frames whose crops look the same."""
@@ -205,7 +229,8 @@ class Crops:
         size_px = float((box_px[2:] - box_px[:2]).max())
         scale = max(1, int(np.ceil(size_px / (_ROOM * _CROP_SIDES_PX[-1]))))
         side_px = next(
-            (side for side in _CROP_SIDES_PX if size_px / scale <= _ROOM * side), _CROP_SIDES_PX[-1]
+            (side for side in _CROP_SIDES_PX if size_px / scale <= _ROOM * side),
+            _CROP_SIDES_PX[-1],
         )
         is_fixed = not isinstance(self._camera, VutCamera)
         shows_vut = is_fixed and _may_show_vut(
@@ -222,12 +247,17 @@ def _placed(camera: FrameCamera, run: Run, index: int) -> tuple[Pose, CameraMode
 
 
 def _may_show_vut(
-    run: Run, index: int, pose: Pose, camera: CameraModel, box_px: FloatArray, reach_px: float
+    run: Run,
+    index: int,
+    pose: Pose,
+    camera: CameraModel,
+    box_px: FloatArray,
+    reach_px: float,
 ) -> bool:
     """True if the VUT changes a crop that reaches so far from a box's middle.
 
-    Pixels that its body, its shadow on level ground and its mirror image in wet ground can cover
-    lie inside the bounding box of their corners.
+    Pixels that its body, its shadow on level ground and its mirror image in wet ground
+    can cover lie inside the bounding box of their corners.
     """
     weather = pick_weather(run.weather, "run: weather")
     if weather.has_lamps or run.terrain is not None:
@@ -238,9 +268,12 @@ def _may_show_vut(
     # At the image's edge a crop is moved inwards.
     reach = reach_px + _HALO_PX
     size = np.array([camera.width_px, camera.height_px])
-    middle = np.clip(0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0))
+    middle = np.clip(
+        0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0)
+    )
     return bool(
-        (points.max(axis=0) > middle - reach).all() and (points.min(axis=0) < middle + reach).all()
+        (points.max(axis=0) > middle - reach).all()
+        and (points.min(axis=0) < middle + reach).all()
     )
 
 
@@ -279,7 +312,8 @@ def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
 
 
 # ---------- a frame of a run as one unit sees it
-VUT_UNIT, VUT_LIDAR_UNIT = "VUT", "VUT-LIDAR"
+VUT_UNIT = "VUT"
+VUT_LIDAR_UNIT = "VUT-LIDAR"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -299,12 +333,16 @@ def find_frame(run: Run, frame: int) -> int:
     n_frames = len(run.time_s)
     if not -n_frames <= frame < n_frames:
         raise InputError(
-            "frame", frame, f"0 to {n_frames - 1}, or -{n_frames} to -1 from the end of {run.id}"
+            "frame",
+            frame,
+            f"0 to {n_frames - 1}, or -{n_frames} to -1 from the end of {run.id}",
         )
     return frame % n_frames
 
 
-def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> Viewpoint:
+def find_viewpoint(
+    layout: Layout, unit_id: str, run: Run, frame_index: int
+) -> Viewpoint:
     """Pose and sensor of a unit in a frame; "VUT" is its camera, "VUT-LIDAR" its LiDAR.
 
     Raises InputError if there is no such unit.
@@ -316,21 +354,31 @@ def find_viewpoint(layout: Layout, unit_id: str, run: Run, frame_index: int) -> 
         return Viewpoint(pose=pose, sensor=own[unit_id.upper()], with_vut=False)
     units = {unit.id: unit for unit in layout.units}
     check_one_of("unit_id", unit_id, [*units, *own])
-    return Viewpoint(pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True)
+    return Viewpoint(
+        pose=units[unit_id].pose, sensor=units[unit_id].sensor, with_vut=True
+    )
 
 
 def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
 ) -> Picture | PointCloud:
     """The picture, or point cloud, of a frame in the run's weather."""
-    weather, pose, sensor = pick_weather(run.weather, "weather"), viewpoint.pose, viewpoint.sensor
+    weather = pick_weather(run.weather, "weather")
+    pose = viewpoint.pose
+    sensor = viewpoint.sensor
     with_vut = viewpoint.with_vut  # its headlights shine in any case
     if isinstance(sensor, LidarModel):
         static = build_static_mesh(scene, run.obstruction)
-        mesh = build_frame_mesh(static, run, frame_index, pose.position_m, with_vut=with_vut)
+        mesh = build_frame_mesh(
+            static, run, frame_index, pose.position_m, with_vut=with_vut
+        )
         return scan_mesh(mesh, run, pose, sensor, weather=weather, seed=compute.seed)
     return draw_picture(
-        *(build_backdrop(scene, run.obstruction), run, frame_index, pose, sensor),
+        build_backdrop(scene, run.obstruction),
+        run,
+        frame_index,
+        pose,
+        sensor,
         weather=weather,
         with_vut=with_vut,
         compute=compute,

@@ -1,14 +1,16 @@
 """Numba kernels: pixels of an image that show the VRU, by triangles drawn at pixel centres.
 
-A pixel is a direction from the lens, one metre deep: the ray through its centre. A triangle with
-corners a, b, c (camera frame) covers it where the direction lies on the same side of the three
-planes through the lens and an edge; the depth there is a . (b x c) / (sum of the three products).
-That needs no clipping, and neighbours that share an edge leave no gap [1]_. Only the rows and
-columns in which it is looked for are found by projecting and clipping.
+A pixel is a direction from the lens, one metre deep: the ray through its centre. A
+triangle with corners a, b, c (camera frame) covers it where the direction lies on the
+same side of the three planes through the lens and an edge; the depth there is a . (b x
+c) / (sum of the three products). That needs no clipping, and neighbours that share an
+edge leave no gap [1]_. Only the rows and columns in which it is looked for are found by
+projecting and clipping.
 
-Nothing can hide the VRU but what reaches into its beam: the pyramid from the lens through the box
-of the VRU in the image, as deep as the VRU. Trees of boxes find it; where they find nothing, the
-visible box is the amodal one, and nothing is drawn but the VRU's outline.
+Nothing can hide the VRU but what reaches into its beam: the pyramid from the lens
+through the box of the VRU in the image, as deep as the VRU. Trees of boxes find it;
+where they find nothing, the visible box is the amodal one, and nothing is drawn but the
+VRU's outline.
 
 References
 ----------
@@ -24,7 +26,8 @@ import numpy as np
 from geometry.arrays import FloatArray, IntArray
 from geometry.kernels import kernel
 
-# Few numbers are tuples, which need no memory: passing arrays costs more than the arithmetic.
+# Few numbers are tuples, which need no memory: passing arrays costs more than the
+# arithmetic.
 Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
 Edges = tuple[Point, Point, Point]  # normals of planes through the lens
 Window = tuple[int, int, int, int]  # first column and row, and those after the last
@@ -53,7 +56,9 @@ class Tree(NamedTuple):
     """Boxes around ever fewer triangles: a parent is followed by its first child."""
 
     corners_m: FloatArray  # (n_triangles, 3, 3): leaf by leaf
-    low_m: FloatArray  # (n_nodes, 3): box of each node; without triangles there is no node
+    low_m: (
+        FloatArray  # (n_nodes, 3): box of each node; without triangles there is no node
+    )
     high_m: FloatArray
     second: IntArray  # (n_nodes,): the second child; -1 for a leaf
     start: IntArray  # (n_nodes,): triangles of a node, from start to end
@@ -72,8 +77,8 @@ class Skin(NamedTuple):
 
     vertices_m: FloatArray  # (n_vertices, 3): body frame, shuffled, too
     triangles: IntArray  # (n_triangles, 3): rows of vertices
-    # fan_start, fans: (n_vertices + 1,), (3 * n_triangles,): rows of the triangles at each vertex,
-    # one vertex after the other
+    # fan_start, fans: (n_vertices + 1,), (3 * n_triangles,): rows of the triangles at
+    # each vertex, one vertex after the other
     fan_start: IntArray
     fans: IntArray
 
@@ -83,7 +88,8 @@ class Placed(NamedTuple):
 
     turn: FloatArray  # (n, 3, 3)
     shift: FloatArray  # (n, 3). [m]
-    up_m: FloatArray  # (n,): height of their origins in the frame in which the camera stands. [m]
+    # (n,): height of their origins in the frame in which the camera stands. [m]
+    up_m: FloatArray
 
     def take(self, rows: slice) -> "Placed":
         """Some of them."""
@@ -105,7 +111,9 @@ class Seen(NamedTuple):
     """Boxes in pixels, zeros where there is none, and shares."""
 
     amodal_px: FloatArray  # (n, 4): of each sight
-    inside_share: FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
+    inside_share: (
+        FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
+    )
     visible_px: FloatArray  # (n, 4): of each sight, were no vehicles there
     visible_share: FloatArray  # (n,): by pixels; 1 where the VRU covers none
     frame_visible_px: FloatArray  # (n_frames, 4): with vehicles
@@ -113,14 +121,20 @@ class Seen(NamedTuple):
 
     def take(self, sights: slice, frames: slice) -> "Seen":
         """Parts of the same arrays."""
-        return Seen(*(part[sights] for part in self[:4]), *(part[frames] for part in self[4:]))
+        return Seen(
+            *(part[sights] for part in self[:4]), *(part[frames] for part in self[4:])
+        )
 
 
 def blank_sights(n_sights: int, n_frames: int) -> Seen:
     """Nothing seen yet."""
     return Seen(
-        *(np.zeros((n_sights, 4)), np.zeros(n_sights), np.zeros((n_sights, 4)), np.ones(n_sights)),
-        *(np.zeros((n_frames, 4)), np.ones(n_frames)),
+        np.zeros((n_sights, 4)),
+        np.zeros(n_sights),
+        np.zeros((n_sights, 4)),
+        np.ones(n_sights),
+        np.zeros((n_frames, 4)),
+        np.ones(n_frames),
     )
 
 
@@ -141,21 +155,27 @@ def find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) ->
 
 
 @kernel
-def _with_edge(image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds) -> Bounds:
+def _with_edge(
+    image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds
+) -> Bounds:
     """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
     if p[2] >= least_depth:
         bounds = _with_point(image, p[0], p[1], p[2], bounds)
     if (p[2] >= least_depth) != (q[2] >= least_depth):
         part = (least_depth - p[2]) / (q[2] - p[2])
-        x, y = p[0] + part * (q[0] - p[0]), p[1] + part * (q[1] - p[1])
+        x = p[0] + part * (q[0] - p[0])
+        y = p[1] + part * (q[1] - p[1])
         bounds = _with_point(image, x, y, least_depth, bounds)
     return bounds
 
 
 @kernel
-def _with_point(image: Image, right: float, down: float, ahead: float, bounds: Bounds) -> Bounds:
+def _with_point(
+    image: Image, right: float, down: float, ahead: float, bounds: Bounds
+) -> Bounds:
     scale = image.focal_px / ahead
-    x, y = 0.5 * image.width_px + scale * right, 0.5 * image.height_px + scale * down
+    x = 0.5 * image.width_px + scale * right
+    y = 0.5 * image.height_px + scale * down
     return min(bounds[0], x), min(bounds[1], y), max(bounds[2], x), max(bounds[3], y)
 
 
@@ -175,7 +195,11 @@ def pixels_within(bounds: Bounds, window: Window) -> Window:
 @kernel
 def cross(p: Point, q: Point) -> Point:
     """Vector product."""
-    return p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
+    return (
+        p[1] * q[2] - p[2] * q[1],
+        p[2] * q[0] - p[0] * q[2],
+        p[0] * q[1] - p[1] * q[0],
+    )
 
 
 @kernel
@@ -188,7 +212,8 @@ def dot(p: Point, q: Point) -> float:
 def find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
     """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
 
-    A direction that the triangle covers ahead of the lens is on the positive side of all three.
+    A direction that the triangle covers ahead of the lens is on the positive side of
+    all three.
     """
     volume = dot(a, cross(b, c))
     if volume < 0.0:
@@ -202,7 +227,8 @@ def depth_at(
 ) -> float:
     """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
     direction = (across, down, 1.0)
-    first, second = dot(edges[0], direction), dot(edges[1], direction)
+    first = dot(edges[0], direction)
+    second = dot(edges[1], direction)
     third = dot(edges[2], direction)
     total = first + second + third
     if first < 0.0 or second < 0.0 or third < 0.0 or total <= 0.0:
@@ -218,16 +244,26 @@ def _passes_by(
     image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
 ) -> bool:
     """True if a plane through a triangle, or through its edge and the lens, clears a beam."""
-    n_before, n_first, n_second, n_third = 0, 0, 0, 0
+    n_before = 0
+    n_first = 0
+    n_second = 0
+    n_third = 0
     for corner in range(4):  # corners of the window
-        x = window[0] if corner < 2 else window[2]
-        y = window[1] if corner % 2 == 0 else window[3]
+        if corner < 2:
+            x = window[0]
+        else:
+            x = window[2]
+        if corner % 2 == 0:
+            y = window[1]
+        else:
+            y = window[3]
         direction = (
             (x - 0.5 * image.width_px) / image.focal_px,
             (y - 0.5 * image.height_px) / image.focal_px,
             1.0,
         )
-        first, second = dot(edges[0], direction), dot(edges[1], direction)
+        first = dot(edges[0], direction)
+        second = dot(edges[1], direction)
         third = dot(edges[2], direction)
         n_first += first < 0.0
         n_second += second < 0.0
@@ -240,7 +276,8 @@ def _passes_by(
 @kernel
 def _least_depth(image: Image, window: Window) -> float:
     """Depth before which nothing is drawn in any pixel of a window."""
-    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    half_width = 0.5 * image.width_px
+    half_height = 0.5 * image.height_px
     across = max(half_width - window[0], window[2] - half_width) / image.focal_px
     down = max(half_height - window[1], window[3] - half_height) / image.focal_px
     depth: float = image.near_m / np.sqrt(1.0 + across * across + down * down)
@@ -248,56 +285,91 @@ def _least_depth(image: Image, window: Window) -> float:
 
 
 @kernel
-def _to_camera(turn: FloatArray, shift: FloatArray, points: FloatArray, out: FloatArray) -> None:
+def _to_camera(
+    turn: FloatArray, shift: FloatArray, points: FloatArray, out: FloatArray
+) -> None:
     """Points (n, 3) in the camera frame: columns right, down, ahead."""
     for row in range(len(points)):
-        x, y, z = points[row, 0], points[row, 1], points[row, 2]
+        x = points[row, 0]
+        y = points[row, 1]
+        z = points[row, 2]
         for axis in range(3):
-            out[row, axis] = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + shift[axis]
+            out[row, axis] = (
+                turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + shift[axis]
+            )
 
 
 @kernel
-def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Window, float]:
+def find_crop(
+    image: Image, hull: FloatArray, min_height_px: float
+) -> tuple[Window, float]:
     """Part of the image that holds a body, a pixel larger than its hull (n, 3), camera frame.
 
-    It is zeros where the body is outside the field of view or the part is not `min_height_px` high,
-    the whole image where the body reaches behind the lens. Gives also the share of the body's box
-    that the image's edges do not cut off: 0 where it reaches behind.
+    It is zeros where the body is outside the field of view or the part is not
+    `min_height_px` high, the whole image where the body reaches behind the lens. Gives
+    also the share of the body's box that the image's edges do not cut off: 0 where it
+    reaches behind.
     """
     n = len(hull)
-    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
-    n_left, n_right, n_above, n_below, n_behind = 0, 0, 0, 0, 0
+    half_width = 0.5 * image.width_px
+    half_height = 0.5 * image.height_px
+    n_left = 0
+    n_right = 0
+    n_above = 0
+    n_below = 0
+    n_behind = 0
     nearest = np.inf
     for row in range(n):  # corners of the hull
-        # The planes through the lens and the image's edges: they also hold behind the lens.
-        across, down, depth = hull[row, 0], hull[row, 1], hull[row, 2]
+        # The planes through the lens and the image's edges: they also hold behind the
+        # lens.
+        across = hull[row, 0]
+        down = hull[row, 1]
+        depth = hull[row, 2]
         n_left += -image.focal_px * across > half_width * depth
         n_right += image.focal_px * across > half_width * depth
         n_above += -image.focal_px * down > half_height * depth
         n_below += image.focal_px * down > half_height * depth
         n_behind += depth <= 0.0
         nearest = min(nearest, depth)
-    is_outside = n_left == n or n_right == n or n_above == n or n_below == n or n_behind == n
+    is_outside = (
+        n_left == n or n_right == n or n_above == n or n_below == n or n_behind == n
+    )
     if nearest <= _MIN_DEPTH_M:
         if is_outside or image.height_px < min_height_px:
             return (0, 0, 0, 0), 0.0
         return (0, 0, image.width_px, image.height_px), 0.0
-    x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
+    x_min = np.inf
+    x_max = -np.inf
+    y_min = np.inf
+    y_max = -np.inf
     for row in range(n):  # all of them ahead: project them
         scale = image.focal_px / hull[row, 2]
-        x, y = half_width + scale * hull[row, 0], half_height + scale * hull[row, 1]
-        x_min, x_max = min(x_min, x), max(x_max, x)
-        y_min, y_max = min(y_min, y), max(y_max, y)
-    left, right = max(x_min, 0.0), min(x_max, float(image.width_px))
-    top, bottom = max(y_min, 0.0), min(y_max, float(image.height_px))
+        x = half_width + scale * hull[row, 0]
+        y = half_height + scale * hull[row, 1]
+        x_min = min(x_min, x)
+        x_max = max(x_max, x)
+        y_min = min(y_min, y)
+        y_max = max(y_max, y)
+    left = max(x_min, 0.0)
+    right = min(x_max, float(image.width_px))
+    top = max(y_min, 0.0)
+    bottom = min(y_max, float(image.height_px))
     inside = max(right - left, 0.0) / max(x_max - x_min, 1.0e-9)
     inside *= max(bottom - top, 0.0) / max(y_max - y_min, 1.0e-9)
     if is_outside:
         return (0, 0, 0, 0), inside
-    x_low = int(np.floor(left)) - 1 if left >= 1.0 else 0
-    y_low = int(np.floor(top)) - 1 if top >= 1.0 else 0
-    x_high, y_high = int(np.ceil(right)) + 1, int(np.ceil(bottom)) + 1
-    x_high, y_high = min(x_high, image.width_px), min(y_high, image.height_px)
+    if left >= 1.0:
+        x_low = int(np.floor(left)) - 1
+    else:
+        x_low = 0
+    if top >= 1.0:
+        y_low = int(np.floor(top)) - 1
+    else:
+        y_low = 0
+    x_high = int(np.ceil(right)) + 1
+    y_high = int(np.ceil(bottom)) + 1
+    x_high = min(x_high, image.width_px)
+    y_high = min(y_high, image.height_px)
     if x_low >= x_high or y_low >= y_high or y_high - y_low < min_height_px:
         return (0, 0, 0, 0), inside
     return (x_low, y_low, x_high, y_high), inside
@@ -305,7 +377,9 @@ def find_crop(image: Image, hull: FloatArray, min_height_px: float) -> tuple[Win
 
 # ---------- the VRU
 @kernel
-def _project(image: Image, points: FloatArray, least_depth: float, pixels: FloatArray) -> bool:
+def _project(
+    image: Image, points: FloatArray, least_depth: float, pixels: FloatArray
+) -> bool:
     """Columns and rows of points (camera frame); whether all are ahead, otherwise unfinished."""
     for row in range(len(points)):
         if points[row, 2] < least_depth:
@@ -331,26 +405,40 @@ def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
 def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Window:
     """Box around the pixels of a window that a body covers, zeros if there are none.
 
-    `points` are the vertices of its skin (camera frame). A triangle that makes the box larger has a
-    corner outside of it: few are drawn, with corners shuffled.
+    `points` are the vertices of its skin (camera frame). A triangle that makes the box
+    larger has a corner outside of it: few are drawn, with corners shuffled.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
-    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    middle_x = 0.5 * image.width_px - 0.5
+    middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
-    x_low, y_low, x_high, y_high = image.width_px, image.height_px, 0, 0
+    x_low = image.width_px
+    y_low = image.height_px
+    x_high = 0
+    y_high = 0
     # Vertices within these bounds lie in the box already.
-    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    for vertex in range(len(points)):  # vertices of the skin, then the triangles at each
+    left = np.inf
+    top = np.inf
+    right = -np.inf
+    bottom = -np.inf
+    for vertex in range(
+        len(points)
+    ):  # vertices of the skin, then the triangles at each
         if is_ahead:
-            column, line = pixels[vertex, 0], pixels[vertex, 1]
+            column = pixels[vertex, 0]
+            line = pixels[vertex, 1]
             if left < column < right and top < line < bottom:
                 continue
         for place in range(skin.fan_start[vertex], skin.fan_start[vertex + 1]):
             row = skin.fans[place]
-            i, j, k = skin.triangles[row, 0], skin.triangles[row, 1], skin.triangles[row, 2]
-            a, b, c = corner(points, i), corner(points, j), corner(points, k)
+            i = skin.triangles[row, 0]
+            j = skin.triangles[row, 1]
+            k = skin.triangles[row, 2]
+            a = corner(points, i)
+            b = corner(points, j)
+            c = corner(points, k)
             if is_ahead:
                 bounds = _bounds(pixels, i, j, k)
             else:
@@ -358,20 +446,28 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
             x_min, y_min, x_max, y_max = pixels_within(bounds, window)
             if x_min >= x_max or y_min >= y_max:
                 continue
-            if x_min >= x_low and x_max <= x_high and y_min >= y_low and y_max <= y_high:
+            if (
+                x_min >= x_low
+                and x_max <= x_high
+                and y_min >= y_low
+                and y_max <= y_high
+            ):
                 continue
             edges, volume = find_edges(a, b, c)
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
             for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
-                # From both ends to the first that is covered: what is between them is in the box.
+                # From both ends to the first that is covered: what is between them is
+                # in the box.
                 is_in = y_low <= y < y_high
                 x = x_min
                 while x < (min(x_max, x_low) if is_in else x_max):
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
-                        x_low, x_high = min(x_low, x), max(x_high, x + 1)
-                        y_low, y_high = min(y_low, y), max(y_high, y + 1)
+                        x_low = min(x_low, x)
+                        x_high = max(x_high, x + 1)
+                        y_low = min(y_low, y)
+                        y_high = max(y_high, y + 1)
                         break
                     x += 1
                 if x >= x_max:
@@ -384,10 +480,22 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                         break
                     x -= 1
         if x_low < x_high:
-            left = x_low - 0.5 + _SLACK_PX if x_low > window[0] else -np.inf
-            right = x_high + 0.5 - _SLACK_PX if x_high < window[2] else np.inf
-            top = y_low - 0.5 + _SLACK_PX if y_low > window[1] else -np.inf
-            bottom = y_high + 0.5 - _SLACK_PX if y_high < window[3] else np.inf
+            if x_low > window[0]:
+                left = x_low - 0.5 + _SLACK_PX
+            else:
+                left = -np.inf
+            if x_high < window[2]:
+                right = x_high + 0.5 - _SLACK_PX
+            else:
+                right = np.inf
+            if y_low > window[1]:
+                top = y_low - 0.5 + _SLACK_PX
+            else:
+                top = -np.inf
+            if y_high < window[3]:
+                bottom = y_high + 0.5 - _SLACK_PX
+            else:
+                bottom = np.inf
     if x_low >= x_high:
         return 0, 0, 0, 0
     return x_low, y_low, x_high, y_high
@@ -395,24 +503,37 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
 
 @kernel
 def draw(
-    image: Image, points: FloatArray, triangles: IntArray, window: Window, depth_m: FloatArray
+    image: Image,
+    points: FloatArray,
+    triangles: IntArray,
+    window: Window,
+    depth_m: FloatArray,
 ) -> None:
     """Draw a closed body's `points` (camera frame) and `triangles` in a window of the image.
 
-    Depths in the pixels of the window, row by row, become those of the body where it is nearer.
-    Triangles whose back is seen lie behind others, unless those are too near to be drawn.
+    Depths in the pixels of the window, row by row, become those of the body where it is
+    nearer. Triangles whose back is seen lie behind others, unless those are too near to
+    be drawn.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
     is_ahead = _project(image, points, least_depth, pixels)
     has_backs = points[:, 2].min() < image.near_m
     width = window[2] - window[0]
-    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    middle_x = 0.5 * image.width_px - 0.5
+    middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
     for row in range(len(triangles)):  # triangles, and the pixels that each may cover
-        i, j, k = triangles[row, 0], triangles[row, 1], triangles[row, 2]
-        a, b, c = corner(points, i), corner(points, j), corner(points, k)
-        bounds = _bounds(pixels, i, j, k) if is_ahead else find_span(image, least_depth, a, b, c)
+        i = triangles[row, 0]
+        j = triangles[row, 1]
+        k = triangles[row, 2]
+        a = corner(points, i)
+        b = corner(points, j)
+        c = corner(points, k)
+        if is_ahead:
+            bounds = _bounds(pixels, i, j, k)
+        else:
+            bounds = find_span(image, least_depth, a, b, c)
         x_min, y_min, x_max, y_max = pixels_within(bounds, window)
         if x_min >= x_max or y_min >= y_max:
             continue
@@ -431,7 +552,11 @@ def draw(
 
 @kernel
 def _draw_all(
-    image: Image, points: FloatArray, triangles: IntArray, box: Window, depth_m: FloatArray
+    image: Image,
+    points: FloatArray,
+    triangles: IntArray,
+    box: Window,
+    depth_m: FloatArray,
 ) -> int:
     """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
     depth_m[:] = np.inf  # nothing is drawn yet
@@ -442,15 +567,21 @@ def _draw_all(
 @kernel
 def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -> int:
     """Number of pixels of a window that show the VRU; the box around them becomes a row."""
-    width, height = window[2] - window[0], window[3] - window[1]
-    x_min, y_min, x_max, y_max = width, height, 0, 0
+    width = window[2] - window[0]
+    height = window[3] - window[1]
+    x_min = width
+    y_min = height
+    x_max = 0
+    y_max = 0
     n_pixels = 0
     for y in range(height):  # pixels of the window
         for x in range(width):
             if depth_m[y * width + x] < np.inf:
                 n_pixels += 1
-                x_min, x_max = min(x_min, x), max(x_max, x + 1)
-                y_min, y_max = min(y_min, y), max(y_max, y + 1)
+                x_min = min(x_min, x)
+                x_max = max(x_max, x + 1)
+                y_min = min(y_min, y)
+                y_max = max(y_max, y + 1)
     found[row] = 0.0
     if n_pixels > 0:
         found[row, 0], found[row, 1] = window[0] + x_min, window[1] + y_min
@@ -469,13 +600,15 @@ def _set_beam(
     planes: FloatArray,
 ) -> None:
     """Planes of the beam through a box, in a body's frame: outside is where one is positive."""
-    half_width, half_height = 0.5 * image.width_px, 0.5 * image.height_px
+    half_width = 0.5 * image.width_px
+    half_height = 0.5 * image.height_px
     normal = np.zeros((_N_PLANES, 4))  # and a constant; camera frame
     normal[0, 0], normal[0, 2] = -1.0, (box[0] - half_width) / image.focal_px
     normal[1, 0], normal[1, 2] = 1.0, (half_width - box[2]) / image.focal_px
     normal[2, 1], normal[2, 2] = -1.0, (box[1] - half_height) / image.focal_px
     normal[3, 1], normal[3, 2] = 1.0, (half_height - box[3]) / image.focal_px
-    normal[4, 2], normal[4, 3] = 1.0, -farthest_m
+    normal[4, 2] = 1.0
+    normal[4, 3] = -farthest_m
     normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
     for plane in range(_N_PLANES):  # planes of the beam, taken into the body's frame
         constant = normal[plane, 3]
@@ -489,12 +622,19 @@ def _set_beam(
 
 @kernel
 def _is_outside(
-    planes: FloatArray, low_m: float, high_m: float, low: FloatArray, high: FloatArray, node: int
+    planes: FloatArray,
+    low_m: float,
+    high_m: float,
+    low: FloatArray,
+    high: FloatArray,
+    node: int,
 ) -> bool:
     """True if a node's box lies outside of one of the planes, or of the heights of a beam."""
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
-    for plane in range(_N_PLANES):  # the corner of the box that is least outside of each
+    for plane in range(
+        _N_PLANES
+    ):  # the corner of the box that is least outside of each
         value = planes[plane, 3]
         for axis in range(3):
             normal = planes[plane, axis]
@@ -519,17 +659,19 @@ def hide(
 ) -> bool:
     """Hide what a body is before, or say whether it is before anything.
 
-    With depths in the pixels of a box, those of pixels that the body hides become infinite. Without
-    (an empty array), it gives whether the body covers a pixel of the box at less than `farthest_m`.
-    Nothing farther than that, nor outside of two heights, is looked at. [m], the body's frame. Of a
-    tree of several bodies, `root` is where that of the body begins.
+    With depths in the pixels of a box, those of pixels that the body hides become
+    infinite. Without (an empty array), it gives whether the body covers a pixel of the
+    box at less than `farthest_m`. Nothing farther than that, nor outside of two
+    heights, is looked at. [m], the body's frame. Of a tree of several bodies, `root` is
+    where that of the body begins.
     """
     if len(tree.second) == 0:
         return False
     planes = np.empty((_N_PLANES, 4))
     _set_beam(image, box, farthest_m, turn, shift, planes)
     least_depth = _least_depth(image, box)
-    middle_x, middle_y = 0.5 * image.width_px - 0.5, 0.5 * image.height_px - 0.5
+    middle_x = 0.5 * image.width_px - 0.5
+    middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
     is_asked = len(depth_m) == 0
     width = box[2] - box[0]
@@ -548,7 +690,9 @@ def hide(
             continue
         for row in range(tree.start[node], tree.end[node]):  # triangles of a leaf
             _to_camera(turn, shift, tree.corners_m[row], corners)
-            a, b, c = corner(corners, 0), corner(corners, 1), corner(corners, 2)
+            a = corner(corners, 0)
+            b = corner(corners, 1)
+            c = corner(corners, 2)
             bounds = find_span(image, least_depth, a, b, c)
             x_min, y_min, x_max, y_max = pixels_within(bounds, box)
             if x_min >= x_max or y_min >= y_max:
@@ -561,7 +705,10 @@ def hide(
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
                 for x in range(x_min, x_max):
-                    before_m = farthest_m if is_asked else depth_m[start + x]
+                    if is_asked:
+                        before_m = farthest_m
+                    else:
+                        before_m = depth_m[start + x]
                     if before_m == np.inf:
                         continue
                     across = (x - middle_x) * per_px
@@ -590,19 +737,34 @@ def _see_past_vehicles(
 ) -> None:
     """Fill `seen` in the frames of a sight, which differ by the vehicles that move.
 
-    `body` has the VRU's vertices (camera frame) and triangles; `depths` are the farthest depth of
-    the VRU, and the heights between which all is that may hide it. Where `n_pixels` is 0,
-    `depth_m` is not yet drawn; `left_m` is room for as many pixels.
+    `body` has the VRU's vertices (camera frame) and triangles; `depths` are the
+    farthest depth of the VRU, and the heights between which all is that may hide it.
+    Where `n_pixels` is 0, `depth_m` is not yet drawn; `left_m` is room for as many
+    pixels.
     """
     farthest_m, lowest_m, highest_m = depths
-    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):  # and vehicles
+    for frame in range(
+        sights.frame_start[sight], sights.frame_start[sight + 1]
+    ):  # and vehicles
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
             root = vehicles.roots[sights.vehicle_kind[row]]
-            at, there = sights.vehicles.turn[row], sights.vehicles.shift[row]
+            at = sights.vehicles.turn[row]
+            there = sights.vehicles.shift[row]
             base_m = sights.vehicles.up_m[row]
-            low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
-            look = (image, vehicles.tree, root, at, there, box, farthest_m, low_m, high_m)
+            low_m = lowest_m - base_m + _TOUCH_M
+            high_m = highest_m - base_m
+            look = (
+                image,
+                vehicles.tree,
+                root,
+                at,
+                there,
+                box,
+                farthest_m,
+                low_m,
+                high_m,
+            )
             if not hide(*look, depth_m[:0]):
                 continue
             if n_pixels == 0:
@@ -630,17 +792,24 @@ def see(
 ) -> None:
     """Fill `seen`, which is blank: boxes and shares of one VRU's body in one static world.
 
-    The VRU's `skin` and `hull_m` are in its body frame; what may hide it are the `standing` scene,
-    what is `parked` in it, and `vehicles`. Where the VRU's part of the image is not
-    `min_height_px` high, boxes are zeros.
+    The VRU's `skin` and `hull_m` are in its body frame; what may hide it are the
+    `standing` scene, what is `parked` in it, and `vehicles`. Where the VRU's part of
+    the image is not `min_height_px` high, boxes are zeros.
     """
-    vertices_m, triangles = skin.vertices_m, skin.triangles
-    hull, points = np.empty((len(hull_m), 3)), np.empty((len(vertices_m), 3))
+    vertices_m = skin.vertices_m
+    triangles = skin.triangles
+    hull = np.empty((len(hull_m), 3))
+    points = np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
-    depth_m, left_m = nothing, nothing  # in the pixels of the box; infinite where it is not seen
-    foot_m, top_m = hull_m[:, 2].min(), hull_m[:, 2].max()
-    for sight in range(len(sights.vru.shift)):  # places of the VRU before what stands still
-        turn, shift = sights.vru.turn[sight], sights.vru.shift[sight]
+    depth_m = nothing
+    left_m = nothing  # in the pixels of the box; infinite where it is not seen
+    foot_m = hull_m[:, 2].min()
+    top_m = hull_m[:, 2].max()
+    for sight in range(
+        len(sights.vru.shift)
+    ):  # places of the VRU before what stands still
+        turn = sights.vru.turn[sight]
+        shift = sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
         crop, inside_share = find_crop(image, hull, min_height_px)
         seen.inside_share[sight] = inside_share
@@ -656,20 +825,38 @@ def see(
         farthest_m = max(0.0, hull[:, 2].max())
         area = (box[2] - box[0]) * (box[3] - box[1])
         if len(depth_m) < area:
-            depth_m, left_m = np.empty(area), np.empty(area)
-        n_pixels, n_left = 0, -1  # not counted: the VRU's, and those that nothing static hides
+            depth_m = np.empty(area)
+            left_m = np.empty(area)
+        n_pixels = 0
+        n_left = -1  # not counted: the VRU's, and those that nothing static hides
         # Between these heights is all that may hide it.
-        vru_m, base_m = sights.vru.up_m[sight], sights.static.up_m[sight]
+        vru_m = sights.vru.up_m[sight]
+        base_m = sights.static.up_m[sight]
         lowest_m = min(image.up_m, foot_m + vru_m)
         highest_m = max(image.up_m, top_m + vru_m)
-        low_m, high_m = lowest_m - base_m + _TOUCH_M, highest_m - base_m
-        at, there = sights.static.turn[sight], sights.static.shift[sight]
+        low_m = lowest_m - base_m + _TOUCH_M
+        high_m = highest_m - base_m
+        at = sights.static.turn[sight]
+        there = sights.static.shift[sight]
         for tree in (standing, parked):
-            if not hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing):
+            if not hide(
+                image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing
+            ):
                 continue
             if n_pixels == 0:
                 n_pixels = _draw_all(image, points, triangles, box, depth_m[:area])
-            hide(image, tree, 0, at, there, box, farthest_m, low_m, high_m, depth_m[:area])
+            hide(
+                image,
+                tree,
+                0,
+                at,
+                there,
+                box,
+                farthest_m,
+                low_m,
+                high_m,
+                depth_m[:area],
+            )
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
@@ -677,8 +864,17 @@ def see(
             seen.frame_visible_share[frame] = seen.visible_share[sight]
         if n_left != 0:
             _see_past_vehicles(
-                *(image, (points, triangles), vehicles, sights, seen, sight, box),
-                *((farthest_m, lowest_m, highest_m), n_pixels, depth_m[:area], left_m[:area]),
+                image,
+                (points, triangles),
+                vehicles,
+                sights,
+                seen,
+                sight,
+                box,
+                (farthest_m, lowest_m, highest_m),
+                n_pixels,
+                depth_m[:area],
+                left_m[:area],
             )
 
 
@@ -688,7 +884,9 @@ def build_tree(corners_m: FloatArray) -> Tree:
     n = len(corners_m)
     n_nodes = max(0, 2 * n - 1)
     tree = Tree(
-        *(corners_m, np.full((n_nodes, 3), np.inf), np.full((n_nodes, 3), -np.inf)),
+        corners_m,
+        np.full((n_nodes, 3), np.inf),
+        np.full((n_nodes, 3), -np.inf),
         second=np.full(n_nodes, -1, dtype=np.int64),
         start=np.zeros(n_nodes, dtype=np.int64),
         end=np.zeros(n_nodes, dtype=np.int64),
@@ -722,34 +920,49 @@ def join_vehicles(trees: Sequence[Tree]) -> Vehicles:
 def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
     """Fill a tree and the order of its triangles; gives the number of nodes.
 
-    A node is split in the middle of its triangles' centres along their largest extent; in number
-    where that would leave a side empty, or the tree grow too deep.
+    A node is split in the middle of its triangles' centres along their largest extent;
+    in number where that would leave a side empty, or the tree grow too deep.
     """
-    begins, ends = np.empty(_MAX_OPEN, dtype=np.int64), np.empty(_MAX_OPEN, dtype=np.int64)
-    parents = np.empty(_MAX_OPEN, dtype=np.int64)  # whose second child it is; -1: a first child
+    begins = np.empty(_MAX_OPEN, dtype=np.int64)
+    ends = np.empty(_MAX_OPEN, dtype=np.int64)
+    parents = np.empty(
+        _MAX_OPEN, dtype=np.int64
+    )  # whose second child it is; -1: a first child
     begins[0], ends[0], parents[0] = 0, len(order), -1
-    n_open = 1 if len(order) else 0
+    if len(order):
+        n_open = 1
+    else:
+        n_open = 0
     n_used = 0
     while n_open:  # nodes, parents before their children
         n_open -= 1
-        begin, stop, parent = begins[n_open], ends[n_open], parents[n_open]
+        begin = begins[n_open]
+        stop = ends[n_open]
+        parent = parents[n_open]
         node = n_used
         n_used += 1
         if parent >= 0:
             tree.second[parent] = node
-        tree.start[node], tree.end[node] = begin, stop
-        along, largest_m, middle_m = 0, -1.0, 0.0
+        tree.start[node] = begin
+        tree.end[node] = stop
+        along = 0
+        largest_m = -1.0
+        middle_m = 0.0
         for axis in range(3):
-            least, most = np.inf, -np.inf
+            least = np.inf
+            most = -np.inf
             for place in range(begin, stop):
                 row = order[place]
                 for corner in range(3):
                     value = tree.corners_m[row, corner, axis]
                     tree.low_m[node, axis] = min(tree.low_m[node, axis], value)
                     tree.high_m[node, axis] = max(tree.high_m[node, axis], value)
-                least, most = min(least, centres_m[row, axis]), max(most, centres_m[row, axis])
+                least = min(least, centres_m[row, axis])
+                most = max(most, centres_m[row, axis])
             if most - least > largest_m:
-                along, largest_m, middle_m = axis, most - least, 0.5 * (least + most)
+                along = axis
+                largest_m = most - least
+                middle_m = 0.5 * (least + most)
         if stop - begin <= _LEAF_SIZE:
             continue
         split = begin
@@ -761,7 +974,11 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 split += 1
         if split in (begin, stop) or n_open > _MAX_OPEN // 2:
             split = (begin + stop) // 2
-        begins[n_open], ends[n_open], parents[n_open] = split, stop, node
-        begins[n_open + 1], ends[n_open + 1], parents[n_open + 1] = begin, split, -1
+        begins[n_open] = split
+        ends[n_open] = stop
+        parents[n_open] = node
+        begins[n_open + 1] = begin
+        ends[n_open + 1] = split
+        parents[n_open + 1] = -1
         n_open += 2
     return n_used

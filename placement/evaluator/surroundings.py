@@ -1,7 +1,8 @@
 """Everything that can be seen in the frames of some runs, ready for pixels and for LiDAR beams.
 
-A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and height of the
-ground in metres. It places the frame of a :class:`Solid` in the frame in which a sensor stands.
+A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and
+height of the ground in metres. It places the frame of a :class:`Solid` in the frame in
+which a sensor stands.
 """
 
 from collections.abc import Sequence
@@ -58,7 +59,8 @@ class Mesh:
         """Its triangles, shuffled for drawing."""
         from .pixels import Skin  # loads the compiler
 
-        rng, n_vertices = np.random.default_rng(0), len(self.vertices_m)
+        rng = np.random.default_rng(0)
+        n_vertices = len(self.vertices_m)
         order = rng.permutation(n_vertices)
         place = np.empty(n_vertices, dtype=np.int64)
         place[order] = np.arange(n_vertices)
@@ -67,7 +69,9 @@ class Mesh:
         return Skin(
             vertices_m=np.ascontiguousarray(self.vertices_m[order]),
             triangles=triangles,
-            fan_start=np.append(0, np.cumsum(np.bincount(corners, minlength=n_vertices))),
+            fan_start=np.append(
+                0, np.cumsum(np.bincount(corners, minlength=n_vertices))
+            ),
             fans=np.argsort(corners, kind="stable") // 3,
         )
 
@@ -88,10 +92,11 @@ class Mesh:
 class Solid:
     """Triangles that keep together, in their own frame."""
 
-    # One of a road user; of the static world, what always stands there and what is parked in a run.
-    # A mesh may belong to several solids.
+    # One of a road user; of the static world, what always stands there and what is
+    # parked in a run. A mesh may belong to several solids.
     meshes: tuple[Mesh, ...]
-    hull_m: FloatArray  # (n, 3): vertices of the convex hull; none for the static world. [m]
+    # (n, 3): vertices of the convex hull; none for the static world. [m]
+    hull_m: FloatArray
     _lock: RLock = field(default_factory=RLock, repr=False)
 
     @property
@@ -103,7 +108,9 @@ class Solid:
     @cached_property
     def _caster(self) -> RayCaster:
         """Built when a LiDAR asks for it: a camera's pixels need no rays."""
-        return build_caster(*join([(mesh.vertices_m, mesh.triangles) for mesh in self.meshes]))
+        return build_caster(
+            *join([(mesh.vertices_m, mesh.triangles) for mesh in self.meshes])
+        )
 
     @cached_property
     def normals(self) -> FloatArray:
@@ -111,7 +118,9 @@ class Solid:
         corners = np.concatenate([mesh.corners_m for mesh in self.meshes])
         a, b, c = np.moveaxis(corners, 1, 0)
         across = np.cross(b - a, c - a)
-        return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12))
+        return np.asarray(
+            across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
+        )
 
 
 @lru_cache(maxsize=256)
@@ -120,15 +129,18 @@ def build_body(shape: Shape) -> Solid:
     from scipy.spatial import ConvexHull  # loaded when something is drawn
 
     hull = ConvexHull(shape.vertices_m).vertices
-    mesh = Mesh(vertices_m=np.array(shape.vertices_m), triangles=shape.triangles.astype(np.int64))
+    mesh = Mesh(
+        vertices_m=np.array(shape.vertices_m),
+        triangles=shape.triangles.astype(np.int64),
+    )
     return Solid(meshes=(mesh,), hull_m=shape.vertices_m[hull])
 
 
 def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
     """The scene's triangles, with the origin at `middle_m`, (2,) in the world frame [m].
 
-    So coordinates are small where rays are cast in single precision: its road pose in the world is
-    (*middle_m, 0, 0).
+    So coordinates are small where rays are cast in single precision: its road pose in
+    the world is (*middle_m, 0, 0).
     """
     return Mesh(
         vertices_m=scene.vertices_m - [*middle_m, 0.0],
@@ -145,12 +157,15 @@ def build_static(
 
 
 @lru_cache(maxsize=8)
-def _build_parked(obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]) -> Mesh:
+def _build_parked(
+    obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]
+) -> Mesh:
     """Parked bodies; layouts that are judged one after the other meet the same ones."""
     nothing = np.empty((0, 3)), np.empty((0, 3), dtype=np.int32)
     placed = [(body.actor.shapes[0], body.pose) for body in obstruction]
     bodies = [
-        (to_world(one.vertices_m, at) - [*middle_m, 0.0], one.triangles) for one, at in placed
+        (to_world(one.vertices_m, at) - [*middle_m, 0.0], one.triangles)
+        for one, at in placed
     ]
     vertices, triangles = join([nothing, *bodies])
     return Mesh(vertices_m=vertices, triangles=triangles.astype(np.int64))
@@ -171,14 +186,14 @@ class Surroundings:
     static_index: IntArray
     vru_index: IntArray
     sight_index: IntArray  # (n_frames,): see :func:`find_sights`
-    # static_poses, vru_poses, vut_poses: (n_frames, 4): road poses: east, north, yaw, height. World
-    # frame. [m], [m], [deg], [m]
+    # static_poses, vru_poses, vut_poses: (n_frames, 4): road poses: east, north, yaw,
+    # height. World frame. [m], [m], [deg], [m]
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
     vut_pitch_deg: FloatArray  # (n_frames,): along the road below its axles
-    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 4): which of the vehicles drive by,
-    # -1 for none, and their road poses
+    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 4): which of the
+    # vehicles drive by, -1 for none, and their road poses
     traffic_index: IntArray
     traffic_poses: FloatArray
     draw_index: IntArray  # (n_frames,): see :class:`placement.detectors.Evidence`
@@ -190,7 +205,9 @@ class Surroundings:
         """Keep some frames, by index."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         per_frame: dict[str, Any] = {
-            name: one[frames] for name, one in values.items() if isinstance(one, np.ndarray)
+            name: one[frames]
+            for name, one in values.items()
+            if isinstance(one, np.ndarray)
         }
         return replace(self, **per_frame)
 
@@ -199,7 +216,9 @@ class Surroundings:
         contrast = np.empty(len(distance_m))
         for index, weather in enumerate(self.weathers):
             frames = self.weather_index == index
-            contrast[frames] = weather.contrast * weather.transmission(distance_m[frames])
+            contrast[frames] = weather.contrast * weather.transmission(
+                distance_m[frames]
+            )
         return contrast
 
 
@@ -211,7 +230,9 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     from .pixels import join_vehicles  # loads the compiler
 
     vut_actor = next(iter(vuts.values()))
-    vru_of_frame = [(run.encounter.vru, int(index)) for run in runs for index in run.vru_shape]
+    vru_of_frame = [
+        (run.encounter.vru, int(index)) for run in runs for index in run.vru_shape
+    ]
     vrus = {key: number for number, key in enumerate(dict.fromkeys(vru_of_frame))}
     obstructions = {obstruction_key(run): run.obstruction for run in runs}
     terrain = terrain_of(scene)
@@ -228,7 +249,9 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
-    vehicles = list(dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)]))
+    vehicles = list(
+        dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)])
+    )
     solids = tuple(build_body(actor.shapes[0]) for actor in vehicles)
     traffic_index, traffic_poses = _lay_traffic(runs, vehicles, terrain)
     return Surroundings(
@@ -249,14 +272,19 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
             [_road_poses(run.vut_position_m, run.vut_yaw_deg, terrain) for run in runs]
         ),
         vut_pitch_deg=np.concatenate(
-            [vut_pitch_deg(vut_actor, run.vut_position_m, run.vut_yaw_deg, terrain) for run in runs]
+            [
+                vut_pitch_deg(vut_actor, run.vut_position_m, run.vut_yaw_deg, terrain)
+                for run in runs
+            ]
         ),
         traffic_index=traffic_index,
         traffic_poses=traffic_poses,
         draw_index=draw_index(runs),
         vru_class=np.repeat(classes, n_frames),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
-        weather_index=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
+        weather_index=np.repeat(
+            [weathers.index(run.weather) for run in runs], n_frames
+        ),
     )
 
 
@@ -265,37 +293,51 @@ def _lay_traffic(
 ) -> tuple[IntArray, FloatArray]:
     """Vehicles that drive by in each frame, (n_frames, n); their road poses, (n_frames, n, 4)."""
     n_most = max(len(run.traffic) for run in runs)
-    indices, poses = [], []
+    indices = []
+    poses = []
     for run in runs:
         index = np.full((len(run.time_s), n_most), -1)
         pose = np.zeros((len(run.time_s), n_most, 4))
         for place, body in enumerate(run.traffic):
             there = body.is_there
             index[there, place] = vehicles.index(body.actor)
-            pose[there, place] = _road_poses(body.position_m[there], body.yaw_deg[there], terrain)
+            pose[there, place] = _road_poses(
+                body.position_m[there], body.yaw_deg[there], terrain
+            )
         indices.append(index)
         poses.append(pose)
     return np.concatenate(indices), np.concatenate(poses)
 
 
 def find_sights(
-    static_index: IntArray, vru_index: IntArray, static_poses: FloatArray, vru_poses: FloatArray
+    static_index: IntArray,
+    vru_index: IntArray,
+    static_poses: FloatArray,
+    vru_poses: FloatArray,
 ) -> IntArray:
     """Numbers of sights, (n_frames,): equal where everything but the VUT is at the same place.
 
-    They grow with `static_index`, then with `vru_index`. Who is at the same place is at the same
-    height.
+    They grow with `static_index`, then with `vru_index`. Who is at the same place is at
+    the same height.
     """
     poses = np.concatenate([static_poses[:, :3], vru_poses[:, :3]], axis=1)
-    columns = [static_index, vru_index, *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T]
+    columns = [
+        static_index,
+        vru_index,
+        *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T,
+    ]
     order = np.lexsort(columns[::-1])
-    is_new = np.any([np.diff(column[order], prepend=0) != 0 for column in columns], axis=0)
+    is_new = np.any(
+        [np.diff(column[order], prepend=0) != 0 for column in columns], axis=0
+    )
     number = np.empty(len(order), dtype=np.int64)
     number[order] = np.cumsum(is_new)
     return number
 
 
-def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> FloatArray:
+def relative_road_poses(
+    road_poses: FloatArray, carrier_poses: FloatArray
+) -> FloatArray:
     """Road poses (n, ..., 4) - east, north, yaw, height - as ahead, left, ... of carriers (n, 4).
 
     In metres and degrees.
@@ -305,7 +347,10 @@ def relative_road_poses(road_poses: FloatArray, carrier_poses: FloatArray) -> Fl
     array([[3. , 0. , 0. , 0.5]])
     """
     rotations = body_rotation(carrier_poses[:, 2])[:, :2, :2]
-    bodies = road_poses if road_poses.ndim == 3 else road_poses[:, None]
+    if road_poses.ndim == 3:
+        bodies = road_poses
+    else:
+        bodies = road_poses[:, None]
     relative = np.empty_like(bodies)
     relative[..., :2] = (bodies[..., :2] - carrier_poses[:, None, :2]) @ rotations
     relative[..., 2] = wrap_deg(bodies[..., 2] - carrier_poses[:, None, 2])
@@ -317,14 +362,17 @@ def draw_index(runs: Sequence[Run]) -> IntArray:
     """Number of each frame: the same in all weathers, with a gap between two runs."""
     known: dict[int, int] = {}  # encounters: one and the same in all weathers
     which = (known.setdefault(id(run.encounter), len(known)) for run in runs)
-    return _numbered(tuple(zip(which, (len(run.time_s) for run in runs), strict=True))).copy()
+    return _numbered(
+        tuple(zip(which, (len(run.time_s) for run in runs), strict=True))
+    ).copy()
 
 
 @lru_cache(maxsize=4)  # sampled worlds ask again and again
 def _numbered(runs: tuple[tuple[int, int], ...]) -> IntArray:
     """As above, of runs by the number of their encounter and that of their frames."""
     start: dict[int, int] = {}
-    numbers, free = [], 0
+    numbers = []
+    free = 0
     for which, n_frames in runs:
         if which not in start:
             start[which] = free
@@ -333,7 +381,9 @@ def _numbered(runs: tuple[tuple[int, int], ...]) -> IntArray:
     return np.concatenate(numbers)
 
 
-def _road_poses(position_m: FloatArray, yaw_deg: FloatArray, terrain: Terrain | None) -> FloatArray:
+def _road_poses(
+    position_m: FloatArray, yaw_deg: FloatArray, terrain: Terrain | None
+) -> FloatArray:
     """Road poses (n, 4) of bodies on the ground."""
     return np.insert(on_ground(position_m, terrain), 2, yaw_deg, axis=1)
 
@@ -343,7 +393,11 @@ def vut_pitch_deg(
 ) -> FloatArray:
     """Pitch of a VUT on its way, (n,); see :func:`geometry.terrain.pitch_on_ground_deg`."""
     return pitch_on_ground_deg(
-        position_m, yaw_deg, terrain, front_m=vut.front_axle_ahead_m, wheelbase_m=vut.wheelbase_m
+        position_m,
+        yaw_deg,
+        terrain,
+        front_m=vut.front_axle_ahead_m,
+        wheelbase_m=vut.wheelbase_m,
     )
 
 
@@ -352,7 +406,10 @@ def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
 
     Then the sensor's direction alone tilts with the VUT.
     """
-    tilted = body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m - mount.position_m
+    tilted = (
+        body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m
+        - mount.position_m
+    )
     carriers = surroundings.vut_poses.copy()
     yaw = np.radians(carriers[:, 2])
     carriers[:, 0] += tilted[:, 0] * np.cos(yaw)
@@ -372,8 +429,12 @@ class VutCamera:
     """A camera on the VUT, facing ahead: level where the road is, else along its grade."""
 
     camera: CameraModel  # what is mounted
-    ahead_per_half_length: float  # distance ahead of the VUT's middle, as share of half its length
-    up_per_half_height: float  # height above the road, as a share of half the VUT's height
+    ahead_per_half_length: (
+        float  # distance ahead of the VUT's middle, as share of half its length
+    )
+    up_per_half_height: (
+        float  # height above the road, as a share of half the VUT's height
+    )
 
     def pose_on(self, vut: Actor) -> Pose:
         """Where it is in the body frame of a vehicle."""
@@ -382,7 +443,9 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
-FrameCamera = VutCamera | tuple[Pose, CameraModel]  # the VUT's own camera, or a fixed one
+FrameCamera = (
+    VutCamera | tuple[Pose, CameraModel]
+)  # the VUT's own camera, or a fixed one
 
 
 @cache

@@ -34,12 +34,16 @@ class Disagreement:
     on_table: Annotated[
         bool,
         says(
-            "The detection table calls it avoided, and the evaluator does not; false: the opposite."
+            "The detection table calls it avoided, and the evaluator does not; false:"
+            " the opposite."
         ),
     ]
-    n_frames: Annotated[int, says("Frames before the last moment to brake in which they differ.")]
+    n_frames: Annotated[
+        int, says("Frames before the last moment to brake in which they differ.")
+    ]
     cause: Annotated[
-        str, says("How the evaluator sees the road user in the first of them, in words.")
+        str,
+        says("How the evaluator sees the road user in the first of them, in words."),
     ]
 
 
@@ -55,21 +59,33 @@ def find_disagreements(
 
     `pose_index` are the table's rows of the layout's units, in their order.
     """
-    units, axis, detected = evaluation.layout.units, setting.axis, table.detected(list(pose_index))
-    folder = None if setting.detector.needs_pictures else compute.cache_folder
+    units, axis, detected = (
+        evaluation.layout.units,
+        setting.axis,
+        table.detected(list(pose_index)),
+    )
+    if setting.detector.needs_pictures:
+        folder = None
+    else:
+        folder = compute.cache_folder
     seen = ""
     if folder is not None:
-        runs, planner = setting.runs, setting.table_detector
+        runs = setting.runs
+        planner = setting.table_detector
         seen = table_fingerprint(setting.scene, units, runs, planner, seed=compute.seed)
     on_table = dict(zip((unit.id for unit in units), detected, strict=True))
 
     def differing_frames(unit: CandidatePose, run: int) -> IntArray:
         frames = np.arange(axis.n_frames)[axis.frames_of(run)]
         counts = axis.time_s[frames] <= axis.last_brake_time_s[run]
-        differs = on_table[unit.id][frames] != evaluation.units[unit.id].detected[frames]
+        differs = (
+            on_table[unit.id][frames] != evaluation.units[unit.id].detected[frames]
+        )
         return np.asarray(frames[counts & differs])
 
-    def compare(parties: Sequence[CandidatePose], verdict: Verdict) -> Iterator[Disagreement]:
+    def compare(
+        parties: Sequence[CandidatePose], verdict: Verdict
+    ) -> Iterator[Disagreement]:
         is_fused = verdict is evaluation.headline
         with_vut = is_fused and evaluation.cars == 1.0
         rows = np.array([on_table[unit.id] for unit in parties])
@@ -80,7 +96,9 @@ def find_disagreements(
                 party=FUSED if is_fused else parties[0].id,
                 run_id=axis.run_ids[run],
                 on_table=bool(avoided[run]),
-                n_frames=len(np.unique(np.concatenate([frames for _, frames in differing]))),
+                n_frames=len(
+                    np.unique(np.concatenate([frames for _, frames in differing]))
+                ),
                 cause=_cause(setting, differing, on_table),
             )
 
@@ -119,7 +137,9 @@ def _cause(
     surroundings = build_surroundings(setting.scene, [setting.runs[run]])
     frames = np.array([frame - int(setting.axis.run_start[run])])
     evidence = perceive_frames(surroundings.take(frames), (unit.pose, unit.sensor))
-    return place + _what_is_seen(setting, evidence, is_on_table=bool(on_table[unit.id][frame]))
+    return place + _what_is_seen(
+        setting, evidence, is_on_table=bool(on_table[unit.id][frame])
+    )
 
 
 def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) -> str:
@@ -130,7 +150,9 @@ def _what_is_seen(setting: Setting, evidence: Evidence, *, is_on_table: bool) ->
         f"IoU {float(iou(evidence.visible_px, evidence.amodal_px)[0]):.2f}"
     )
     if setting.detector.needs_pictures:
-        return f"{setting.detector.name} judges the picture otherwise than boxes ({seen})"
+        return (
+            f"{setting.detector.name} judges the picture otherwise than boxes ({seen})"
+        )
     if expected == is_on_table:
         return f"chance or a lost message ({seen})"
     return f"sample points and pixels differ at the limit ({seen})"

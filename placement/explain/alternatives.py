@@ -16,7 +16,14 @@ from ..cache import cached_value
 from ..detection_table import is_mixed
 from ..evaluation import Evaluation, apr_one_failed, headline_apr, mix
 from ..layout import Layout
-from ..optimiser import Effort, PlacementProblem, Solution, presolve, run_margins_s, solve_placement
+from ..optimiser import (
+    Effort,
+    PlacementProblem,
+    Solution,
+    presolve,
+    run_margins_s,
+    solve_placement,
+)
 from ..optimiser.constants import TOLERANCE
 from ..optimiser.problem import Fusion
 from ..optimiser.solve import is_large
@@ -31,7 +38,9 @@ class ByRuns:
 
     units: Annotated[
         tuple[str, ...],
-        says("Ids of the candidate poses that avoid the most runs, as far as was found."),
+        says(
+            "Ids of the candidate poses that avoid the most runs, as far as was found."
+        ),
     ]
     runs_avoided: Annotated[int, says("Runs that it avoids.")]
     runs_avoided_here: Annotated[
@@ -49,12 +58,14 @@ def find_by_runs(
 ) -> ByRuns | None:
     """The layout that avoids the most runs, within the same limits.
 
-    None where the highest APR is not asked for, all runs count the same anyway, worlds are sampled,
-    or the problem is too large for a proof.
+    None where the highest APR is not asked for, all runs count the same anyway, worlds
+    are sampled, or the problem is too large for a proof.
     """
     axis = problem.table.axis
     is_best = problem.goal == "best" and problem.survive == 0
-    is_whole = problem.sample_index is None and not is_mixed(axis) and not is_large(problem)
+    is_whole = (
+        problem.sample_index is None and not is_mixed(axis) and not is_large(problem)
+    )
     if not (is_best and is_whole) or np.ptp(axis.weight) <= TOLERANCE / axis.n_runs:
         return None
     alike = replace(axis, weight=np.full(axis.n_runs, 1.0 / axis.n_runs))
@@ -85,7 +96,9 @@ def find_by_runs(
 
 
 # ---------- front-runners, by the evaluator
-EQUAL_APR = 0.001  # front-runners no farther apart are equal: results print a tenth of a point
+EQUAL_APR = (
+    0.001  # front-runners no farther apart are equal: results print a tenth of a point
+)
 
 Deciding = Literal["apr", "apr_one_failed", "mounting", "order"]
 
@@ -95,13 +108,15 @@ class FrontRunner:
     """A layout that leads on the detection table, by the evaluator."""
 
     layout: Layout  # its units
-    # apr, apr_one_failed: all units together, and when the most needed one fails; 0 for a
-    # single unit. 0..1
+    # apr, apr_one_failed: all units together, and when the most needed one fails; 0 for
+    # a single unit. 0..1
     apr: float
     apr_one_failed: float
 
 
-def build_front_runner(evaluation: Evaluation, rule: AebRule, *, fusion: Fusion) -> FrontRunner:
+def build_front_runner(
+    evaluation: Evaluation, rule: AebRule, *, fusion: Fusion
+) -> FrontRunner:
     """A layout as the evaluator sees it, under the fusion that it was chosen with."""
     axis = evaluation.axis
     if fusion == "any":
@@ -111,7 +126,8 @@ def build_front_runner(evaluation: Evaluation, rule: AebRule, *, fusion: Fusion)
             apr_one_failed=apr_one_failed(evaluation, rule),
         )
     alone = np.array([unit.is_avoided for unit in evaluation.units.values()])
-    own, cars = evaluation.vut.is_avoided, evaluation.cars
+    own = evaluation.vut.is_avoided
+    cars = evaluation.cars
 
     def share(units: BoolArray) -> float:
         is_avoided = units.any(axis=0)
@@ -121,7 +137,9 @@ def build_front_runner(evaluation: Evaluation, rule: AebRule, *, fusion: Fusion)
     return FrontRunner(
         layout=evaluation.layout,
         apr=share(alone),
-        apr_one_failed=min(share(np.delete(alone, unit, axis=0)) for unit in range(len(alone))),
+        apr_one_failed=min(
+            share(np.delete(alone, unit, axis=0)) for unit in range(len(alone))
+        ),
     )
 
 
@@ -130,9 +148,10 @@ def recommend(
 ) -> tuple[int, Deciding]:
     """Number of the front-runner to recommend, and what the first one was passed over for.
 
-    In this order: APR; APR when the most needed unit fails; APR that a usual error of mounting
-    leaves, `mounted_wrongly` by number, asked only for those equal so far. Differences up to
-    ``EQUAL_APR`` are none. Of equals the first is recommended: "order".
+    In this order: APR; APR when the most needed unit fails; APR that a usual error of
+    mounting leaves, `mounted_wrongly` by number, asked only for those equal so far.
+    Differences up to ``EQUAL_APR`` are none. Of equals the first is recommended:
+    "order".
     """
     left = list(range(len(runners)))
     keys: tuple[tuple[Deciding, Callable[[int], float]], ...] = (

@@ -1,8 +1,8 @@
 """Conflicts: demands that contradict each other, and the least by which one must give way.
 
-A problem is taken apart into demands, of which any part makes a problem again. Parts are asked
-for in order of size, but for those that a set of poses found before meets, too: the first part that
-nothing meets is a smallest conflict.
+A problem is taken apart into demands, of which any part makes a problem again. Parts
+are asked for in order of size, but for those that a set of poses found before meets,
+too: the first part that nothing meets is a smallest conflict.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -39,9 +39,9 @@ Kind = Literal[
 class Demand:
     """One of the pieces: it can be dropped, or relaxed, without the others."""
 
-    # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive": that
-    # all floors hold when units fail; "capacity": of all sites; "separation": rivals among
-    # the sites; "forced_sites", "forbidden": all of them together
+    # "budget_units", "budget_eur"; "floor": one of them, without failures; "survive":
+    # that all floors hold when units fail; "capacity": of all sites; "separation":
+    # rivals among the sites; "forced_sites", "forbidden": all of them together
     kind: Kind
     floor: int | None = None  # index of the floor
 
@@ -58,12 +58,15 @@ class Separation:
 class Wish:
     """A placement problem that can be taken apart.
 
-    `separation` says where the rivals of its limits come from; without it there are none. Forced
-    poses are no demand but a fact: existing units.
+    `separation` says where the rivals of its limits come from; without it there are
+    none. Forced poses are no demand but a fact: existing units.
     """
 
-    def __init__(self, problem: PlacementProblem, separation: Separation | None = None) -> None:
-        self.problem, self.separation = problem, separation
+    def __init__(
+        self, problem: PlacementProblem, separation: Separation | None = None
+    ) -> None:
+        self.problem = problem
+        self.separation = separation
         self.demands = _list_demands(problem, separation)
         self.everything = frozenset(range(len(self.demands)))
         self._limits: dict[frozenset[int], Limits] = {}
@@ -71,30 +74,43 @@ class Wish:
     def part(self, active: Set[int]) -> PlacementProblem:
         """The problem with some of the demands only; equal limits are one object."""
         demands = [self.demands[number] for number in sorted(active)]
-        floors = tuple(self.problem.floors[one.floor] for one in demands if one.floor is not None)
+        floors = tuple(
+            self.problem.floors[one.floor] for one in demands if one.floor is not None
+        )
         if not any(demand.kind == "survive" for demand in demands):
             floors = tuple(replace(floor, n_failures=0) for floor in floors)
         return replace(
-            self.problem, limits=self._limits_of(active), floors=floors, goal="best", survive=0
+            self.problem,
+            limits=self._limits_of(active),
+            floors=floors,
+            goal="best",
+            survive=0,
         )
 
     def met_by(self, poses: Sequence[int], active: Set[int]) -> frozenset[int]:
         """Demands that a set of poses meets all at once, `active` ones among them if it meets them.
 
-        That floors hold when units fail counts as met where that is so for all floors that are met
-        without failures, or where it is asked for: then floors must hold so.
+        That floors hold when units fail counts as met where that is so for all floors
+        that are met without failures, or where it is asked for: then floors must hold
+        so.
         """
-        survive = frozenset(n for n in self.everything if self.demands[n].kind == "survive")
+        survive = frozenset(
+            n for n in self.everything if self.demands[n].kind == "survive"
+        )
         met = frozenset(
             number
             for number in self.everything - survive
             if is_feasible(self.part({number} | (survive & active)), poses)
         )
-        return met | survive if is_feasible(self.part(met | survive), poses) else met
+        if is_feasible(self.part(met | survive), poses):
+            return met | survive
+        return met
 
     def _limits_of(self, active: Set[int]) -> Limits:
         key = frozenset(
-            number for number in active if self.demands[number].kind not in ("floor", "survive")
+            number
+            for number in active
+            if self.demands[number].kind not in ("floor", "survive")
         )
         if key not in self._limits:
             kinds = {self.demands[number].kind for number in key}
@@ -102,10 +118,15 @@ class Wish:
         return self._limits[key]
 
 
-def _list_demands(problem: PlacementProblem, separation: Separation | None) -> tuple[Demand, ...]:
+def _list_demands(
+    problem: PlacementProblem, separation: Separation | None
+) -> tuple[Demand, ...]:
     """All demands that bind something."""
     limits = problem.limits
-    capacity = limits.site_capacity if separation is None else separation.site_capacity
+    if separation is None:
+        capacity = limits.site_capacity
+    else:
+        capacity = separation.site_capacity
     per_site = np.bincount(limits.site_index, minlength=limits.n_sites)
     is_there: dict[Kind, bool] = {
         "budget_units": limits.budget_units is not None,
@@ -115,10 +136,15 @@ def _list_demands(problem: PlacementProblem, separation: Separation | None) -> t
         "forced_sites": bool(limits.is_forced_site.any()),
         "forbidden": bool(limits.is_forbidden.any()),
     }
-    demands = [Demand(kind="floor", floor=index) for index in range(len(problem.floors))]
+    demands = [
+        Demand(kind="floor", floor=index) for index in range(len(problem.floors))
+    ]
     if any(floor.n_failures for floor in problem.floors):
         demands.append(Demand(kind="survive"))
-    return (*demands, *(Demand(kind=kind) for kind, is_asked in is_there.items() if is_asked))
+    return (
+        *demands,
+        *(Demand(kind=kind) for kind, is_asked in is_there.items() if is_asked),
+    )
 
 
 def _loosen(limits: Limits, kinds: Set[Kind], separation: Separation | None) -> Limits:
@@ -150,33 +176,49 @@ class Relaxation:
     """The least by which a demand gives way."""
 
     demand: Demand  # which
-    # what can be had in place of its number: units, euros, share, failed units, units per
-    # site, metres. NaN where it has none.
+    # what can be had in place of its number: units, euros, share, failed units, units
+    # per site, metres. NaN where it has none.
     value: float = np.nan
     # of a demand that lists poses or sites: those that have to go
     given_up: tuple[int, ...] = ()
-    suffices: bool = False  # the whole wish can be met then; else only this conflict is settled
+    suffices: bool = (
+        False  # the whole wish can be met then; else only this conflict is settled
+    )
     is_least: bool = True  # proven: less does not do
     pose_index: tuple[int, ...] = ()  # a set of poses that does
 
 
 def relax(
-    problem: PlacementProblem, relaxation: Relaxation, separation: Separation | None = None
+    problem: PlacementProblem,
+    relaxation: Relaxation,
+    separation: Separation | None = None,
 ) -> PlacementProblem:
     """The problem with a demand relaxed that has no number of its own to be asked for."""
-    kind, value = relaxation.demand.kind, relaxation.value
-    limits, items = problem.limits, list(relaxation.given_up)
+    kind = relaxation.demand.kind
+    value = relaxation.value
+    limits = problem.limits
+    items = list(relaxation.given_up)
     if kind == "survive":
-        floors = (replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors)
+        floors = (
+            replace(f, n_failures=min(f.n_failures, int(value))) for f in problem.floors
+        )
         return replace(problem, floors=tuple(floors))
     if kind == "capacity":
-        limits = replace(limits, site_capacity=np.maximum(limits.site_capacity, int(value)))
+        limits = replace(
+            limits, site_capacity=np.maximum(limits.site_capacity, int(value))
+        )
     elif separation is not None and kind == "separation":
         is_near = separation.pair_distance_m < value
-        capacity = limits.site_capacity if value > 0.0 else separation.site_capacity
+        if value > 0.0:
+            capacity = limits.site_capacity
+        else:
+            capacity = separation.site_capacity
         limits = replace(limits, rivals=limits.rivals[is_near], site_capacity=capacity)
     else:
-        field = "is_forced_site" if kind == "forced_sites" else "is_forbidden"
+        if kind == "forced_sites":
+            field = "is_forced_site"
+        else:
+            field = "is_forbidden"
         flags = getattr(limits, field).copy()
         flags[items] = False
         limits = replace(limits, **{field: flags})
@@ -190,15 +232,23 @@ def find_relaxation(
 
     None if nothing was found in time; `suffices` is to be filled in.
     """
-    demand, separation = wish.demands[number], wish.separation
-    with_it, without = wish.part(others | {number}), wish.part(others)
-    limits, kinds = with_it.limits, {wish.demands[other].kind for other in others}
+    demand = wish.demands[number]
+    separation = wish.separation
+    with_it = wish.part(others | {number})
+    without = wish.part(others)
+    limits = with_it.limits
+    kinds = {wish.demands[other].kind for other in others}
     answer = None
     if demand.kind in ("budget_units", "budget_eur"):
-        answer = oracle.least(without, "fewest" if demand.kind == "budget_units" else "cheapest")
+        answer = oracle.least(
+            without, "fewest" if demand.kind == "budget_units" else "cheapest"
+        )
     elif demand.floor is not None:
         floor = wish.problem.floors[demand.floor]
-        n_failures = floor.n_failures if "survive" in kinds else 0
+        if "survive" in kinds:
+            n_failures = floor.n_failures
+        else:
+            n_failures = 0
         answer = oracle.most(without, wish.problem.floor_measure(floor), n_failures)
     if answer is not None:
         if answer.pose_index is None:
@@ -209,7 +259,9 @@ def find_relaxation(
             is_least=answer.is_proven,
             pose_index=answer.pose_index,
         )
-    if separation is not None and "capacity" not in kinds:  # sites may carry any number of units
+    if (
+        separation is not None and "capacity" not in kinds
+    ):  # sites may carry any number of units
         any_number = np.full(wish.problem.limits.n_sites, wish.problem.limits.n_poses)
         separation = replace(separation, site_capacity=any_number)
     trial = _Trial(demand, with_it, oracle, separation)
@@ -246,25 +298,33 @@ class _Trial:
 
     def first(self, values: Sequence[float]) -> Relaxation | None:
         """The first of some values, each looser than the one before, that can be met."""
-        low, high, best = 0, len(values), None
+        low = 0
+        high = len(values)
+        best = None
         is_proven = True
         while low < high:
             middle = (low + high) // 2
             tried = self._try(values[middle], ())
             if tried.pose_index:
-                high, best = middle, tried
+                high = middle
+                best = tried
             else:
                 low = middle + 1
                 is_proven &= tried.is_least
-        return None if best is None else replace(best, is_least=is_proven)
+        if best is None:
+            return None
+        return replace(best, is_least=is_proven)
 
-    def fewest(self, items: Sequence[tuple[int, ...]], without: Answer) -> Relaxation | None:
+    def fewest(
+        self, items: Sequence[tuple[int, ...]], without: Answer
+    ) -> Relaxation | None:
         """Fewest items that have to go; `without` is what can be had without all of them."""
         if without.pose_index is None:
             return None
         enough = [item for item in items if self._is_violated(item, without.pose_index)]
         best = self._relaxation(np.nan, enough, without.pose_index)
-        n_trials, is_proven = 0, True
+        n_trials = 0
+        is_proven = True
         for size in range(1, len(enough)):
             for given_up in combinations(items, size):
                 if n_trials == _MAX_TRIALS or self.oracle.left_s() <= 0.0:
@@ -284,26 +344,36 @@ class _Trial:
             fewer = [other for other in given_up if other != item]
             tried = self._try(np.nan, fewer)
             if tried.pose_index:
-                given_up, best = fewer, tried
+                given_up = fewer
+                best = tried
         return replace(best, is_least=False)
 
     def _is_violated(self, item: tuple[int, ...], poses: tuple[int, ...]) -> bool:
         """True if a set of poses is against an item of the demand."""
         if self.demand.kind == "forbidden":
             return not set(item).isdisjoint(poses)
-        return not set(item) <= set(self.problem.limits.site_index[list(poses)].tolist())
+        return not set(item) <= set(
+            self.problem.limits.site_index[list(poses)].tolist()
+        )
 
     def _relaxation(
-        self, value: float, given_up: Sequence[tuple[int, ...]], poses: tuple[int, ...] = ()
+        self,
+        value: float,
+        given_up: Sequence[tuple[int, ...]],
+        poses: tuple[int, ...] = (),
     ) -> Relaxation:
         gone = tuple(part for item in given_up for part in item)
-        return Relaxation(demand=self.demand, value=value, given_up=gone, pose_index=poses)
+        return Relaxation(
+            demand=self.demand, value=value, given_up=gone, pose_index=poses
+        )
 
     def _try(self, value: float, given_up: Sequence[tuple[int, ...]]) -> Relaxation:
         """A relaxation; no poses if it cannot be met, and then whether that is proven."""
         relaxation = self._relaxation(value, given_up)
         answer = self.oracle.find(relax(self.problem, relaxation, self.separation))
-        return replace(relaxation, is_least=answer.is_proven, pose_index=answer.pose_index or ())
+        return replace(
+            relaxation, is_least=answer.is_proven, pose_index=answer.pose_index or ()
+        )
 
 
 # ---------- conflicts
@@ -324,8 +394,8 @@ def find_conflicts(
 ) -> tuple[Conflict, ...]:
     """Why no set of poses meets limits and floors: smallest conflicts, no two with a common demand.
 
-    `time_limit_s` is for all questions together, but for presolve. None if the wish can be met, if
-    it was not found out that it cannot, or if nothing would help.
+    `time_limit_s` is for all questions together, but for presolve. None if the wish can
+    be met, if it was not found out that it cannot, or if nothing would help.
     """
     if problem.table.n_poses == 0:
         return ()
@@ -340,7 +410,8 @@ def find_conflicts(
 
     if ask(frozenset()).pose_index is None:  # forced and forbidden, say
         return ()
-    left, found = wish.everything, []
+    left = wish.everything
+    found = []
     while left and _is_refused(ask(left)):
         numbers = _smallest_conflict(wish, left, ask)
         found.append(numbers)
@@ -376,7 +447,9 @@ def _smallest_conflict(
     raise ValueError("the demands can be met")
 
 
-def _thinned(demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]) -> frozenset[int]:
+def _thinned(
+    demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+) -> frozenset[int]:
     """A conflict without the demands that are known to be needless."""
     for demand in sorted(demands):
         if _is_refused(ask(demands - {demand})):
@@ -385,7 +458,10 @@ def _thinned(demands: frozenset[int], ask: Callable[[frozenset[int]], Answer]) -
 
 
 def _relaxations(
-    wish: Wish, oracle: Oracle, conflict: frozenset[int], ask: Callable[[frozenset[int]], Answer]
+    wish: Wish,
+    oracle: Oracle,
+    conflict: frozenset[int],
+    ask: Callable[[frozenset[int]], Answer],
 ) -> tuple[Relaxation, ...]:
     found = []
     for number in sorted(conflict):
@@ -411,11 +487,13 @@ def find_refusal(
 ) -> InputError | None:
     """Why wishes cannot be met, in one line, to be raised.
 
-    `candidates` are the rows of the problem's table. None if they can be met, or if it was not
-    found out that they cannot.
+    `candidates` are the rows of the problem's table. None if they can be met, or if it
+    was not found out that they cannot.
     """
     separation = build_separation(problem, wishes, scene, candidates)
-    conflicts = find_conflicts(problem, separation=separation, time_limit_s=time_limit_s)
+    conflicts = find_conflicts(
+        problem, separation=separation, time_limit_s=time_limit_s
+    )
     if not conflicts:
         return None
     words = _Words(problem, wishes, candidates)
@@ -423,23 +501,36 @@ def find_refusal(
     got = "demands that no layout meets together"
     if len(first.demands) == 1:
         got = "a demand that no layout meets"
-    more = [f"; besides, {words.demands(other)}: {words.ways_out(other)}" for other in others]
-    return InputError(words.demands(first), Unquoted(got), words.ways_out(first) + "".join(more))
+    more = [
+        f"; besides, {words.demands(other)}: {words.ways_out(other)}"
+        for other in others
+    ]
+    return InputError(
+        words.demands(first), Unquoted(got), words.ways_out(first) + "".join(more)
+    )
 
 
 def build_separation(
-    problem: PlacementProblem, wishes: Wishes, scene: Scene, candidates: Sequence[CandidatePose]
+    problem: PlacementProblem,
+    wishes: Wishes,
+    scene: Scene,
+    candidates: Sequence[CandidatePose],
 ) -> Separation | None:
     """The effect of a least distance between units on the limits; None where none is asked for."""
     if wishes.separation_m <= 0.0:
         return None
     limits = problem.limits
     free = build_limits(
-        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity), scene, candidates
+        Wishes(existing=wishes.existing, site_capacity=wishes.site_capacity),
+        scene,
+        candidates,
     )
     position_m = np.array([candidate.pose.position_m[:2] for candidate in candidates])
     where_m = np.array(
-        [position_m[limits.site_index == site].mean(axis=0) for site in range(limits.n_sites)]
+        [
+            position_m[limits.site_index == site].mean(axis=0)
+            for site in range(limits.n_sites)
+        ]
     )
     one, other = limits.rivals.T
     return Separation(
@@ -453,48 +544,72 @@ class _Words:
     """Demands by the fields of a question, in backticks."""
 
     def __init__(
-        self, problem: PlacementProblem, wishes: Wishes, candidates: Sequence[CandidatePose]
+        self,
+        problem: PlacementProblem,
+        wishes: Wishes,
+        candidates: Sequence[CandidatePose],
     ) -> None:
-        self.problem, self.wishes = problem, wishes
+        self.problem = problem
+        self.wishes = wishes
         self.site_ids = {
             int(site): candidate.site_id or candidate.id
-            for site, candidate in zip(problem.limits.site_index, candidates, strict=True)
+            for site, candidate in zip(
+                problem.limits.site_index, candidates, strict=True
+            )
         }
 
     def demands(self, conflict: Conflict) -> str:
         """All demands of a conflict."""
         *first, last = [self._demand(demand) for demand in conflict.demands]
-        return f"{', '.join(first)} and {last}" if first else last
+        if first:
+            return f"{', '.join(first)} and {last}"
+        return last
 
     def ways_out(self, conflict: Conflict) -> str:
         """All relaxations of a conflict."""
         if not conflict.relaxations:
             return "fewer demands"
-        ways = " or ".join(self._way_out(relaxation) for relaxation in conflict.relaxations)
-        return ways if len(conflict.relaxations) == 1 else f"one of them to give way: {ways}"
+        ways = " or ".join(
+            self._way_out(relaxation) for relaxation in conflict.relaxations
+        )
+        if len(conflict.relaxations) == 1:
+            return ways
+        return f"one of them to give way: {ways}"
 
     def _demand(self, demand: Demand) -> str:
-        limits, kind = self.problem.limits, demand.kind
+        limits = self.problem.limits
+        kind = demand.kind
         if demand.floor is not None:
             floor = self.problem.floors[demand.floor]
             is_max = _field(floor.name) == "target" and self.wishes.target == np.inf
             return _inserted(floor.name, "max" if is_max else f"{floor.share:g}")
         if kind == "capacity" and self.wishes.site_capacity is None:
             return "what the sites can carry"
-        items = {"forbidden": limits.is_forbidden, "forced_sites": limits.is_forced_site}
+        items = {
+            "forbidden": limits.is_forbidden,
+            "forced_sites": limits.is_forced_site,
+        }
         if kind in items:
             return self._sites(kind, np.flatnonzero(items[kind]).tolist())
         number = {
-            "survive": max((floor.n_failures for floor in self.problem.floors), default=0),
+            "survive": max(
+                (floor.n_failures for floor in self.problem.floors), default=0
+            ),
             "budget_units": (limits.budget_units or 0) - self._n_kept,
             "budget_eur": limits.budget_eur,
             "capacity": self.wishes.site_capacity,
             "separation": self.wishes.separation_m,
         }[kind]
-        return f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
+        return (
+            f"`{_FIELDS[kind]}` {number:g}{self._failing if kind == 'survive' else ''}"
+        )
 
     def _way_out(self, relaxation: Relaxation) -> str:
-        demand, kind, value = relaxation.demand, relaxation.demand.kind, relaxation.value
+        demand, kind, value = (
+            relaxation.demand,
+            relaxation.demand.kind,
+            relaxation.value,
+        )
         if demand.floor is not None:
             name = self.problem.floors[demand.floor].name
             text = _inserted(name, f"{np.floor(value * 1.0e4 + 1.0e-6) / 1.0e4:g}")
@@ -507,18 +622,27 @@ class _Words:
             if kind == "budget_units":
                 number = f"{value - self._n_kept:g}"
             elif kind == "budget_eur":
-                number = f"{np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}".removesuffix(".00")
+                number = f"{np.ceil(value * 100.0 - 1.0e-4) / 100.0:.2f}".removesuffix(
+                    ".00"
+                )
             elif kind == "separation":
                 number = f"{np.floor(value * 100.0) / 100.0:g}"
-            text = f"`{_FIELDS[kind]}` {number}{self._failing if kind == 'survive' else ''}"
+            text = (
+                f"`{_FIELDS[kind]}`"
+                f" {number}{self._failing if kind == 'survive' else ''}"
+            )
         if not relaxation.suffices:
             text += " (not enough by itself)"
-        return text if relaxation.is_least else f"{text} (perhaps less will do)"
+        if relaxation.is_least:
+            return text
+        return f"{text} (perhaps less will do)"
 
     @property
     def _failing(self) -> str:
         """Suffix of the number of failures."""
-        return " sites" if self.problem.limits.failing == "site" else ""
+        if self.problem.limits.failing == "site":
+            return " sites"
+        return ""
 
     @property
     def _n_kept(self) -> int:
@@ -532,7 +656,10 @@ class _Words:
             sites = self.problem.limits.site_index[items].tolist()
         names = list(dict.fromkeys(self.site_ids[site] for site in sites))
         left = len(names) - _MAX_NAMES
-        more = f" and {left} more" if left > 0 else ""
+        if left > 0:
+            more = f" and {left} more"
+        else:
+            more = ""
         return f"`{_FIELDS[kind]}` {without}{','.join(names[:_MAX_NAMES])}{more}"
 
 

@@ -38,7 +38,9 @@ class Contribution:
     """The contribution of one unit of a set, on the detection table."""
 
     pose_index: int  # row of the table
-    only_runs: IntArray  # (n,): runs with weight that are avoided with it and not without it
+    only_runs: (
+        IntArray  # (n,): runs with weight that are avoided with it and not without it
+    )
     marginal_apr: float  # APR of the whole set less that of the others, 0..1
     without: PlacementValue  # what the others are worth
     # by how much later, on average by weight, the runs that the others avoid, too, are
@@ -55,7 +57,8 @@ def find_contributions(
 ) -> tuple[Contribution, ...]:
     """The contribution of each unit of a set, in order; limits and floors do not matter."""
     poses = list(pose_index)
-    value, margin_s = placement_value(problem, poses), run_margins_s(problem, poses)
+    value = placement_value(problem, poses)
+    margin_s = run_margins_s(problem, poses)
     weight = problem.table.axis.weight
     found = []
     for position, pose in enumerate(poses):
@@ -70,7 +73,9 @@ def find_contributions(
         found.append(
             Contribution(
                 pose_index=pose,
-                only_runs=np.flatnonzero((margin_s > -np.inf) & ~stays & (weight > 0.0)),
+                only_runs=np.flatnonzero(
+                    (margin_s > -np.inf) & ~stays & (weight > 0.0)
+                ),
                 marginal_apr=value.apr - without.apr,
                 without=without,
                 mean_delay_s=float(delay_s @ weight) / share if share else 0.0,
@@ -89,14 +94,17 @@ class Failure:
     """A layout without some of its units."""
 
     unit_ids: tuple[str, ...]  # the units that fail
-    apr: float  # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
-    # of the runs with weight that the others still avoid, the least time from the onset of
-    # braking to the last moment; NaN where they avoid none. [s]
+    # accident prevention ratio of the others, fused, 0 .. 1; 0 where there are none
+    apr: float
+    # of the runs with weight that the others still avoid, the least time from the onset
+    # of braking to the last moment; NaN where they avoid none. [s]
     smallest_margin_s: float
-    # runs with weight that all units together avoid and the others do not, those with the
-    # highest speed first
+    # runs with weight that all units together avoid and the others do not, those with
+    # the highest speed first
     lost_run_ids: tuple[str, ...]
-    site_id: str = ""  # the site that fails with all its units; empty: units fail, poles stand
+    site_id: str = (
+        ""  # the site that fails with all its units; empty: units fail, poles stand
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,28 +113,40 @@ class Failures:
 
     none_failed: Failure  # of all units together
     one_failed: tuple[Failure, ...]  # one for each unit
-    # one for each pair; empty for a layout of one unit or of more than ``MAX_PAIR_UNITS``
+    # one for each pair; empty for a layout of one unit or of more than
+    # ``MAX_PAIR_UNITS``
     two_failed: tuple[Failure, ...]
-    site_failed: tuple[Failure, ...] = ()  # one for each site: power or a crash takes all its units
+    site_failed: tuple[
+        Failure, ...
+    ] = ()  # one for each site: power or a crash takes all its units
 
 
 def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     """Evaluate the failure of each unit of a layout, of each pair, and of each site.
 
-    In each frame any remaining unit may be the one that detects, and the VUT where every VUT sees.
-    The worst comes first: the lowest APR, then the smallest margin, then the layout's order.
+    In each frame any remaining unit may be the one that detects, and the VUT where
+    every VUT sees. The worst comes first: the lowest APR, then the smallest margin,
+    then the layout's order.
     """
-    axis, units = evaluation.axis, evaluation.layout.units
+    axis = evaluation.axis
+    units = evaluation.layout.units
     arrivals_s = unit_arrivals_s(evaluation, rule)
-    own = [(evaluation.vut.detected, rule.latency_s)] if evaluation.cars == 1.0 else []
+    if evaluation.cars == 1.0:
+        own = [(evaluation.vut.detected, rule.latency_s)]
+    else:
+        own = []
     own_s = earliest_arrival_s(own, axis)
     earliest_s, without = leave_each_out(arrivals_s)
     pairs = combinations(range(len(units)), 2) if len(units) <= MAX_PAIR_UNITS else ()
     counts = axis.weight > 0.0
 
-    avoided_by_all = find_onsets(np.minimum(earliest_s, own_s), axis, rule=rule).is_in_time
+    avoided_by_all = find_onsets(
+        np.minimum(earliest_s, own_s), axis, rule=rule
+    ).is_in_time
 
-    def failure(failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = "") -> Failure:
+    def failure(
+        failed: tuple[int, ...], arrival_s: FloatArray, site_id: str = ""
+    ) -> Failure:
         onsets = find_onsets(np.minimum(arrival_s, own_s), axis, rule=rule)
         avoided = onsets.is_in_time
         margin = (axis.last_brake_time_s - onsets.onset_s)[avoided & counts]
@@ -147,9 +167,13 @@ def find_failures(evaluation: Evaluation, rule: AebRule) -> Failures:
     sites = units_by_site(evaluation.layout).items()
     return Failures(
         none_failed=failure((), earliest_s),
-        one_failed=_worst_first(failure((unit,), left) for unit, left in enumerate(without)),
+        one_failed=_worst_first(
+            failure((unit,), left) for unit, left in enumerate(without)
+        ),
         two_failed=_worst_first(several(pair) for pair in pairs),
-        site_failed=_worst_first(several(tuple(failed), site_id) for site_id, failed in sites),
+        site_failed=_worst_first(
+            several(tuple(failed), site_id) for site_id, failed in sites
+        ),
     )
 
 
@@ -176,8 +200,8 @@ def find_next_unit(
 ) -> NextUnit | None:
     """The pose whose APR together with a layout is the highest; None where no further pose fits.
 
-    Budgets do not count, sites, rivals and wishes do. `reduced` is what presolve left of the
-    problem, `pose_index` are rows of the table, all among those left.
+    Budgets do not count, sites, rivals and wishes do. `reduced` is what presolve left
+    of the problem, `pose_index` are rows of the table, all among those left.
     """
     units = np.flatnonzero(np.isin(reduced.pose_index, pose_index))
     limits = replace(reduced.limits, budget_units=None, budget_eur=None)

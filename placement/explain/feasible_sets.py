@@ -8,7 +8,14 @@ from geometry.arrays import IntArray
 from geometry.clock import now_s
 from geometry.errors import InputError
 
-from ..optimiser import Effort, Limits, PlacementProblem, ReducedProblem, is_allowed, presolve
+from ..optimiser import (
+    Effort,
+    Limits,
+    PlacementProblem,
+    ReducedProblem,
+    is_allowed,
+    presolve,
+)
 from ..optimiser.bitsets import set_values
 from ..optimiser.constants import SOLVER_TOLERANCE, Deadline
 from ..optimiser.greedy import extend_greedily, forced_units, improve, to_full
@@ -26,11 +33,14 @@ def choose_greedily(reduced: ReducedProblem) -> IntArray:
 
     No more than there is room for; see :func:`meets`.
     """
-    limits, units = reduced.limits, forced_units(reduced)
+    limits = reduced.limits
+    units = forced_units(reduced)
     most = max(min(limits.max_units, len(units) + _MAX_ADDED), 1)
     if not reduced.objectives[0].is_minimised:
         reduced = reduced.with_goal("fewest")
-    return extend_greedily(replace(reduced, limits=replace(limits, budget_units=most)), units)
+    return extend_greedily(
+        replace(reduced, limits=replace(limits, budget_units=most)), units
+    )
 
 
 def meets(reduced: ReducedProblem, units: IntArray) -> bool:
@@ -49,9 +59,13 @@ _SHARE_OF_TIME = 0.4  # of the remaining time, that one question may take
 class Answer:
     """The answer to whether a wish can be met."""
 
-    pose_index: tuple[int, ...] | None  # a set of poses that meets it; None: none was found
+    pose_index: (
+        tuple[int, ...] | None
+    )  # a set of poses that meets it; None: none was found
     is_proven: bool  # that there is none; or that none has a better `value`
-    value: float = np.nan  # where a number was asked for: the least, or the most, found; else NaN
+    value: float = (
+        np.nan
+    )  # where a number was asked for: the least, or the most, found; else NaN
 
 
 _NONE = Answer(pose_index=None, is_proven=True)
@@ -83,7 +97,9 @@ class Oracle:
         # What comes after limits and floors is worth no exchange.
         reduced = replace(self._presolve(problem), objectives=(Objective.UNITS,))
         found = self._search(reduced)
-        return found if isinstance(found, Answer) else _answer(found, is_proven=True)
+        if isinstance(found, Answer):
+            return found
+        return _answer(found, is_proven=True)
 
     def least(self, problem: PlacementProblem, goal: Goal) -> Answer:
         """The fewest units, or the least cost, that meet limits and floors."""
@@ -97,11 +113,16 @@ class Oracle:
         bound = find_bound()
         assert found.units is not None
         is_of_units = objective is Objective.UNITS
-        value = float(len(found.units)) if is_of_units else found.value.cost_eur
+        if is_of_units:
+            value = float(len(found.units))
+        else:
+            value = found.value.cost_eur
         is_proven = objective.excess(bound, value) <= objective.tolerance
         return _answer(found, is_proven=is_proven, value=value)
 
-    def most(self, problem: PlacementProblem, measure: Measure, n_failures: int) -> Answer:
+    def most(
+        self, problem: PlacementProblem, measure: Measure, n_failures: int
+    ) -> Answer:
         """The highest ratio left when the most painful units fail, within limits and floors.
 
         `measure` is that of all runs; the problem's floors hold, too.
@@ -111,24 +132,36 @@ class Oracle:
             return _NONE
         reduced = self._presolve(problem)
         measure = measure.of_runs(reduced.run_index)
-        if not measure.weight.any():  # nothing that counts can be avoided: any set is as good
+        if (
+            not measure.weight.any()
+        ):  # nothing that counts can be avoided: any set is as good
             return replace(self.find(problem), value=0.0)
-        everything = Requirement(measure=measure, least=measure.limit, n_failures=n_failures)
+        everything = Requirement(
+            measure=measure, least=measure.limit, n_failures=n_failures
+        )
         found = self._search(replace(reduced, measure=measure), everything)
         if isinstance(found, Answer):
             return found
         stages = Stages(problem, found, Effort())
-        bound = stages.bound_apr_survived() if n_failures else stages.bound_apr()
-        value = float(found.row.of(Objective.APR_SURVIVED if n_failures else Objective.APR))
+        if n_failures:
+            bound = stages.bound_apr_survived()
+        else:
+            bound = stages.bound_apr()
+        value = float(
+            found.row.of(Objective.APR_SURVIVED if n_failures else Objective.APR)
+        )
         return _answer(found, is_proven=bound <= value + SOLVER_TOLERANCE, value=value)
 
     def _is_refused_at_once(self, problem: PlacementProblem) -> bool:
         """True if limits contradict each other, or all poses together reach too little."""
-        limits, shared = problem.limits, self._shared.for_problem(problem)
+        limits = problem.limits
+        shared = self._shared.for_problem(problem)
         usable = (limits.site_capacity[limits.site_index] > 0) & ~limits.is_forbidden
         try:
             check_limits(limits, problem.table.pose_ids)
-            check_reach(problem, replace(shared, words=shared.words[usable[shared.pose_index]]))
+            check_reach(
+                problem, replace(shared, words=shared.words[usable[shared.pose_index]])
+            )
         except InputError:
             return True
         return False
@@ -141,14 +174,19 @@ class Oracle:
             self._presolved[key] = problem.limits, presolve(bare)
         return self._presolved[key][1].for_problem(problem)
 
-    def _search(self, reduced: ReducedProblem, aim: Requirement | None = None) -> Search | Answer:
+    def _search(
+        self, reduced: ReducedProblem, aim: Requirement | None = None
+    ) -> Search | Answer:
         """A search that has a set within limits and floors; else the answer that there is none.
 
         It begins with a set found quickly, and takes a part of the time left.
         """
         deadline = Deadline(now_s() + _SHARE_OF_TIME * max(self.left_s(), 0.0))
         search = Search(reduced, deadline=deadline)
-        floors = reduced.floors if aim is None else (*reduced.floors, aim)
+        if aim is None:
+            floors = reduced.floors
+        else:
+            floors = (*reduced.floors, aim)
         units = choose_greedily(replace(reduced, floors=floors))
         if len(units) and is_allowed(reduced.limits, units):
             search.keep(units)
@@ -158,8 +196,13 @@ class Oracle:
         def has_set() -> bool:
             return search.units is not None and search.shortfall == 0.0
 
-        bound = np.nan if has_set() else search.look_for(None, ())
-        return search if has_set() else Answer(pose_index=None, is_proven=bound == -np.inf)
+        if has_set():
+            bound = np.nan
+        else:
+            bound = search.look_for(None, ())
+        if has_set():
+            return search
+        return Answer(pose_index=None, is_proven=bound == -np.inf)
 
 
 def _answer(search: Search, *, is_proven: bool, value: float = np.nan) -> Answer:

@@ -28,7 +28,8 @@ ErrorKind = Literal["yaw", "pitch", "height"]
 Steps = Mapping[ErrorKind, tuple[float, ...]]
 STEPS: Steps = {"yaw": TURNS_DEG, "pitch": TURNS_DEG, "height": LIFTS_M}
 
-USUAL_DEG, USUAL_M = 1.0, 0.05
+USUAL_DEG = 1.0
+USUAL_M = 0.05
 """Errors of a careful mounting: half a bubble of a spirit level, the play of a clamp."""
 
 _QUICK_STEPS: Steps = {
@@ -36,7 +37,11 @@ _QUICK_STEPS: Steps = {
     "pitch": (0.5, USUAL_DEG, 2.0),
     "height": (USUAL_M,),
 }
-_USUAL: Mapping[ErrorKind, float] = {"yaw": USUAL_DEG, "pitch": USUAL_DEG, "height": USUAL_M}
+_USUAL: Mapping[ErrorKind, float] = {
+    "yaw": USUAL_DEG,
+    "pitch": USUAL_DEG,
+    "height": USUAL_M,
+}
 
 MAX_UNITS = 30
 """Of larger layouts nobody asks what a usual error loses: one look for each takes too long."""
@@ -47,22 +52,27 @@ class Tolerance:
     """By how much one unit may be off if all others are mounted as planned."""
 
     unit_id: str  # the unit
-    # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up: the
-    # largest of the tried turns up to which every run that the layout avoids is still
-    # avoided; 0: not even the smallest. [deg]
+    # yaw_deg, pitch_deg: clockwise (right) and counter-clockwise (left); down and up:
+    # the largest of the tried turns up to which every run that the layout avoids is
+    # still avoided; 0: not even the smallest. [deg]
     yaw_deg: tuple[float, float]
     pitch_deg: tuple[float, float]
     height_m: tuple[float, float]  # lower and higher, the same. [m]
 
 
 def find_tolerances(
-    setting: Setting, units: Sequence[CandidatePose], *, compute: Compute = DEFAULT_COMPUTE
+    setting: Setting,
+    units: Sequence[CandidatePose],
+    *,
+    compute: Compute = DEFAULT_COMPUTE,
 ) -> tuple[Tolerance, ...]:
     """By how much each unit of a layout may be off, one thing at a time.
 
     `compute` has the seed of the layout's table.
     """
-    return _find_errors(setting, units, STEPS, fusion="any", compute=compute).tolerances()
+    return _find_errors(
+        setting, units, STEPS, fusion="any", compute=compute
+    ).tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +80,9 @@ class MountingError:
     """One unit that is off, all others as planned."""
 
     unit_id: Annotated[str, says("The unit.")]
-    kind: Annotated[ErrorKind, says("Turned counter-clockwise, tilted up, or raised ...")]
+    kind: Annotated[
+        ErrorKind, says("Turned counter-clockwise, tilted up, or raised ...")
+    ]
     step: Annotated[float, says("... by so much. [deg, m].")]
     apr: Annotated[float, says("Accident prevention ratio that is left, 0..1.")]
     lost_run_ids: Annotated[
@@ -85,16 +97,21 @@ class Standing:
     aim_deg: Annotated[
         float,
         says(
-            "Any one unit may be turned or tilted by so much and no run is lost; 0: not "
-            "even by the smallest step tried. The largest step tried is 2 degrees, in "
-            "degrees."
+            "Any one unit may be turned or tilted by so much and no run is lost; 0: not"
+            " even by the smallest step tried. The largest step tried is 2 degrees, in"
+            " degrees."
         ),
     ]
     height_m: Annotated[
         float,
-        says("Or raised or lowered by so much; the only step tried is the usual one, in metres."),
+        says(
+            "Or raised or lowered by so much; the only step tried is the usual one, in"
+            " metres."
+        ),
     ]
-    worst: Annotated[MountingError, says("Of the usual errors the one that leaves the least.")]
+    worst: Annotated[
+        MountingError, says("Of the usual errors the one that leaves the least.")
+    ]
 
 
 def find_standing(
@@ -132,7 +149,8 @@ class _Errors:
     avoided: Mapping[tuple[int, ErrorKind, float], BoolArray]
 
     def error(self, number: int, kind: ErrorKind, step: float) -> MountingError:
-        axis, avoided = self.setting.axis, self.avoided[number, kind, step]
+        axis = self.setting.axis
+        avoided = self.avoided[number, kind, step]
         blind, seeing = (weight_share(part, axis.weight) for part in avoided)
         lost = self._lost(number, kind, step)
         return MountingError(
@@ -146,7 +164,9 @@ class _Errors:
     def _lost(self, number: int, kind: ErrorKind, step: float) -> list[int]:
         is_lost = self.planned & ~self.avoided[number, kind, step]
         cars = self.setting.cars
-        is_driven = np.array([cars < 1.0, cars > 0.0])  # by cars that do not see, and that do
+        is_driven = np.array(
+            [cars < 1.0, cars > 0.0]
+        )  # by cars that do not see, and that do
         return np.flatnonzero(is_lost[is_driven].any(axis=0)).tolist()
 
     def tolerances(self) -> tuple[Tolerance, ...]:
@@ -189,13 +209,21 @@ def _find_errors(
         for step in sizes
         for sign in (-1, 1)
     ]
-    everyone = [*units, *(_off_by(units[number], kind, step) for number, kind, step in keys)]
+    everyone = [
+        *units,
+        *(_off_by(units[number], kind, step) for number, kind, step in keys),
+    ]
     looks = [(unit, setting.table_detector) for unit in everyone]
     frames = detected_frames(setting, looks, stage=TOLERANCES, compute=compute)
-    axis, rule, seen = setting.axis, setting.rule, setting.seen_by_vut
+    axis = setting.axis
+    rule = setting.rule
+    seen = setting.seen_by_vut
     latency_s = np.array([unit.latency(rule) for unit in everyone])
     arrival_s = np.where(frames, axis.time_s + latency_s[:, None], np.inf)
-    own_s = None if seen is None else earliest_arrival_s([(seen, rule.latency_s)], axis)
+    if seen is None:
+        own_s = None
+    else:
+        own_s = earliest_arrival_s([(seen, rule.latency_s)], axis)
 
     def in_time(parties: FloatArray) -> BoolArray:
         if fusion == "any":
@@ -205,7 +233,10 @@ def _find_errors(
 
     def avoided(rows: Sequence[int]) -> BoolArray:
         blind = in_time(arrival_s[rows])
-        seeing = blind if own_s is None else in_time(np.vstack([arrival_s[rows], own_s]))
+        if own_s is None:
+            seeing = blind
+        else:
+            seeing = in_time(np.vstack([arrival_s[rows], own_s]))
         return np.stack([blind, seeing])
 
     numbers = list(range(len(units)))
@@ -229,9 +260,13 @@ def _off_by(unit: CandidatePose, kind: ErrorKind, step: float) -> CandidatePose:
     pose = unit.pose
     if kind == "height":
         east, north, up = pose.position_m
-        pose = replace(pose, position_m=np.array([east, north, max(up + step, _LOWEST_M)]))
+        pose = replace(
+            pose, position_m=np.array([east, north, max(up + step, _LOWEST_M)])
+        )
     elif kind == "yaw":
         pose = replace(pose, yaw_deg=float(wrap_deg(pose.yaw_deg + step)))
     else:
-        pose = replace(pose, pitch_deg=float(np.clip(pose.pitch_deg + step, -90.0, 90.0)))
+        pose = replace(
+            pose, pitch_deg=float(np.clip(pose.pitch_deg + step, -90.0, 90.0))
+        )
     return replace(unit, site_id="", pose=pose)

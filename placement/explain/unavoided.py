@@ -14,7 +14,11 @@ from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
 from geometry.terrain import on_ground
-from scenarios.confirmation import confirmation_mask, is_in_time, live_confirmation_time_s
+from scenarios.confirmation import (
+    confirmation_mask,
+    is_in_time,
+    live_confirmation_time_s,
+)
 from scenarios.runs import Run
 
 from ..cache import cached_value
@@ -25,7 +29,13 @@ from ..optimiser import PlacementProblem, run_margins_s
 from ..optimiser.allowed_sets import fitting
 from ..setting import Setting
 from ..visibility.build import N_POINTS, table_fingerprint
-from ..visibility.casting import Sight, World, build_world, cast_sight, find_obstructions
+from ..visibility.casting import (
+    Sight,
+    World,
+    build_world,
+    cast_sight,
+    find_obstructions,
+)
 from ..visibility.sensing import build_sensing
 
 Cause = Literal["hidden", "out of view", "cut off", "too dark", "too far", "otherwise"]
@@ -51,11 +61,13 @@ class Reason:
     Attributes
     ----------
     cause : str
-        "hidden": detected if nothing stood in the way; "out of view", "cut off": not in the image,
-        or only a part of it; "too dark": light and air leave too little contrast; "too far": too
-        small, or too few points; "otherwise": none of these, but the table has no detection.
+        "hidden": detected if nothing stood in the way; "out of view", "cut off": not in
+        the image, or only a part of it; "too dark": light and air leave too little
+        contrast; "too far": too small, or too few points; "otherwise": none of these,
+        but the table has no detection.
     thing : str
-        What hides it, by name: most of the blocked rays end there. Empty for all other causes.
+        What hides it, by name: most of the blocked rays end there. Empty for all other
+        causes.
     """
 
     cause: Cause
@@ -102,18 +114,28 @@ def _causes(
         shared=replace(
             world.shared, caster=nothing, triangles_m=no_triangles, hidden_by_scene=None
         ),
-        standing=replace(world.standing, casters=(nothing,) * len(world.standing.casters)),
-        vehicles=replace(world.vehicles, casters=(nothing,) * len(world.vehicles.casters)),
+        standing=replace(
+            world.standing, casters=(nothing,) * len(world.standing.casters)
+        ),
+        vehicles=replace(
+            world.vehicles, casters=(nothing,) * len(world.vehicles.casters)
+        ),
     )
-    position_m, near_m, views = unit.pose.position_m, unit.sensor.near_m, world.views
+    position_m = unit.pose.position_m
+    near_m = unit.sensor.near_m
+    views = world.views
     open_sight = cast_sight(empty, position_m, near_m=near_m, max_distance_m=np.inf)
     sensing = build_sensing(empty, open_sight, position_m, setting.table_detector)
     bright = replace(sensing, contrast=np.ones_like(sensing.contrast))
     shown = (0, views.weather_of_frame[frames], open_sight.entry_of_frame[frames])
     in_the_open = sensing.detected([unit])[shown]
     in_full_light = bright.detected([unit])[shown]
-    points = views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
-    inside = is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
+    points = (
+        views.points_m[views.view_of_frame[frames]].astype(np.float64) + world.origin_m
+    )
+    inside = (
+        is_in_view(unit, points.reshape(-1, 3)).reshape(points.shape[:2]).mean(axis=1)
+    )
     things = iter(_things_between(world, names, unit, frames[in_the_open], open_sight))
     causes: list[tuple[Cause, str]] = []
     for frame in range(len(frames)):
@@ -131,7 +153,8 @@ def _things_between(
     world: World, names: Names, unit: CandidatePose, frames: IntArray, open_sight: Sight
 ) -> list[str]:
     """The thing that blocks most rays to the road user in each frame; empty where nothing does."""
-    views, vehicles = world.views, world.vehicles
+    views = world.views
+    vehicles = world.vehicles
     eye = unit.pose.position_m - world.origin_m
     of_triangles, of_standing = names
     things = []
@@ -156,7 +179,9 @@ def _things_between(
     return things
 
 
-def _rays(eye_m: FloatArray, points_m: FloatRays, near_m: float) -> tuple[FloatRays, FloatRays]:
+def _rays(
+    eye_m: FloatArray, points_m: FloatRays, near_m: float
+) -> tuple[FloatRays, FloatRays]:
     """Starts (n, 3) and vectors (n, 3) of rays from the eye to points.
 
     They start beyond what is too near to the lens to hide anything.
@@ -176,7 +201,11 @@ def _names(scene: Scene, runs: Sequence[Run]) -> Names:
         bodies = [body.actor.name for body in parked]
         of_standing.append(
             [
-                name if bodies.count(name) == 1 else f"{name} ({bodies[:number].count(name) + 1})"
+                (
+                    name
+                    if bodies.count(name) == 1
+                    else f"{name} ({bodies[:number].count(name) + 1})"
+                )
                 for number, name in enumerate(bodies)
             ]
         )
@@ -194,7 +223,9 @@ class Rescue:
 
     unit: Annotated[str, says("Name of the candidate pose.")]
     site: Annotated[str, says("Its site.")]
-    distance_m: Annotated[float, says("From the nearest unit, in metres; 0: at the same mount.")]
+    distance_m: Annotated[
+        float, says("From the nearest unit, in metres; 0: at the same mount.")
+    ]
     margin_s: Annotated[float, says("Time to spare that it leaves, in seconds.")]
 
 
@@ -205,28 +236,32 @@ class Unavoided:
     Attributes
     ----------
     outcome : str
-        "hopeless": no frame comes early enough, whoever looks; else the units' achievement. "lost
-        again": they confirm early enough, but the track is not alive at the last moment, and none
-        is confirmed after it.
+        "hopeless": no frame comes early enough, whoever looks; else the units'
+        achievement. "lost again": they confirm early enough, but the track is not alive
+        at the last moment, and none is confirmed after it.
     late_s : float, optional
-        By how much braking sets in too late, in seconds; None: never, also where the track was lost
-        again.
+        By how much braking sets in too late, in seconds; None: never, also where the
+        track was lost again.
     unit : str
-        Id of the unit nearest to the road user in the last of these frames, preferably among those
-        that have it in view in one of them; empty if hopeless.
+        Id of the unit nearest to the road user in the last of these frames, preferably
+        among those that have it in view in one of them; empty if hopeless.
     reasons : tuple of Reason
-        Why that unit does not detect the road user in some of these frames, the most frequent one
-        first.
+        Why that unit does not detect the road user in some of these frames, the most
+        frequent one first.
     rescue : Rescue, optional
-        Nearest candidate that would save the run as a further unit; None: none, or nobody looked,
-        as where worlds are sampled.
+        Nearest candidate that would save the run as a further unit; None: none, or
+        nobody looked, as where worlds are sampled.
     """
 
     run: Annotated[str, says("Name of the run, as in runs.parquet.")]
     outcome: Outcome
     late_s: float | None
-    frames_in_time: Annotated[int, says("Frames from which braking in time could follow.")]
-    frames_seen: Annotated[int, says("Of these, those in which a unit detects the road user.")]
+    frames_in_time: Annotated[
+        int, says("Frames from which braking in time could follow.")
+    ]
+    frames_seen: Annotated[
+        int, says("Of these, those in which a unit detects the road user.")
+    ]
     unit: str
     reasons: tuple[Reason, ...]
     rescue: Rescue | None
@@ -242,20 +277,26 @@ def find_unavoided(
 ) -> tuple[Unavoided, ...]:
     """Runs that a set of poses does not avoid on the detection table, and why.
 
-    `candidates` are the rows of the problem's table; at least one is mounted (`pose_index`);
-    `compute` has the table's seed. Runs of weight 0 are left out. A candidate that would save a run
-    is allowed beside the others, whatever it costs.
+    `candidates` are the rows of the problem's table; at least one is mounted
+    (`pose_index`); `compute` has the table's seed. Runs of weight 0 are left out. A
+    candidate that would save a run is allowed beside the others, whatever it costs.
     """
-    scene, seed, chosen = setting.scene, compute.seed, list(pose_index)
+    scene = setting.scene
+    seed = compute.seed
+    chosen = list(pose_index)
     seen = ""
     if compute.cache_folder is not None:
-        seen = table_fingerprint(scene, candidates, setting.runs, setting.table_detector, seed=seed)
+        seen = table_fingerprint(
+            scene, candidates, setting.runs, setting.table_detector, seed=seed
+        )
 
     def find() -> tuple[Unavoided, ...]:
         is_missed = run_margins_s(problem, chosen) == -np.inf
         misses = [
             _find_miss(setting, problem, candidates, chosen, run)
-            for run in np.flatnonzero(is_missed & (problem.table.axis.weight > 0.0)).tolist()
+            for run in np.flatnonzero(
+                is_missed & (problem.table.axis.weight > 0.0)
+            ).tolist()
         ]
         looks = [look for _, look in misses if look is not None]
         reasons = iter(find_reasons(setting, looks, compute=compute))
@@ -263,7 +304,9 @@ def find_unavoided(
         found = []
         for miss, look in misses:
             if look is not None:
-                rescue = _nearest_rescue(problem, candidates, chosen, joining, look.run_index)
+                rescue = _nearest_rescue(
+                    problem, candidates, chosen, joining, look.run_index
+                )
                 miss = replace(miss, reasons=next(reasons), rescue=rescue)
             found.append(miss)
         return tuple(found)
@@ -288,16 +331,23 @@ def _find_miss(
     run: int,
 ) -> tuple[Unavoided, Look | None]:
     """Outcome of a run with the chosen units, and what the one that should see best has missed."""
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     time_s = axis.time_s[axis.frames_of(run)]
     last_brake_s = axis.last_brake_time_s[run]
     counts = np.asarray(is_in_time(time_s, last_brake_s, latency_s=rule.latency_s))
     detected = _detected_in(problem.table, run)[chosen]
     parties = np.vstack([detected, *_seen_by_vut(problem, run)])
     seen = np.logical_or.reduce(parties, axis=0)
-    together = seen if problem.fusion == "any" else parties
+    if problem.fusion == "any":
+        together = seen
+    else:
+        together = parties
     confirmed = confirmation_mask(together, n_confirmations=rule.n_confirmations)
-    braking_s = np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf) + rule.latency_s
+    braking_s = (
+        np.where(confirmed & ~counts, time_s, np.inf).min(initial=np.inf)
+        + rule.latency_s
+    )
     is_hopeless = int(counts.sum()) < rule.n_confirmations
     outcomes: tuple[tuple[Outcome, bool], ...] = (
         ("hopeless", is_hopeless),
@@ -308,16 +358,23 @@ def _find_miss(
     )
     look = None
     if not is_hopeless:
-        units, of_run = [candidates[pose] for pose in chosen], setting.runs[run]
+        units = [candidates[pose] for pose in chosen]
+        of_run = setting.runs[run]
         middle_m = on_ground(of_run.vru_position_m[counts], of_run.terrain)
         middle_m[:, 2] += 0.5 * of_run.encounter.vru.height_m
-        away_m = [np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units]
-        # If none has it in view, the nearest of all: another one may look elsewhere on purpose.
+        away_m = [
+            np.hypot(*(unit.pose.position_m[:2] - middle_m[-1, :2])) for unit in units
+        ]
+        # If none has it in view, the nearest of all: another one may look elsewhere on
+        # purpose.
         looks_elsewhere = [not is_in_view(unit, middle_m).any() for unit in units]
         nearest = int(np.lexsort((away_m, looks_elsewhere))[0])
         missed = np.flatnonzero(counts & ~detected[nearest])
         look = Look(unit=units[nearest], run_index=run, frame_index=missed)
-    late_s = float(braking_s - last_brake_s) if np.isfinite(last_brake_s) else np.inf
+    if np.isfinite(last_brake_s):
+        late_s = float(braking_s - last_brake_s)
+    else:
+        late_s = np.inf
     miss = Unavoided(
         run=axis.run_ids[run],
         outcome=next(outcome for outcome, is_so in outcomes if is_so),
@@ -342,9 +399,15 @@ def _find_joining(
         is_forced=np.zeros_like(problem.limits.is_forced),
         is_forced_site=np.zeros_like(problem.limits.is_forced_site),
     )
-    joining: IntArray = np.flatnonzero(fitting(limits, np.array(chosen, dtype=np.int64)))
-    position_m: FloatArray = np.array([candidate.pose.position_m for candidate in candidates])
-    between_m = np.linalg.norm(position_m[joining, None] - position_m[chosen][None], axis=2)
+    joining: IntArray = np.flatnonzero(
+        fitting(limits, np.array(chosen, dtype=np.int64))
+    )
+    position_m: FloatArray = np.array(
+        [candidate.pose.position_m for candidate in candidates]
+    )
+    between_m = np.linalg.norm(
+        position_m[joining, None] - position_m[chosen][None], axis=2
+    )
     distance_m: FloatArray = between_m.min(axis=1).round(6)
     return joining, distance_m
 
@@ -357,15 +420,21 @@ def _nearest_rescue(
     run: int,
 ) -> Rescue | None:
     """The nearest candidate that saves a run; of several at the same place the quickest."""
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     poses, distance_m = joining
     detected = _detected_in(problem.table, run)
     seen = detected[poses]
     if problem.fusion == "any":
-        seen = seen | np.vstack([detected[chosen], *_seen_by_vut(problem, run)]).any(axis=0)
+        seen = seen | np.vstack([detected[chosen], *_seen_by_vut(problem, run)]).any(
+            axis=0
+        )
     last_brake_s = float(axis.last_brake_time_s[run])
     confirmed_s = live_confirmation_time_s(
-        seen, axis.time_s[axis.frames_of(run)], until_s=last_brake_s - rule.latency_s, rule=rule
+        seen,
+        axis.time_s[axis.frames_of(run)],
+        until_s=last_brake_s - rule.latency_s,
+        rule=rule,
     )
     saves = np.isfinite(confirmed_s)
     if not saves.any():
@@ -384,7 +453,9 @@ def _nearest_rescue(
 def _seen_by_vut(problem: PlacementProblem, run: int) -> list[BoolArray]:
     """Frames of a run in which the VUT detects, (n_frames of the run,), if it sees."""
     seen = problem.seen_by_vut
-    return [] if seen is None else [seen[problem.table.axis.frames_of(run)]]
+    if seen is None:
+        return []
+    return [seen[problem.table.axis.frames_of(run)]]
 
 
 def _detected_in(table: DetectionTable, run: int) -> BoolArray:

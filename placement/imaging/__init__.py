@@ -1,12 +1,19 @@
 """Pictures by ray casting: what a camera sees of a run in colour, by instance and in depth.
 
-``mesh`` gathers a frame's triangles and scans them with a LiDAR, ``ground`` draws the road plane;
-``materials`` says what surfaces send back, ``light`` what falls on them; ``picture`` casts the rays
-of one frame, ``stills`` those of many by one camera, or of a part; ``exposure`` adds glare and
-drops, and exposes.
+``mesh`` gathers a frame's triangles and scans them with a LiDAR, ``ground`` draws the
+road plane; ``materials`` says what surfaces send back, ``light`` what falls on them;
+``picture`` casts the rays of one frame, ``stills`` those of many by one camera, or of a
+part; ``exposure`` adds glare and drops, and exposes.
 """
 
 from .mesh import PointCloud
 from .picture import Backdrop, Picture, build_backdrop, draw_picture, to_jpeg
 
-__all__ = ["Backdrop", "Picture", "PointCloud", "build_backdrop", "draw_picture", "to_jpeg"]
+__all__ = [
+    "Backdrop",
+    "Picture",
+    "PointCloud",
+    "build_backdrop",
+    "draw_picture",
+    "to_jpeg",
+]

@@ -21,10 +21,12 @@ _CONTRAST = 0.35  # between neighbours, of their mean: more is an edge
 
 def find_edges(radiance: FloatRays) -> BoolArray:
     """Pixels (h, w) of an image (h, w, 3) that differ much from a neighbour."""
-    green, contrast = radiance[..., 1], np.float32(0.5 * _CONTRAST)
+    green = radiance[..., 1]
+    contrast = np.float32(0.5 * _CONTRAST)
     is_edge = np.zeros(green.shape, dtype=np.bool_)
     for lines, edges in ((green, is_edge), (green.T, is_edge.T)):
-        here, below = lines[:-1], lines[1:]
+        here = lines[:-1]
+        below = lines[1:]
         differs = np.abs(here - below) > contrast * (here + below)
         edges[:-1] |= differs
         edges[1:] |= differs
@@ -51,7 +53,8 @@ def white_luminance(
 
     The mean of logarithms over the key, but no less than the longest exposure allows.
 
-    Source: E. Reinhard et al., "Photographic tone reproduction for digital images", 2002: the key.
+    Source: E. Reinhard et al., "Photographic tone reproduction for digital images",
+    2002: the key.
     """
     luminance = radiance[::every, ::every] @ LUMINANCE.astype(np.float32)
     mean = float(np.exp(np.log(np.maximum(luminance, np.float32(1e-4))).mean()))
@@ -59,7 +62,10 @@ def white_luminance(
 
 
 def develop(
-    radiance: FloatRays, white_cdpm2: float, imager: Mapping[str, float], rng: np.random.Generator
+    radiance: FloatRays,
+    white_cdpm2: float,
+    imager: Mapping[str, float],
+    rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
     """Pixels of an image or of a part of it, (h, w, 3), sRGB.
 
@@ -88,12 +94,17 @@ def _curve(shoulder: float) -> NDArray[np.uint8]:
     rest = 1.0 - shoulder
     bent = shoulder + rest * (1.0 - np.exp(-(light - shoulder) / rest))
     light = np.where(light > shoulder, bent, light)
-    curved = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    curved = np.where(
+        light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055
+    )
     return np.clip(np.rint(255.0 * curved), 0, 255).astype(np.uint8)
 
 
 # ---------- rain and glare
-_DROP_RANGE_M = (0.8, 6.0)  # nearer ones the housing keeps off, farther ones are too thin to see
+_DROP_RANGE_M = (
+    0.8,
+    6.0,
+)  # nearer ones the housing keeps off, farther ones are too thin to see
 _LEAST_DROP_M = 1.0e-3
 _MARSHALL_PALMER_PER_M4 = 8.0e6
 
@@ -109,13 +120,16 @@ def add_glare(
 ) -> None:
     """Draw lamps that shine into the camera, and the light that scatters around them, in place.
 
-    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it that begins at the column and row
-    `corner_px`; the caster has its origin at the camera.
+    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it that begins at the
+    column and row `corner_px`; the caster has its origin at the camera.
     """
     if not lamps:
         return
-    table, where = load_lamp_table()["glare"], "lamps.toml: glare"
-    share, radius_deg = (take_number(table, key, where) for key in ("share_of_eye", "radius_deg"))
+    table = load_lamp_table()["glare"]
+    where = "lamps.toml: glare"
+    share, radius_deg = (
+        take_number(table, key, where) for key in ("share_of_eye", "radius_deg")
+    )
     places = np.stack([lamp.position_m for lamp in lamps])
     away = (places - pose.position_m).astype(np.float32)
     blocked = caster.is_blocked(np.zeros_like(away), away * np.float32(0.995))
@@ -124,7 +138,9 @@ def add_glare(
         lamps, project_points(places, pose, camera), away, blocked, strict=True
     ):
         column, row, depth = place.tolist()
-        if is_hidden or not depth > camera.near_m or math.isnan(column):  # or beyond a lens's reach
+        if (
+            is_hidden or not depth > camera.near_m or math.isnan(column)
+        ):  # or beyond a lens's reach
             continue
         distance = float(np.linalg.norm(way))
         intensity = float(lamp.intensity_cd(-way[:, None] / np.float32(distance))[0])
@@ -156,7 +172,9 @@ def _window(
     rows = slice(max(0, int(row - reach)), min(height, int(row + reach) + 1))
     if columns.start >= columns.stop or rows.start >= rows.stop:
         return None
-    across = np.arange(columns.start, columns.stop, dtype=np.float32) + np.float32(0.5 - column)
+    across = np.arange(columns.start, columns.stop, dtype=np.float32) + np.float32(
+        0.5 - column
+    )
     down = np.arange(rows.start, rows.stop, dtype=np.float32) + np.float32(0.5 - row)
     return image[rows, columns], across[None, :] ** 2 + down[:, None] ** 2
 
@@ -173,22 +191,27 @@ def add_rain(
 ) -> None:
     """Draw near drops as streaks, in place; a drop shows the sky.
 
-    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it. A pitched camera sees the fall
-    foreshortened.
+    `radiance` is the image (h, w, 3) in cd/m^2, or a part of it. A pitched camera sees
+    the fall foreshortened.
 
     References
     ----------
-    .. [1] J. Marshall, W. Palmer, "The distribution of raindrops with size", 1948: per volume and
+    .. [1] J. Marshall, W. Palmer, "The distribution of raindrops with size", 1948: per
+       volume and
        diameter 8000 exp(-4.1 R^-0.21 D) / (m^3 mm).
-    .. [2] D. Atlas, R. Srivastava, C. Sekhon, "Doppler radar characteristics of precipitation at
+    .. [2] D. Atlas, R. Srivastava, C. Sekhon, "Doppler radar characteristics of
+       precipitation at
        vertical incidence", 1973: speed 9.65 - 10.3 exp(-0.6 D) m/s, D in mm.
-    .. [3] K. Garg, S. Nayar, "Vision and rain", 2007: a streak is as transparent as the time
+    .. [3] K. Garg, S. Nayar, "Vision and rain", 2007: a streak is as transparent as the
+       time
        that its drop spends on a pixel is short.
     """
     if weather.rain_rate_mmph == 0.0:
         return
     slope_per_m = 4100.0 * weather.rain_rate_mmph**-0.21
-    per_m3 = _MARSHALL_PALMER_PER_M4 / slope_per_m * np.exp(-slope_per_m * _LEAST_DROP_M)
+    per_m3 = (
+        _MARSHALL_PALMER_PER_M4 / slope_per_m * np.exp(-slope_per_m * _LEAST_DROP_M)
+    )
     near, far = _DROP_RANGE_M
     height_px, width_px = radiance.shape[:2]
     area_at_1m = width_px * height_px / focal_px**2
@@ -228,4 +251,6 @@ def _streak(
     ).astype(np.float32)
     wet = np.flatnonzero(share)
     flat = radiance.reshape(-1, 3)
-    flat[wet] += np.minimum(share[wet], 1.0)[:, None] * (colour.astype(np.float32) - flat[wet])
+    flat[wet] += np.minimum(share[wet], 1.0)[:, None] * (
+        colour.astype(np.float32) - flat[wet]
+    )

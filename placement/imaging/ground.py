@@ -1,7 +1,7 @@
 """The road plane: lanes, markings, and a map of distances to road and paint, of skylight and noise.
 
-Rectangles (n, 5) stand for lanes and markings: east and north of the middle, yaw in radians, half
-length, half width.
+Rectangles (n, 5) stand for lanes and markings: east and north of the middle, yaw in
+radians, half length, half width.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,7 +32,8 @@ def build_road(scene: Scene) -> FloatArray:
     """
     rectangles: list[list[float]] = []
     for lane in scene.lanes:
-        line, width_m = lane.centreline_m, lane.width_m + 2.0 * _OVERLAP_M
+        line = lane.centreline_m
+        width_m = lane.width_m + 2.0 * _OVERLAP_M
         rectangles += _strip(line, 0.0, width_m, _solid(line))
     return np.array(rectangles, dtype=np.float64).reshape(-1, 5)
 
@@ -42,7 +43,11 @@ def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
 
     `marks` is ``[markings]`` of ``data/materials.toml``.
     """
-    parts = (_lane_lines(scene, marks), _stop_lines(scene, marks), _zebras(scene, marks))
+    parts = (
+        _lane_lines(scene, marks),
+        _stop_lines(scene, marks),
+        _zebras(scene, marks),
+    )
     return np.array(list(chain(*parts)), dtype=np.float64).reshape(-1, 5)
 
 
@@ -71,13 +76,18 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
 def _neighbour(scene: Scene, lane: Lane, side: float) -> tuple[Lane | None, bool]:
     """The neighbour of a lane at its middle; True if it leads the same way."""
     at_m = 0.5 * along_m(lane.centreline_m)[-1]
-    point, ahead = _at(lane.centreline_m, at_m, side * (0.5 * lane.width_m + _NEIGHBOUR_M))
+    point, ahead = _at(
+        lane.centreline_m, at_m, side * (0.5 * lane.width_m + _NEIGHBOUR_M)
+    )
     for other in scene.lanes:
         if other is lane:
             continue
-        starts, steps = other.centreline_m[:-1], np.diff(other.centreline_m, axis=0)
+        starts = other.centreline_m[:-1]
+        steps = np.diff(other.centreline_m, axis=0)
         length2 = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-12)
-        share = np.clip(np.einsum("ij,ij->i", point - starts, steps) / length2, 0.0, 1.0)
+        share = np.clip(
+            np.einsum("ij,ij->i", point - starts, steps) / length2, 0.0, 1.0
+        )
         distance = np.linalg.norm(starts + share[:, None] * steps - point, axis=1)
         nearest = int(np.argmin(distance))
         if distance[nearest] < 0.5 * other.width_m:
@@ -91,7 +101,10 @@ def _stop_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
     for lane in scene.lanes:
         end_m = along_m(lane.centreline_m)[-1] - 0.5 * marks["stop_line_m"]
         point, ahead = _at(lane.centreline_m, end_m, 0.0)
-        if lane.kind == "driving" and polygon_distance(point, scene.outline_m) < _MOUTH_M:
+        if (
+            lane.kind == "driving"
+            and polygon_distance(point, scene.outline_m) < _MOUTH_M
+        ):
             half_width_m = 0.5 * lane.width_m - 0.15
             yield _rectangle(point, ahead, 0.5 * marks["stop_line_m"], half_width_m)
 
@@ -112,10 +125,17 @@ def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
 def _rectangle(
     middle: FloatArray, ahead: FloatArray, half_length: float, half_width: float
 ) -> list[float]:
-    return [*middle.tolist(), float(np.arctan2(ahead[1], ahead[0])), half_length, half_width]
+    return [
+        *middle.tolist(),
+        float(np.arctan2(ahead[1], ahead[0])),
+        half_length,
+        half_width,
+    ]
 
 
-def _at(line: FloatArray, length_m: float, offset_m: float) -> tuple[FloatArray, FloatArray]:
+def _at(
+    line: FloatArray, length_m: float, offset_m: float
+) -> tuple[FloatArray, FloatArray]:
     """Point at an offset from a line, left positive, and the line's direction there."""
     lengths = along_m(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
@@ -149,7 +169,9 @@ def _strip(
 
 
 # ---------- the map
-ROAD, PAINT, SKY = 0, 1, 2  # layers of a map
+ROAD = 0
+PAINT = 1
+SKY = 2  # layers of a map
 
 _STEP_M = 0.1
 _ROAD_REACH_M = 4.5  # distances are stored up to here
@@ -167,8 +189,8 @@ class GroundMap:
     """Layers over the road plane; beyond the map's edge the values there go on."""
 
     origin_m: FloatArray  # (2,): middle of the first texel, world frame
-    # (n_north, n_east, 3): distances to the edges of road and paint, negative inside [m]; share of
-    # the sky's light that what stands around leaves, 0 .. 1
+    # (n_north, n_east, 3): distances to the edges of road and paint, negative inside
+    # [m]; share of the sky's light that what stands around leaves, 0 .. 1
     layers: FloatRays
     grain: FloatRays  # (1024 * 1024,): noise of single texels, mean 0, spread about 1
     patches: FloatRays  # (1024 * 1024,): the same, but soft
@@ -177,17 +199,23 @@ class GroundMap:
         """Layers at points (n,) and (n,) in the world frame, linear between texels, (n, 3)."""
         n_north, n_east = self.layers.shape[:2]
         x = np.clip(
-            (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M), 0, n_east - 1.001
+            (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M),
+            0,
+            n_east - 1.001,
         )
         y = np.clip(
-            (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M), 0, n_north - 1.001
+            (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M),
+            0,
+            n_north - 1.001,
         )
-        column, row = x.astype(np.int32), y.astype(np.int32)
+        column = x.astype(np.int32)
+        row = y.astype(np.int32)
         x -= column
         y -= row
         flat = self.layers.reshape(-1, 3)
         first = row * np.int32(n_east) + column
-        x, y = x[:, None], y[:, None]
+        x = x[:, None]
+        y = y[:, None]
         low: FloatRays = flat.take(first, axis=0)
         low += x * (flat.take(first + 1, axis=0) - low)
         high = flat.take(first + np.int32(n_east), axis=0)
@@ -203,14 +231,17 @@ def build_ground_map(
 ) -> GroundMap:
     """Draw the map of a scene, as large as its lanes and outline.
 
-    The scene's things and those that park take light from the sky; `marks` is ``[markings]`` of
-    ``data/materials.toml``.
+    The scene's things and those that park take light from the sky; `marks` is
+    ``[markings]`` of ``data/materials.toml``.
     """
     origin_m, layers = _scene_layers(scene, tuple(marks.items()))
     layers = layers.copy()
     _shade(origin_m, layers, parked)
     return GroundMap(
-        origin_m=origin_m, layers=layers, grain=_noise(0.0, sigma=1), patches=_noise(1.1, sigma=0)
+        origin_m=origin_m,
+        layers=layers,
+        grain=_noise(0.0, sigma=1),
+        patches=_noise(1.1, sigma=0),
     )
 
 
@@ -219,8 +250,12 @@ def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> 
     for thing in things:
         if thing.class_name in _SHADERS:
             yaw = np.radians(thing.pose.yaw_deg)
-            rectangle = np.array([*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])])
-            window, points = _window(origin_m, layers, _corners(rectangle), _SHADE_REACH_M)
+            rectangle = np.array(
+                [*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])]
+            )
+            window, points = _window(
+                origin_m, layers, _corners(rectangle), _SHADE_REACH_M
+            )
             distance = rectangle_distance(points, rectangle)
             layers[*window, SKY] *= sky_left(distance, thing)
 
@@ -230,7 +265,9 @@ def _scene_layers(
     scene: Scene, marks: tuple[tuple[str, float], ...]
 ) -> tuple[FloatArray, FloatRays]:
     """Origin and layers of a scene's map where nothing parks: not to be changed."""
-    corners = np.concatenate([scene.outline_m, *(lane.centreline_m for lane in scene.lanes)])
+    corners = np.concatenate(
+        [scene.outline_m, *(lane.centreline_m for lane in scene.lanes)]
+    )
     if not len(corners):
         corners = np.zeros((1, 2))
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -263,8 +300,8 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
 
     `distance_m` (...) is that from the footprint's edge, negative inside.
 
-    Source: J. Howell, "A catalog of radiation configuration factors": from level ground to an
-    upright plane of height h at distance x: (1 - x / sqrt(x^2 + h^2)) / 2.
+    Source: J. Howell, "A catalog of radiation configuration factors": from level ground
+    to an upright plane of height h at distance x: (1 - x / sqrt(x^2 + h^2)) / 2.
     """
     height = float(thing.size_m[2])
     # A plane without end takes more than a body of this length does.
@@ -276,10 +313,13 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
     return np.where(distance_m > 0.0, share, np.maximum(below, 0.08)).astype(np.float32)
 
 
-def grain_at(noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRays) -> FloatRays:
+def grain_at(
+    noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRays
+) -> FloatRays:
     """Noise (n,) at points of a plane, from the nearest texel; it repeats like tiles.
 
-    `noise` is one of :class:`GroundMap`; `per_m` (n,) says how many texels make a metre.
+    `noise` is one of :class:`GroundMap`; `per_m` (n,) says how many texels make a
+    metre.
     """
     mask = np.int32(_NOISE_SIZE - 1)
     column = np.floor(east * per_m).astype(np.int32) & mask
@@ -291,13 +331,18 @@ def soft_noise_at(
     noise: FloatRays, east: FloatRays, north: FloatRays, *, texel_m: float
 ) -> FloatRays:
     """Noise (n,) at points of a plane, linear between texels; see :func:`grain_at`."""
-    mask, size = np.int32(_NOISE_SIZE - 1), np.int32(_NOISE_SIZE)
-    x, y = east * np.float32(1.0 / texel_m), north * np.float32(1.0 / texel_m)
-    left, low = np.floor(x), np.floor(y)
+    mask = np.int32(_NOISE_SIZE - 1)
+    size = np.int32(_NOISE_SIZE)
+    x = east * np.float32(1.0 / texel_m)
+    y = north * np.float32(1.0 / texel_m)
+    left = np.floor(x)
+    low = np.floor(y)
     x -= left
     y -= low
-    column, row = left.astype(np.int32) & mask, low.astype(np.int32) & mask
-    right, above = (column + np.int32(1)) & mask, ((row + np.int32(1)) & mask) * size
+    column = left.astype(np.int32) & mask
+    row = low.astype(np.int32) & mask
+    right = (column + np.int32(1)) & mask
+    above = ((row + np.int32(1)) & mask) * size
     row *= size
     below: FloatRays = noise.take(row + column)
     below += x * (noise.take(row + right) - below)
@@ -312,7 +357,9 @@ def soft_noise_at(
 @cache
 def _noise(exponent: float, *, sigma: int) -> FloatRays:
     """Periodic noise whose amplitude falls with frequency, made by filtering white noise."""
-    white = np.random.default_rng([_NOISE_SEED, sigma]).standard_normal((_NOISE_SIZE, _NOISE_SIZE))
+    white = np.random.default_rng([_NOISE_SEED, sigma]).standard_normal(
+        (_NOISE_SIZE, _NOISE_SIZE)
+    )
     frequency = np.fft.fftfreq(_NOISE_SIZE)
     radius = np.hypot(frequency[:, None], frequency[: _NOISE_SIZE // 2 + 1])
     radius[0, 0] = np.inf
@@ -354,7 +401,8 @@ def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArra
     array([-1.,  5.])
     """
     east, north, yaw, half_length, half_width = rectangle.tolist()
-    x, y = points_m[..., 0] - east, points_m[..., 1] - north
+    x = points_m[..., 0] - east
+    y = points_m[..., 1] - north
     along = np.abs(x * np.cos(yaw) + y * np.sin(yaw)) - half_length
     across = np.abs(y * np.cos(yaw) - x * np.sin(yaw)) - half_width
     outside = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))

@@ -19,7 +19,9 @@ from geometry.weather import Weather
 
 from .materials import Hits
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear red, green, blue (ITU-R BT.709)
+LUMINANCE = np.array(
+    [0.2126, 0.7152, 0.0722]
+)  # of linear red, green, blue (ITU-R BT.709)
 _FILE = "lamps.toml"
 _AHEAD_M = 0.03  # headlights shine from just before the body
 
@@ -47,7 +49,9 @@ class StreetLamp:
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
         """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
         inner, outer = self._cosines
-        share: FloatRays = (directions[2] + np.float32(outer)) * np.float32(1.0 / (outer - inner))
+        share: FloatRays = (directions[2] + np.float32(outer)) * np.float32(
+            1.0 / (outer - inner)
+        )
         np.clip(share, 0.0, 1.0, out=share)
         share *= share * (3.0 - 2.0 * share)
         share *= np.float32(self.peak_cd * (1.0 - self.spill))
@@ -56,7 +60,9 @@ class StreetLamp:
 
     @property
     def _cosines(self) -> tuple[float, float]:
-        return math.cos(math.radians(self.inner_deg)), math.cos(math.radians(self.outer_deg))
+        return math.cos(math.radians(self.inner_deg)), math.cos(
+            math.radians(self.outer_deg)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,13 +90,16 @@ class HeadLamp:
         )
         below_deg = np.float32(beam["cut_off_deg"]) + rise_deg - up_deg
         share = 1.0 / (
-            1.0 + np.exp(np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30))
+            1.0
+            + np.exp(np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30))
         )
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
         share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
         return np.where(
-            is_ahead, above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share, np.float32(0)
+            is_ahead,
+            above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share,
+            np.float32(0),
         )
 
 
@@ -108,7 +117,8 @@ def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
     for site in scene.sites:
         if site.kind != "lamp post":
             continue
-        foot, arm = site.position_m[:2], np.zeros(2)
+        foot = site.position_m[:2]
+        arm = np.zeros(2)
         if len(road):
             to_road = road[np.argmin(np.linalg.norm(road - foot, axis=1))] - foot
             arm = to_road / max(float(np.linalg.norm(to_road)), 1e-9)
@@ -122,13 +132,16 @@ def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
     return tuple(lamps)
 
 
-def build_headlights(vut: Actor, pose: Pose, *, keeps_left: bool) -> tuple[HeadLamp, ...]:
+def build_headlights(
+    vut: Actor, pose: Pose, *, keeps_left: bool
+) -> tuple[HeadLamp, ...]:
     """The two low beams of a vehicle whose body frame is at `pose`, left and right.
 
     They reach farther along the kerb, which is on the side that traffic keeps.
     """
     beam, colour = _read_lamp("head_lamp")
-    ahead_m, side_m = 0.5 * vut.length_m + _AHEAD_M, 0.5 * beam["apart_m"]
+    ahead_m = 0.5 * vut.length_m + _AHEAD_M
+    side_m = 0.5 * beam["apart_m"]
     places = to_world([[ahead_m, y, beam["height_m"]] for y in (side_m, -side_m)], pose)
     to_oncoming = np.array([1.0, -1.0 if keeps_left else 1.0, 1.0])
     return tuple(
@@ -154,7 +167,8 @@ def _points_along(line: FloatArray) -> FloatArray:
     """Points of a line, about a metre apart."""
     pieces = [
         start
-        + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end - start))))[:, None] * (end - start)
+        + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end - start))))[:, None]
+        * (end - start)
         for start, end in pairwise(line)
     ]
     return np.concatenate(pieces)
@@ -200,9 +214,14 @@ class Sky:
         """
         sine = np.maximum(up, np.float32(1e-4))
         share = (sine ** np.float32(_EXPONENT))[:, None]
-        horizon, air = self.horizon_cdpm2.astype(np.float32), self.air_cdpm2.astype(np.float32)
-        bright = horizon + share * (self.zenith_cdpm2 - self.horizon_cdpm2).astype(np.float32)
-        left = np.exp(np.float32(-self.extinction_per_m * self.haze_height_m) / sine)[:, None]
+        horizon = self.horizon_cdpm2.astype(np.float32)
+        air = self.air_cdpm2.astype(np.float32)
+        bright = horizon + share * (self.zenith_cdpm2 - self.horizon_cdpm2).astype(
+            np.float32
+        )
+        left = np.exp(np.float32(-self.extinction_per_m * self.haze_height_m) / sine)[
+            :, None
+        ]
         return np.asarray(air + left * (bright - air))
 
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
@@ -220,16 +239,22 @@ def build_sky(weather: Weather) -> Sky:
     """The sky of a weather, scaled so that level ground gets ``weather.sky_lux``."""
     table = load_lamp_table()["sky"]
     if weather.sun_lux > 0.0 or weather.has_lamps:
-        kind, hue = "clear", "clear" if weather.sun_lux > 0.0 else "night"
+        kind = "clear"
+        if weather.sun_lux > 0.0:
+            hue = "clear"
+        else:
+            hue = "night"
         zenith = _colour(table, f"{hue}_zenith", _SKY)
         horizon = _colour(table, f"{hue}_horizon", _SKY)
         horizon = horizon * take_number(table, "clear_horizon_to_zenith", _SKY)
     else:
-        kind, zenith = "overcast", _colour(table, "overcast", _SKY)
+        kind = "overcast"
+        zenith = _colour(table, "overcast", _SKY)
         horizon = zenith * take_number(table, "overcast_horizon_to_zenith", _SKY)
     if weather.visibility_m < _FOG_VISIBILITY_M:
         kind = "fog"
-    # Of horizon + (zenith - horizon) sin^n: the integral of its cosine over the half sphere.
+    # Of horizon + (zenith - horizon) sin^n: the integral of its cosine over the half
+    # sphere.
     level = 2.0 * np.pi * (horizon / 2.0 + (zenith - horizon) / (2.0 + _EXPONENT))
     scale = weather.sky_lux / float(LUMINANCE @ level)
     elevation, yaw = np.radians([weather.sun_elevation_deg, weather.sun_yaw_deg])
@@ -240,9 +265,15 @@ def build_sky(weather: Weather) -> Sky:
         sky_lux=scale * level,
         sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
-            [np.cos(elevation) * np.cos(yaw), np.cos(elevation) * np.sin(yaw), np.sin(elevation)]
+            [
+                np.cos(elevation) * np.cos(yaw),
+                np.cos(elevation) * np.sin(yaw),
+                np.sin(elevation),
+            ]
         ),
-        haze_height_m=take_number(table["haze_height_m"], kind, f"{_SKY}.haze_height_m"),
+        haze_height_m=take_number(
+            table["haze_height_m"], kind, f"{_SKY}.haze_height_m"
+        ),
         extinction_per_m=weather.extinction_per_m,
     )
 
@@ -250,7 +281,9 @@ def build_sky(weather: Weather) -> Sky:
 # ---------- light on surfaces
 _OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
 _SUN_WAY_M = 500.0  # what is farther away throws no shadow here
-_SHADOW_SHARE = 0.08  # lamps that give less than this of a point's light throw no shadow there
+_SHADOW_SHARE = (
+    0.08  # lamps that give less than this of a point's light throw no shadow there
+)
 
 
 def illuminance(
@@ -265,9 +298,9 @@ def illuminance(
 ) -> FloatRays:
     """Light that falls on surfaces, (n, 3), linear red, green, blue, in lux.
 
-    The caster throws the shadows; its origin is at `origin_m` (3,) of the world frame. `sky_share`
-    (n,) is the share of the sky that nothing hides (by default all), `ground_albedo` the share of
-    light that comes back from below.
+    The caster throws the shadows; its origin is at `origin_m` (3,) of the world frame.
+    `sky_share` (n,) is the share of the sky that nothing hides (by default all),
+    `ground_albedo` the share of light that comes back from below.
 
     Source: J. H. Lambert, "Photometria", 1760: the cosine, and the inverse square.
     """
@@ -284,7 +317,9 @@ def illuminance(
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
         cosine = hits.normals @ sky.to_sun.astype(np.float32)
         facing = np.flatnonzero(cosine > 0.0)
-        way = np.broadcast_to((_SUN_WAY_M * sky.to_sun).astype(np.float32), (len(facing), 3))
+        way = np.broadcast_to(
+            (_SUN_WAY_M * sky.to_sun).astype(np.float32), (len(facing), 3)
+        )
         free = facing[~caster.is_blocked(starts[facing], way)]
         lux[free] += cosine[free, None] * sky.sun_lux.astype(np.float32)
     # Lamps that drive come last: pictures of what stands still are made without them.
@@ -325,8 +360,10 @@ def _add_lamps(
     below: FloatRays,
 ) -> None:
     """Add the light of lamps; shadow rays are cast only where a lamp matters."""
-    points, normals = np.ascontiguousarray(hits.points_m.T), np.ascontiguousarray(hits.normals.T)
-    low, high = points.min(axis=1), points.max(axis=1)
+    points = np.ascontiguousarray(hits.points_m.T)
+    normals = np.ascontiguousarray(hits.normals.T)
+    low = points.min(axis=1)
+    high = points.max(axis=1)
     total = lux[:, 1].copy()
     direct: list[tuple[Lamp, FloatRays]] = []
     by_colour: dict[tuple[float, ...], FloatRays] = {}
@@ -346,7 +383,9 @@ def _add_lamps(
         strength *= np.maximum(-cosine, 0.0)
         total += strength
         direct.append((lamp, strength))
-        by_colour.setdefault(tuple(lamp.colour.tolist()), np.zeros_like(total))[...] -= glow
+        by_colour.setdefault(tuple(lamp.colour.tolist()), np.zeros_like(total))[
+            ...
+        ] -= glow
     total *= np.float32(_SHADOW_SHARE)
     for lamp, strength in direct:
         rays = np.flatnonzero(strength > total)

@@ -41,7 +41,9 @@ class Hits:
     points_m: FloatRays  # (n, 3), world frame
     normals: FloatRays  # (n, 3), unit, on the side from which the ray came
     thing: Index  # (n,): index of the thing
-    pixel_m: FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
+    pixel_m: (
+        FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +52,9 @@ class Coat:
 
     albedo: FloatRays  # (n, 3): share sent back evenly into all directions
     mirror: FloatRays  # (n,): share mirrored head-on; 0 is dull
-    rough: FloatRays  # (n,): by how much a mirrored ray of unit length is bent up or down
+    rough: (
+        FloatRays  # (n,): by how much a mirrored ray of unit length is bent up or down
+    )
     glow: FloatRays  # (n, 3): luminance of its own [cd/m^2]
 
 
@@ -89,9 +93,13 @@ class Things:
 def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
     """Lay things out as arrays; parked vehicles take the paints in turn."""
     yaw = np.radians([thing.pose.yaw_deg for thing in things])
-    colours = np.stack([_colours(n, thing, materials) for n, thing in enumerate(things)])
+    colours = np.stack(
+        [_colours(n, thing, materials) for n, thing in enumerate(things)]
+    )
     return Things(
-        middle_m=np.array([thing.pose.position_m for thing in things], dtype=np.float32),
+        middle_m=np.array(
+            [thing.pose.position_m for thing in things], dtype=np.float32
+        ),
         size_m=np.array([thing.size_m for thing in things], dtype=np.float32),
         ahead=np.stack([np.cos(yaw), np.sin(yaw)], axis=1).astype(np.float32),
         axles_m=np.array([_axles(thing) for thing in things], dtype=np.float32),
@@ -113,12 +121,22 @@ def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
     if thing.class_name == "car":
         return np.stack([materials.car_paint] * 2)
     if thing.class_name in ("parked vehicle", "vehicle"):
-        return np.stack([materials.parked_paints[number % len(materials.parked_paints)]] * 2)
+        return np.stack(
+            [materials.parked_paints[number % len(materials.parked_paints)]] * 2
+        )
     if thing.class_name in ("pedestrian", "cyclist", "motorcyclist"):
-        name = thing.actor.name if thing.actor is not None else ""
-        fallback = "adult" if thing.class_name == "pedestrian" else thing.class_name
+        if thing.actor is not None:
+            name = thing.actor.name
+        else:
+            name = ""
+        if thing.class_name == "pedestrian":
+            fallback = "adult"
+        else:
+            fallback = thing.class_name
         return materials.clothes.get(name, materials.clothes[fallback])
-    surface = {"ground": "asphalt", "building": "facade"}.get(thing.class_name, thing.class_name)
+    surface = {"ground": "asphalt", "building": "facade"}.get(
+        thing.class_name, thing.class_name
+    )
     return np.stack([materials.albedo[surface.replace(" ", "-")]] * 2)
 
 
@@ -130,7 +148,8 @@ def load_materials() -> Materials:
     colour = pattern.pop("lit_window_colour")
     return Materials(
         albedo={
-            name: _albedo(entry["albedo"], (3,), name) for name, entry in table["surfaces"].items()
+            name: _albedo(entry["albedo"], (3,), name)
+            for name, entry in table["surfaces"].items()
         },
         clothes={
             name: _albedo([entry["top"], entry["legs"]], (2, 3), f"clothes.{name}")
@@ -149,13 +168,17 @@ def load_materials() -> Materials:
 def vary_materials(materials: Materials, rng: np.random.Generator) -> Materials:
     """Other clothes, skins, paints and facades, drawn at random.
 
-    Clothes and paints have any hue, little colour as often as much, and a lightness from black to
-    white; hair and skin run from the darkest to the lightest that people have; all other surfaces
-    keep their hue and are up to a half lighter or darker.
+    Clothes and paints have any hue, little colour as often as much, and a lightness
+    from black to white; hair and skin run from the darkest to the lightest that people
+    have; all other surfaces keep their hue and are up to a half lighter or darker.
     """
     lights = {name: rng.uniform(0.6, 1.5) for name in materials.albedo}
-    albedo = {name: value * np.float32(lights[name]) for name, value in materials.albedo.items()}
-    skin, hair = materials.albedo["skin"], materials.albedo["hair"]
+    albedo = {
+        name: value * np.float32(lights[name])
+        for name, value in materials.albedo.items()
+    }
+    skin = materials.albedo["skin"]
+    hair = materials.albedo["hair"]
     albedo["skin"] = skin * np.float32(rng.uniform(0.2, 1.4))
     albedo["hair"] = hair * np.float32(np.exp(rng.uniform(-0.7, 2.2)))
     albedo["facade"] = _any_colours(1, rng)[0] * np.float32(0.6) + np.float32(0.1)
@@ -200,18 +223,25 @@ def coat_ground(
 
     `wetness` is the weather's, 0 .. 1.
     """
-    east, north = np.ascontiguousarray(hits.points_m[:, 0]), hits.points_m[:, 1].copy()
+    east = np.ascontiguousarray(hits.points_m[:, 0])
+    north = hits.points_m[:, 1].copy()
     layers = ground.sample(east, north)
-    road, pixel = layers[:, ROAD], hits.pixel_m
+    road = layers[:, ROAD]
+    pixel = hits.pixel_m
     # About a texel per pixel; noise finer than a pixel would sparkle.
-    per_m = np.clip(np.exp2(np.floor(-np.log2(pixel))), *_GRAIN_PER_M).astype(np.float32)
+    per_m = np.clip(np.exp2(np.floor(-np.log2(pixel))), *_GRAIN_PER_M).astype(
+        np.float32
+    )
     grain = grain_at(ground.grain, east, north, per_m)
     grain *= np.minimum(np.float32(1.0 / _GRAIN_PER_M[0]) / pixel, 1.0)
     patches = soft_noise_at(ground.patches, east, north, texel_m=_PATCH_M)
-    albedo, pattern = materials.albedo, materials.pattern
+    albedo = materials.albedo
+    pattern = materials.pattern
     colour = np.empty((len(east), 3), dtype=np.float32)
     colour[...] = albedo["asphalt"]
-    wear = 1.0 - np.float32(materials.markings["wear"]) * np.clip(0.5 + 0.4 * patches, 0.0, 1.0)
+    wear = 1.0 - np.float32(materials.markings["wear"]) * np.clip(
+        0.5 + 0.4 * patches, 0.0, 1.0
+    )
     painted = np.flatnonzero(layers[:, PAINT] < pixel)
     share = cover(layers[painted, PAINT], pixel[painted]) * wear[painted]
     under = colour[painted]
@@ -219,16 +249,25 @@ def coat_ground(
     colour[painted] = under
     off = np.flatnonzero(road > -pixel)
     if len(off):
-        at, size = road[off], pixel[off]
+        at = road[off]
+        size = pixel[off]
         spot = colour[off]
         blend(spot, albedo["kerb"], 1.0 - cover(at, size))
-        blend(spot, albedo["pavement"], 1.0 - cover(at - np.float32(pattern["kerb_m"]), size))
+        blend(
+            spot,
+            albedo["pavement"],
+            1.0 - cover(at - np.float32(pattern["kerb_m"]), size),
+        )
         joints = _joints(east[off], north[off], pattern["slab_m"], size)
         spot *= 1.0 - 0.25 * (joints * (at > pattern["kerb_m"]))[:, None]
-        verge = 1.0 - cover(at - np.float32(pattern["pavement_m"]), size + np.float32(0.1))
+        verge = 1.0 - cover(
+            at - np.float32(pattern["pavement_m"]), size + np.float32(0.1)
+        )
         blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[off, None]), verge)
         colour[off] = spot
-    colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(0.5, 1.6)[:, None]
+    colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(
+        0.5, 1.6
+    )[:, None]
     colour *= np.float32(1.0 - wetness * materials.gloss["wet_darkening"])
     coat = Coat(
         albedo=colour,
@@ -241,7 +280,9 @@ def coat_ground(
     return coat, layers[:, SKY]
 
 
-def _joints(u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays) -> FloatRays:
+def _joints(
+    u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays
+) -> FloatRays:
     """Share of each pixel that is joint in a square grid."""
     half = np.float32(0.006)
     share = np.zeros_like(u)
@@ -253,10 +294,14 @@ def _joints(u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays) -> F
     return np.minimum(share, 1.0)
 
 
-def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamps: bool) -> Coat:
+def coat_facade(
+    hits: Hits, ground: GroundMap, materials: Materials, *, has_lamps: bool
+) -> Coat:
     """Storeys of windows over a plinth; some are lit where lamps are on."""
     along, up = _wall_coordinates(hits)
-    pattern, albedo, pixel = materials.pattern, materials.albedo, hits.pixel_m
+    pattern = materials.pattern
+    albedo = materials.albedo
+    pixel = hits.pixel_m
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.04)
     coat = _plain(albedo["facade"], 1.0 + 0.035 * dirt)
     blend(coat.albedo, albedo["plinth"], cover(up - 0.6, pixel))
@@ -264,7 +309,8 @@ def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamp
     storey = np.floor(up / np.float32(pattern["storey_m"]))
     across = along - (column + np.float32(0.5)) * np.float32(pattern["window_pitch_m"])
     above = up - storey * np.float32(pattern["storey_m"])
-    sill, top = pattern["window_sill_m"], pattern["window_top_m"]
+    sill = pattern["window_sill_m"]
+    top = pattern["window_top_m"]
     edge = np.maximum(
         np.abs(across) - np.float32(0.5 * pattern["window_width_m"]),
         np.abs(above - np.float32(0.5 * (sill + top))) - np.float32(0.5 * (top - sill)),
@@ -278,8 +324,12 @@ def coat_facade(hits: Hits, ground: GroundMap, materials: Materials, *, has_lamp
     coat.mirror[...] = share * np.float32(materials.gloss["pane"])
     if has_lamps:
         # One value of noise per window.
-        chance = grain_at(ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS))
-        is_lit = chance > np.float32(NormalDist().inv_cdf(1.0 - pattern["lit_window_share"]))
+        chance = grain_at(
+            ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS)
+        )
+        is_lit = chance > np.float32(
+            NormalDist().inv_cdf(1.0 - pattern["lit_window_share"])
+        )
         light = materials.lit_window_colour * np.float32(pattern["lit_window_cdpm2"])
         coat.glow[...] = (share * is_lit)[:, None] * light
     return coat
@@ -302,7 +352,9 @@ def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
 def coat_plain(hits: Hits, ground: GroundMap, albedo: FloatRays) -> Coat:
     """One colour with a little dirt: posts, plants."""
     along, up = _wall_coordinates(hits)
-    return _plain(albedo, 1.0 + 0.06 * soft_noise_at(ground.patches, along, up, texel_m=0.05))
+    return _plain(
+        albedo, 1.0 + 0.06 * soft_noise_at(ground.patches, along, up, texel_m=0.05)
+    )
 
 
 def _plain(albedo: FloatRays, factor: FloatRays) -> Coat:
@@ -313,8 +365,11 @@ def _plain(albedo: FloatRays, factor: FloatRays) -> Coat:
 
 def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
     """Along an upright face, and up."""
-    normals, points = hits.normals, hits.points_m
-    level: FloatRays = np.sqrt(normals[:, 0] * normals[:, 0] + normals[:, 1] * normals[:, 1])
+    normals = hits.normals
+    points = hits.points_m
+    level: FloatRays = np.sqrt(
+        normals[:, 0] * normals[:, 0] + normals[:, 1] * normals[:, 1]
+    )
     np.maximum(level, np.float32(1e-6), out=level)
     along: FloatRays = points[:, 1] * normals[:, 0] - points[:, 0] * normals[:, 1]
     along /= level
@@ -331,21 +386,36 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     x, y, z, facing = _into_body(hits, things)
     length, width, height = things.size_m[hits.thing].T
     side = np.abs(y)
-    front, rear = facing[:, 0] > 0.3, facing[:, 0] < -0.3
-    is_upright, level = facing[:, 2] < 0.84, z / height
+    front = facing[:, 0] > 0.3
+    rear = facing[:, 0] < -0.3
+    is_upright = facing[:, 2] < 0.84
+    level = z / height
     is_van = height > 1.8
     coat = _dressed(hits, things)
     coat.mirror[...] = materials.gloss["lacquer"]
     is_side = np.abs(facing[:, 1]) > 0.6
     pane_low = np.where(is_van, np.float32(0.60), np.float32(0.675))
     pane = is_upright & (level > pane_low) & (level < 0.925)
-    # At the sides: pillars, and a van's closed rear; ahead and behind: a frame of lacquer.
+    # At the sides: pillars, and a van's closed rear; ahead and behind: a frame of
+    # lacquer.
     pillar = np.abs(x + np.float32(0.06) * length) < 0.05
     closed = is_van & (x < 0.16 * length)
     pane &= np.where(is_side, ~(pillar | closed), side < 0.385 * width)
     pane &= is_side | front | (rear & ~is_van)
-    head = front & (x > 0.36 * length) & (side > 0.26 * width) & (level > 0.40) & (level < 0.50)
-    tail = rear & (x < -0.4 * length) & (side > 0.30 * width) & (level > 0.47) & (level < 0.62)
+    head = (
+        front
+        & (x > 0.36 * length)
+        & (side > 0.26 * width)
+        & (level > 0.40)
+        & (level < 0.50)
+    )
+    tail = (
+        rear
+        & (x < -0.4 * length)
+        & (side > 0.30 * width)
+        & (level > 0.47)
+        & (level < 0.62)
+    )
     is_dull = level < 0.155
     grille = front & (side < 0.30 * width) & (level > 0.22) & (level < 0.40)
     plate = (front | rear) & (side < 0.26) & (level > 0.27) & (level < 0.345)
@@ -380,7 +450,11 @@ def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     x, y, z, _ = _into_body(hits, things)
     side = np.abs(y)
     is_bicycle = (z < 0.86) & ((side < 0.055) | (x > 0.30))
-    is_tyre = is_bicycle & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37) & (side < 0.03)
+    is_tyre = (
+        is_bicycle
+        & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37)
+        & (side < 0.03)
+    )
     is_grip = (x > 0.30) & (z < 1.2)
     coat = _dressed(hits, things, is_leg=(z < 1.06) & (x < 0.30))
     shoes = (z < 0.32) & (side > 0.055)
@@ -401,12 +475,23 @@ def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     is_leg |= is_rider & (z < 0.92)
     is_machine = ~is_rider & ~is_leg
     coat = _dressed(hits, things, is_leg=is_leg)
-    tank = is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
-    is_painted = tank | (is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55))  # and the tail
+    tank = (
+        is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
+    )
+    is_painted = tank | (
+        is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55)
+    )  # and the tail
     is_rear = is_machine & (facing[:, 0] < -0.3) & (x < -0.90)
     is_head = is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)
     shoes = is_leg & (z < 0.42)
-    _paint(coat, materials, shoes=shoes, trim=is_machine, motorcycle=is_painted, head_lamp=is_head)
+    _paint(
+        coat,
+        materials,
+        shoes=shoes,
+        trim=is_machine,
+        motorcycle=is_painted,
+        head_lamp=is_head,
+    )
     _paint(coat, materials, tail_lamp=is_rear & (z > 0.76), plate=is_rear & (z < 0.72))
     for axle in things.axles_m[hits.thing].T:
         from_hub = np.hypot(x - axle, z - np.float32(0.307))
@@ -435,7 +520,9 @@ def _paint(coat: Coat, materials: Materials, **parts: BoolArray) -> None:
         coat.albedo[where] = materials.albedo[name.replace("_", "-")]
 
 
-def _into_body(hits: Hits, things: Things) -> tuple[FloatRays, FloatRays, FloatRays, FloatRays]:
+def _into_body(
+    hits: Hits, things: Things
+) -> tuple[FloatRays, FloatRays, FloatRays, FloatRays]:
     """Ahead, left and up in the body's frame, and the normals there."""
     offset = hits.points_m - things.middle_m[hits.thing]
     cos, sin = things.ahead[hits.thing].T

@@ -35,7 +35,9 @@ Index = NDArray[np.int32]
 
 # Classes whose faces are shaded as if they were curved.
 ROUND = ("pedestrian", "cyclist", "motorcyclist")
-_CREASE_COS = 0.6  # people's faces that meet at less than about 50 degrees are shaded as one
+_CREASE_COS = (
+    0.6  # people's faces that meet at less than about 50 degrees are shaded as one
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +58,8 @@ class Mesh:
     vertices_m: FloatArray  # (n, 3)
     triangles: Index  # (m, 3), into the vertices
     triangle_thing: Index  # (m,), into `things`
-    normals: FloatRays  # (m, 3, 3): unit, at the corners of each triangle; equal where shaded flat
+    # (m, 3, 3): unit, at the corners of each triangle; equal where shaded flat
+    normals: FloatRays
     things: tuple[Thing, ...]
 
 
@@ -78,7 +81,9 @@ def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
     The things are the scene's instances in their order, then "parked-1" and so on.
     """
     parked = [
-        _body_mesh(f"parked-{number}", placed.actor, placed.actor.shapes[0], placed.pose)
+        _body_mesh(
+            f"parked-{number}", placed.actor, placed.actor.shapes[0], placed.pose
+        )
         for number, placed in enumerate(obstruction, start=1)
     ]
     return _join([build_scene_mesh(scene), *parked])
@@ -92,7 +97,9 @@ def build_scene_mesh(scene: Scene) -> Mesh:
         triangles=scene.triangles,
         triangle_thing=scene.triangle_instance,
         normals=_flat_normals(scene.vertices_m, scene.triangles),
-        things=tuple(_scene_thing(scene, index) for index in range(len(scene.instances))),
+        things=tuple(
+            _scene_thing(scene, index) for index in range(len(scene.instances))
+        ),
     )
 
 
@@ -101,28 +108,39 @@ def build_frame_mesh(
 ) -> FrameMesh:
     """Triangles of one frame, in a frame of coordinates with its origin at `origin_m` (3,).
 
-    What drives by is "driving-1" and so on; the last things are "vut", if it is to be seen, and
-    "vru".
+    What drives by is "driving-1" and so on; the last things are "vut", if it is to be
+    seen, and "vru".
     """
     moving = build_moving_meshes(run, frame_index, with_vut=with_vut)
     return place_mesh(_join([static, *moving]), origin_m)
 
 
-def build_moving_meshes(run: Run, frame_index: int, *, with_vut: bool) -> tuple[Mesh, ...]:
+def build_moving_meshes(
+    run: Run, frame_index: int, *, with_vut: bool
+) -> tuple[Mesh, ...]:
     """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
     bodies = [
-        (f"driving-{n}", body.actor, 0, body.position_m[frame_index], body.yaw_deg[frame_index])
+        (
+            f"driving-{n}",
+            body.actor,
+            0,
+            body.position_m[frame_index],
+            body.yaw_deg[frame_index],
+        )
         for n, body in enumerate(run.traffic, start=1)
         if body.is_there[frame_index]
     ]
-    vut, vru = run.encounter.vut, run.encounter.vru
+    vut = run.encounter.vut
+    vru = run.encounter.vru
     if with_vut:
         where = run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
         bodies.append(("vut", vut, 0, *where))
     where = run.vru_position_m[frame_index], run.vru_yaw_deg[frame_index]
     bodies.append(("vru", vru, int(run.vru_shape[frame_index]), *where))
     return tuple(
-        _body_mesh(name, actor, actor.shapes[shape], _road_pose(run, position_m, yaw_deg))
+        _body_mesh(
+            name, actor, actor.shapes[shape], _road_pose(run, position_m, yaw_deg)
+        )
         for name, actor, shape, position_m, yaw_deg in bodies
     )
 
@@ -170,7 +188,8 @@ class _MovedCaster:
     """Rays whose origins are given from another origin, (3,)."""
 
     def __init__(self, caster: RayCaster, shift: FloatRays) -> None:
-        self._caster, self._shift = caster, shift
+        self._caster = caster
+        self._shift = shift
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         return self._caster.is_blocked(origins_m + self._shift, vectors_m)
@@ -185,7 +204,9 @@ class _TwoCasters:
     """Rays against two sets of triangles, one behind the other."""
 
     def __init__(self, first: RayCaster, second: RayCaster, n_first: int) -> None:
-        self._first, self._second, self._n_first = first, second, n_first
+        self._first = first
+        self._second = second
+        self._n_first = n_first
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
         blocked = self._first.is_blocked(origins_m, vectors_m)
@@ -207,7 +228,9 @@ class _TwoCasters:
 
 def vut_pose(run: Run, frame_index: int) -> Pose:
     """Body frame of the VUT in a frame."""
-    return _road_pose(run, run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index])
+    return _road_pose(
+        run, run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
+    )
 
 
 def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
@@ -217,13 +240,19 @@ def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
 def _scene_thing(scene: Scene, index: int) -> Thing:
     instance = scene.instances[index]
     used = np.unique(scene.triangles[scene.triangle_instance == index])
-    points = scene.vertices_m[used] if len(used) else np.zeros((1, 3))
+    if len(used):
+        points = scene.vertices_m[used]
+    else:
+        points = np.zeros((1, 3))
     middle, yaw_rad, length_m, width_m = _smallest_rectangle(points[:, :2])
-    low, high = points[:, 2].min(), points[:, 2].max()
+    low = points[:, 2].min()
+    high = points[:, 2].max()
     return Thing(
         name=instance.id,
         class_name=instance.class_name,
-        pose=Pose(position_m=np.append(middle, low), yaw_deg=float(np.degrees(yaw_rad))),
+        pose=Pose(
+            position_m=np.append(middle, low), yaw_deg=float(np.degrees(yaw_rad))
+        ),
         size_m=np.array([length_m, width_m, high - low]),
     )
 
@@ -233,8 +262,8 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
 
     The yaw is that of the longer side, counter-clockwise from east. [rad], [m]
 
-    Source: H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one
-    side lies along an edge of the convex hull.
+    Source: H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle",
+    1975: one side lies along an edge of the convex hull.
     """
     try:
         hull = points_m[ConvexHull(points_m).vertices]
@@ -244,7 +273,8 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
     angles = np.unique(np.arctan2(edges[:, 1], edges[:, 0]).round(9))
     ahead = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     left = ahead[:, ::-1] * [-1.0, 1.0]
-    along, across = hull @ ahead.T, hull @ left.T
+    along = hull @ ahead.T
+    across = hull @ left.T
     spans = np.stack([np.ptp(along, axis=0), np.ptp(across, axis=0)])
     best = int(np.argmin(spans.prod(axis=0)))
     middle = 0.5 * (
@@ -267,7 +297,13 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
         triangle_thing=np.zeros(len(shape.triangles), dtype=np.int32),
         normals=normals @ R_world_body.T,
         things=(
-            Thing(name=name, class_name=actor.class_name, pose=pose, size_m=size_m, actor=actor),
+            Thing(
+                name=name,
+                class_name=actor.class_name,
+                pose=pose,
+                size_m=size_m,
+                actor=actor,
+            ),
         ),
     )
 
@@ -275,7 +311,10 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
 @lru_cache(maxsize=128)  # the steps of a gait come again and again; some 100 kB each
 def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
     """Normals of a body's triangles in its own frame, (m, 3, 3)."""
-    shade = _round_normals if is_round else _flat_normals
+    if is_round:
+        shade = _round_normals
+    else:
+        shade = _flat_normals
     return shade(shape.vertices_m, shape.triangles)
 
 
@@ -286,7 +325,10 @@ def _join(meshes: Sequence[Mesh]) -> Mesh:
         vertices_m=vertices,
         triangles=triangles,
         triangle_thing=np.concatenate(
-            [mesh.triangle_thing + n for mesh, n in zip(meshes, n_things[:-1], strict=True)]
+            [
+                mesh.triangle_thing + n
+                for mesh, n in zip(meshes, n_things[:-1], strict=True)
+            ]
         ).astype(np.int32),
         normals=np.concatenate([mesh.normals for mesh in meshes]),
         things=tuple(thing for mesh in meshes for thing in mesh.things),
@@ -308,10 +350,14 @@ def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
         shape=(len(vertices_m), n_corners),
     )
     pairs = (at_vertex.T @ at_vertex).tocoo()  # corners that share a vertex
-    own, other = pairs.row // 3, pairs.col // 3
+    own = pairs.row // 3
+    other = pairs.col // 3
     is_one = np.einsum("ij,ij->i", faces[own], faces[other]) > _CREASE_COS
     blend = csr_array(
-        (np.ones(int(is_one.sum()), dtype=np.float32), (pairs.row[is_one], other[is_one])),
+        (
+            np.ones(int(is_one.sum()), dtype=np.float32),
+            (pairs.row[is_one], other[is_one]),
+        ),
         shape=(n_corners, len(triangles)),
     )
     return _unit(np.asarray(blend @ by_area)).reshape(-1, 3, 3)
@@ -331,10 +377,16 @@ def _unit(vectors: FloatRays) -> FloatRays:
 class PointCloud:
     """Pulses that came back."""
 
-    points_m: NDArray[np.float32]  # (n, 3): frame of the LiDAR: x ahead, y left, z up. [m]
-    intensity: NDArray[np.float32]  # (n,): reflectivity times the cosine of incidence, 0 .. 1.
+    points_m: NDArray[
+        np.float32
+    ]  # (n, 3): frame of the LiDAR: x ahead, y left, z up. [m]
+    intensity: NDArray[
+        np.float32
+    ]  # (n,): reflectivity times the cosine of incidence, 0 .. 1.
     instance: NDArray[np.int32]  # (n,): index into `names`
-    names: tuple[str, ...]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
+    names: tuple[
+        str, ...
+    ]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
 
 
 def scan_mesh(
@@ -353,13 +405,18 @@ def scan_mesh(
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
     starts = lidar.near_m * ways
-    share, triangle = mesh.caster.first_triangle(starts.astype(np.float32), ways.astype(np.float32))
+    share, triangle = mesh.caster.first_triangle(
+        starts.astype(np.float32), ways.astype(np.float32)
+    )
     hits = triangle >= 0
-    triangle, distance = triangle[hits], share[hits].astype(np.float64) + lidar.near_m
+    triangle = triangle[hits]
+    distance = share[hits].astype(np.float64) + lidar.near_m
     instance = mesh.triangle_thing[triangle]
     by_class = load_surface_reflectivity()
     of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
-    of_things = [of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things]
+    of_things = [
+        of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things
+    ]
     reflectivity = np.array(of_things)[instance]
     a, b, c = np.moveaxis(mesh.corners_m[triangle].astype(np.float64), 1, 0)
     across = np.cross(b - a, c - a)

@@ -50,13 +50,22 @@ from .materials import (
     coat_wall,
     load_materials,
 )
-from .mesh import ROUND, FrameMesh, Index, Mesh, build_frame_mesh, build_static_mesh, vut_pose
+from .mesh import (
+    ROUND,
+    FrameMesh,
+    Index,
+    Mesh,
+    build_frame_mesh,
+    build_static_mesh,
+    vut_pose,
+)
 
 _JPEG_QUALITY = 85
 _OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
 _LEAST_MIRROR = 0.012  # share; less is not worth a ray
 _GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
-# Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is head-on.
+# Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is
+# head-on.
 _GRAZING_GAIN = np.float32(24.0)
 _CLASSES = (
     "ground",
@@ -153,7 +162,9 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     if len(dark):
         ways = ways.copy()
         ways[dark, 2] = 1.0  # up, for now
-    camera, mesh, sky = shot.camera, shot.mesh, shot.sky
+    camera = shot.camera
+    mesh = shot.mesh
+    sky = shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
     near = np.float32(camera.near_m) / length  # rays start where drawing starts
     depth, triangle = mesh.caster.first_triangle(near[:, None] * ways, ways)
@@ -172,7 +183,9 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
         distance = depth[index] * length[index]
-        hits = _find_hits(shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND)
+        hits = _find_hits(
+            shot, ahead, distance, triangle[index], is_round=_CLASSES[kind] in ROUND
+        )
         light, met_there = _shade(shot, _CLASSES[kind], hits, ahead)
         for whole, part in zip(surfaces, met_there, strict=True):
             whole[index] = part
@@ -184,12 +197,16 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     return Shades(radiance, instance, depth), surfaces
 
 
-def tile_rays(pose: Pose, camera: CameraModel, rows: slice, columns: slice) -> FloatRays:
+def tile_rays(
+    pose: Pose, camera: CameraModel, rows: slice, columns: slice
+) -> FloatRays:
     """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
     if not camera.is_pinhole:
         return _lens_rays(pose, pixel_grid(camera)[rows, columns].reshape(-1, 2))
     focal = camera.focal_length_px
-    across = (np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px) / focal
+    across = (
+        np.arange(columns.start, columns.stop) + 0.5 - 0.5 * camera.width_px
+    ) / focal
     down = (np.arange(rows.start, rows.stop) + 0.5 - 0.5 * camera.height_px) / focal
     rotation = camera_rotation(pose.yaw_deg, pose.pitch_deg)
     right = (across[:, None] * rotation[:, 0]).astype(np.float32)
@@ -219,13 +236,21 @@ def _lens_rays(pose: Pose, at_depth_1: FloatArray) -> FloatRays:
 
 
 def _find_hits(
-    shot: Shot, ahead: FloatRays, distance: FloatRays, triangle: IntArray, *, is_round: bool
+    shot: Shot,
+    ahead: FloatRays,
+    distance: FloatRays,
+    triangle: IntArray,
+    *,
+    is_round: bool,
 ) -> Hits:
     """Points and normals where rays have hit, and the size of pixels there."""
     mesh = shot.mesh
     local = ahead * distance[:, None]
     flat = mesh.normals[:, 0].take(triangle, axis=0)
-    normals = _interpolated_normals(mesh, triangle, local) if is_round else flat
+    if is_round:
+        normals = _interpolated_normals(mesh, triangle, local)
+    else:
+        normals = flat
     cosine = np.einsum("ij,ij->i", normals, ahead)
     normals[cosine > 0.0] *= -1.0
     pixel = distance * np.float32(1.0 / shot.camera.focal_length_px)
@@ -238,22 +263,31 @@ def _find_hits(
     )
 
 
-def _interpolated_normals(mesh: FrameMesh, triangle: IntArray, points: FloatRays) -> FloatRays:
+def _interpolated_normals(
+    mesh: FrameMesh, triangle: IntArray, points: FloatRays
+) -> FloatRays:
     """Normals at points in triangles, interpolated between those of the corners, (n, 3)."""
-    corners, normals = mesh.corners_m.take(triangle, axis=0), mesh.normals.take(triangle, axis=0)
+    corners = mesh.corners_m.take(triangle, axis=0)
+    normals = mesh.normals.take(triangle, axis=0)
     a, b, c = np.swapaxes(corners, 0, 1)
     whole = np.cross(b - a, c - a)
     area = np.maximum(np.einsum("ij,ij->i", whole, whole), np.float32(1e-20))
     offset = points - a
     share_b = np.einsum("ij,ij->i", np.cross(offset, c - a), whole) / area
     share_c = np.einsum("ij,ij->i", np.cross(b - a, offset), whole) / area
-    shares = np.clip(np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0)
+    shares = np.clip(
+        np.stack([1.0 - share_b - share_c, share_b, share_c], axis=1), 0.0, 1.0
+    )
     mean = np.einsum("ij,ijk->ik", shares, normals)
     length = np.linalg.norm(mean, axis=1, keepdims=True)
-    return np.where(length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0])
+    return np.where(
+        length > 1e-3, mean / np.maximum(length, np.float32(1e-3)), normals[:, 0]
+    )
 
 
-def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[FloatRays, Surfaces]:
+def _shade(
+    shot: Shot, class_name: str, hits: Hits, ahead: FloatRays
+) -> tuple[FloatRays, Surfaces]:
     """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
     coat, sky_share = _coat(shot, class_name, hits)
     lux = illuminance(
@@ -272,16 +306,23 @@ def _shade(shot: Shot, class_name: str, hits: Hits, ahead: FloatRays) -> tuple[F
 
 def _coat(shot: Shot, class_name: str, hits: Hits) -> tuple[Coat, FloatRays | None]:
     """Coat of surfaces, and the share of skylight that reaches them, (n,), where not all does."""
-    materials, ground = shot.materials, shot.ground
+    materials = shot.materials
+    ground = shot.ground
     if class_name == "ground":
         return coat_ground(hits, ground, materials, wetness=shot.weather.wetness)
     if class_name == "building":
-        return coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps), None
+        return (
+            coat_facade(hits, ground, materials, has_lamps=shot.weather.has_lamps),
+            None,
+        )
     if class_name == "wall":
         return coat_wall(hits, ground, materials), None
     if class_name in _BODY_COATS:
         return _BODY_COATS[class_name](hits, shot.things, materials), None
-    return coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")]), None
+    return (
+        coat_plain(hits, ground, materials.albedo[class_name.replace(" ", "-")]),
+        None,
+    )
 
 
 _BODY_COATS = {
@@ -319,9 +360,13 @@ def _add_mirrored(
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
     sky_lux = shot.sky.sky_lux.astype(np.float32)
-    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (0.5 - 0.5 * upness) * sky_lux
+    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (
+        0.5 - 0.5 * upness
+    ) * sky_lux
     lux += sun * shot.sky.sun_lux.astype(np.float32)
-    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(1.0 / np.pi)
+    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(
+        1.0 / np.pi
+    )
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
@@ -336,7 +381,10 @@ def ground_albedo() -> float:
 
 # ---------- whole pictures
 _EDGES = 12_000  # pixels that are smoothed at a time
-_TILE_PX = (90, 480)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
+_TILE_PX = (
+    90,
+    480,
+)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -345,8 +393,11 @@ class Picture:
 
     rgb: NDArray[np.uint8]  # (h, w, 3): sRGB
     instance: NDArray[np.int32]  # (h, w): index into `names`; -1 where there is sky
-    depth_m: FloatRays  # (h, w): along the optical axis; infinite where there is sky. [m]
-    # the scene's instances, "parked-1" .. for what parks in the run, "vut" if it is drawn, "vru".
+    depth_m: (
+        FloatRays  # (h, w): along the optical axis; infinite where there is sky. [m]
+    )
+    # the scene's instances, "parked-1" .. for what parks in the run, "vut" if it is
+    # drawn, "vru".
     names: tuple[str, ...]
 
 
@@ -387,13 +438,19 @@ def draw_picture(
 ) -> Picture:
     """Render one frame of a run, at the camera's resolution.
 
-    The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any case. The
-    seed is that of sensor noise and drops. Where edges need not be smooth (`is_smooth`), one ray is
-    cast for each pixel, in about half the time.
+    The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any
+    case. The seed is that of sensor noise and drops. Where edges need not be smooth
+    (`is_smooth`), one ray is cast for each pixel, in about half the time.
     """
-    mesh = build_frame_mesh(backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut)
+    mesh = build_frame_mesh(
+        backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut
+    )
     shot = build_shot(
-        *(backdrop, mesh, pose, camera, weather),
+        backdrop,
+        mesh,
+        pose,
+        camera,
+        weather,
         run=run,
         frame_index=frame_index,
         materials=materials,
@@ -404,7 +461,9 @@ def draw_picture(
             edges = np.flatnonzero(exposure.find_edges(image.radiance))
             smooth_image(shot, whole_image(camera), image.radiance, edges, pool.map)
         rgb = expose_image(shot, image.radiance, [compute.seed, frame_index], pool)
-    return Picture(rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh))
+    return Picture(
+        rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(mesh)
+    )
 
 
 def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
@@ -438,7 +497,9 @@ def build_shot(
         lamps = backdrop.street_lamps
         if run is not None:
             pose_vut = vut_pose(run, frame_index)
-            lamps += build_headlights(run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left)
+            lamps += build_headlights(
+                run.encounter.vut, pose_vut, keeps_left=backdrop.keeps_left
+            )
     materials = materials or load_materials()
     return Shot(
         pose=pose,
@@ -461,7 +522,10 @@ def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
 
 
 def shade_image(
-    shot: Shot, window: Window, pool: ThreadPoolExecutor, surfaces: Surfaces | None = None
+    shot: Shot,
+    window: Window,
+    pool: ThreadPoolExecutor,
+    surfaces: Surfaces | None = None,
 ) -> Shades:
     """Shades through the middles of a window's pixels, before lens and noise, (h, w).
 
@@ -480,7 +544,9 @@ def shade_image(
             for part, first in zip(tile, (window.top, window.left), strict=True)
         )
         shades, met = shade_rays(shot, tile_rays(shot.pose, shot.camera, rows, columns))
-        wholes, parts = (image, shades) if surfaces is None else (image + surfaces, shades + met)
+        wholes, parts = (
+            (image, shades) if surfaces is None else (image + surfaces, shades + met)
+        )
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)
 
@@ -509,10 +575,15 @@ def add_glare_and_rain(
     corner_px: tuple[int, int] = (0, 0),
 ) -> None:
     """Add them to an image (h, w, 3), or to a part that begins at a column and row, in place."""
-    camera, pose = shot.camera, shot.pose
-    exposure.add_glare(radiance, pose, camera, shot.lamps, shot.mesh.caster, corner_px=corner_px)
+    camera = shot.camera
+    pose = shot.pose
+    exposure.add_glare(
+        radiance, pose, camera, shot.lamps, shot.mesh.caster, corner_px=corner_px
+    )
     exposure.add_rain(
-        *(radiance, shot.weather, shot.sky),
+        radiance,
+        shot.weather,
+        shot.sky,
         focal_px=camera.focal_length_px,
         pitch_deg=pose.pitch_deg,
         exposure_s=exposure.load_imager()["rain_exposure_s"],
@@ -524,7 +595,8 @@ def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
     """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
-    size, imager = radiance.shape[:2], exposure.load_imager()
+    size = radiance.shape[:2]
+    imager = exposure.load_imager()
     add_glare_and_rain(shot, radiance, np.random.default_rng([*seed, *size]))
     metered = radiance
     if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
@@ -560,7 +632,8 @@ _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375
 def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRays:
     """Luminance (n, 3) of pixels as the mean over the ray that was cast and four more, in cd/m^2.
 
-    `pixels` (n,) are row * w + column, `radiance` (n, 3) what the rays through their middles saw.
+    `pixels` (n,) are row * w + column, `radiance` (n, 3) what the rays through their
+    middles saw.
     """
     rows, columns = np.divmod(pixels, shot.camera.width_px)
     ways = [
@@ -572,4 +645,6 @@ def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRay
         for across, down in _OFFSETS_PX
     ]
     more = shade_rays(shot, np.concatenate(ways))[0].radiance
-    return np.asarray((radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways)))
+    return np.asarray(
+        (radiance + more.reshape(len(ways), -1, 3).sum(axis=0)) / (1.0 + len(ways))
+    )

@@ -1,11 +1,12 @@
 """Many pictures by one fixed camera, and parts of them: what stands still is drawn once.
 
-In each frame only those pixels are drawn anew that what moves can change: it is seen there, throws
-a shadow there, is mirrored there, or its headlights shine there. What can be changed is found by
-boxes around the bodies, which hold more than the bodies do; the picture is the one that
-:func:`placement.imaging.draw_picture` draws. A crop is a part of it around what matters, to train
-networks with and to show to them, but for its sensor noise, its raindrops, and an exposure that is
-set by fewer pixels of the whole image.
+In each frame only those pixels are drawn anew that what moves can change: it is seen
+there, throws a shadow there, is mirrored there, or its headlights shine there. What can
+be changed is found by boxes around the bodies, which hold more than the bodies do; the
+picture is the one that :func:`placement.imaging.draw_picture` draws. A crop is a part
+of it around what matters, to train networks with and to show to them, but for its
+sensor noise, its raindrops, and an exposure that is set by fewer pixels of the whole
+image.
 """
 
 import math
@@ -95,7 +96,8 @@ def draw_still(
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Still:
     """Draw what stands still, for many frames by :func:`draw_onto`."""
-    window, mesh = whole_image(camera), place_mesh(backdrop.mesh, pose.position_m)
+    window = whole_image(camera)
+    mesh = place_mesh(backdrop.mesh, pose.position_m)
     shot = build_shot(backdrop, mesh, pose, camera, weather, materials=materials)
     with start_pool(compute) as pool:
         surfaces = blank_surfaces(window.height, window.width)
@@ -105,8 +107,11 @@ def draw_still(
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
-    rays, mirrored = tile_rays(pose, camera, window.rows, window.columns), mirrored[mirrors]
-    depth_m = np.where(np.isinf(raw.depth_m), np.float32(0.0), raw.depth_m).reshape(-1, 1)
+    rays = tile_rays(pose, camera, window.rows, window.columns)
+    mirrored = mirrored[mirrors]
+    depth_m = np.where(np.isinf(raw.depth_m), np.float32(0.0), raw.depth_m).reshape(
+        -1, 1
+    )
     return Still(
         backdrop=backdrop,
         shot=shot,
@@ -119,7 +124,9 @@ def draw_still(
         mirror_m=rays[mirrors] * depth_m[mirrors],
         mirrored=mirrored,
         ways=_bound(rays.reshape(raw.radiance.shape), np.ones_like(is_edge)),
-        things=_bound((rays * depth_m).reshape(raw.radiance.shape), np.isfinite(raw.depth_m)),
+        things=_bound(
+            (rays * depth_m).reshape(raw.radiance.shape), np.isfinite(raw.depth_m)
+        ),
     )
 
 
@@ -128,8 +135,11 @@ def scan_onto(
 ) -> PointCloud:
     """Scan a frame of a run by a LiDAR at the place of a still's camera."""
     moving = build_moving_meshes(run, frame_index, with_vut=True)
-    mesh, shot = add_moving_meshes(still.shot.mesh, moving), still.shot
-    return scan_mesh(mesh, run, shot.pose, lidar, weather=shot.weather, seed=[seed, frame_index])
+    mesh = add_moving_meshes(still.shot.mesh, moving)
+    shot = still.shot
+    return scan_mesh(
+        mesh, run, shot.pose, lidar, weather=shot.weather, seed=[seed, frame_index]
+    )
 
 
 def draw_onto(
@@ -137,14 +147,17 @@ def draw_onto(
 ) -> Picture:
     """Draw what moves in a frame of a run onto a still, whose obstruction must be the run's.
 
-    Where headlights shine on an edge of what stands still, their light is that on the pixel's
-    middle; all else is as in :func:`placement.imaging.draw_picture`.
+    Where headlights shine on an edge of what stands still, their light is that on the
+    pixel's middle; all else is as in :func:`placement.imaging.draw_picture`.
     """
     with start_pool(compute) as pool:
         shot, image, smooth = _add_moving(still, run, frame_index, pool.map)
         rgb = expose_image(shot, smooth, [compute.seed, frame_index], pool)
     return Picture(
-        rgb=rgb, instance=image.instance, depth_m=image.depth_m, names=names_of(shot.mesh)
+        rgb=rgb,
+        instance=image.instance,
+        depth_m=image.depth_m,
+        names=names_of(shot.mesh),
     )
 
 
@@ -153,10 +166,11 @@ def _add_moving(
 ) -> tuple[Shot, Shades, FloatRays]:
     """Image of a frame before lens and noise, with what moves.
 
-    Gives the frame's shot, shades through the middles of the pixels, (h, w), and radiance with
-    smooth edges, (h, w, 3), in cd/m^2.
+    Gives the frame's shot, shades through the middles of the pixels, (h, w), and
+    radiance with smooth edges, (h, w, 3), in cd/m^2.
     """
-    base, window = still.shot, whole_image(still.shot.camera)
+    base = still.shot
+    window = whole_image(still.shot.camera)
     moving = build_moving_meshes(run, frame_index, with_vut=True)
     shot = build_shot(
         still.backdrop,
@@ -168,7 +182,8 @@ def _add_moving(
         frame_index=frame_index,
         materials=base.materials,
     )
-    rays, raw = still.rays, still.raw
+    rays = still.rays
+    raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
     radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
 
@@ -188,7 +203,9 @@ def _add_moving(
     _in_parts(each, shade, np.flatnonzero(changed))
     lit = np.zeros(changed.shape, dtype=np.bool_)
     may_be_lit = _of_blocks(_find_lit(shot, *still.things), changed)
-    _in_parts(each, shine, np.flatnonzero(may_be_lit & ~changed & np.isfinite(raw.depth_m)))
+    _in_parts(
+        each, shine, np.flatnonzero(may_be_lit & ~changed & np.isfinite(raw.depth_m))
+    )
     around = _grown(changed)
     smooth[around] = image.radiance[around]
     unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
@@ -202,7 +219,9 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
 
-def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, local: FloatRays) -> FloatRays:
+def _headlight_radiance(
+    still: Still, shot: Shot, pixels: IntArray, local: FloatRays
+) -> FloatRays:
     """Radiance (n, 3) that headlights add to pixels (n,) of a still, at points (n, 3)."""
     assert still.surfaces is not None
     surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
@@ -216,14 +235,18 @@ def _headlight_radiance(still: Still, shot: Shot, pixels: IntArray, local: Float
         pixel_m=distance,
     )
     add_headlights(
-        *(lux, of_light, [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)]),
+        lux,
+        of_light,
+        [lamp for lamp in shot.lamps if isinstance(lamp, HeadLamp)],
         caster=shot.mesh.caster,
         origin_m=origin,
         ground_albedo=ground_albedo(),
     )
     lux -= surfaces.lux
     lux *= surfaces.albedo
-    lux *= (np.exp(np.float32(-shot.sky.extinction_per_m) * distance) / np.float32(np.pi))[:, None]
+    lux *= (
+        np.exp(np.float32(-shot.sky.extinction_per_m) * distance) / np.float32(np.pi)
+    )[:, None]
     return lux
 
 
@@ -258,7 +281,9 @@ def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
     """Spheres around the points (h, w, 3) that are there; far away where none is."""
     rows, columns = (np.arange(0, side, _BLOCK_PX) for side in is_there.shape)
     low, high = (
-        bound.reduceat(bound.reduceat(values, rows, axis=0), columns, axis=1).reshape(-1, 3)
+        bound.reduceat(bound.reduceat(values, rows, axis=0), columns, axis=1).reshape(
+            -1, 3
+        )
         for bound, none in ((np.minimum, _FAR_M), (np.maximum, -_FAR_M))
         for values in [np.where(is_there[..., None], points_m, np.float32(none))]
     )
@@ -268,11 +293,14 @@ def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
 
 def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
     yaw = math.radians(mesh.things[0].pose.yaw_deg)
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     local = (mesh.vertices_m - origin_m) @ turn
-    low, high = local.min(axis=0) - _MARGIN_M, local.max(axis=0) + _MARGIN_M
-    middle, half = turn @ (0.5 * (low + high)), 0.5 * (high - low)
+    low = local.min(axis=0) - _MARGIN_M
+    high = local.max(axis=0) + _MARGIN_M
+    middle = turn @ (0.5 * (low + high))
+    half = 0.5 * (high - low)
     radius = np.array(np.linalg.norm(half))
     return _Box(*(one.astype(np.float32) for one in (middle, turn, half, radius)))
 
@@ -286,23 +314,28 @@ def _may_meet(
 ) -> BoolArray:
     """True (...,) if rays along ways (..., 3) may meet the sphere around a box.
 
-    They begin within a radius (...,) of points (..., 3). All rays of a point are parallel, or all
-    end where point + way is: then they come nearer to one another.
+    They begin within a radius (...,) of points (..., 3). All rays of a point are
+    parallel, or all end where point + way is: then they come nearer to one another.
     """
     to_box = box.middle_m - points_m
-    along, away = _dot(to_box, ways), _dot(to_box, to_box) - (box.radius_m + radius_m) ** 2
+    along = _dot(to_box, ways)
+    away = _dot(to_box, to_box) - (box.radius_m + radius_m) ** 2
     return (away <= 0.0) | ((along >= 0.0) & (away * _dot(ways, ways) <= along * along))
 
 
-def _meets(box: _Box, points_m: FloatRays, ways: FloatRays, most: FloatRays | float) -> BoolArray:
+def _meets(
+    box: _Box, points_m: FloatRays, ways: FloatRays, most: FloatRays | float
+) -> BoolArray:
     """True (n,) if rays from points along ways, (n, 3) each, meet a box before `most` times it."""
     found = _may_meet(box, points_m, ways, 0.0)
     some = np.flatnonzero(found)
     to_box = (box.middle_m - np.broadcast_to(points_m, ways.shape)[some]) @ box.turn
     turned = ways[some] @ box.turn
     with np.errstate(divide="ignore", invalid="ignore"):  # along a face
-        one, other = (to_box - box.half_m) / turned, (to_box + box.half_m) / turned
-    near, far = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+        one = (to_box - box.half_m) / turned
+        other = (to_box + box.half_m) / turned
+    near = np.minimum(one, other).max(axis=1)
+    far = np.maximum(one, other).min(axis=1)
     far = np.minimum(far, np.broadcast_to(most, found.shape)[some])
     found[some] = np.maximum(near, 0.0) <= far
     return found
@@ -317,15 +350,20 @@ def _lights(shot: Shot) -> list[tuple[FloatRays, float]]:
     return [(place.astype(np.float32), reach_m) for place, reach_m in lights]
 
 
-def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], each: Each) -> BoolArray:
+def _find_changed(
+    still: Still, shot: Shot, moving: Sequence[Mesh], each: Each
+) -> BoolArray:
     """Pixels (h, w) that what moves may change, but for the light of its headlights.
 
-    Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of pixels are tried
-    as a whole first: what moves changes few of them.
+    Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of
+    pixels are tried as a whole first: what moves changes few of them.
     """
-    boxes, (middle, radius) = [_box(mesh, shot.mesh.origin_m) for mesh in moving], still.things
+    boxes = [_box(mesh, shot.mesh.origin_m) for mesh in moving]
+    (middle, radius) = still.things
     far_m = max(1.0, *(float(np.linalg.norm(b.middle_m) + b.radius_m) for b in boxes))
-    ahead, spread = (np.float32(1.01 * far_m) * one for one in still.ways)  # beyond all boxes
+    ahead, spread = (
+        np.float32(1.01 * far_m) * one for one in still.ways
+    )  # beyond all boxes
     may_show = np.array([_may_meet(box, ahead, -ahead, spread) for box in boxes])
     shades = []  # lights, and the blocks that each of the boxes may keep theirs from
     for place, reach_m in _lights(shot):
@@ -337,18 +375,23 @@ def _find_changed(still: Still, shot: Shot, moving: Sequence[Mesh], each: Each) 
             shades.append((place, reach_m, may_shade))
     depth_m = still.raw.depth_m
     changed = np.zeros(depth_m.shape, dtype=np.bool_)
-    flat, width = changed.reshape(-1), depth_m.shape[1]
+    flat = changed.reshape(-1)
+    width = depth_m.shape[1]
 
     def mark(part: IntArray) -> None:
         rows, columns = np.divmod(part, width)
         block = rows // _BLOCK_PX * -(-width // _BLOCK_PX) + columns // _BLOCK_PX
         depth: FloatRays = depth_m.take(part)
-        found, ways = np.zeros(len(part), dtype=np.bool_), still.rays[part]
+        found = np.zeros(len(part), dtype=np.bool_)
+        ways = still.rays[part]
         for box, possible in zip(boxes, may_show, strict=True):
             some = np.flatnonzero(possible[block])
             found[some] |= _meets(box, np.zeros(3, np.float32), ways[some], depth[some])
-        left = np.flatnonzero(~found & np.isfinite(depth))  # nothing is shaded in the sky
-        at, block = ways[left] * depth[left, None], block[left]
+        left = np.flatnonzero(
+            ~found & np.isfinite(depth)
+        )  # nothing is shaded in the sky
+        at = ways[left] * depth[left, None]
+        block = block[left]
         for place, reach_m, may_shade in shades:
             for box, possible in zip(boxes, may_shade, strict=True):
                 some = np.flatnonzero(possible[block])
@@ -374,7 +417,9 @@ def _of_blocks(mask: BoolArray, like: BoolArray) -> BoolArray:
     return whole.repeat(_BLOCK_PX, axis=1)[:height, :width]
 
 
-def _find_lit(shot: Shot, points_m: FloatRays, radius_m: FloatRays | float) -> BoolArray:
+def _find_lit(
+    shot: Shot, points_m: FloatRays, radius_m: FloatRays | float
+) -> BoolArray:
     """True (...,) of points (..., 3) within a radius of which a headlight may shine."""
     lit = np.zeros(points_m.shape[:-1], dtype=np.bool_)
     for lamp in shot.lamps:
@@ -394,7 +439,8 @@ def window_around(box_px: FloatArray, camera: CameraModel, *, side_px: int) -> W
 
     Where the image ends it is moved inwards, so that it keeps its side.
     """
-    width, height = min(side_px, camera.width_px), min(side_px, camera.height_px)
+    width = min(side_px, camera.width_px)
+    height = min(side_px, camera.height_px)
     middle = 0.5 * (box_px[:2] + box_px[2:])
     left = int(np.clip(middle[0] - 0.5 * width, 0, camera.width_px - width))
     top = int(np.clip(middle[1] - 0.5 * height, 0, camera.height_px - height))
@@ -418,15 +464,22 @@ def draw_crop(
 ) -> Picture:
     """Render a window of one frame of a run, as large as the window.
 
-    `still` has the backdrop's triangles ready for rays, ``place_mesh(backdrop.mesh, np.zeros(3))``;
-    pose and camera are those of the whole image. `with_vut` says if the VUT is seen: its headlights
-    shine in any case. `white_cd_m2` is the luminance that becomes white, by default what
-    :func:`meter` finds in the frame; the seed is that of noise and drops.
+    `still` has the backdrop's triangles ready for rays, ``place_mesh(backdrop.mesh,
+    np.zeros(3))``; pose and camera are those of the whole image. `with_vut` says if the
+    VUT is seen: its headlights shine in any case. `white_cd_m2` is the luminance that
+    becomes white, by default what :func:`meter` finds in the frame; the seed is that of
+    noise and drops.
     """
     still = move_origin(still, pose.position_m)
-    mesh = add_moving_meshes(still, build_moving_meshes(run, frame_index, with_vut=with_vut))
+    mesh = add_moving_meshes(
+        still, build_moving_meshes(run, frame_index, with_vut=with_vut)
+    )
     shot = build_shot(
-        *(backdrop, mesh, pose, camera, weather),
+        backdrop,
+        mesh,
+        pose,
+        camera,
+        weather,
         run=run,
         frame_index=frame_index,
         materials=materials,
@@ -440,12 +493,20 @@ def draw_crop(
 
 
 def _expose(
-    shot: Shot, image: Shades, window: Window, white_cd_m2: float | None, seeds: list[int]
+    shot: Shot,
+    image: Shades,
+    window: Window,
+    white_cd_m2: float | None,
+    seeds: list[int],
 ) -> Picture:
     """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
-    rng, radiance = np.random.default_rng([*seeds, *window]), image.radiance
+    rng = np.random.default_rng([*seeds, *window])
+    radiance = image.radiance
     add_glare_and_rain(shot, radiance, rng, corner_px=(window.left, window.top))
-    white = _meter(shot) if white_cd_m2 is None else white_cd_m2
+    if white_cd_m2 is None:
+        white = _meter(shot)
+    else:
+        white = white_cd_m2
     return Picture(
         rgb=develop(radiance, white, load_imager(), rng),
         instance=image.instance,
@@ -458,14 +519,20 @@ def silhouette(
     run: Run, frame_index: int, pose: Pose, camera: CameraModel, window: Window
 ) -> BoolArray:
     """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
-    vru = place_mesh(build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m)
+    vru = place_mesh(
+        build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m
+    )
     ways = tile_rays(pose, camera, window.rows, window.columns)
     _, triangle = vru.caster.first_triangle(np.zeros_like(ways), ways)
     return (triangle >= 0).reshape(window.height, window.width)
 
 
 def meter(
-    backdrop: Backdrop, still: FrameMesh, pose: Pose, camera: CameraModel, weather: Weather
+    backdrop: Backdrop,
+    still: FrameMesh,
+    pose: Pose,
+    camera: CameraModel,
+    weather: Weather,
 ) -> float:
     """Luminance that is white in a picture of what stands still, in cd/m^2."""
     mesh = move_origin(still, pose.position_m)
@@ -474,12 +541,20 @@ def meter(
 
 def _meter(shot: Shot) -> float:
     """Luminance that is white, from a coarse grid over the whole image."""
-    camera, (n_columns, n_rows) = shot.camera, _METERED_PX
-    across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (camera.width_px / n_columns)
+    camera = shot.camera
+    (n_columns, n_rows) = _METERED_PX
+    across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (
+        camera.width_px / n_columns
+    )
     down = (np.arange(n_rows, dtype=np.float32) + 0.5) * (camera.height_px / n_rows)
-    grid = np.stack(np.meshgrid(across, down), axis=-1).astype(np.float32).reshape(-1, 2)
+    grid = (
+        np.stack(np.meshgrid(across, down), axis=-1).astype(np.float32).reshape(-1, 2)
+    )
     ways = pixel_rays(shot, grid[:, 0], grid[:, 1])
     seen: FloatRays = shade_rays(shot, ways)[0].radiance
     seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
-    n_rows = n_rows if len(seen) == len(ways) else 1
+    if len(seen) == len(ways):
+        n_rows = n_rows
+    else:
+        n_rows = 1
     return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)

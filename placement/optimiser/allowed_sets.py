@@ -11,7 +11,8 @@ from geometry.errors import InputError, check_one_of, refuse
 
 from .constants import COST_TOLERANCE_EUR, ROUNDING
 
-CENTS, _MAX_CENTS = 100.0, 2.0**53  # of which float64 knows each
+CENTS = 100.0
+_MAX_CENTS = 2.0**53  # of which float64 knows each
 
 Failing = Literal["unit", "site"]
 """Fails at once: a unit, or a site (a pole) with everything that it carries."""
@@ -21,9 +22,13 @@ Failing = Literal["unit", "site"]
 class Limits:
     """Sets of poses that may be mounted."""
 
-    site_index: IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
+    site_index: (
+        IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
+    )
     site_capacity: IntArray  # (n_sites,): units that each site can carry
-    budget_units: int | None = None  # At most so many units in all, the forced ones among them
+    budget_units: int | None = (
+        None  # At most so many units in all, the forced ones among them
+    )
     budget_eur: float | None = None  # At most so much money [EUR]
     # What is None below is filled in: no prices, and no such poses, sites or pairs.
     # (n_poses,): price of each unit [EUR]
@@ -35,36 +40,58 @@ class Limits:
     is_forbidden: BoolArray = None  # type: ignore[assignment]
     # (n_sites,): sites that must carry at least one unit
     is_forced_site: BoolArray = None  # type: ignore[assignment]
-    # (n_pairs, 2): sites that must not both carry units, such as those too near to each other
+    # (n_pairs, 2): sites that must not both carry units, such as those too near to each
+    # other
     rivals: IntArray = None  # type: ignore[assignment]
     failing: Failing = "unit"  # What fails at once, wherever failures are asked about
 
     def __post_init__(self) -> None:
         for field in ("site_index", "site_capacity"):
             array = np.array(getattr(self, field))
-            if array.ndim != 1 or (array.size and not np.issubdtype(array.dtype, np.integer)):
+            if array.ndim != 1 or (
+                array.size and not np.issubdtype(array.dtype, np.integer)
+            ):
                 raise InputError(field, array.tolist(), "whole numbers in one row")
             object.__setattr__(self, field, freeze(array.astype(np.int64)))
         n_sites = self.n_sites
-        if self.n_poses and not 0 <= self.site_index.min() <= self.site_index.max() < n_sites:
-            raise InputError("site_index", self.site_index.tolist(), f"sites 0..{n_sites - 1}")
+        if (
+            self.n_poses
+            and not 0 <= self.site_index.min() <= self.site_index.max() < n_sites
+        ):
+            raise InputError(
+                "site_index", self.site_index.tolist(), f"sites 0..{n_sites - 1}"
+            )
         if (self.site_capacity < 0).any():
-            raise InputError("site_capacity", self.site_capacity.tolist(), "units, at least 0")
-        for field, size in (("unit_cost_eur", self.n_poses), ("site_cost_eur", n_sites)):
+            raise InputError(
+                "site_capacity", self.site_capacity.tolist(), "units, at least 0"
+            )
+        for field, size in (
+            ("unit_cost_eur", self.n_poses),
+            ("site_cost_eur", n_sites),
+        ):
             cost = self._filled(field, size, np.float64)
             if not (np.isfinite(cost) & (cost >= 0.0)).all():
                 raise InputError(field, cost.tolist(), "euros, at least 0")
         for field in ("is_forced", "is_forbidden", "is_forced_site"):
-            self._filled(field, n_sites if field == "is_forced_site" else self.n_poses, bool)
-        rivals = np.zeros((0, 2)) if self.rivals is None else np.array(self.rivals)
+            self._filled(
+                field, n_sites if field == "is_forced_site" else self.n_poses, bool
+            )
+        if self.rivals is None:
+            rivals = np.zeros((0, 2))
+        else:
+            rivals = np.array(self.rivals)
         rivals = rivals.reshape(-1, 2).astype(np.int64)
         if len(rivals) and not (
-            0 <= rivals.min() <= rivals.max() < n_sites and (rivals[:, 0] != rivals[:, 1]).all()
+            0 <= rivals.min() <= rivals.max() < n_sites
+            and (rivals[:, 0] != rivals[:, 1]).all()
         ):
-            raise InputError("rivals", rivals.tolist(), f"pairs of two sites, 0..{n_sites - 1}")
+            raise InputError(
+                "rivals", rivals.tolist(), f"pairs of two sites, 0..{n_sites - 1}"
+            )
         object.__setattr__(self, "rivals", freeze(rivals))
         check_one_of("failing", self.failing, get_args(Failing))
-        units, money = self.budget_units, self.budget_eur
+        units = self.budget_units
+        money = self.budget_eur
         if units is not None and (type(units) is not int or units < 1):
             raise InputError("budget", units, "a whole number of units, at least 1")
         if money is not None and not 0.0 <= money < np.inf:
@@ -73,7 +100,10 @@ class Limits:
     def _filled(self, field: str, size: int, kind: Any) -> Any:
         """An array of a field, zeros by default, which it becomes."""
         value = getattr(self, field)
-        array = np.zeros(size, dtype=kind) if value is None else np.array(value, dtype=kind)
+        if value is None:
+            array = np.zeros(size, dtype=kind)
+        else:
+            array = np.array(value, dtype=kind)
         if array.shape != (size,):
             refuse(field, f"shape {array.shape}", f"shape ({size},)")
         object.__setattr__(self, field, freeze(array))
@@ -92,7 +122,9 @@ class Limits:
     @property
     def budget_new_units(self) -> int | None:
         """Units that may be added to the forced ones; None: any number."""
-        return None if self.budget_units is None else self.budget_units - int(self.is_forced.sum())
+        if self.budget_units is None:
+            return None
+        return self.budget_units - int(self.is_forced.sum())
 
     @property
     def max_units(self) -> int:
@@ -104,7 +136,9 @@ class Limits:
             most = min(most, self.budget_units)
         if self.budget_eur is not None:
             prices = np.cumsum(np.sort(self.unit_cost_eur[~self.is_forbidden]))
-            affordable = np.searchsorted(prices, self.budget_eur + COST_TOLERANCE_EUR, "right")
+            affordable = np.searchsorted(
+                prices, self.budget_eur + COST_TOLERANCE_EUR, "right"
+            )
             most = min(most, int(affordable))
         return most
 
@@ -129,13 +163,17 @@ def whole_cents(prices_eur: FloatArray) -> IntArray | None:
     """Prices in cents; None where some are not whole, or so high that float64 lacks cents."""
     cents = np.rint(prices_eur * CENTS)
     is_off = np.abs(cents / CENTS - prices_eur) > ROUNDING
-    return None if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS else cents.astype(np.int64)
+    if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS:
+        return None
+    return cents.astype(np.int64)
 
 
 def price_step_eur(limits: Limits) -> float:
     """Largest amount that divides the cost of every set; 0 where there is none."""
     cents = whole_cents(np.concatenate([limits.unit_cost_eur, limits.site_cost_eur]))
-    return 0.0 if cents is None else float(np.gcd.reduce(cents, initial=0)) / CENTS
+    if cents is None:
+        return 0.0
+    return float(np.gcd.reduce(cents, initial=0)) / CENTS
 
 
 def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
@@ -144,12 +182,17 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
     sites = np.sort(limits.site_index[sets], axis=1)
     is_first = np.ones(sites.shape, dtype=bool)
     is_first[:, 1:] = sites[:, 1:] != sites[:, :-1]
-    return np.asarray(cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1))
+    return np.asarray(
+        cost + np.where(is_first, limits.site_cost_eur[sites], 0.0).sum(axis=1)
+    )
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
     """Which sets of distinct poses, (n_sets, n_units), at least one, are within all limits."""
-    most = np.inf if limits.budget_units is None else limits.budget_units
+    if limits.budget_units is None:
+        most = np.inf
+    else:
+        most = limits.budget_units
     sites = limits.site_index[sets]
     allowed: BoolArray = may_grow(limits, sets) & (1 <= sets.shape[1] <= most)
     allowed &= ~limits.is_forbidden[sets].any(axis=1)
@@ -182,8 +225,8 @@ def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
 def fitting(limits: Limits, units: IntArray) -> BoolArray:
     """Which poses can join a set that is within the limits but for what is forced and to come.
 
-    Room and money for what is forced are kept back. With rival sites or few places that need not
-    suffice to complete every set: check the end with :func:`is_allowed`.
+    Room and money for what is forced are kept back. With rival sites or few places that
+    need not suffice to complete every set: check the end with :func:`is_allowed`.
     """
     sites = limits.site_index
     at_site = np.bincount(sites[units], minlength=limits.n_sites)
@@ -200,15 +243,21 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
     missing_sites[sites[missing]] = False
     helps = missing | missing_sites[sites]
     n_missing = int(missing.sum() + missing_sites.sum())
-    if limits.budget_units is not None and limits.budget_units - len(units) <= n_missing:
+    if (
+        limits.budget_units is not None
+        and limits.budget_units - len(units) <= n_missing
+    ):
         fits &= helps
     if limits.budget_eur is not None:
         left = limits.budget_eur + COST_TOLERANCE_EUR - cost_eur(limits, units)
         to_pay = np.where(at_site > 0, 0.0, limits.site_cost_eur)
         price = limits.unit_cost_eur + to_pay[sites]
         to_open = np.unique(sites[missing & (at_site[sites] == 0)])
-        reserve = float(limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum())
-        cheapest, may = np.full(limits.n_sites, np.inf), ~limits.is_forbidden
+        reserve = float(
+            limits.unit_cost_eur[missing].sum() + limits.site_cost_eur[to_open].sum()
+        )
+        cheapest = np.full(limits.n_sites, np.inf)
+        may = ~limits.is_forbidden
         np.minimum.at(cheapest, sites[may], limits.unit_cost_eur[may])
         at_missing = np.where(missing_sites, cheapest + limits.site_cost_eur, 0.0)
         reserve += float(at_missing.sum())
@@ -217,7 +266,9 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
         # What a pose itself provides of what is missing need not be kept back for it.
         own = np.where(missing_sites[sites], at_missing[sites], 0.0)
         own = np.where(missing, limits.unit_cost_eur, own)
-        own = own + np.where(missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0)
+        own = own + np.where(
+            missing & np.isin(sites, to_open), limits.site_cost_eur[sites], 0.0
+        )
         fits &= price + reserve - own <= left
     return fits
 
@@ -228,7 +279,8 @@ class Choice(NamedTuple):
     n_units: int  # at most so many
     room: IntArray  # (n_sites,): places left at each site
     is_open: IntArray  # (n_poses,): 1 if the pose may join
-    # (n_poses,): share of the money left that a pose takes, at least; empty if money is no limit.
+    # (n_poses,): share of the money left that a pose takes, at least; empty if money is
+    # no limit.
     cost: FloatArray
     site: IntArray  # (n_poses,)
 
@@ -239,7 +291,9 @@ def build_choice(limits: Limits, n_units: int) -> Choice:
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
     cost = np.empty(0)
     if limits.budget_eur is not None:
-        spent = limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
+        spent = (
+            limits.unit_cost_eur[forced].sum() + limits.site_cost_eur[at_site > 0].sum()
+        )
         left = max(limits.budget_eur - float(spent), 0.0) + COST_TOLERANCE_EUR
         # A site is paid once: full, each of its units pays a share.
         of_site = np.where(at_site > 0, 0.0, limits.site_cost_eur)

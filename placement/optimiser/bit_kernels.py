@@ -1,8 +1,9 @@
 """Numba kernels on bits: transposing them, equal and dominated rows, live windows of sets of poses.
 
-There is one layout of detections: a row of 64-bit words for each pose, bits along the merged
-frames, lowest bit first; and its transpose, a row for each frame, bits along the poses. All
-functions work on plain arrays; :mod:`placement.optimiser.presolve` says what they hold.
+There is one layout of detections: a row of 64-bit words for each pose, bits along the
+merged frames, lowest bit first; and its transpose, a row for each frame, bits along the
+poses. All functions work on plain arrays; :mod:`placement.optimiser.presolve` says what
+they hold.
 """
 
 import numpy as np
@@ -39,16 +40,20 @@ def lowest_bit(word: np.uint64) -> int:
 def transpose_blocks(block: WordArray) -> None:
     """Exchange rows and bits of each column, (64, n).
 
-    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits (Warren,
-    Hacker's Delight, 7-3).
+    Blocks of 64 x 64 bits are turned by exchanging their quarters, down to single bits
+    (Warren, Hacker's Delight, 7-3).
     """
-    width, mask, n_words = 32, np.uint64(0x00000000FFFFFFFF), np.uint64(block.shape[1])
+    width = 32
+    mask = np.uint64(0x00000000FFFFFFFF)
+    n_words = np.uint64(block.shape[1])
     while width:
         shift = np.uint64(width)
         for begin in range(0, 64, 2 * width):
             for one in range(begin, begin + width):
                 for word in range(n_words):
-                    swapped = ((block[one, word] >> shift) ^ block[one + width, word]) & mask
+                    swapped = (
+                        (block[one, word] >> shift) ^ block[one + width, word]
+                    ) & mask
                     block[one, word] ^= swapped << shift
                     block[one + width, word] ^= swapped
         width >>= 1
@@ -61,11 +66,13 @@ def transpose_chosen(
 ) -> None:
     """Transpose some rows of a table, and of its columns some.
 
-    `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`, (n_left, n_words),
-    becomes of each bit, or is negative.
+    `chosen`, (n,), are rows; `place`, (8 n_bytes,), says which row of `columns`,
+    (n_left, n_words), becomes of each bit, or is negative.
     """
     block = np.empty((64, _N_TOGETHER), dtype=np.uint64)
-    n_rows, n_bytes, n_words = len(chosen), rows.shape[1], columns.shape[1]
+    n_rows = len(chosen)
+    n_bytes = rows.shape[1]
+    n_words = columns.shape[1]
     for begin in range(0, n_words, _N_TOGETHER):
         n_together = min(_N_TOGETHER, n_words - begin)
         for first in range(0, n_bytes, 8):
@@ -103,7 +110,9 @@ def transpose_chosen(
 
 # ---------- rows of bits
 @kernel
-def join_ranges(rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray) -> None:
+def join_ranges(
+    rows: WordArray, begin: IntArray, end: IntArray, joined: WordArray
+) -> None:
     """Bits that are set in one of the rows begin .. end - 1: (n_rows, n) -> (n_ranges, n)."""
     for place in range(len(begin)):
         joined[place] = 0
@@ -127,14 +136,18 @@ def find_dominated(
 ) -> None:
     """Poses whose dominators other units cannot use up.
 
-    Poses come in the order of dominance; every `step`-th from `begin` on is looked at. A dominator
-    costs no more: its `price` at the same site, `elsewhere` at others, if the pose `may_move`.
+    Poses come in the order of dominance; every `step`-th from `begin` on is looked at.
+    A dominator costs no more: its `price` at the same site, `elsewhere` at others, if
+    the pose `may_move`.
     """
     n_words = words.shape[1]
-    needed, at_site = np.empty(n_words, dtype=np.int64), np.zeros(len(capacity), dtype=np.int64)
+    needed = np.empty(n_words, dtype=np.int64)
+    at_site = np.zeros(len(capacity), dtype=np.int64)
     # Poses that may be dropped.
     for pose in range(begin, len(words), step):
-        own, n_blockers, n_needed = site[pose], 0, 0
+        own = site[pose]
+        n_blockers = 0
+        n_needed = 0
         affordable = price[pose]  # to the last digit: dominators are dominated in turn
         at_site[:] = 0
         dominated[pose] = capacity[own] <= 0 or max_units <= 0
@@ -143,7 +156,8 @@ def find_dominated(
             if words[pose, word]:
                 needed[n_needed] = word
                 n_needed += 1
-        # Poses before it, those that see little more first, until other units could not use up all.
+        # Poses before it, those that see little more first, until other units could not
+        # use up all.
         for other in range(pose - 1, -1, -1):
             there = site[other]
             if dominated[pose]:
@@ -159,12 +173,15 @@ def find_dominated(
                 if words[pose, word] & ~words[other, word]:
                     is_above = False
                     before = number // 2  # where others fail, too
-                    needed[number], needed[before] = needed[before], word
+                    needed[number] = needed[before]
+                    needed[before] = word
                     break
             if is_above:
                 at_site[there] += 1
                 n_blockers += 1
-                dominated[pose] = at_site[own] >= capacity[own] or n_blockers > max_units - 1
+                dominated[pose] = (
+                    at_site[own] >= capacity[own] or n_blockers > max_units - 1
+                )
 
 
 @kernel
@@ -178,19 +195,23 @@ def thin_out(
 ) -> None:
     """Windows of runs that are not dominated, and how many of them need each tail.
 
-    `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in time;
-    `n_links` is how many windows of its run need each tail, in the end of those that are kept.
+    `sets`, (n_windows, n_frames), are the frames of windows, run by run, ascending in
+    time; `n_links` is how many windows of its run need each tail, in the end of those
+    that are kept.
     """
     for run in range(len(set_start) - 1):
-        begin, end = set_start[run], set_start[run + 1]
+        begin = set_start[run]
+        end = set_start[run + 1]
         for tail in range(tail_start[run], tail_start[run + 1]):
-            # A window that needs the very frame that a tail is, too, is never without the tail.
+            # A window that needs the very frame that a tail is, too, is never without
+            # the tail.
             while n_links[tail] > 0 and has_entry(
                 sets[begin + n_links[tail] - 1], tail_frame[tail]
             ):
                 n_links[tail] -= 1
         for window in range(begin, end):
-            # Windows before this one need a tail that this one neither needs nor ensures.
+            # Windows before this one need a tail that this one neither needs nor
+            # ensures.
             first = 0
             for tail in range(tail_start[run], tail_start[run + 1]):
                 n_before = n_links[tail]
@@ -240,14 +261,15 @@ def look_through(
 ) -> int:
     """First live windows of chains in some order, until too much is lost: how many that took.
 
-    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first live one, or
-    none if that is their number; it has no rows if nothing can be lost.
+    ``lost[g, k]`` is what is lost in chain g if the k-th of its windows is the first
+    live one, or none if that is their number; it has no rows if nothing can be lost.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     total = 0.0
     for rank in range(len(order)):
         chain = order[rank]
-        place, end = start[chain], start[chain + 1]
+        place = start[chain]
+        end = start[chain + 1]
         for tail in range(tail_start[chain], tail_start[chain + 1]):
             if not has_bit(union, tail_frame[tail]):
                 place += tail_links[tail]
@@ -270,7 +292,8 @@ def look_through(
 @kernel
 def first_live_windows(unions: WordArray, chains: Chains, first: IntArray) -> None:
     """First live window of each chain for each union of merged frames, (n_unions, n_chains)."""
-    order, nothing = np.arange(len(chains.start) - 1), np.empty((0, 0))
+    order = np.arange(len(chains.start) - 1)
+    nothing = np.empty((0, 0))
     for row in range(len(unions)):
         look_through(unions[row], chains, order, nothing, 0.0, first[row])
 
@@ -286,22 +309,27 @@ def first_live_with_each(
 ) -> None:
     """First live window of chains begin .. end - 1 for a set with each pose: (n_chains, n_poses).
 
-    `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what the set sees
-    by itself.
+    `columns` has bits along the poses, (n_frames, n_words), `is_seen` (n_frames,) what
+    the set sees by itself.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
-    n_words, n_poses = columns.shape[1], first.shape[1]
+    n_words = columns.shape[1]
+    n_poses = first.shape[1]
     every = ~np.uint64(0)
-    # Row t: poses with which the first t tails of the chain are seen, those that most windows need.
+    # Row t: poses with which the first t tails of the chain are seen, those that most
+    # windows need.
     most = 0
     for chain in range(begin, end):
         most = max(most, tail_start[chain + 1] - tail_start[chain])
     held = np.empty((most + 1, n_words), dtype=np.uint64)
     held[0] = every
-    left = np.empty(n_words, dtype=np.uint64)  # poses with which no window has been live so far
+    left = np.empty(
+        n_words, dtype=np.uint64
+    )  # poses with which no window has been live so far
     live = np.empty(n_words, dtype=np.uint64)  # those with which a window is
     for chain in range(begin, end):
-        tail, n_tails = tail_start[chain], tail_start[chain + 1] - tail_start[chain]
+        tail = tail_start[chain]
+        n_tails = tail_start[chain + 1] - tail_start[chain]
         for number in range(n_tails):
             frame = tail_frame[tail + number]
             held[number + 1] = held[number]
@@ -344,15 +372,23 @@ def avoid_with_each(
 ) -> None:
     """Poses with which a set avoids a run, and that see a piece that it is missing, (n_words,).
 
-    A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,), is what the
-    set sees by itself; `part` may have no words. `space`, (2, n_words), is working space.
+    A live window among the first `last` of the chain avoids it. `is_seen`, (n_frames,),
+    is what the set sees by itself; `part` may have no words. `space`, (2, n_words), is
+    working space.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
-    n_words, has_part, every = columns.shape[1], len(part) > 0, ~np.uint64(0)
-    held, live = space[0], space[1]
-    held[:], avoided[:], part[:] = every, 0, 0
-    tail, last_tail = tail_start[chain], tail_start[chain + 1]
-    # Windows of the run, the last one in time first: the earlier, the more tails are needed.
+    n_words = columns.shape[1]
+    has_part = len(part) > 0
+    every = ~np.uint64(0)
+    held = space[0]
+    live = space[1]
+    held[:] = every
+    avoided[:] = 0
+    part[:] = 0
+    tail = tail_start[chain]
+    last_tail = tail_start[chain + 1]
+    # Windows of the run, the last one in time first: the earlier, the more tails are
+    # needed.
     for link in range(last - 1, -1, -1):
         while tail < last_tail and tail_links[tail] > link:
             frame = tail_frame[tail]
@@ -391,7 +427,8 @@ def add_weights_with_each(
     Of run r, the first ``last[r]`` windows of chain ``run_chain[r]`` are in time.
     """
     n_words = columns.shape[1]
-    space, avoided = np.empty((2, n_words), dtype=np.uint64), np.empty(n_words, dtype=np.uint64)
+    space = np.empty((2, n_words), dtype=np.uint64)
+    avoided = np.empty(n_words, dtype=np.uint64)
     no_part = np.empty(0, dtype=np.uint64)
     for run in runs:
         avoid_with_each(
@@ -421,5 +458,12 @@ def avoid_beside(
     space = np.empty((2, columns.shape[1]), dtype=np.uint64)
     for row in range(len(row_chain)):
         avoid_with_each(
-            columns, is_seen, chains, row_chain[row], row_last[row], space, alone[row], part[row]
+            columns,
+            is_seen,
+            chains,
+            row_chain[row],
+            row_last[row],
+            space,
+            alone[row],
+            part[row],
         )

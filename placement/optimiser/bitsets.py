@@ -20,8 +20,8 @@ class SetValues:
     """Values of sets of poses: minus what they lack to the floors, then each objective."""
 
     objectives: tuple[Objective, ...]  # in the order in which sets are compared
-    # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then each objective,
-    # the minimised ones negative. One row for a single set.
+    # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then
+    # each objective, the minimised ones negative. One row for a single set.
     gains: FloatArray
 
     def __len__(self) -> int:
@@ -39,12 +39,16 @@ class SetValues:
     def of(self, objective: Objective) -> FloatArray:
         """Values of one objective, in its own unit."""
         gains: FloatArray = self.gains[..., 1 + self.objectives.index(objective)]
-        return -gains if objective.is_minimised else gains
+        if objective.is_minimised:
+            return -gains
+        return gains
 
     def best_row(self) -> int:
         """First set that no other one exceeds."""
         rows = np.arange(len(self.gains))
-        for column, tolerance in zip(self.gains.T, _tolerances(self.objectives), strict=True):
+        for column, tolerance in zip(
+            self.gains.T, _tolerances(self.objectives), strict=True
+        ):
             rows = rows[column[rows] >= column[rows].max() - tolerance]
         return int(rows[0])
 
@@ -79,9 +83,9 @@ class BestSet:
 class Contenders:
     """Sets that may be best, or tie with the best, and what each is worth.
 
-    Ties are not transitive: of three sets the second may tie with the first and be better
-    in a later stage, and the third with the second, but not with the first. So no set is
-    given up for another one before all are known.
+    Ties are not transitive: of three sets the second may tie with the first and be
+    better in a later stage, and the third with the second, but not with the first. So
+    no set is given up for another one before all are known.
     """
 
     def __init__(self, objectives: tuple[Objective, ...]) -> None:
@@ -131,7 +135,10 @@ class Contenders:
             most = max(float(gains[:, column].max(initial=-np.inf)), of_values)
             if column > 0:
                 objective = self.objectives[column - 1]
-                limits[objective] = -most if objective.is_minimised else most
+                if objective.is_minimised:
+                    limits[objective] = -most
+                else:
+                    limits[objective] = most
             gains = gains[gains[:, column] >= of_values - tolerance]
         return limits
 
@@ -179,11 +186,16 @@ def left_after_failures(
 ) -> FloatArray:
     """APR that sets of poses keep when their worst units, or sites, fail, (n_sets,).
 
-    Failing more never leaves more, so that it is enough to let the sites of any n of the units
-    fail: that is at most n sites, and any n sites that carry units are among them.
+    Failing more never leaves more, so that it is enough to let the sites of any n of
+    the units fail: that is at most n sites, and any n sites that carry units are among
+    them.
     """
-    limits, n_units = reduced.limits, sets.shape[1]
-    at = limits.site_index[sets] if limits.failing == "site" else None
+    limits = reduced.limits
+    n_units = sets.shape[1]
+    if limits.failing == "site":
+        at = limits.site_index[sets]
+    else:
+        at = None
     smallest = np.full(len(sets), np.inf)
     for failed in combinations(range(n_units), min(n_failures, n_units)):
         if at is None:
@@ -216,7 +228,8 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> SetValues:
 def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
     """Values of a set of poses together with each pose in turn: row c is that of `units` and c.
 
-    Bits run along the poses, 64 sets to a word: far faster than :func:`set_values` of these sets.
+    Bits run along the poses, 64 sets to a word: far faster than :func:`set_values` of
+    these sets.
     """
     return _values(
         reduced,
@@ -236,7 +249,12 @@ def costs_with_each_eur(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 
 def _values(
-    reduced: ReducedProblem, margin: FloatArray, *, n_units: int, cost: FloatArray, left: Left
+    reduced: ReducedProblem,
+    margin: FloatArray,
+    *,
+    n_units: int,
+    cost: FloatArray,
+    left: Left,
 ) -> SetValues:
     """Values from the margins of all runs, (n_sets, n_runs)."""
     is_avoided = margin > -np.inf
@@ -291,24 +309,45 @@ def shares_with_each(
     """APR of a set together with each pose in turn, (n_poses,); by default by the own measure."""
     from .bit_kernels import add_weights_with_each
 
-    measure = reduced.measure if measure is None else measure
+    if measure is None:
+        measure = reduced.measure
+    else:
+        measure = measure
     union = unions_of(reduced, units[None, :])
     alone = union_margins_s(reduced, union)[0] > -np.inf
-    is_seen, last = unpack_words(union[0], reduced.n_frames), reduced.last
-    world = np.zeros_like(measure.sample_index) if measure.is_mean else measure.sample_index
-    n_worlds = 1 if measure.is_mean else len(measure.sample_weight)
+    is_seen = unpack_words(union[0], reduced.n_frames)
+    last = reduced.last
+    if measure.is_mean:
+        world = np.zeros_like(measure.sample_index)
+    else:
+        world = measure.sample_index
+    if measure.is_mean:
+        n_worlds = 1
+    else:
+        n_worlds = len(measure.sample_weight)
     total = np.zeros((reduced.n_poses, n_worlds))
-    fixed = reduced.columns, is_seen, reduced.chains, reduced.run_chain, last, measure.weight
+    fixed = (
+        reduced.columns,
+        is_seen,
+        reduced.chains,
+        reduced.run_chain,
+        last,
+        measure.weight,
+    )
     for number in range(n_worlds):
         is_mine = world == number
         runs = np.flatnonzero(is_mine & ~alone & (measure.weight > 0.0))
         parts: dict[int, FloatArray] = {}
 
-        def add(begin: int, end: int, runs: IntArray, parts: dict[int, FloatArray]) -> None:
+        def add(
+            begin: int, end: int, runs: IntArray, parts: dict[int, FloatArray]
+        ) -> None:
             parts[begin] = np.zeros(reduced.n_poses)
             add_weights_with_each(*fixed, runs[begin:end], parts[begin])
 
-        share_out(partial(add, runs=runs, parts=parts), len(runs), workers=reduced.workers)
+        share_out(
+            partial(add, runs=runs, parts=parts), len(runs), workers=reduced.workers
+        )
         total[:, number] = measure.weight[is_mine & alone].sum()
         for begin in sorted(parts):
             total[:, number] += parts[begin]
@@ -324,7 +363,10 @@ def left_with_each(
         return float(left_after_failures(reduced, measure, 0, left[None, :])[0])
 
     limits = reduced.limits
-    at = np.arange(len(units)) if limits.failing == "unit" else limits.site_index[units]
+    if limits.failing == "unit":
+        at = np.arange(len(units))
+    else:
+        at = limits.site_index[units]
     groups = np.unique(at).tolist()
     if n_failures > len(groups):
         return np.full(reduced.n_poses, alone(units[:0]))
@@ -332,7 +374,9 @@ def left_with_each(
     for failed in combinations(groups, n_failures):
         rest = units[~np.isin(at, failed)]
         left = shares_with_each(reduced, rest, measure)
-        if limits.failing == "site":  # those that join a site that fails are lost with it
+        if (
+            limits.failing == "site"
+        ):  # those that join a site that fails are lost with it
             left = np.where(np.isin(limits.site_index, failed), alone(rest), left)
         smallest = np.minimum(smallest, left)
     if n_failures:  # the pose that has joined may be among those that fail
@@ -341,7 +385,9 @@ def left_with_each(
     return smallest
 
 
-def best_with_each(reduced: ReducedProblem, units: IntArray, poses: IntArray) -> IntArray:
+def best_with_each(
+    reduced: ReducedProblem, units: IntArray, poses: IntArray
+) -> IntArray:
     """The best set of `units` and one of some poses, at least one; of equal ones the first.
 
     Objective by objective only the best poses are looked at further.
@@ -382,11 +428,15 @@ def _margins_with_each(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     from .bit_kernels import first_live_with_each
 
     is_seen = unpack_words(unions_of(reduced, units[None, :])[0], reduced.n_frames)
-    first = np.empty((reduced.n_chains, reduced.n_poses), dtype=np.int32)  # it may be large
+    first = np.empty(
+        (reduced.n_chains, reduced.n_poses), dtype=np.int32
+    )  # it may be large
     margin = np.empty((reduced.n_poses, len(reduced.weight)))
 
     def look(begin: int, end: int) -> None:
-        first_live_with_each(reduced.columns, is_seen, reduced.chains, begin, end, first)
+        first_live_with_each(
+            reduced.columns, is_seen, reduced.chains, begin, end, first
+        )
 
     def look_up(begin: int, end: int) -> None:
         for run in range(begin, end):

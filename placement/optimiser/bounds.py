@@ -1,20 +1,24 @@
 """Second rung: the Lagrangian bound of all sets of so many units, polished by OSQP.
 
-Any frame or tail of each window may be *asked for*: a set avoids a run only if one of its poses
-sees what one of the run's windows is asked for. That makes the problem a maximal covering problem
-of no lower value, in which a pose *covers* a run. Prices p >= 0 on runs bound all its sets,
+Any frame or tail of each window may be *asked for*: a set avoids a run only if one of
+its poses sees what one of the run's windows is asked for. That makes the problem a
+maximal covering problem of no lower value, in which a pose *covers* a run. Prices p >=
+0 on runs bound all its sets,
 
-    f(S) <= sum over r of max(0, w[r] - p[r]) + max over S of sum over c in S of sum of p[r] over r
+    f(S) <= sum over r of max(0, w[r] - p[r]) + max over S of sum over c in S of sum of
+    p[r] over r
             that c covers,
 
-(Cornuejols, Fisher, Nemhauser 1977), and the second part separates by poses. Money has a price,
-too: with mu, poses are worth mu times their price less, and the budget is worth mu times itself.
-OSQP's multipliers are prices; whatever it returns proves nothing by itself: the formula does.
+(Cornuejols, Fisher, Nemhauser 1977), and the second part separates by poses. Money has
+a price, too: with mu, poses are worth mu times their price less, and the budget is
+worth mu times itself. OSQP's multipliers are prices; whatever it returns proves nothing
+by itself: the formula does.
 
-Margins are rows, too: to see a window or one before it is worth by how much its margin exceeds the
-next one's. What is left when N of K units fail is no more than what is left on average, and of the
-ways to fail the share C(K - n, N - n) / C(K, N) takes all n poses that cover a run: a concave
-reward G(n) takes the place of G(1) = 1, and the same prices bound it.
+Margins are rows, too: to see a window or one before it is worth by how much its margin
+exceeds the next one's. What is left when N of K units fail is no more than what is left
+on average, and of the ways to fail the share C(K - n, N - n) / C(K, N) takes all n
+poses that cover a run: a concave reward G(n) takes the place of G(1) = 1, and the same
+prices bound it.
 """
 
 from dataclasses import dataclass, replace
@@ -76,7 +80,9 @@ class Root:
         """Sum of the prices of what each pose covers, by default the own, (n_poses,)."""
         from .walk_kernels import weights_of
 
-        table, used, n_used = byte_table(self.price if price is None else price, self.covers)
+        table, used, n_used = byte_table(
+            self.price if price is None else price, self.covers
+        )
         gain = np.empty(len(self.covers))
         weights_of(self.covers.view(np.uint8), table, used, n_used, gain)
         return gain
@@ -87,10 +93,15 @@ def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArra
     from .walk_kernels import weigh_bytes
 
     n_words = rows.shape[1]
-    table, used = np.zeros((8 * n_words, 256)), np.empty(8 * n_words, dtype=np.int64)
+    table = np.zeros((8 * n_words, 256))
+    used = np.empty(8 * n_words, dtype=np.int64)
     padded = np.zeros(64 * n_words)
     padded[: len(weight)] = weight
-    return table, used, weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used)
+    return (
+        table,
+        used,
+        weigh_bytes(padded, np.full(n_words, ~np.uint64(0)), table, used),
+    )
 
 
 def find_root(
@@ -98,8 +109,8 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    Windows are asked for what the poses picked so far see least, again and again, and the best
-    round is taken. It ends at the deadline, but completes the first round.
+    Windows are asked for what the poses picked so far see least, again and again, and
+    the best round is taken. It ends at the deadline, but completes the first round.
     """
     choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
@@ -107,18 +118,25 @@ def find_root(
     reached = float(rows.weight[is_alone].sum())
     rows = rows.of(~is_alone)
     # To begin with, the frames that fewest poses see; what is picked counts far more.
-    seen = np.bitwise_count(reduced.columns).sum(axis=1) / (1.0e3 * max(reduced.n_poses, 1))
+    seen = np.bitwise_count(reduced.columns).sum(axis=1) / (
+        1.0e3 * max(reduced.n_poses, 1)
+    )
     price = constants.PRICE_START * rows.weight
     best: Root | None = None
     for number in range(constants.ASK_ROUNDS):
         scale = max(float(seen.max(initial=0.0)), constants.TINY)
-        coverers = coverers_of(reduced, rows, union, np.round(seen / scale, constants.SHARE_DIGITS))
+        coverers = coverers_of(
+            reduced, rows, union, np.round(seen / scale, constants.SHARE_DIGITS)
+        )
         index, row = distinct_rows(coverers)
-        of_rows, of_price = np.zeros(len(index)), np.zeros(len(index))
+        of_rows = np.zeros(len(index))
+        of_price = np.zeros(len(index))
         np.add.at(of_rows, row, rows.weight)
         np.add.at(of_price, row, price)
         root = Root(
-            covers=transposed(coverers[index], reduced.n_poses, workers=reduced.workers),
+            covers=transposed(
+                coverers[index], reduced.n_poses, workers=reduced.workers
+            ),
             weight=of_rows,
             price=of_price,
             reached=reached,
@@ -126,9 +144,14 @@ def find_root(
             share=np.zeros(reduced.n_poses),
             choice=choice,
         )
-        steps = constants.LATER_STEPS if number else constants.FIRST_STEPS
+        if number:
+            steps = constants.LATER_STEPS
+        else:
+            steps = constants.FIRST_STEPS
         root = tightened(root, reward_of(choice.n_units, 0), n_steps=steps)
-        is_settled = best is not None and root.limit > best.limit * (1.0 - constants.SETTLED)
+        is_settled = best is not None and root.limit > best.limit * (
+            1.0 - constants.SETTLED
+        )
         if best is None or root.limit < best.limit:
             best = root
         if (is_settled and number > 2) or deadline.is_over:
@@ -152,9 +175,9 @@ def coverers_of(
 ) -> WordArray:
     """Poses that cover each row next to a union of frames, (n_rows, n_pose_words).
 
-    What the union sees is not asked for. Of the frames and tails that are missing, each window is
-    asked for the one that is `seen`, (n_frames,), least. `columns` are those of other units than
-    the poses.
+    What the union sees is not asked for. Of the frames and tails that are missing, each
+    window is asked for the one that is `seen`, (n_frames,), least. `columns` are those
+    of other units than the poses.
     """
     from .walk_kernels import ask_for_least_seen, cover_rows
 
@@ -162,11 +185,16 @@ def coverers_of(
     asked = np.empty(len(chains.window), dtype=np.int64)
     ask_for_least_seen(chains, np.unique(rows.chain), union, seen, asked)
     is_poses = columns is None
-    columns = reduced.columns if columns is None else columns
+    if columns is None:
+        columns = reduced.columns
+    else:
+        columns = columns
     coverers = np.empty((len(rows.chain), columns.shape[1]), dtype=np.uint64)
 
     def cover(begin: int, end: int) -> None:
-        cover_rows(columns, chains.start, asked, rows.chain, rows.last, begin, end, coverers)
+        cover_rows(
+            columns, chains.start, asked, rows.chain, rows.last, begin, end, coverers
+        )
 
     share_out(cover, len(rows.chain), workers=reduced.workers if is_poses else 1)
     return coverers
@@ -184,7 +212,8 @@ def is_covered_by(reduced: ReducedProblem, union: WordArray, rows: Rows) -> Bool
 def reward_of(n_units: int, n_failures: int) -> FloatArray:
     """Mean worth of a row by the number of units that cover it, (n_units + 2,).
 
-    Of the ways in which units fail, it is the share that leaves one of those that cover.
+    Of the ways in which units fail, it is the share that leaves one of those that
+    cover.
     """
     reward: FloatArray = np.minimum(np.arange(n_units + 2.0), 1.0)
     for n in range(1, n_failures + 1) if n_failures <= n_units else ():
@@ -196,10 +225,15 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
     """Better prices for a root by subgradient steps; without steps, what its prices prove."""
     from .walk_kernels import tighten_prices
 
-    choice, price, share = root.choice, root.price.copy(), np.zeros(len(root.covers))
-    covers, s = root.covers.view(np.uint8), constants
+    choice = root.choice
+    price = root.price.copy()
+    share = np.zeros(len(root.covers))
+    covers = root.covers.view(np.uint8)
+    s = constants
     how = np.array([s.STEP_LENGTH, s.STEP_CUT, s.DEFLECTION, s.MEMORY, s.PATIENCE])
-    limit = tighten_prices(covers, choice, root.weight, reward, price, n_steps, how, share)
+    limit = tighten_prices(
+        covers, choice, root.weight, reward, price, n_steps, how, share
+    )
     share *= choice.n_units / max(float(share.sum()), constants.TINY)
     limit = (root.reached + limit) * (1.0 + constants.ROUNDING)
     return replace(root, price=price, limit=limit, share=share)
@@ -209,7 +243,8 @@ def failure_limit(
     root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
 ) -> float:
     """No set that is worth `least` keeps more when units fail, nor is worth more without."""
-    limit, n_units = root.limit, root.choice.n_units
+    limit = root.limit
+    n_units = root.choice.n_units
     for amount in constants.FAILURE_PRICES if n_failures else ():
         if deadline.is_over:
             break
@@ -224,20 +259,26 @@ def relax(
 ) -> tuple[float, FloatArray | None]:
     """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
 
-    `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights times margins.
-    Wishes are left out, which only makes it higher. Infinite, and no shares, where it takes long.
+    `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights
+    times margins. Wishes are left out, which only makes it higher. Infinite, and no
+    shares, where it takes long.
     """
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
         return 0.0, None
-    rows = run_rows(reduced) if worth is Objective.APR else margin_rows(reduced)
+    if worth is Objective.APR:
+        rows = run_rows(reduced)
+    else:
+        rows = margin_rows(reduced)
     if len(rows.chain) * reduced.n_poses > constants.MAX_CELLS:
         return np.inf, None
     root = polished(find_root(reduced, rows, n_units=n_units, deadline=deadline))
     limit = root.limit
     if worth is Objective.APR:  # all poses together are a limit, too
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
-        limit = min(rounded_down(reduced, limit), float(union_apr(reduced, everything)[0]))
+        limit = min(
+            rounded_down(reduced, limit), float(union_apr(reduced, everything)[0])
+        )
     return limit, root.share
 
 
@@ -257,15 +298,19 @@ def relaxation_text() -> str:
 def polished(root: Root) -> Root:
     """Prices near those of the linear relaxation; the limit never rises.
 
-    OSQP is handed a core of poses that gain most. Of the way to its prices the best point is taken;
-    poses that gain too much at its end join the core.
+    OSQP is handed a core of poses that gain most. Of the way to its prices the best
+    point is taken; poses that gain too much at its end join the core.
     """
-    n_units, best, share = root.choice.n_units, root, root.share
+    n_units = root.choice.n_units
+    best = root
+    share = root.share
     if not len(root.weight) or n_units < 1:
         return root
     reward = reward_of(n_units, 0)
     n_bits = np.bitwise_count(root.covers).sum(axis=1)
-    n_core = min(constants.CORE_POSES, int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0)))
+    n_core = min(
+        constants.CORE_POSES, int(constants.CORE_BITS / max(float(n_bits.mean()), 1.0))
+    )
     of_share = np.flatnonzero(share > constants.SMALL_SHARE)
     core = np.union1d(_worthiest(root.gains(), n_core), of_share)
     for _ in range(constants.POLISH_ROUNDS):
@@ -289,20 +334,30 @@ def _worthiest(gain: FloatArray, n_poses: int) -> IntArray:
     return np.sort(np.argsort(-gain, kind="stable")[:n_poses])
 
 
-def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _relaxed(
+    root: Root, core: IntArray, share: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Multipliers of rows and shares of poses, x, in the linear relaxation on some poses.
 
-    Maximise sum of w a - epsilon / 2 sum of x ** 2 such that a[r] <= sum of x over poses that cover
-    r, sum of x <= K, per site <= room, money <= what is left, 0 <= a, x <= 1.
+    Maximise sum of w a - epsilon / 2 sum of x ** 2 such that a[r] <= sum of x over
+    poses that cover r, sum of x <= K, per site <= room, money <= what is left, 0 <= a,
+    x <= 1.
     """
     import osqp
     from scipy import sparse
 
-    choice, n_rows, n_core = root.choice, len(root.weight), len(core)
+    choice = root.choice
+    n_rows = len(root.weight)
+    n_core = len(core)
     scale = 1.0 / float(root.weight.max())
-    covers = sparse.csc_matrix(unpack_words(root.covers[core], n_rows).T.astype(np.float64))
+    covers = sparse.csc_matrix(
+        unpack_words(root.covers[core], n_rows).T.astype(np.float64)
+    )
     sites, site = np.unique(choice.site[core], return_inverse=True)
-    of_choice = [np.ones((1, n_core)), (np.arange(len(sites))[:, None] == site).astype(np.float64)]
+    of_choice = [
+        np.ones((1, n_core)),
+        (np.arange(len(sites))[:, None] == site).astype(np.float64),
+    ]
     upper = [[choice.n_units], choice.room[sites]]
     if len(choice.cost):
         of_choice.append(choice.cost[core][None, :])
@@ -320,7 +375,9 @@ def _relaxed(root: Root, core: IntArray, share: FloatArray) -> tuple[FloatArray,
     most = np.concatenate([np.zeros(n_rows), *upper, is_open, np.ones(n_rows)])
     least = np.full(len(most), -np.inf)
     least[-(n_core + n_rows) :] = 0.0
-    quadratic = np.concatenate([np.full(n_core, constants.OSQP_REGULARISATION), np.zeros(n_rows)])
+    quadratic = np.concatenate(
+        [np.full(n_core, constants.OSQP_REGULARISATION), np.zeros(n_rows)]
+    )
     solver = osqp.OSQP()
     solver.setup(
         sparse.diags(quadratic, format="csc"),

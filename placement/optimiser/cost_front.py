@@ -47,10 +47,12 @@ _MAX_LEVELS = 20_000
 def price_levels_eur(limits: Limits) -> FloatArray | None:
     """Amounts of which every layout within limits costs one, ascending, in euros.
 
-    Not every amount need be the cost of a layout. None if prices are too many, or no whole cents.
+    Not every amount need be the cost of a layout. None if prices are too many, or no
+    whole cents.
     """
     usable = ~limits.is_forbidden | limits.is_forced
-    most, sites = limits.max_units, np.unique(limits.site_index[usable])
+    most = limits.max_units
+    sites = np.unique(limits.site_index[usable])
     by_units = _sums(limits.unit_cost_eur[usable], most)
     by_sites = _sums(limits.site_cost_eur[sites], min(most, limits.n_sites))
     if by_units is None or by_sites is None:
@@ -59,20 +61,26 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
     largest = max(int(limits.site_capacity.max(initial=1)), 1)
     levels: set[int] = set()
     for n_units in range(1, most + 1):
-        for n_sites in range(-(-n_units // largest), min(n_units, len(by_sites) - 1) + 1):
+        for n_sites in range(
+            -(-n_units // largest), min(n_units, len(by_sites) - 1) + 1
+        ):
             levels.update(a + b for a in by_units[n_units] for b in by_sites[n_sites])
             if len(levels) > _MAX_LEVELS:
                 return None
     return np.array(sorted(levels)) / CENTS
 
 
-def next_level_eur(levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool) -> float:
+def next_level_eur(
+    levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool
+) -> float:
     """The first level that is no less than an amount, or more; itself where none are known."""
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
     from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
     place = np.searchsorted(levels_eur, from_eur, side="right" if is_more else "left")
-    return float(levels_eur[place]) if place < len(levels_eur) else np.inf
+    if place < len(levels_eur):
+        return float(levels_eur[place])
+    return np.inf
 
 
 def _sums(prices_eur: FloatArray, most: int) -> list[set[int]] | None:
@@ -103,22 +111,27 @@ def cost_front(
 ) -> Front:
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
-    All limits and floors of the problem hold at every point. A point must be better than the one
-    before it by `step_apr`, by default the smallest weight of a run: points that are closer are
-    left out. `stages`, `effort` and `on_point` are those of :func:`pareto_front`.
+    All limits and floors of the problem hold at every point. A point must be better
+    than the one before it by `step_apr`, by default the smallest weight of a run:
+    points that are closer are left out. `stages`, `effort` and `on_point` are those of
+    :func:`pareto_front`.
 
-    The first point is the cheapest that avoids anything. The first stage of a certificate is the
-    cost: nothing that is better than the point before costs less. Raises InputError if no layout
-    meets the wishes or avoids anything, or more is asked for than the best.
+    The first point is the cheapest that avoids anything. The first stage of a
+    certificate is the cost: nothing that is better than the point before costs less.
+    Raises InputError if no layout meets the wishes or avoids anything, or more is asked
+    for than the best.
 
-    The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic order: the
-    next point is the cheapest layout whose APR is higher, or that has the same APR and keeps more
-    of it when one unit fails.
+    The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic
+    order: the next point is the cheapest layout whose APR is higher, or that has the
+    same APR and keeps more of it when one unit fails.
     """
     check_front(problem, stages)
     if max_points < 1:
         raise InputError("max_points", max_points, "at least 1")
-    effort = Effort() if effort is None else effort
+    if effort is None:
+        effort = Effort()
+    else:
+        effort = effort
     check_limits(problem.limits, problem.table.pose_ids)
     reduced = presolve(problem, workers=effort.workers)
     check_reach(problem, reduced)
@@ -209,7 +222,9 @@ class _Climb:
             if error.where != _ASKED:
                 raise
             got = Unquoted("no layout that avoids anything")
-            raise InputError("candidates", got, "one within the limits and the time") from None
+            raise InputError(
+                "candidates", got, "one within the limits and the time"
+            ) from None
         assert step.pose_index is not None  # check_floors has seen to it
         return self.point(step, step.least_eur)
 
@@ -226,23 +241,33 @@ class _Climb:
             return replace(_UNKNOWN, least_eur=np.inf)
         return self._cheapest([(last.value.apr, 0), (least, 1)], last)
 
-    def _cheapest(self, asked: Sequence[tuple[float, int]], last: FrontPoint | None) -> _Step:
+    def _cheapest(
+        self, asked: Sequence[tuple[float, int]], last: FrontPoint | None
+    ) -> _Step:
         """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
         began_s = now_s()
         problem = self._asking(asked, goal="cheapest")
-        reduced, effort = self.reduced.for_problem(problem), self._effort()
+        reduced = self.reduced.for_problem(problem)
+        effort = self._effort()
         end = deadline_in(effort.time_limit_s)
         search = Search(reduced, deadline=end, is_exact=effort.is_exact)
-        search.start([] if last is None else [units_of(reduced, np.array(last.pose_index))])
+        search.start(
+            [] if last is None else [units_of(reduced, np.array(last.pose_index))]
+        )
         known_eur = self._known_eur(last)
         if last is None:
             check_floors(problem, search)
         elif search.units is None or search.shortfall > 0.0:
-            least_eur = np.inf if search.nothing_meets_all else known_eur
+            if search.nothing_meets_all:
+                least_eur = np.inf
+            else:
+                least_eur = known_eur
             return replace(_UNKNOWN, least_eur=least_eur)
         if search.value.cost_eur > known_eur + COST_TOLERANCE_EUR:
             bound = Stages(problem, search, effort).bound_first_cost_eur()
-            known_eur = max(known_eur, next_level_eur(self.levels_eur, bound, is_more=False))
+            known_eur = max(
+                known_eur, next_level_eur(self.levels_eur, bound, is_more=False)
+            )
         units = search.units
         assert units is not None
         return _Step(
@@ -261,11 +286,14 @@ class _Climb:
             return next_level_eur(self.levels_eur, last.value.cost_eur, is_more=True)
         return last.certificate.stages[0].bound
 
-    def point(self, step: _Step, least_eur: float, *, is_best: bool = True) -> FrontPoint:
+    def point(
+        self, step: _Step, least_eur: float, *, is_best: bool = True
+    ) -> FrontPoint:
         """The best layout for the cost of a step.
 
-        No layout that is better than the point before costs less than `least_eur`. With `is_best`,
-        nothing with a higher APR costs as little: what was asked for need not be asked again.
+        No layout that is better than the point before costs less than `least_eur`. With
+        `is_best`, nothing with a higher APR costs as little: what was asked for need
+        not be asked again.
         """
         assert step.pose_index is not None
         limits = _within(self.problem.limits, step.cost_eur)
@@ -274,13 +302,21 @@ class _Climb:
             self.reduced,
             effort=self._effort(),
             # No stage need ask for less money: that is the last one.
-            n_stages=len(FIRST_STAGES) if self.stages == "first" else len(VALUE_OBJECTIVES) - 1,
+            n_stages=(
+                len(FIRST_STAGES)
+                if self.stages == "first"
+                else len(VALUE_OBJECTIVES) - 1
+            ),
             starts=[step.pose_index],
         )
-        cost = build_stage(Objective.COST, point.value.cost_eur, least_eur, step.seconds)
+        cost = build_stage(
+            Objective.COST, point.value.cost_eur, least_eur, step.seconds
+        )
         return point.with_stages([cost, *point.certificate.stages])
 
-    def _asking(self, asked: Sequence[tuple[float, int]], **changes: Any) -> PlacementProblem:
+    def _asking(
+        self, asked: Sequence[tuple[float, int]], **changes: Any
+    ) -> PlacementProblem:
         """The problem with some changes where APRs must be reached, too."""
         floors = [Floor(name=_ASKED, share=min(s, 1.0), n_failures=n) for s, n in asked]
         return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
@@ -292,9 +328,16 @@ class _Climb:
 def _within(limits: Limits, cost_eur: float) -> Limits:
     """Limits with so much money; as a number of units, where that says the same."""
     price = float(limits.unit_cost_eur.max(initial=0.0))
-    if price > 0.0 and np.ptp(limits.unit_cost_eur) == 0.0 and not limits.site_cost_eur.any():
+    if (
+        price > 0.0
+        and np.ptp(limits.unit_cost_eur) == 0.0
+        and not limits.site_cost_eur.any()
+    ):
         affordable = int((cost_eur + COST_TOLERANCE_EUR) / price)
-        most = affordable if limits.budget_units is None else min(affordable, limits.budget_units)
+        if limits.budget_units is None:
+            most = affordable
+        else:
+            most = min(affordable, limits.budget_units)
         return replace(limits, budget_units=most, budget_eur=None)
     return replace(limits, budget_eur=cost_eur)
 
@@ -302,7 +345,8 @@ def _within(limits: Limits, cost_eur: float) -> Limits:
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
     """Points that cost less than a new one, which is better than all of them, and the new one.
 
-    What is better than the last that stays may be worse than one that goes, and cost as little.
+    What is better than the last that stays may be worse than one that goes, and cost as
+    little.
     """
     least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
     stay = [point for point in points if point.value.cost_eur < least_eur]

@@ -1,7 +1,8 @@
 """Fronts: the best layouts for more and more units, each with its proof.
 
-A point is solved from the one before it: what was found for less is feasible for more. So values
-never fall from point to point, and what no layout with more can exceed, none with less can either.
+A point is solved from the one before it: what was found for less is feasible for more.
+So values never fall from point to point, and what no layout with more can exceed, none
+with less can either.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -59,7 +60,9 @@ class FrontPoint:
 
     def stage(self, name: str) -> Stage | None:
         """The stage of a name; None if it was not optimised."""
-        return next((stage for stage in self.certificate.stages if stage.name == name), None)
+        return next(
+            (stage for stage in self.certificate.stages if stage.name == name), None
+        )
 
     @property
     def apr_bound(self) -> float:
@@ -70,7 +73,9 @@ class FrontPoint:
 
     def with_stages(self, stages: Iterable[Stage]) -> "FrontPoint":
         """The same layout with other stages."""
-        return replace(self, certificate=replace(self.certificate, stages=tuple(stages)))
+        return replace(
+            self, certificate=replace(self.certificate, stages=tuple(stages))
+        )
 
     def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
         """The same layout with bounds of some stages that hold as well, where those are closer."""
@@ -85,13 +90,19 @@ class Front:
     """Layouts for growing budgets."""
 
     by: Literal["units", "cost"]  # what the points are allowed more and more of
-    points: tuple[FrontPoint, ...]  # ascending, at least one; by cost where something grows
+    points: tuple[
+        FrontPoint, ...
+    ]  # ascending, at least one; by cost where something grows
     stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
-    # It is proven that from so many units, or euros, on nothing grows that was optimised, not even
-    # beyond the last point; None if that is not known.
+    # It is proven that from so many units, or euros, on nothing grows that was
+    # optimised, not even beyond the last point; None if that is not known.
     settled: float | None
-    refused: tuple[tuple[int, str], ...]  # numbers of units that cannot meet the wishes, and why
-    presolve: PresolveStatistics | None  # once for all points; None if each was solved by itself
+    refused: tuple[
+        tuple[int, str], ...
+    ]  # numbers of units that cannot meet the wishes, and why
+    presolve: (
+        PresolveStatistics | None
+    )  # once for all points; None if each was solved by itself
 
     @property
     def is_proven(self) -> bool:
@@ -106,7 +117,10 @@ def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
     """Raise InputError if a target, or failures to survive, are asked for, or stages unknown."""
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
-        option = "survive" if problem.goal == "best" else "target"
+        if problem.goal == "best":
+            option = "survive"
+        else:
+            option = "target"
         refuse(option, "it with a front", "neither: a front has every APR")
 
 
@@ -140,16 +154,20 @@ def no_worse(point: FrontPoint, fewer: FrontPoint) -> FrontPoint:
         return point
     point = replace(point, pose_index=fewer.pose_index, value=fewer.value)
     return point.with_stages(
-        tightened(replace(stage, objective=fewer.value.of(Objective(stage.name))), stage.bound)
+        tightened(
+            replace(stage, objective=fewer.value.of(Objective(stage.name))), stage.bound
+        )
         for stage in point.certificate.stages
     )
 
 
-def largest_values(reduced: ReducedProblem, stages: StageChoice) -> dict[Objective, float] | None:
+def largest_values(
+    reduced: ReducedProblem, stages: StageChoice
+) -> dict[Objective, float] | None:
     """Values that no layout of any size exceeds: those of all poses together.
 
-    None if no limits of margins are known: they hold where all runs are avoided that some pose
-    avoids, which only a mean over all runs ensures.
+    None if no limits of margins are known: they hold where all runs are avoided that
+    some pose avoids, which only a mean over all runs ensures.
     """
     everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
     limits = {
@@ -175,17 +193,21 @@ def reaches(value: PlacementValue, limits: dict[Objective, float] | None) -> boo
 def one_failed_limit(reduced: ReducedProblem) -> float:
     """No set of any size keeps a higher APR when one unit fails.
 
-    Of a set with pose c, the others are left when c fails; of one without it, more is left than
-    when it had c, too. So no set keeps more than all poses but c reach, whichever c is.
+    Of a set with pose c, the others are left when c fails; of one without it, more is
+    left than when it had c, too. So no set keeps more than all poses but c reach,
+    whichever c is.
     """
     words = reduced.words
     before = np.bitwise_or.accumulate(words)  # what each pose and those before it see
-    everything, twice = before[-1], np.bitwise_or.reduce(before[:-1] & words[1:])
+    everything = before[-1]
+    twice = np.bitwise_or.reduce(before[:-1] & words[1:])
     once = everything & ~twice
     needed = np.flatnonzero((words & once).any(axis=1))
     if not len(needed):
         return float(union_apr(reduced, everything[None, :])[0])
-    return float(union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min())
+    return float(
+        union_apr(reduced, everything & ~(words[needed] & once) | reduced.base).min()
+    )
 
 
 def tightened(stage: Stage, bound: float) -> Stage:
@@ -211,37 +233,53 @@ def pareto_front(
 ) -> Front:
     """Best layouts of so many units and all smaller numbers.
 
-    `reduced` is the problem presolved for no fewer units than `max_units`, where that is at hand.
-    All limits and floors hold at every point but the number of units, in which existing units
-    count. `stages` "first" optimises the APR, then the APR when one unit fails; "all" margins and
-    cost, too. The `effort` is that of all points together: time that a point leaves is there for
-    those after it. `on_point` is called with every point as soon as it is solved.
+    `reduced` is the problem presolved for no fewer units than `max_units`, where that
+    is at hand. All limits and floors hold at every point but the number of units, in
+    which existing units count. `stages` "first" optimises the APR, then the APR when
+    one unit fails; "all" margins and cost, too. The `effort` is that of all points
+    together: time that a point leaves is there for those after it. `on_point` is called
+    with every point as soon as it is solved.
 
-    There is a point for every number of units with which the wishes can be met; once nothing can
-    grow, and no more money is saved, copies. Raises InputError if the wishes cannot be met with any
-    number, or ask for more than the best.
+    There is a point for every number of units with which the wishes can be met; once
+    nothing can grow, and no more money is saved, copies. Raises InputError if the
+    wishes cannot be met with any number, or ask for more than the best.
 
-    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what none of K +
-    1 exceeds, none of K does, if both points hold the same in the stages before. And what is left
-    of K units when one fails is a layout of K - 1, which no wish binds if none is there.
+    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what
+    none of K + 1 exceeds, none of K does, if both points hold the same in the stages
+    before. And what is left of K units when one fails is a layout of K - 1, which no
+    wish binds if none is there.
     """
     check_front(problem, stages)
-    effort = Effort() if effort is None else effort
+    if effort is None:
+        effort = Effort()
+    else:
+        effort = effort
     deadline = deadline_in(effort.time_limit_s)
     limits = problem.limits
     first = max(min_units, int(limits.is_forced.sum()), 1)
     reduced = _presolved(problem, first, max_units, reduced, effort)
-    largest = None if reduced is None else largest_values(reduced, stages)
+    if reduced is None:
+        largest = None
+    else:
+        largest = largest_values(reduced, stages)
     full = replace(limits, budget_units=None).max_units
     points: list[FrontPoint] = []
     refused: list[tuple[int, UnmetError]] = []
     settled = None
     for units in range(first, max_units + 1):
         if points and (settled is not None or units > full):
-            points.append(replace(points[-1], units=units))  # as good, and as well proven
+            points.append(
+                replace(points[-1], units=units)
+            )  # as good, and as well proven
             continue
-        of_point = deadline if units == max_units else deadline.of("point of a front")
-        fewer = points[-1] if points else None
+        if units == max_units:
+            of_point = deadline
+        else:
+            of_point = deadline.of("point of a front")
+        if points:
+            fewer = points[-1]
+        else:
+            fewer = None
         at_point = replace(problem, limits=replace(limits, budget_units=units))
         try:
             point = solve_point(
@@ -254,15 +292,23 @@ def pareto_front(
         except UnmetError as error:
             refused.append((units, error))
             continue
-        point = no_worse(point, fewer) if fewer else point
+        if fewer:
+            point = no_worse(point, fewer)
+        else:
+            point = point
         points.append(replace(point, units=units))
-        if reaches(point.value, largest) and (stages == "first" or _is_cheap(problem, points[-1])):
+        if reaches(point.value, largest) and (
+            stages == "first" or _is_cheap(problem, points[-1])
+        ):
             settled = units
         if on_point is not None:
             on_point(points[-1])
     if not points:
         why = refused[-1][1]
-        option = "max_units" if why.where == "budget" else why.where
+        if why.where == "budget":
+            option = "max_units"
+        else:
+            option = why.where
         raise UnmetError(option, why.got, why.expected)
     if settled is None and full <= max_units and points[-1].is_proven:
         settled = max(points[0].units, full)
@@ -289,20 +335,34 @@ def front_below(
 ) -> Front:
     """A front that ends with a known layout, which was solved for the best, and its certificate.
 
-    It has points of fewer units, if any meet the wishes, then the one given. The other arguments
-    and errors are those of :func:`pareto_front`; all stages are optimised.
+    It has points of fewer units, if any meet the wishes, then the one given. The other
+    arguments and errors are those of :func:`pareto_front`; all stages are optimised.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)
     value = placement_value(problem, pose_index)
-    last = FrontPoint(units=most, pose_index=pose_index, value=value, certificate=certificate)
-    alone = Front(by="units", points=(last,), stages="all", settled=None, refused=(), presolve=None)
+    last = FrontPoint(
+        units=most, pose_index=pose_index, value=value, certificate=certificate
+    )
+    alone = Front(
+        by="units",
+        points=(last,),
+        stages="all",
+        settled=None,
+        refused=(),
+        presolve=None,
+    )
     if max(min_units, int(problem.limits.is_forced.sum()), 1) >= most:
         return alone
     numbers = {"min_units": min_units, "max_units": most - 1}
     try:
         fewer = pareto_front(
-            problem, **numbers, stages="all", effort=effort, on_point=on_point, reduced=reduced
+            problem,
+            **numbers,
+            stages="all",
+            effort=effort,
+            on_point=on_point,
+            reduced=reduced,
         )
     except UnmetError:
         return alone
@@ -323,7 +383,9 @@ def _presolved(
     Poses that are dominated while many units are chosen are dominated while fewer are.
     """
     if not 1 <= min_units <= max_units:
-        raise InputError("max_units", max_units, f"a number of units, at least {min_units}")
+        raise InputError(
+            "max_units", max_units, f"a number of units, at least {min_units}"
+        )
     check_limits(replace(problem.limits, budget_units=None), problem.table.pose_ids)
     if reduced is None and effort.solver != "exact" and is_large(problem):
         return None
@@ -347,7 +409,9 @@ def _is_free(problem: PlacementProblem) -> bool:
     return not (problem.floors or limits.is_forced.any() or limits.is_forced_site.any())
 
 
-def _exchange_bounds(points: Sequence[FrontPoint], *, is_free: bool) -> list[FrontPoint]:
+def _exchange_bounds(
+    points: Sequence[FrontPoint], *, is_free: bool
+) -> list[FrontPoint]:
     """Points whose bounds are no worse than what those of other points imply."""
     tight = list(points)
     for index in reversed(range(len(points) - 1)):

@@ -1,8 +1,8 @@
 """First rung: layouts found quickly, without proof. Greedy choice, then exchanges from many starts.
 
-With fusion "any" no guarantee of quality holds: three units may be needed to complete one window.
-Exchanges replace one unit by another, or leave one out, until that does not help; then others are
-thrown out and drawn again.
+With fusion "any" no guarantee of quality holds: three units may be needed to complete
+one window. Exchanges replace one unit by another, or leave one out, until that does not
+help; then others are thrown out and drawn again.
 """
 
 from collections.abc import Callable, Iterable
@@ -30,7 +30,10 @@ def solve_greedy(
     problem: PlacementProblem, reduced: ReducedProblem | None = None
 ) -> tuple[int, ...]:
     """Rows of the table, ascending: one by one the pose that makes the best set."""
-    reduced = presolve(problem) if reduced is None else reduced
+    if reduced is None:
+        reduced = presolve(problem)
+    else:
+        reduced = reduced
     return to_full(reduced, extend_greedily(reduced, forced_units(reduced)))
 
 
@@ -47,14 +50,21 @@ def forced_units(reduced: ReducedProblem) -> IntArray:
 def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
     """Add poses to `units` one by one, the best first, as long as there is room.
 
-    With few or cheap units as the goal, once the floors are reached, by one unit at least, only
-    those are added that a site still has to carry.
+    With few or cheap units as the goal, once the floors are reached, by one unit at
+    least, only those are added that a site still has to carry.
     """
-    limits, is_enough = reduced.limits, reduced.objectives[0].is_minimised
+    limits = reduced.limits
+    is_enough = reduced.objectives[0].is_minimised
     while len(units) < limits.max_units:
         fits = fitting(limits, units)
-        if is_enough and len(units) and set_values(reduced, units[None, :]).lacking[0] == 0.0:
-            missing = np.setdiff1d(np.flatnonzero(limits.is_forced_site), limits.site_index[units])
+        if (
+            is_enough
+            and len(units)
+            and set_values(reduced, units[None, :]).lacking[0] == 0.0
+        ):
+            missing = np.setdiff1d(
+                np.flatnonzero(limits.is_forced_site), limits.site_index[units]
+            )
             fits &= np.isin(limits.site_index, missing)
         free = np.flatnonzero(fits)
         if not len(free):
@@ -64,24 +74,37 @@ def extend_greedily(reduced: ReducedProblem, units: IntArray) -> IntArray:
 
 
 def improve(
-    reduced: ReducedProblem, units: IntArray, limit: SetValues, *, deadline: Deadline = NEVER
+    reduced: ReducedProblem,
+    units: IntArray,
+    limit: SetValues,
+    *,
+    deadline: Deadline = NEVER,
 ) -> IntArray:
     """Exchange one unit for another, or leave one out, as long as that makes the set better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at the deadline.
+    No set is better than `limit`: the search ends at a set that is as good, or at the
+    deadline.
     """
-    value, place = set_values(reduced, units[None, :])[0], 0
+    value = set_values(reduced, units[None, :])[0]
+    place = 0
     while limit.exceeds(value):
-        for step in range(2 * len(units)):  # to leave one out is only cheaper: tried last
+        for step in range(
+            2 * len(units)
+        ):  # to leave one out is only cheaper: tried last
             number = (place + step) % len(units)
             if deadline.is_over:
                 return units
             if reduced.limits.is_forced[units[number]]:
                 continue
             trial = _exchanged(reduced, units, number, is_out=step >= len(units))
-            of_trial = None if trial is None else set_values(reduced, trial[None, :])[0]
+            if trial is None:
+                of_trial = None
+            else:
+                of_trial = set_values(reduced, trial[None, :])[0]
             if trial is not None and of_trial is not None and of_trial.exceeds(value):
-                units, value, place = trial, of_trial, number  # the next one has moved up
+                units = trial
+                value = of_trial
+                place = number  # the next one has moved up
                 break
         else:
             break
@@ -94,11 +117,19 @@ def _exchanged(
     """The best allowed set with another pose for one unit, or without it; None if there is none."""
     rest = np.delete(units, number)
     if is_out:
-        return rest if is_allowed(reduced.limits, rest) else None
+        if is_allowed(reduced.limits, rest):
+            return rest
+        return None
     free = np.flatnonzero(fitting(reduced.limits, rest))
     free = free[free != units[number]]
-    free = free[are_allowed(reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free]))]
-    return best_with_each(reduced, rest, free) if len(free) else None
+    free = free[
+        are_allowed(
+            reduced.limits, np.column_stack([np.tile(rest, (len(free), 1)), free])
+        )
+    ]
+    if len(free):
+        return best_with_each(reduced, rest, free)
+    return None
 
 
 def search_from_many_starts(
@@ -111,24 +142,32 @@ def search_from_many_starts(
 ) -> IntArray | None:
     """Best of local optima: of `starts`, of the greedy set, and of sets that are drawn.
 
-    Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution; by default
-    by the square of what each reaches alone. It ends at a set as good as `limit`, after one more
-    than units in a row that brought nothing, or at the deadline, but completes the first start.
-    None if no set within the limits was found; the result may lack something to the floors.
+    Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution;
+    by default by the square of what each reaches alone. It ends at a set as good as
+    `limit`, after one more than units in a row that brought nothing, or at the
+    deadline, but completes the first start. None if no set within the limits was found;
+    the result may lack something to the floors.
     """
     rng = np.random.default_rng(constants.SEED)
-    forced, best, idle = forced_units(reduced), BestSet(), 0
+    forced = forced_units(reduced)
+    best = BestSet()
+    idle = 0
     begin = [*starts, forced]
     weight: FloatArray | None = None
     for number in range(len(begin) + constants.N_RESTARTS):
-        n_units = reduced.limits.max_units if best.units is None else len(best.units)
+        if best.units is None:
+            n_units = reduced.limits.max_units
+        else:
+            n_units = len(best.units)
         is_first = number < len(begin)
         if (not is_first and idle > n_units) or (number and deadline.is_over):
             break
         if not is_first and weight is None:
             if chance is None:
                 alone = shares_with_each(reduced, forced) ** 2
-                weight = alone / max(float(alone.sum()), constants.TINY) + constants.ROUNDING
+                weight = (
+                    alone / max(float(alone.sum()), constants.TINY) + constants.ROUNDING
+                )
             else:
                 weight = chance() + constants.ROUNDING
         if is_first or weight is None:
@@ -144,7 +183,10 @@ def search_from_many_starts(
         idle += 1
         if not is_allowed(reduced.limits, units):
             continue
-        if best.values is not None and best.values.gains[1] >= limit.gains[1] - TOLERANCE:
+        if (
+            best.values is not None
+            and best.values.gains[1] >= limit.gains[1] - TOLERANCE
+        ):
             units = _spread(reduced, units, deadline=deadline)
         units = improve(reduced, units, limit, deadline=deadline)
         before = best.units
@@ -173,12 +215,17 @@ def _drawn(
     return units
 
 
-def _spread(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> IntArray:
+def _spread(
+    reduced: ReducedProblem, units: IntArray, *, deadline: Deadline
+) -> IntArray:
     """Exchange units while the APR and what is left of it after a failure grow together.
 
-    Where many sets have the best APR, the way to those that lose little leads through others.
+    Where many sets have the best APR, the way to those that lose little leads through
+    others.
     """
-    value, idle, place = -np.inf, 0, 0
+    value = -np.inf
+    idle = 0
+    place = 0
     is_forced = reduced.limits.is_forced
     while idle < len(units) and not deadline.is_over:
         rest = np.delete(units, place)
@@ -186,12 +233,15 @@ def _spread(reduced: ReducedProblem, units: IntArray, *, deadline: Deadline) -> 
         idle += 1
         if len(fits) and not is_forced[units[place]]:
             total = (
-                shares_with_each(reduced, rest) + left_with_each(reduced, rest, reduced.measure, 1)
+                shares_with_each(reduced, rest)
+                + left_with_each(reduced, rest, reduced.measure, 1)
             )[fits]
             best = int(total.argmax())
             trial = np.append(rest, fits[best])
             if total[best] > value + TOLERANCE and is_allowed(reduced.limits, trial):
-                units, value, idle = trial, total[best], 0
+                units = trial
+                value = total[best]
+                idle = 0
                 place -= 1  # those behind have moved up
         place = (place + 1) % len(units)
     return units

@@ -1,9 +1,10 @@
 """Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a whole. a_k:
-one of the windows of a chain up to its k-th link is live; run r is avoided if a of its last link in
-time is 1. Only x has to be whole: given x, every y, z and a is bounded from above by zeros and ones
-alone, and from below by nothing but what must be avoided: their largest values are zeros and ones.
+x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a
+whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
+if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is
+bounded from above by zeros and ones alone, and from below by nothing but what must be
+avoided: their largest values are zeros and ones.
 """
 
 from __future__ import annotations
@@ -38,8 +39,10 @@ class Answer:
     """Answer of a solver to a problem that is maximised."""
 
     is_found: bool  # whether the variables hold a feasible point
-    is_finished: bool  # whether that is best, or there is none, not just the best within the time
-    bound: float  # of all feasible points; minus infinity: none, plus infinity: nothing is known
+    # whether that is best, or there is none, not just the best within the time
+    is_finished: bool
+    # of all feasible points; minus infinity: none, plus infinity: nothing is known
+    bound: float
 
 
 def solver_text() -> str:
@@ -61,7 +64,9 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
         warnings.filterwarnings("ignore", "Solution may be inaccurate")
         try:
             data, chain, inverse = problem.get_problem_data("HIGHS")
-            left_s = time_limit_s - (now_s() - begun_s)  # compiling takes longer than stating
+            left_s = time_limit_s - (
+                now_s() - begun_s
+            )  # compiling takes longer than stating
             if left_s <= 0.0:
                 return nothing
             options = {
@@ -75,7 +80,10 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
             problem.unpack_results(solution, chain, inverse)
         except cp.SolverError:  # nothing is known then, and nothing is lost
             return nothing
-    if problem.status in (cp.INFEASIBLE, cp.settings.INFEASIBLE_OR_UNBOUNDED):  # all is bounded
+    if problem.status in (
+        cp.INFEASIBLE,
+        cp.settings.INFEASIBLE_OR_UNBOUNDED,
+    ):  # all is bounded
         return Answer(is_found=False, is_finished=True, bound=-np.inf)
     info = problem.solver_stats.extra_stats
     return Answer(
@@ -96,17 +104,21 @@ class Cut:
 class MilpResult(NamedTuple):
     """Answer of the solver to a placement model, as :class:`Answer`, in the objective's unit."""
 
-    units: IntArray | None  # (n,): poses of the reduced problem; None if no feasible set was found
+    units: (
+        IntArray | None
+    )  # (n,): poses of the reduced problem; None if no feasible set was found
     bound: float
     is_finished: bool
 
 
-def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp.Constraint]:
+def limit_constraints(
+    x: cp.Variable, o: cp.Variable, limits: Limits
+) -> list[cp.Constraint]:
     """Limits: units, money, capacity, what is forced or too near; o_s = 1 if site s carries any.
 
-    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site <= its
-    capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site >= 1;
-    o_s + o_t <= 1 for rivals.
+    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site
+    <= its capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site
+    >= 1; o_s + o_t <= 1 for rivals.
     """
     import scipy.sparse as sp
 
@@ -133,12 +145,16 @@ def limit_constraints(x: cp.Variable, o: cp.Variable, limits: Limits) -> list[cp
 
 
 def window_constraints(
-    x: cp.Variable, y: cp.Variable, z: cp.Variable, a: cp.Variable, reduced: ReducedProblem
+    x: cp.Variable,
+    y: cp.Variable,
+    z: cp.Variable,
+    a: cp.Variable,
+    reduced: ReducedProblem,
 ) -> list[cp.Constraint]:
     """Frames, windows and chains.
 
-    y_f <= sum of V[c, f] x_c; z_w <= y_f for each f in w; a_k <= a_{k-1} + z_w(k): the sum of the z
-    up to link k, written link by link.
+    y_f <= sum of V[c, f] x_c; z_w <= y_f for each f in w; a_k <= a_{k-1} + z_w(k): the
+    sum of the z up to link k, written link by link.
     """
     import scipy.sparse as sp
 
@@ -154,8 +170,9 @@ def tail_constraints(
 ) -> list[cp.Constraint]:
     """Tails: a_{n-1} <= y_t where the first n windows need tail t, and a_k <= a_{k+1}.
 
-    If t is not seen, a is 0 at all links of these windows, and none of them makes it 1 later.
-    Otherwise a is not less where it is allowed to grow: it says "up to link k" already.
+    If t is not seen, a is 0 at all links of these windows, and none of them makes it 1
+    later. Otherwise a is not less where it is allowed to grow: it says "up to link k"
+    already.
     """
     chains = reduced.chains
     if not len(chains.tail_frame):
@@ -173,9 +190,10 @@ def stabbing_constraints(
 ) -> list[cp.Constraint]:
     """Stabbing: a_k <= sum of x over the poses that see one of the frames that stab all windows.
 
-    Implied for whole x, but far stronger than the rows above for fractional x: with windows of one
-    frame this is the MCLP's own row. The sum grows along the chain, so that it is written link by
-    link with a variable u_k of its own. Each phase stabs the first window at another frame.
+    Implied for whole x, but far stronger than the rows above for fractional x: with
+    windows of one frame this is the MCLP's own row. The sum grows along the chain, so
+    that it is written link by link with a variable u_k of its own. Each phase stabs the
+    first window at another frame.
     """
     import cvxpy as cp
 
@@ -206,7 +224,10 @@ def requirement_constraints(
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
         unit = max(float(row.sum()), TOLERANCE)
-        return [(row / unit) @ a >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE]
+        return [
+            (row / unit) @ a
+            >= requirement.least / unit - constants.HELD_SLACK * TOLERANCE
+        ]
     link = last_links(reduced, min_margin_s=requirement.min_margin_s)
     can = (link >= 0) & (weight > 0.0)
     if requirement.needs_all and weight[can].sum() >= requirement.least - TOLERANCE:
@@ -215,10 +236,14 @@ def requirement_constraints(
     if requirement.measure.is_mean and can.any():
         unit = float(weight.mean())
         return [
-            (weight[can] / unit) @ a[link[can]] >= requirement.least / unit - constants.HELD_SLACK
+            (weight[can] / unit) @ a[link[can]]
+            >= requirement.least / unit - constants.HELD_SLACK
         ]
     expression, constraints = _tail_share(a, requirement.measure, link)
-    return [*constraints, expression >= requirement.least - constants.HELD_SLACK * TOLERANCE]
+    return [
+        *constraints,
+        expression >= requirement.least - constants.HELD_SLACK * TOLERANCE,
+    ]
 
 
 def _tail_share(
@@ -246,11 +271,13 @@ def _tail_share(
     return share, [d >= eta - by_sample @ a]
 
 
-def cut_constraints(x: cp.Variable, cuts: Sequence[Cut], limits: Limits) -> list[cp.Constraint]:
+def cut_constraints(
+    x: cp.Variable, cuts: Sequence[Cut], limits: Limits
+) -> list[cp.Constraint]:
     """Cuts: sum of the x that count >= units needed.
 
-    Where sites fail, sites count: sum over them of v_s >= sites needed, with v_s <= 1 and
-    v_s <= sum of the x at the site that count.
+    Where sites fail, sites count: sum over them of v_s >= sites needed, with v_s <= 1
+    and v_s <= sum of the x at the site that count.
     """
     import scipy.sparse as sp
 
@@ -265,7 +292,9 @@ def cut_constraints(x: cp.Variable, cuts: Sequence[Cut], limits: Limits) -> list
         row * limits.n_sites + limits.site_index[pose], return_inverse=True
     )  # of each cut, the sites that count
     v = cp.Variable(len(place), bounds=[0.0, 1.0])
-    at_site = sp.csr_array((np.ones(len(row)), (index, pose)), shape=(len(place), x.size))
+    at_site = sp.csr_array(
+        (np.ones(len(row)), (index, pose)), shape=(len(place), x.size)
+    )
     by_cut = sp.csr_array(
         (np.ones(len(place)), (place // limits.n_sites, np.arange(len(place)))),
         shape=(len(cuts), len(place)),
@@ -275,16 +304,20 @@ def cut_constraints(x: cp.Variable, cuts: Sequence[Cut], limits: Limits) -> list
 
 def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> IntArray:
     """Last link of every run's chain that leaves at least a margin, (n_runs,); -1 if none does."""
-    in_time = (reduced.margin_s > -np.inf) & (reduced.margin_s >= min_margin_s - TOLERANCE)
+    in_time = (reduced.margin_s > -np.inf) & (
+        reduced.margin_s >= min_margin_s - TOLERANCE
+    )
     n_links = in_time.sum(axis=1)
-    return np.where(n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1)
+    return np.where(
+        n_links > 0, reduced.chains.start[reduced.run_chain] + n_links - 1, -1
+    )
 
 
 def link_weights(reduced: ReducedProblem, rows: Rows) -> FloatArray:
     """Sum of the weights of rows that are covered, as weights of a, (n_links,).
 
-    A row is covered if a is 1 at its last link: with the rows of runs that is the APR, with those
-    of margins the sum of weights times margins.
+    A row is covered if a is 1 at its last link: with the rows of runs that is the APR,
+    with those of margins the sum of weights times margins.
     """
     weights = np.zeros(len(reduced.chains.window))
     np.add.at(weights, reduced.chains.start[rows.chain] + rows.last - 1, rows.weight)
@@ -301,10 +334,10 @@ def solve_window_model(
 ) -> MilpResult:
     """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
 
-    For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a given APR that
-    is the same. What must hold after failures is left to cuts. The bound is in the objective's own
-    unit. Where stating the model and compiling it, which takes longer, would take half of the time,
-    nothing is found.
+    For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a
+    given APR that is the same. What must hold after failures is left to cuts. The bound
+    is in the objective's own unit. Where stating the model and compiling it, which
+    takes longer, would take half of the time, nothing is found.
     """
     import cvxpy as cp
 
@@ -313,11 +346,14 @@ def solve_window_model(
     x = cp.Variable(reduced.n_poses, boolean=True)
     o = cp.Variable(limits.n_sites, bounds=[0.0, 1.0])
     constraints = limit_constraints(x, o, limits)
-    goal, unit = cp.Constant(0.0), 1.0
+    goal = cp.Constant(0.0)
+    unit = 1.0
     if objective is Objective.UNITS:
         goal = -x.sum()
     elif objective is Objective.COST:
-        unit = max(float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE)
+        unit = max(
+            float(limits.unit_cost_eur.mean() + limits.site_cost_eur.mean()), TOLERANCE
+        )
         goal = -((limits.unit_cost_eur / unit) @ x + (limits.site_cost_eur / unit) @ o)
         constraints.append(x <= o[limits.site_index])
     if len(reduced.chains.window):
@@ -335,14 +371,20 @@ def solve_window_model(
             goal, more = _tail_share(a, reduced.measure, last_links(reduced))
             constraints += more
         elif objective in (Objective.APR, Objective.MEAN_MARGIN):
-            rows = run_rows(reduced) if objective is Objective.APR else margin_rows(reduced)
+            if objective is Objective.APR:
+                rows = run_rows(reduced)
+            else:
+                rows = margin_rows(reduced)
             weights = link_weights(reduced, rows)
             unit = max(float(weights.sum()), TOLERANCE) / constants.SOLVER_SUM
             goal = (weights / unit) @ a
     if cuts:
         constraints += cut_constraints(x, cuts, limits)
     problem = cp.Problem(cp.Maximize(goal), constraints)
-    sign = -1.0 if objective is not None and objective.is_minimised else 1.0
+    if objective is not None and objective.is_minimised:
+        sign = -1.0
+    else:
+        sign = 1.0
     spent_s = now_s() - begun_s
     if (1.0 + constants.COMPILED_TO_STATED) * spent_s > constants.TIME_SHARES[
         "model stated"
@@ -362,24 +404,37 @@ def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
 
     detected = reduced.detected()
     n_links = len(reduced.chains.window)
-    links, poses = [], []
+    links = []
+    poses = []
     for chain in range(reduced.n_chains):
-        start, windows = reduced.chains.start[chain], reduced.window_frames[reduced.chain(chain)]
+        start = reduced.chains.start[chain]
+        windows = reduced.window_frames[reduced.chain(chain)]
         last_use = {frame: link for link, row in enumerate(windows) for frame in row}
         stabbing: set[int] = set()
         is_in = np.zeros(reduced.n_poses, dtype=bool)
         for link, row in enumerate(windows):
             if stabbing.isdisjoint(row):
                 latest = sorted(row, key=lambda frame: -last_use[frame])
-                frame = latest[phase] if link == 0 else latest[0]
+                if link == 0:
+                    frame = latest[phase]
+                else:
+                    frame = latest[0]
                 stabbing.add(frame)
                 entering = np.flatnonzero(detected[:, frame] & ~is_in)
                 is_in[entering] = True
                 poses.append(entering)
                 links.append(np.full(len(entering), start + link))
-    columns = np.concatenate(poses) if poses else np.empty(0, dtype=np.int64)
-    rows = np.concatenate(links) if links else np.empty(0, dtype=np.int64)
-    return sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n_links, reduced.n_poses))
+    if poses:
+        columns = np.concatenate(poses)
+    else:
+        columns = np.empty(0, dtype=np.int64)
+    if links:
+        rows = np.concatenate(links)
+    else:
+        rows = np.empty(0, dtype=np.int64)
+    return sp.csr_array(
+        (np.ones(len(rows)), (rows, columns)), shape=(n_links, reduced.n_poses)
+    )
 
 
 # ---------- cuts: failures, which no row of the model speaks of
@@ -389,14 +444,16 @@ Fails = Callable[[WordArray], BoolArray]
 def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     """Cuts that hold from the start: enough must see stabbing frames and tails of every run.
 
-    Only where no run may be lost with any unit. Tails count that all windows of a run need.
+    Only where no run may be lost with any unit. Tails count that all windows of a run
+    need.
     """
     if not (requirement.needs_all and requirement.n_failures):
         return []
     links = last_links(reduced, min_margin_s=requirement.min_margin_s)
     last = np.unique(links[(links >= 0) & (requirement.measure.weight > 0.0)])
     chains = np.searchsorted(reduced.chains.start, last, "right") - 1
-    counted, detected = [], reduced.detected()
+    counted = []
+    detected = reduced.detected()
     for chain, link in zip(chains, last - reduced.chains.start[chains], strict=True):
         frames, n_links = reduced.tails(int(chain))
         counted += list(detected[:, frames[n_links > link]].T)
@@ -407,17 +464,29 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
     # What all poses see, the VUT may see when all of them have failed.
     has_base = bool(reduced.base.any())
     n_units = requirement.n_failures + 1
-    return [Cut(is_counted=c, n_units=n_units) for c in counted if not (has_base and c.all())]
+    return [
+        Cut(is_counted=c, n_units=n_units)
+        for c in counted
+        if not (has_base and c.all())
+    ]
 
 
-def violated_cuts(reduced: ReducedProblem, units: IntArray, requirement: Requirement) -> list[Cut]:
+def violated_cuts(
+    reduced: ReducedProblem, units: IntArray, requirement: Requirement
+) -> list[Cut]:
     """Cuts that a set of poses violates; none if and only if it meets a requirement."""
     cuts = []
-    fails, n_units = _fails(reduced, requirement), requirement.n_failures + 1
+    fails = _fails(reduced, requirement)
+    n_units = requirement.n_failures + 1
     is_unit = reduced.limits.failing == "unit"
-    at = np.arange(len(units)) if is_unit else reduced.limits.site_index[units]
+    if is_unit:
+        at = np.arange(len(units))
+    else:
+        at = reduced.limits.site_index[units]
     groups = np.unique(at)
-    for left in combinations(groups.tolist(), max(len(groups) - requirement.n_failures, 0)):
+    for left in combinations(
+        groups.tolist(), max(len(groups) - requirement.n_failures, 0)
+    ):
         union = unions_of(reduced, units[np.isin(at, left)][None, :])[0]
         if not fails(union[None, :])[0]:
             continue
@@ -429,7 +498,9 @@ def violated_cuts(reduced: ReducedProblem, units: IntArray, requirement: Require
     return cuts
 
 
-def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requirement) -> list[int]:
+def _lost_runs(
+    reduced: ReducedProblem, union: WordArray, requirement: Requirement
+) -> list[int]:
     """Of every chain, the lost run with the fewest windows: the hardest to avoid."""
     margin = union_margins_s(reduced, union[None, :])[0]
     is_lost = ~requirement.counts_run(margin) & (requirement.measure.weight > 0.0)
@@ -439,7 +510,9 @@ def _lost_runs(reduced: ReducedProblem, union: WordArray, requirement: Requireme
     return list(runs[first].tolist())
 
 
-def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = None) -> Fails:
+def _fails(
+    reduced: ReducedProblem, requirement: Requirement, run: int | None = None
+) -> Fails:
     """Tells which unions do not meet a requirement, or avoid a run as it asks."""
 
     def fails(unions: WordArray) -> BoolArray:
@@ -451,7 +524,9 @@ def _fails(reduced: ReducedProblem, requirement: Requirement, run: int | None = 
     return fails
 
 
-def _cut(reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: int) -> Cut:
+def _cut(
+    reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: int
+) -> Cut:
     """Cut from a set that fails, enlarged until every further pose would end that."""
     words = reduced.words
     waiting = np.flatnonzero((words & ~union).any(axis=1))

@@ -1,18 +1,19 @@
 """Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
 
-Where detections are drawn, hardly any run is out of reach of a pose; what a window is asked for
-says more when another unit is known, since what that one sees is not asked for any more. So poses
-of a site that avoid much the same runs are a *class*, as good as all of them together. Classes are
-gone through, each with those behind it:
+Where detections are drawn, hardly any run is out of reach of a pose; what a window is
+asked for says more when another unit is known, since what that one sees is not asked
+for any more. So poses of a site that avoid much the same runs are a *class*, as good as
+all of them together. Classes are gone through, each with those behind it:
 
-* Of the pieces, frames and tails, that are missing in a window, one unit of the pair sees the one
-  that fewest see; and one sees all that are missing in some window, or both see some. Both are bits
-  along the runs: most pairs of classes lose too much by them, then most pairs of poses, at the
-  hardest runs.
+* Of the pieces, frames and tails, that are missing in a window, one unit of the pair
+  sees the one
+  that fewest see; and one sees all that are missing in some window, or both see some.
+  Both are bits along the runs: most pairs of classes lose too much by them, then most
+  pairs of poses, at the hardest runs.
 * Sets of what remains are valued on the windows.
 
-A walk that ends has met every set that reaches the need. The mean over the worst worlds is no
-higher than that over all, which bounds it.
+A walk that ends has met every set that reaches the need. The mean over the worst worlds
+is no higher than that over all, which bounds it.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,7 +40,11 @@ def goes_by_pairs(reduced: ReducedProblem) -> bool:
     """True if worlds are sampled, and sets so small that pairs are gone through."""
     limits = reduced.limits
     is_small = 2 <= limits.max_units <= constants.MAX_PAIR_UNITS
-    return len(reduced.measure.sample_weight) > 1 and is_small and not limits.is_forced.any()
+    return (
+        len(reduced.measure.sample_weight) > 1
+        and is_small
+        and not limits.is_forced.any()
+    )
 
 
 def walk_by_pairs(
@@ -58,7 +63,8 @@ def walk_by_pairs(
         walk = PairWalk(reduced, need=0.0)
         value = float(union_apr(reduced, unions_of(reduced, units[None, :]))[0])
         search = TieSearch(
-            *(reduced, units),
+            reduced,
+            units,
             walk_from=lambda need, _: walk.again(need),
             near=constants.NEAR_IN_WORLDS * value,
             on_better=on_better,
@@ -70,7 +76,10 @@ def walk_by_pairs(
     for block in walk.blocks(deadline):
         if len(block):
             walk.raise_needs(float(union_apr(of_all, unions_of(of_all, block)).max()))
-    limit = walk.need if walk.is_finished else reduced.measure.limit
+    if walk.is_finished:
+        limit = walk.need
+    else:
+        limit = reduced.measure.limit
     return Tied(sets=None, value=value, limit=max(limit, value), is_finished=False)
 
 
@@ -90,12 +99,15 @@ class PairWalk:
     def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
         from .walk_kernels import Losses
 
-        self.reduced, self.need = reduced, need
+        self.reduced = reduced
+        self.need = need
         self.n_units = reduced.limits.max_units
         self.total = float(reduced.weight.sum())
         self.is_finished = False  # whether all sets were gone through
         limits = reduced.limits
-        self.usable = ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        self.usable = (
+            ~limits.is_forbidden & (limits.site_capacity > 0)[limits.site_index]
+        )
         self.rows, avoided = _hardest_first(reduced)
         self.seen = np.bitwise_count(reduced.columns).sum(axis=1).astype(np.float64)
         chains = self.rows.chain
@@ -106,7 +118,9 @@ class PairWalk:
             may_lose=np.zeros(2),
             base=np.zeros_like(reduced.base),
         )
-        self.class_of = _classes(limits.site_index, self.usable, avoided, self.rows.weight)
+        self.class_of = _classes(
+            limits.site_index, self.usable, avoided, self.rows.weight
+        )
         self.member, start, words = group_by_class(reduced, self.class_of)
         self.start, self.size = start[:-1], np.diff(start)
         columns = transposed(words, reduced.n_frames, workers=reduced.workers)
@@ -117,7 +131,8 @@ class PairWalk:
     def again(self, need: float) -> "PairWalk":
         """A walk from the beginning for another need."""
         walk = copy(self)
-        walk.need, walk.is_finished = need, False
+        walk.need = need
+        walk.is_finished = False
         return walk
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
@@ -132,7 +147,8 @@ class PairWalk:
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that reach the need, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. The order is left to chance.
+        An empty block says that nothing was found for a while. The order is left to
+        chance.
         """
         is_pair = self.n_units == 2
         look = self._beside_pose if is_pair else self._beside_class
@@ -140,9 +156,13 @@ class PairWalk:
 
         def next_task() -> Callable[[], IntArray] | None:
             one = next(left, None)
-            return None if one is None else partial(look, one)
+            if one is None:
+                return None
+            return partial(look, one)
 
-        yield from in_threads(next_task, workers=self.reduced.workers, deadline=deadline)
+        yield from in_threads(
+            next_task, workers=self.reduced.workers, deadline=deadline
+        )
         self.is_finished = not deadline.is_over
 
     def _beside_pose(self, pose: int) -> IntArray:
@@ -169,15 +189,22 @@ class PairWalk:
         fits &= (sites[:, 0] != sites[:, 1]) | (capacity[sites[:, 0]] >= 2)
         fits &= (pairs[:, 0] != pairs[:, 1]) | (self.size[pairs[:, 0]] >= 2)
         pairs = pairs[fits]
-        for n_rows in (constants.HARD_ROWS, len(rows.chain)):  # hard runs say most, and are few
-            pairs = self._losing_little(self.classes, union, rows.of(slice(n_rows)), pairs)
+        for n_rows in (
+            constants.HARD_ROWS,
+            len(rows.chain),
+        ):  # hard runs say most, and are few
+            pairs = self._losing_little(
+                self.classes, union, rows.of(slice(n_rows)), pairs
+            )
         hard = rows.of(slice(constants.HARD_ROWS))
         pairs = self._losing_little(self.poses, union, hard, self._members_of(pairs))
         members = self.member[self.start[one] : self.start[one] + self.size[one]]
         found = [np.empty((0, 3), dtype=np.int64)]
         for member in members:
             left = pairs
-            if len(left) > constants.FEW_PAIRS:  # the class is too wide: its poses see much less
+            if (
+                len(left) > constants.FEW_PAIRS
+            ):  # the class is too wide: its poses see much less
                 left = self._beside_member(int(member), left)
             sets = np.column_stack([np.full(len(left), member), left])
             # Two or three of the class itself: once, in ascending order.
@@ -230,7 +257,8 @@ class PairWalk:
         """Sets that reach the need."""
         from .walk_kernels import keep_sets
 
-        kept, order = np.zeros(len(sets), dtype=bool), self.losses.order.copy()
+        kept = np.zeros(len(sets), dtype=bool)
+        order = self.losses.order.copy()
         losses = self.losses._replace(order=order, may_lose=np.full(2, self.may_lose))
         keep_sets(self.reduced.words, sets, losses, kept)
         return sets[kept]
@@ -245,7 +273,9 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
     alone = _coverers(reduced, units, union, rows)[0]
     share = unpack_words(alone, reduced.n_poses).mean(axis=1)
     # Two more poses are likely to lose what many poses lose.
-    order = np.argsort(-rows.weight * (1.0 - share) ** constants.TOGETHER, kind="stable")
+    order = np.argsort(
+        -rows.weight * (1.0 - share) ** constants.TOGETHER, kind="stable"
+    )
     return rows.of(order), alone[order]
 
 
@@ -257,8 +287,11 @@ def _coverers(
 
     is_seen = unpack_words(union, reduced.n_frames)
     shape = len(rows.chain), units.columns.shape[1]
-    alone, part = np.empty(shape, dtype=np.uint64), np.empty(shape, dtype=np.uint64)
-    avoid_beside(units.columns, is_seen, reduced.chains, rows.chain, rows.last, alone, part)
+    alone = np.empty(shape, dtype=np.uint64)
+    part = np.empty(shape, dtype=np.uint64)
+    avoid_beside(
+        units.columns, is_seen, reduced.chains, rows.chain, rows.last, alone, part
+    )
     return alone, part
 
 
@@ -271,7 +304,8 @@ def _classes(
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 
-    class_of, n_classes = np.full(len(site_index), -1), 0
+    class_of = np.full(len(site_index), -1)
+    n_classes = 0
     bits = unpack_words(avoided, len(site_index)).T
     for site in np.unique(site_index[usable]):
         here = np.flatnonzero(usable & (site_index == site))
@@ -283,11 +317,14 @@ def _classes(
                 apart = size[:, None] + size - 2.0 * of_poses @ of_poses.T
                 apart = np.sqrt(np.maximum(apart, 0.0))[np.triu_indices(len(alike), 1)]
                 tree = linkage(apart, "ward")
-                of_tree = fcluster(tree, -(-len(alike) // constants.CLASS_POSES), "maxclust")
+                of_tree = fcluster(
+                    tree, -(-len(alike) // constants.CLASS_POSES), "maxclust"
+                )
                 number = np.unique(of_tree, return_inverse=True)[1]
             class_of[alike] = n_classes + number
             n_classes += int(number.max()) + 1
-    value, most = bits @ weight, np.zeros(n_classes)
+    value = bits @ weight
+    most = np.zeros(n_classes)
     np.maximum.at(most, class_of[usable], value[usable])
     place = np.empty(n_classes, dtype=np.int64)
     place[np.argsort(-most, kind="stable")] = np.arange(n_classes)

@@ -1,13 +1,15 @@
 """Presolve: leave out frames, windows, runs and poses that do not matter; and the way back.
 
-Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen pose
-detects in it, and a window needs all its frames. With "single", the frames of the reduced problem
-are the statements "this pose alone has confirmed by then", and each window needs one of them.
+Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen
+pose detects in it, and a window needs all its frames. With "single", the frames of the
+reduced problem are the statements "this pose alone has confirmed by then", and each
+window needs one of them.
 
-Where tracks live for a limited time, "a chosen pose detects in one of the frames in which the next
-detection must come" is a statement about one pose at a time, too, so that it is one more frame of
-the reduced problem: a *tail*. A window whose tails are all seen is *live*. As a later window has
-fewer tails, one that is not seen ends all windows of the run up to some number.
+Where tracks live for a limited time, "a chosen pose detects in one of the frames in
+which the next detection must come" is a statement about one pose at a time, too, so
+that it is one more frame of the reduced problem: a *tail*. A window whose tails are all
+seen is *live*. As a later window has fewer tails, one that is not seen ends all windows
+of the run up to some number.
 """
 
 from collections.abc import Set
@@ -50,24 +52,27 @@ class PresolveStatistics:
     n_frames: Annotated[
         tuple[int, int],
         says(
-            "Frames; after, distinct columns: those of frames, and those that hold a track "
-            "until it is needed, so that there may be more."
+            "Frames; after, distinct columns: those of frames, and those that hold a"
+            " track until it is needed, so that there may be more."
         ),
     ]
     n_windows: Annotated[
         tuple[int, int],
         says(
-            "Windows of frames that confirm: once per run before, once if they need the "
-            "same frames after."
+            "Windows of frames that confirm: once per run before, once if they need the"
+            " same frames after."
         ),
     ]
     n_runs: Annotated[
-        tuple[int, int], says("Runs: left out if nothing avoids them or they have no weight.")
+        tuple[int, int],
+        says("Runs: left out if nothing avoids them or they have no weight."),
     ]
 
     def __str__(self) -> str:
         sizes = ((field.name[2:], getattr(self, field.name)) for field in fields(self))
-        return ", ".join(f"{before} -> {after} {noun}" for noun, (before, after) in sizes)
+        return ", ".join(
+            f"{before} -> {after} {noun}" for noun, (before, after) in sizes
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,17 +84,20 @@ class ReducedProblem:
     run_index: IntArray  # (n_runs,): runs of the full problem that some pose avoids
     measure: Measure  # of these runs, as in the full problem
     floors: tuple[Requirement, ...]  # what must be reached in any case
-    objectives: tuple[Objective, ...]  # in the order in which sets of poses are compared
+    objectives: tuple[
+        Objective, ...
+    ]  # in the order in which sets of poses are compared
     survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
     n_frames: int  # merged frames
-    words: WordArray  # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    words: WordArray
     columns: WordArray  # (n_frames, ceil(n_poses / 64)): the same bits along the poses
     base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
     chains: Chains  # of windows, and of what keeps them alive
     workers: int  # threads for all that is computed with them
     run_chain: IntArray  # (n_runs,): chain of every run
-    # (n_runs, longest chain + 1): margin if the first live window is the k-th of the chain; minus
-    # infinity from the first one that is too late for this run [s].
+    # (n_runs, longest chain + 1): margin if the first live window is the k-th of the
+    # chain; minus infinity from the first one that is too late for this run [s].
     margin_s: FloatArray
     statistics: PresolveStatistics  # sizes before and after
 
@@ -110,7 +118,9 @@ class ReducedProblem:
 
     def with_workers(self, workers: int) -> "ReducedProblem":
         """Problem on so many threads."""
-        return self if workers == self.workers else replace(self, workers=workers)
+        if workers == self.workers:
+            return self
+        return replace(self, workers=workers)
 
     def with_goal(self, goal: Goal) -> "ReducedProblem":
         """Problem for another goal."""
@@ -119,9 +129,10 @@ class ReducedProblem:
     def for_problem(self, problem: PlacementProblem) -> "ReducedProblem":
         """The same poses and runs for another problem on the table.
 
-        It may differ from the one that was presolved in floors, goal and failures to be survived:
-        where a pose takes the place of another one, nothing that may be asked gets worse. And it
-        may allow fewer units or less money: what is dominated stays so.
+        It may differ from the one that was presolved in floors, goal and failures to be
+        survived: where a pose takes the place of another one, nothing that may be asked
+        gets worse. And it may allow fewer units or less money: what is dominated stays
+        so.
         """
         floors = [
             Requirement(
@@ -172,14 +183,18 @@ def pack_words(bits: BoolArray) -> WordArray:
     """Bits along the last axis as 64-bit words, lowest bit first."""
     n_words = -(-bits.shape[-1] // 64)
     packed = np.zeros((*bits.shape[:-1], n_words * 8), dtype=np.uint8)
-    packed[..., : -(-bits.shape[-1] // 8)] = np.packbits(bits, axis=-1, bitorder="little")
+    packed[..., : -(-bits.shape[-1] // 8)] = np.packbits(
+        bits, axis=-1, bitorder="little"
+    )
     return packed.view("<u8")
 
 
 def unpack_words(words: WordArray, n_bits: int) -> BoolArray:
     """Bits of 64-bit words, lowest bit first: (..., n_words) -> (..., n_bits)."""
     packed = np.ascontiguousarray(words).view(np.uint8)
-    return np.unpackbits(packed, axis=-1, count=n_bits, bitorder="little").view(np.bool_)
+    return np.unpackbits(packed, axis=-1, count=n_bits, bitorder="little").view(
+        np.bool_
+    )
 
 
 class Rule(StrEnum):
@@ -306,13 +321,14 @@ def find_dominated_poses(reduced: ReducedProblem, is_left: BoolArray) -> BoolArr
 def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
     """A problem reduced for whatever limits, floors, goals and mounted poses come up.
 
-    All poses stay: where only the worst worlds count, or where a unit must be added, one
-    that detects nothing may be the best.
+    All poses stay: where only the worst worlds count, or where a unit must be added,
+    one that detects nothing may be the best.
     """
     limits = problem.limits
     free = Limits(
         site_index=limits.site_index,
-        # Where every site carries any number of units, no pose stands in another one's way.
+        # Where every site carries any number of units, no pose stands in another one's
+        # way.
         site_capacity=np.full(limits.n_sites, limits.n_poses),
         unit_cost_eur=limits.unit_cost_eur,
         site_cost_eur=limits.site_cost_eur,
@@ -330,34 +346,40 @@ def is_dominated(
 
     All poses are usable, and each run more that is avoided is worth more than a tie.
 
-    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units` units. They may
-    be dropped all together, (n_poses,).
+    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units`
+    units. They may be dropped all together, (n_poses,).
 
-    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by nothing that c
-    is not: at the same site its price decides; elsewhere its site may have to be paid, too, and
-    neither site may have rivals, be asked for, or fail with more than one unit. Among equal poses
-    the earlier one dominates. Every stage is monotone in what each unit sees: where d can take the
-    place of c, no value gets worse.
-    So c may go if in every feasible set S with c one of its dominators is outside S and finds room.
-    Who wants to prevent that has the other K - 1 units of S to
+    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by
+    nothing that c is not: at the same site its price decides; elsewhere its site may
+    have to be paid, too, and neither site may have rivals, be asked for, or fail with
+    more than one unit. Among equal poses the earlier one dominates. Every stage is
+    monotone in what each unit sees: where d can take the place of c, no value gets
+    worse. So c may go if in every feasible set S with c one of its dominators is
+    outside S and finds room. Who wants to prevent that has the other K - 1 units of S
+    to
 
-    * fill a site, or choose all the dominators that stand there: min(capacity, dominators)
+    * fill a site, or choose all the dominators that stand there: min(capacity,
+      dominators)
       units at least;
-    * at the site of c, which has room once c is gone: choose all dominators there, next to c;
+    * at the site of c, which has room once c is gone: choose all dominators there, next
+      to c;
       this fails if there are as many of them as the site's capacity.
 
-    If that takes more than K - 1 units, c may go. Dominators that are dropped themselves count: the
-    replacement is replaced in turn, each time by a pose earlier in one fixed order (more seen,
-    cheaper, index), which ends.
+    If that takes more than K - 1 units, c may go. Dominators that are dropped
+    themselves count: the replacement is replaced in turn, each time by a pose earlier
+    in one fixed order (more seen, cheaper, index), which ends.
     """
     from .bit_kernels import find_dominated
 
     count = np.bitwise_count(words).sum(axis=1, dtype=np.int64)
     order = np.lexsort((limits.unit_cost_eur, -count))
-    sites, price = limits.site_index[order], limits.unit_cost_eur[order]
+    sites = limits.site_index[order]
+    price = limits.unit_cost_eur[order]
     is_bound_site = limits.is_forced_site.copy()
     is_bound_site[limits.rivals.ravel()] = True
-    if limits.failing == "site":  # a pose would fail together with what else stands there
+    if (
+        limits.failing == "site"
+    ):  # a pose would fail together with what else stands there
         is_bound_site |= limits.site_capacity > 1
     elsewhere = price + limits.site_cost_eur[sites]
     elsewhere[is_bound_site[sites]] = np.inf
@@ -365,7 +387,9 @@ def is_dominated(
     dominated, result = np.zeros((2, len(words)), dtype=bool)
 
     def look(begin: int) -> None:
-        find_dominated(*poses, limits.site_capacity, max_units, begin, workers, dominated)
+        find_dominated(
+            *poses, limits.site_capacity, max_units, begin, workers, dominated
+        )
 
     with ThreadPoolExecutor(workers) as threads:
         list(threads.map(look, range(workers)))
@@ -376,31 +400,45 @@ def is_dominated(
 class _Windows:
     """Windows of a problem that end in time, and their tails, as columns over the poses."""
 
-    def __init__(self, problem: PlacementProblem, workers: int, rules: Set[Rule]) -> None:
+    def __init__(
+        self, problem: PlacementProblem, workers: int, rules: Set[Rule]
+    ) -> None:
         from .bit_kernels import join_ranges
 
-        self.problem, self.workers, self.rules = problem, workers, rules
+        self.problem = problem
+        self.workers = workers
+        self.rules = rules
         self.measure = problem.measure()
-        axis, rule = problem.table.axis, problem.rule
+        axis = problem.table.axis
+        rule = problem.rule
         self.end, self.run, self.margin_s = timely_windows_end(axis, rule)
         frames = self.end[:, None] + np.arange(1 - rule.n_confirmations, 1)
         used, self.frames = np.unique(frames, return_inverse=True)
         self.tail_end, last = tails_behind(axis, rule, self.end, self.run)
         self.tail_run = run_of_frames(axis)[self.tail_end]
         packed = problem.table.packed
-        # (n_used + n_tails, n_words): who sees each frame, and each tail; the VUT behind all poses
-        seen_by_vut, n_bits = problem.seen_by_vut, len(packed)
+        # (n_used + n_tails, n_words): who sees each frame, and each tail; the VUT
+        # behind all poses
+        seen_by_vut = problem.seen_by_vut
+        n_bits = len(packed)
         if seen_by_vut is not None:
             vut = np.packbits(seen_by_vut, bitorder="little")
-            packed, n_bits = np.vstack([packed, vut]), n_bits + 1
-        self.columns = np.empty((len(used) + len(last), -(-n_bits // 64)), dtype=np.uint64)
-        self.n_used, self.n_bits = len(used), n_bits
+            packed = np.vstack([packed, vut])
+            n_bits = n_bits + 1
+        self.columns = np.empty(
+            (len(used) + len(last), -(-n_bits // 64)), dtype=np.uint64
+        )
+        self.n_used = len(used)
+        self.n_bits = n_bits
         _transpose(packed, np.arange(n_bits), used, self.columns, workers)
         # Those between frames that are used are used.
-        begin, end = (np.searchsorted(used, at, side="right") for at in (self.tail_end, last))
+        begin, end = (
+            np.searchsorted(used, at, side="right") for at in (self.tail_end, last)
+        )
 
         def join(one: int, other: int) -> None:
-            part, tails = slice(one, other), self.columns[self.n_used :]
+            part = slice(one, other)
+            tails = self.columns[self.n_used :]
             join_ranges(self.columns, begin[part], end[part], tails[part])
 
         share_out(join, len(last), workers=workers)
@@ -408,7 +446,9 @@ class _Windows:
             self._let_each_confirm_alone()
         self.is_base = np.zeros(len(self.columns), dtype=bool)
         if seen_by_vut is not None:  # what the VUT sees, it sees next to every pose
-            self.is_base = _have_bits(self.columns, self._mask(np.empty(0, dtype=np.int64)))
+            self.is_base = _have_bits(
+                self.columns, self._mask(np.empty(0, dtype=np.int64))
+            )
             self.columns[self.is_base] = pack_words(np.ones(n_bits, dtype=bool))
 
     def _mask(self, poses: IntArray) -> WordArray:
@@ -427,13 +467,18 @@ class _Windows:
             windows = self.columns[slice(*np.searchsorted(self.run, [run, run + 1]))]
             tails = tail_columns[slice(*np.searchsorted(self.tail_run, [run, run + 1]))]
             # The first windows of a run have tails, one behind the last frame of each.
-            windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[::-1]
+            windows[: len(tails)] &= np.bitwise_and.accumulate(tails[::-1], axis=0)[
+                ::-1
+            ]
             np.bitwise_or.accumulate(windows, axis=0, out=windows)
         self.tail_end, self.tail_run = self.tail_end[:0], self.tail_run[:0]
 
     def sees_any(self) -> BoolArray:
         """Which poses see anything that matters, (n_poses,)."""
-        columns = self.columns[~self.is_base] if self.is_base.any() else self.columns
+        if self.is_base.any():
+            columns = self.columns[~self.is_base]
+        else:
+            columns = self.columns
         words = np.bitwise_or.reduce(columns, axis=0)
         return unpack_words(words, self.problem.table.n_poses)
 
@@ -447,7 +492,8 @@ class _Windows:
             first, frame = distinct_rows(self.columns, mask)
         else:
             first = frame = np.arange(len(self.columns))
-        frames, tail_frame = frame[: self.n_used][self.frames], frame[self.n_used :]
+        frames = frame[: self.n_used][self.frames]
+        tail_frame = frame[self.n_used :]
         is_seen = _have_bits(self.columns, mask)[first]
 
         last_lost = np.full(axis.n_runs, -1)
@@ -460,21 +506,29 @@ class _Windows:
         if Rule.NEEDLESS_TAILS in self.rules:
             needed &= ~self._is_needless(mask)
         needed &= np.isin(self.tail_run, self.run[alive])
-        windows, tails = np.flatnonzero(alive), np.flatnonzero(needed)
-        end, tail_frame = self.end[windows], tail_frame[tails]
+        windows = np.flatnonzero(alive)
+        tails = np.flatnonzero(needed)
+        end = self.end[windows]
+        tail_frame = tail_frame[tails]
         run_index, of_run = np.unique(self.run[windows], return_inverse=True)
         of_tail = np.searchsorted(run_index, self.tail_run[tails])
         begin = np.searchsorted(of_run, np.arange(len(run_index) + 1))
         sets = _as_sets(frames[windows])
         # Frames grow from run to run: so do the ends of windows.
-        n_links = np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
+        n_links = (
+            np.searchsorted(end, self.tail_end[tails], side="right") - begin[of_tail]
+        )
         is_kept = np.ones(len(sets), dtype=bool)
         if Rule.DOMINATED_WINDOWS in self.rules:
             tail_begin = np.searchsorted(of_tail, np.arange(len(run_index) + 1))
             thin_out(sets, begin, tail_frame, tail_begin, n_links, is_kept)
-        windows, sets, of_run = windows[is_kept], sets[is_kept], of_run[is_kept]
+        windows = windows[is_kept]
+        sets = sets[is_kept]
+        of_run = of_run[is_kept]
         order = _once_in_each_run(of_tail, tail_frame, n_links)
-        tail_frame, n_links, of_tail = tail_frame[order], n_links[order], of_tail[order]
+        tail_frame = tail_frame[order]
+        n_links = n_links[order]
+        of_tail = of_tail[order]
 
         first_set, window = distinct_rows(sets.astype(np.uint64))
         is_needed = np.zeros(len(first), dtype=bool)
@@ -491,8 +545,12 @@ class _Windows:
             [(tail_frame[slice(*p)], n_links[slice(*p)]) for p in pairwise(tail_begin)],
         )
         margin_s = np.full((len(run_index), np.diff(begin).max(initial=0) + 1), -np.inf)
-        margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[windows]
-        n_whole = np.diff(axis.run_start) + 1 - problem.rule.n_confirmations  # in time or not
+        margin_s[of_run, np.arange(len(windows)) - begin[of_run]] = self.margin_s[
+            windows
+        ]
+        n_whole = (
+            np.diff(axis.run_start) + 1 - problem.rule.n_confirmations
+        )  # in time or not
         return ReducedProblem(
             pose_index=poses,
             limits=problem.limits.of_poses(poses),
@@ -519,15 +577,21 @@ class _Windows:
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
         """Tails that are seen whenever the next one of their run is, which ends more windows."""
-        tails, is_needless = self.columns[self.n_used :], np.zeros(len(self.tail_run), dtype=bool)
+        tails = self.columns[self.n_used :]
+        is_needless = np.zeros(len(self.tail_run), dtype=bool)
         is_needless[:-1] = ~_have_bits(tails[1:] & ~tails[:-1], mask)
         is_needless[:-1] &= self.tail_run[1:] == self.tail_run[:-1]
         return is_needless
 
 
-def distinct_rows(rows: WordArray, mask: WordArray | None = None) -> tuple[IntArray, IntArray]:
+def distinct_rows(
+    rows: WordArray, mask: WordArray | None = None
+) -> tuple[IntArray, IntArray]:
     """First of the rows that are equal within a mask, and the number among them of each row."""
-    every = np.full(rows.shape[1], ~np.uint64(0)) if mask is None else mask
+    if mask is None:
+        every = np.full(rows.shape[1], ~np.uint64(0))
+    else:
+        every = mask
     known: dict[bytes, int] = {}
     numbers = [known.setdefault((row & every).tobytes(), len(known)) for row in rows]
     number = np.array(numbers, dtype=np.int64)
@@ -540,7 +604,11 @@ def _have_bits(rows: WordArray, mask: WordArray) -> BoolArray:
 
 
 def _transpose(
-    rows: PackedArray, chosen: IntArray, bits: IntArray, columns: WordArray, workers: int
+    rows: PackedArray,
+    chosen: IntArray,
+    bits: IntArray,
+    columns: WordArray,
+    workers: int,
 ) -> None:
     """Some bits of chosen rows, bits along the rows: the first rows of `columns`, (n, n_words)."""
     from .bit_kernels import transpose_chosen
@@ -551,7 +619,9 @@ def _transpose(
     place[bits] = np.arange(len(bits))
 
     def transpose(begin: int, end: int) -> None:
-        transpose_chosen(rows, chosen[64 * begin : 64 * end], place, columns[:, begin:end])
+        transpose_chosen(
+            rows, chosen[64 * begin : 64 * end], place, columns[:, begin:end]
+        )
 
     share_out(transpose, columns.shape[1], workers=workers, few=workers)
 
@@ -571,7 +641,9 @@ def _as_sets(frames: IntArray) -> IntArray:
     return np.sort(np.where(repeated, frames[:, -1:], frames), axis=1)
 
 
-def _once_in_each_run(of_tail: IntArray, tail_frame: IntArray, n_links: IntArray) -> IntArray:
+def _once_in_each_run(
+    of_tail: IntArray, tail_frame: IntArray, n_links: IntArray
+) -> IntArray:
     """Order of tails run by run, those that more windows need first, each frame once in a run."""
     order = np.lexsort((tail_frame, -n_links, of_tail))
     order = order[n_links[order] > 0]
@@ -581,27 +653,36 @@ def _once_in_each_run(of_tail: IntArray, tail_frame: IntArray, n_links: IntArray
 
 
 def _share_chains(
-    window_frames: IntArray, sequences: list[IntArray], tails: list[tuple[IntArray, IntArray]]
+    window_frames: IntArray,
+    sequences: list[IntArray],
+    tails: list[tuple[IntArray, IntArray]],
 ) -> tuple[Chains, IntArray]:
     """Chains such that every sequence is the beginning of one with its tails; chain of each."""
     keys = [
         (frames.tolist(), n_links.tolist(), row.tolist())
         for row, (frames, n_links) in zip(sequences, tails, strict=True)
     ]
-    chains, sequence_chain = list[int](), np.zeros(len(sequences), dtype=np.int64)
+    chains = list[int]()
+    sequence_chain = np.zeros(len(sequences), dtype=np.int64)
     # In alphabetical order what begins like a sequence comes right behind it.
     for index in sorted(range(len(keys)), key=keys.__getitem__, reverse=True):
         frames, n_links, row = keys[index]
-        above = keys[chains[-1]] if chains else ([], [], [])
+        if chains:
+            above = keys[chains[-1]]
+        else:
+            above = ([], [], [])
         if not chains or (frames, n_links, row) != (*above[:2], above[2][: len(row)]):
             chains.append(index)
         sequence_chain[index] = len(chains) - 1
     none = np.empty(0, dtype=np.int64)
-    return Chains(
-        window_frames=window_frames,
-        window=np.concatenate([none, *(sequences[index] for index in chains)]),
-        start=np.cumsum([0, *(len(sequences[index]) for index in chains)]),
-        tail_frame=np.concatenate([none, *(tails[index][0] for index in chains)]),
-        tail_links=np.concatenate([none, *(tails[index][1] for index in chains)]),
-        tail_start=np.cumsum([0, *(len(tails[index][0]) for index in chains)]),
-    ), sequence_chain
+    return (
+        Chains(
+            window_frames=window_frames,
+            window=np.concatenate([none, *(sequences[index] for index in chains)]),
+            start=np.cumsum([0, *(len(sequences[index]) for index in chains)]),
+            tail_frame=np.concatenate([none, *(tails[index][0] for index in chains)]),
+            tail_links=np.concatenate([none, *(tails[index][1] for index in chains)]),
+            tail_start=np.cumsum([0, *(len(tails[index][0]) for index in chains)]),
+        ),
+        sequence_chain,
+    )

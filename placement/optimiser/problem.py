@@ -50,7 +50,9 @@ class Objective(StrEnum):
         """Unit of its values; empty for counts and shares."""
         if self is Objective.COST:
             return "EUR"
-        return "s" if self in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN) else ""
+        if self in (Objective.SMALLEST_MARGIN, Objective.MEAN_MARGIN):
+            return "s"
+        return ""
 
     @property
     def is_minimised(self) -> bool:
@@ -60,7 +62,9 @@ class Objective(StrEnum):
     @property
     def tolerance(self) -> float:
         """Values that differ by no more are equal."""
-        return COST_TOLERANCE_EUR if self is Objective.COST else TOLERANCE
+        if self is Objective.COST:
+            return COST_TOLERANCE_EUR
+        return TOLERANCE
 
     def excess(self, value: float, other: float) -> float:
         """By how much a value is better than another one; negative if it is worse.
@@ -68,15 +72,21 @@ class Objective(StrEnum):
         >>> Objective.APR.excess(0.75, 0.5), Objective.UNITS.excess(3.0, 2.0)
         (0.25, -1.0)
         """
-        return other - value if self.is_minimised else value - other
+        if self.is_minimised:
+            return other - value
+        return value - other
 
     def better(self, value: float, other: float) -> float:
         """The better one of two values."""
-        return min(value, other) if self.is_minimised else max(value, other)
+        if self.is_minimised:
+            return min(value, other)
+        return max(value, other)
 
     def worse(self, value: float, other: float) -> float:
         """The worse one of two values."""
-        return max(value, other) if self.is_minimised else min(value, other)
+        if self.is_minimised:
+            return max(value, other)
+        return min(value, other)
 
 
 _LABELS = {
@@ -110,22 +120,29 @@ def objectives_in_order(goal: Goal, *, survive: int) -> tuple[Objective, ...]:
     first: tuple[Objective, ...] = goals[goal]
     if survive:
         first = (*first, Objective.APR_SURVIVED)
-    return (*first, *(objective for objective in VALUE_OBJECTIVES if objective not in first))
+    return (
+        *first,
+        *(objective for objective in VALUE_OBJECTIVES if objective not in first),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measure:
     """Accident prevention ratio of what is avoided.
 
-    With a tail, this is the conditional value at risk of Rockafellar and Uryasev (2000): the mean
-    over the worst share, in which one world may count in part.
+    With a tail, this is the conditional value at risk of Rockafellar and Uryasev
+    (2000): the mean over the worst share, in which one world may count in part.
     """
 
-    weight: FloatArray  # (n_runs,): of the runs that can be avoided; what counts weighs 1 in all
-    sample_index: IntArray  # (n_runs,): sampled world of each run; all 0 where nothing was sampled
-    # (n_samples,): what all runs of each world weigh together, also those that nothing avoids.
+    # (n_runs,): of the runs that can be avoided; what counts weighs 1 in all
+    weight: FloatArray
+    # (n_runs,): sampled world of each run; all 0 where nothing was sampled
+    sample_index: IntArray
+    # (n_samples,): what all runs of each world weigh together, also those that nothing
+    # avoids.
     sample_weight: FloatArray
-    # Share of the worlds that counts, the worst ones: 1 for the mean, 1 / n_samples for the worst.
+    # Share of the worlds that counts, the worst ones: 1 for the mean, 1 / n_samples for
+    # the worst.
     tail: float = 1.0
 
     @property
@@ -153,7 +170,9 @@ class Measure:
         if self.is_mean:
             return np.asarray(by_sample.sum(axis=-1))
         ratio = by_sample / self.sample_weight
-        order = np.argsort(ratio, axis=-1, kind="stable")  # the worst first, up to the tail
+        order = np.argsort(
+            ratio, axis=-1, kind="stable"
+        )  # the worst first, up to the tail
         ends = np.minimum(np.cumsum(self.sample_weight[order], axis=-1), self.tail)
         worst_first = np.take_along_axis(ratio, order, axis=-1)
         counted = np.diff(ends, axis=-1, prepend=0.0) * worst_first
@@ -175,25 +194,31 @@ class Measure:
     def least_tied(self, value: float) -> float:
         """The least that a set is worth which ties with the one found, worth `value`.
 
-        The one found may be a tie worse than what it was held against, so that it is two
-        ties less; `value` itself where ties are equal: where the sums of weights are too
-        far apart, or a set that loses any run is worth less.
+        The one found may be a tie worse than what it was held against, so that it is
+        two ties less; `value` itself where ties are equal: where the sums of weights
+        are too far apart, or a set that loses any run is worth less.
         """
         least = value - TIES_OF_TIES * TOLERANCE
         if not self.is_mean or not len(self.weight):
             return least
         loses_one = float(self.weight.sum() - self.weight.min())
         is_exact = least > loses_one or are_sums_apart(self.weight)
-        return value if is_exact else least
+        if is_exact:
+            return value
+        return least
 
     @property
     def step(self) -> float:
         """Step of which all ratios are whole multiples; 0 where that is not known."""
-        return common_step(self.weight) if self.is_mean else 0.0
+        if self.is_mean:
+            return common_step(self.weight)
+        return 0.0
 
     def of_runs(self, runs: IntArray) -> "Measure":
         """Measure where all other runs are out of reach."""
-        return replace(self, weight=self.weight[runs], sample_index=self.sample_index[runs])
+        return replace(
+            self, weight=self.weight[runs], sample_index=self.sample_index[runs]
+        )
 
 
 def build_measure(
@@ -201,11 +226,15 @@ def build_measure(
 ) -> Measure:
     """Measure of runs with weights, (n_runs,), and the sampled world of each, 0, 1, ..
 
-    By default there is one world. Raises InputError unless 0 < tail <= 1, and worlds have weight.
+    By default there is one world. Raises InputError unless 0 < tail <= 1, and worlds
+    have weight.
     """
     if not 0.0 < tail <= 1.0:
         raise InputError("tail", tail, "a share of the samples, 0 < share <= 1")
-    samples = np.zeros(len(weight)) if sample_index is None else np.array(sample_index)
+    if sample_index is None:
+        samples = np.zeros(len(weight))
+    else:
+        samples = np.array(sample_index)
     samples = samples.astype(np.int64)
     if samples.shape != np.shape(weight) or (samples.size and samples.min() < 0):
         refuse("sample_index", "other samples", "one, from 0, for each run")
@@ -230,7 +259,9 @@ class PlacementValue(NamedTuple):
     apr: float  # Accident prevention ratio, 0..1
     apr_one_failed: float  # The same when the most painful one of the units fails
     smallest_margin_s: float  # Of the avoided runs; 0 if there is none. [s]
-    mean_margin_s: float  # Of the avoided runs, by their weights; 0 if there is none. [s]
+    mean_margin_s: (
+        float  # Of the avoided runs, by their weights; 0 if there is none. [s]
+    )
     cost_eur: float  # Units, and sites once; the less the better. [EUR]
 
     def of(self, objective: Objective) -> float:
@@ -244,7 +275,8 @@ class Floor:
 
     name: str  # Who asks for it, such as "target", for messages
     share: float  # The ratio, 0..1
-    # (n_runs,): runs that count, such as those of a case; None: all, by the problem's own measure
+    # (n_runs,): runs that count, such as those of a case; None: all, by the problem's
+    # own measure
     is_counted: BoolArray | None = None
     n_failures: int = 0  # It must still be reached when any so many units fail
 
@@ -252,7 +284,9 @@ class Floor:
         if not 0.0 <= self.share <= 1.0:
             raise InputError(self.name, self.share, "a share of the runs, 0 to 1")
         if self.n_failures < 0:
-            raise InputError("survive", self.n_failures, "units that may fail, at least 0")
+            raise InputError(
+                "survive", self.n_failures, "units that may fail, at least 0"
+            )
 
     def __repr__(self) -> str:
         return f"Floor({self.name!r}, {self.share:g}, {self.n_failures} failures)"
@@ -264,16 +298,18 @@ class PlacementProblem:
 
     table: DetectionTable  # V[c, f]
     limits: Limits  # What may be mounted together
-    fusion: Fusion  # "any": a frame counts if any unit detects; "single": one must confirm alone
+    # "any": a frame counts if any unit detects; "single": one must confirm alone
+    fusion: Fusion
     rule: AebRule  # Confirmation and latency
     floors: tuple[Floor, ...] = ()  # What must be reached in any case
-    # "fewest", "cheapest": the best of those that reach the floors with the fewest units, or money
+    # "fewest", "cheapest": the best of those that reach the floors with the fewest
+    # units, or money
     goal: Goal = "best"
     survive: int = 0  # If not 0, the APR when so many units fail is the first objective
     sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
     tail: float = 1.0  # See :class:`Measure`: how the APR sums up the sampled worlds
-    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set, also in that
-    # of no pose, and never fail. None: cars are blind.
+    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set,
+    # also in that of no pose, and never fail. None: cars are blind.
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -288,9 +324,13 @@ class PlacementProblem:
             raise InputError("survive", self.survive, "units that may fail, at least 0")
         axis = self.table.axis
         if self.seen_by_vut is not None:
-            object.__setattr__(self, "seen_by_vut", freeze(np.array(self.seen_by_vut, dtype=bool)))
+            object.__setattr__(
+                self, "seen_by_vut", freeze(np.array(self.seen_by_vut, dtype=bool))
+            )
         flags = [("seen_by_vut", self.seen_by_vut, axis.n_frames, "frame")]
-        flags += [(floor.name, floor.is_counted, axis.n_runs, "run") for floor in self.floors]
+        flags += [
+            (floor.name, floor.is_counted, axis.n_runs, "run") for floor in self.floors
+        ]
         for name, flag, size, noun in flags:
             if flag is not None and flag.shape != (size,):
                 refuse(name, f"shape {flag.shape}", f"a flag for each {noun}")
@@ -304,7 +344,9 @@ class PlacementProblem:
     def detected(self, pose_index: Sequence[int]) -> BoolArray:
         """V[c, f] of some poses, and in the last row of the VUT if it sees, (n, n_frames)."""
         detected = self.table.detected(list(pose_index))
-        return detected if self.seen_by_vut is None else np.vstack([detected, self.seen_by_vut])
+        if self.seen_by_vut is None:
+            return detected
+        return np.vstack([detected, self.seen_by_vut])
 
     def measure(self) -> Measure:
         """The accident prevention ratio, as a function of the runs that are avoided."""
@@ -334,18 +376,24 @@ def is_feasible(problem: PlacementProblem, pose_index: Sequence[int]) -> bool:
     )
 
 
-def floor_value(problem: PlacementProblem, floor: Floor, pose_index: Sequence[int]) -> float:
+def floor_value(
+    problem: PlacementProblem, floor: Floor, pose_index: Sequence[int]
+) -> float:
     """Share of a floor's runs that a set of poses avoids, 0..1."""
-    return _left_after_failures(problem, problem.floor_measure(floor), pose_index, floor.n_failures)
+    return _left_after_failures(
+        problem, problem.floor_measure(floor), pose_index, floor.n_failures
+    )
 
 
 def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> FloatArray:
     """Last brake time - (confirmation + latency) of every run, (n_runs,), in seconds.
 
-    For the track that is alive at the last moment; minus infinity if there is none. Limits do not
-    matter. No poses at all are what the VUT detects by itself, if it sees.
+    For the track that is alive at the last moment; minus infinity if there is none.
+    Limits do not matter. No poses at all are what the VUT detects by itself, if it
+    sees.
     """
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     detected = problem.detected(pose_index)
     if len(detected) == 0:
         return np.full(axis.n_runs, -np.inf)
@@ -354,7 +402,9 @@ def run_margins_s(problem: PlacementProblem, pose_index: Sequence[int]) -> Float
     confirmed = live_confirmation_times_s(detected, axis, rule=rule).min(axis=0)
     in_time = np.isfinite(confirmed)
     margin = np.full(axis.n_runs, -np.inf)
-    margin[in_time] = axis.last_brake_time_s[in_time] - (confirmed[in_time] + rule.latency_s)
+    margin[in_time] = axis.last_brake_time_s[in_time] - (
+        confirmed[in_time] + rule.latency_s
+    )
     return margin
 
 
@@ -368,28 +418,43 @@ def apr_one_failed(problem: PlacementProblem, pose_index: Sequence[int]) -> floa
     return apr_failed(problem, pose_index, 1)
 
 
-def apr_failed(problem: PlacementProblem, pose_index: Sequence[int], n_failures: int) -> float:
+def apr_failed(
+    problem: PlacementProblem, pose_index: Sequence[int], n_failures: int
+) -> float:
     """Smallest accident prevention ratio that is left when so many of the poses fail, 0..1."""
     return _left_after_failures(problem, problem.measure(), pose_index, n_failures)
 
 
 def _left_after_failures(
-    problem: PlacementProblem, measure: Measure, pose_index: Sequence[int], n_failures: int
+    problem: PlacementProblem,
+    measure: Measure,
+    pose_index: Sequence[int],
+    n_failures: int,
 ) -> float:
     site_of = problem.limits.site_index
     at_once: dict[int, list[int]] = {}
     for pose in pose_index:
-        key = pose if problem.limits.failing == "unit" else int(site_of[pose])
+        if problem.limits.failing == "unit":
+            key = pose
+        else:
+            key = int(site_of[pose])
         at_once.setdefault(key, []).append(pose)
     return min(
-        float(measure.of(run_margins_s(problem, list(chain.from_iterable(left))) > -np.inf))
+        float(
+            measure.of(
+                run_margins_s(problem, list(chain.from_iterable(left))) > -np.inf
+            )
+        )
         for left in combinations(at_once.values(), max(len(at_once) - n_failures, 0))
     )
 
 
-def placement_value(problem: PlacementProblem, pose_index: Sequence[int]) -> PlacementValue:
+def placement_value(
+    problem: PlacementProblem, pose_index: Sequence[int]
+) -> PlacementValue:
     """Value of a set of poses; runs without weight do not count."""
-    weight, margin = problem.table.axis.weight, run_margins_s(problem, pose_index)
+    weight = problem.table.axis.weight
+    margin = run_margins_s(problem, pose_index)
     counts = (margin > -np.inf) & (weight > 0.0)
     cost = cost_eur(problem.limits, pose_index)
     if not counts.any():
@@ -411,7 +476,9 @@ def objective_values(
     values = {objective: value.of(objective) for objective in VALUE_OBJECTIVES}
     values[Objective.UNITS] = float(len(pose_index))
     if problem.survive:
-        values[Objective.APR_SURVIVED] = apr_failed(problem, pose_index, problem.survive)
+        values[Objective.APR_SURVIVED] = apr_failed(
+            problem, pose_index, problem.survive
+        )
     return {objective: values[objective] for objective in problem.objectives}
 
 
@@ -421,10 +488,14 @@ def is_better(value: PlacementValue, other: PlacementValue) -> bool:
     >>> is_better(PlacementValue(1.0, 0.5, 0.2, 0.3, 9.0), PlacementValue(1.0, 0.5, 0.1, 0.9, 0.0))
     True
     """
-    return improves(*({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other)))
+    return improves(
+        *({one: each.of(one) for one in VALUE_OBJECTIVES} for each in (value, other))
+    )
 
 
-def improves(values: Mapping[Objective, float], others: Mapping[Objective, float]) -> bool:
+def improves(
+    values: Mapping[Objective, float], others: Mapping[Objective, float]
+) -> bool:
     """True if the first difference that exceeds rounding noise favours `values`.
 
     >>> improves({Objective.UNITS: 2.0}, {Objective.UNITS: 3.0})
@@ -445,7 +516,9 @@ class Requirement:
     least: float  # in the measure's unit; times seconds where margins are summed
     min_margin_s: float = -np.inf  # runs that are avoided with less do not count [s]
     n_failures: int = 0  # it must still be reached when any so many units fail
-    sums_margins: bool = False  # count the weights times the margins instead of the weights
+    sums_margins: bool = (
+        False  # count the weights times the margins instead of the weights
+    )
 
     @property
     def needs_all(self) -> bool:
@@ -478,16 +551,24 @@ class Chains(NamedTuple):
     Runs that go through the same windows, to different ends, share a chain.
     """
 
-    # (n_windows, n_confirmations or 1): merged frames that each window needs, some perhaps twice.
+    # (n_windows, n_confirmations or 1): merged frames that each window needs, some
+    # perhaps twice.
     window_frames: IntArray
     window: IntArray  # (n_links,): the windows of all chains, chain after chain
-    start: IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    tail_frame: IntArray  # (n_tails,): merged frames that a chain's first windows need to be live
-    tail_links: IntArray  # (n_tails,): how many windows those are; falling within each chain
+    start: (
+        IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
+    )
+    # (n_tails,): merged frames that a chain's first windows need to be live
+    tail_frame: IntArray
+    tail_links: (
+        IntArray  # (n_tails,): how many windows those are; falling within each chain
+    )
     tail_start: IntArray  # (n_chains + 1,): tails of each chain
 
 
-def timely_windows_end(axis: FrameAxis, rule: AebRule) -> tuple[IntArray, IntArray, FloatArray]:
+def timely_windows_end(
+    axis: FrameAxis, rule: AebRule
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Windows that end in time, in runs with weight: last frame, run, margin [s], (n_windows,)."""
     run = run_of_frames(axis)
     last_brake_s = axis.last_brake_time_s[run]
@@ -505,16 +586,18 @@ def tails_behind(
 ) -> tuple[IntArray, IntArray]:
     """Frames behind which a track is lost unless one of the next ones is detected, (n_tails,) each.
 
-    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames, ascending, and the
-    last frame behind each that still comes in time: the frame itself if none does. A window is live
-    if and only if, from its last frame on, a detection follows each of these frames in time. (Of
-    frames that are not detected, that asks no more: what comes in time for the one before does.)
-    Frames from which the memory reaches the last moment have no tail.
+    `end` and `run` are those of :func:`timely_windows_end`. Returns the frames,
+    ascending, and the last frame behind each that still comes in time: the frame itself
+    if none does. A window is live if and only if, from its last frame on, a detection
+    follows each of these frames in time. (Of frames that are not detected, that asks no
+    more: what comes in time for the one before does.) Frames from which the memory
+    reaches the last moment have no tail.
     """
     if rule.track_memory_s == np.inf:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     memory_s = rule.track_memory_s + TIME_TOLERANCE_S
-    behind, last = [end[:0]], [end[:0]]
+    behind = [end[:0]]
+    last = [end[:0]]
     of_runs, begin = np.unique(run, return_index=True)
     for of_run, ends in zip(of_runs, np.split(end, begin)[1:], strict=True):
         time_s = axis.time_s[ends]
@@ -522,7 +605,10 @@ def tails_behind(
         ends_too_early = until_s - time_s > memory_s
         behind.append(ends[ends_too_early])
         last.append(
-            ends[np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right") - 1]
+            ends[
+                np.searchsorted(time_s, time_s[ends_too_early] + memory_s, side="right")
+                - 1
+            ]
         )
     return np.concatenate(behind), np.concatenate(last)
 

@@ -32,7 +32,13 @@ from .model import (
 )
 from .pairs import goes_by_pairs, walk_by_pairs
 from .presolve import ReducedProblem
-from .problem import VALUE_OBJECTIVES, Objective, PlacementProblem, PlacementValue, Requirement
+from .problem import (
+    VALUE_OBJECTIVES,
+    Objective,
+    PlacementProblem,
+    PlacementValue,
+    Requirement,
+)
 from .walk import (
     SetWalk,
     Tied,
@@ -49,14 +55,21 @@ class Search:
     """The incumbent, the best set of poses so far, and what the proofs rest on."""
 
     def __init__(
-        self, reduced: ReducedProblem, *, deadline: Deadline = NEVER, is_exact: bool = True
+        self,
+        reduced: ReducedProblem,
+        *,
+        deadline: Deadline = NEVER,
+        is_exact: bool = True,
     ) -> None:
-        self.reduced, self.deadline = reduced, deadline
+        self.reduced = reduced
+        self.deadline = deadline
         self.is_exact = is_exact  # whether walks and models may be used
         self.proofs: dict[str, None] = {}
         everything = np.bitwise_or.reduce(reduced.words, axis=0, keepdims=True)
         self.margin_limit_s: FloatArray = union_margins_s(reduced, everything)[0]
-        self.apr_of_vut = float(union_apr(reduced, reduced.base[None, :])[0])  # all units failed
+        self.apr_of_vut = float(
+            union_apr(reduced, reduced.base[None, :])[0]
+        )  # all units failed
         self.units: IntArray | None = None
         self.nothing_meets_all = False  # proven that no set meets limits and floors
         nothing = np.full(1 + len(reduced.objectives), -np.inf)
@@ -78,7 +91,9 @@ class Search:
     @property
     def value(self) -> PlacementValue:
         """Value of the best set."""
-        return PlacementValue(*(float(self.row.of(objective)) for objective in VALUE_OBJECTIVES))
+        return PlacementValue(
+            *(float(self.row.of(objective)) for objective in VALUE_OBJECTIVES)
+        )
 
     @property
     def shortfall(self) -> float:
@@ -91,14 +106,19 @@ class Search:
         reduced = self.reduced
         largest: dict[Objective, float] = {}
         if len(reduced.weight):
-            all_runs, most = reduced.measure.limit, reduced.limits.max_units
+            all_runs = reduced.measure.limit
+            most = reduced.limits.max_units
             margin_s = self.margin_limit_s
             largest = {
-                Objective.APR_SURVIVED: all_runs if most > reduced.survive else self.apr_of_vut,
+                Objective.APR_SURVIVED: (
+                    all_runs if most > reduced.survive else self.apr_of_vut
+                ),
                 Objective.APR: all_runs,
                 Objective.APR_ONE_FAILED: all_runs if most > 1 else self.apr_of_vut,
                 Objective.SMALLEST_MARGIN: float(margin_s.min()),
-                Objective.MEAN_MARGIN: float(np.average(margin_s, weights=reduced.weight)),
+                Objective.MEAN_MARGIN: float(
+                    np.average(margin_s, weights=reduced.weight)
+                ),
             }
         gains = [largest.get(objective, 0.0) for objective in reduced.objectives]
         return SetValues(reduced.objectives, np.array([0.0, *gains]))
@@ -108,19 +128,30 @@ class Search:
         largest_s = float(self.margin_limit_s.max(initial=0.0))
         total_s = float(self.reduced.weight @ np.maximum(self.margin_limit_s, 0.0))
         least = self.reduced.measure.least_tied(apr)
-        return min(largest_s, total_s / least) if least > 0.0 else largest_s
+        if least > 0.0:
+            return min(largest_s, total_s / least)
+        return largest_s
 
-    def start(self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None) -> None:
+    def start(
+        self, starts: Sequence[IntArray] = (), *, chance: FloatArray | None = None
+    ) -> None:
         """Find a good set, from some to begin with; there may be none that reaches the floors.
 
-        Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed solution.
+        Others are drawn by a `chance`, (n_poses,), such as their shares in a relaxed
+        solution.
         """
         for start in starts:
             if is_allowed(self.reduced.limits, start):
                 self.keep(start)
         uses_root = can_walk(self.reduced) and not goes_by_pairs(self.reduced)
-        shares = (lambda: self.root.share) if uses_root else None
-        chances = shares if chance is None else lambda: chance
+        if uses_root:
+            shares = lambda: self.root.share
+        else:
+            shares = None
+        if chance is None:
+            chances = shares
+        else:
+            chances = lambda: chance
         end = self.deadline.of("first set")
         units = search_from_many_starts(
             self.reduced, self.limit, starts=starts, chance=chances, deadline=end
@@ -133,7 +164,9 @@ class Search:
     def restrict(self, limits: Limits) -> None:
         """Look for the best set within tighter limits, which the best so far meets."""
         self.reduced = replace(self.reduced, limits=limits).with_goal("best")
-        units, self.units, self._root = self.units, None, None
+        units = self.units
+        self.units = None
+        self._root = None
         end = self.deadline.of("first set")
         again = search_from_many_starts(self.reduced, self.limit, deadline=end)
         for found in (units, again):
@@ -175,7 +208,9 @@ class Search:
         self.keep(improve(self.reduced, units, self.limit, deadline=self.deadline))
         extended = extend_greedily(self.reduced, units)
         if len(extended) > len(units) and is_allowed(self.reduced.limits, extended):
-            self.keep(improve(self.reduced, extended, self.limit, deadline=self.deadline))
+            self.keep(
+                improve(self.reduced, extended, self.limit, deadline=self.deadline)
+            )
 
     def look_for(
         self,
@@ -185,14 +220,21 @@ class Search:
     ) -> float:
         """Look for the best set that meets requirements and the floors; keep it if it is better.
 
-        Without an objective, any set that meets them. Sets of another problem on the same poses,
-        `reduced`, are not kept. Returns a bound: no set that meets the requirements has a better
-        objective; the worst infinity if there is none, the best one if nothing is known.
+        Without an objective, any set that meets them. Sets of another problem on the
+        same poses, `reduced`, are not kept. Returns a bound: no set that meets the
+        requirements has a better objective; the worst infinity if there is none, the
+        best one if nothing is known.
         """
-        problem = self.reduced if reduced is None else reduced
+        if reduced is None:
+            problem = self.reduced
+        else:
+            problem = reduced
         demands = (*problem.floors, *requirements)
         is_minimised = objective is not None and objective.is_minimised
-        bound = -np.inf if is_minimised else np.inf
+        if is_minimised:
+            bound = -np.inf
+        else:
+            bound = np.inf
         cuts: list[Cut] | None = None
         n_cells = problem.n_poses * problem.n_frames
         fits = n_cells <= constants.MAX_CELLS
@@ -204,14 +246,21 @@ class Search:
                 break
             self.proofs[solver_text()] = None
             if cuts is None:  # finding the first ones takes long, too
-                cuts = [cut for demand in demands for cut in self._cuts_of(problem, demand)]
+                cuts = [
+                    cut for demand in demands for cut in self._cuts_of(problem, demand)
+                ]
                 left_s = self.deadline.left_s()
             result = solve_window_model(
                 problem, objective, requirements=demands, cuts=cuts, time_limit_s=left_s
             )
             if result.units is None and result.is_finished:
-                return np.inf if is_minimised else -np.inf
-            better = max if is_minimised else min
+                if is_minimised:
+                    return np.inf
+                return -np.inf
+            if is_minimised:
+                better = max
+            else:
+                better = min
             bound = better(bound, result.bound)
             if result.units is None:
                 break
@@ -237,14 +286,19 @@ class Search:
 class Stages:
     """A method per stage that improves the best set, and says how much better one could be."""
 
-    def __init__(self, problem: PlacementProblem, search: Search, effort: Effort) -> None:
-        self.problem, self.search, self.effort = problem, search, effort
+    def __init__(
+        self, problem: PlacementProblem, search: Search, effort: Effort
+    ) -> None:
+        self.problem = problem
+        self.search = search
+        self.effort = effort
         self.held: list[Requirement] = []
         self.apr_limit = search.reduced.measure.limit
         self.is_complete: bool | None = None  # not tried yet
         # Where it is complete: all sets that may be best or tie, valued on a problem.
         self.contenders: tuple[ReducedProblem, Contenders] | None = None
-        # By the failures to be survived: no set exceeds it; infinite where nothing is known.
+        # By the failures to be survived: no set exceeds it; infinite where nothing is
+        # known.
         self.walk_limit: defaultdict[int, float] = defaultdict(lambda: np.inf)
 
     def plan(self) -> list[tuple[Objective, Callable[[], float]]]:
@@ -252,7 +306,9 @@ class Stages:
         is_cheapest = self.problem.goal == "cheapest"
         find_bound = {
             Objective.UNITS: self.bound_units,
-            Objective.COST: self.bound_first_cost_eur if is_cheapest else self.bound_cost_eur,
+            Objective.COST: (
+                self.bound_first_cost_eur if is_cheapest else self.bound_cost_eur
+            ),
             Objective.APR_SURVIVED: self.bound_apr_survived,
             Objective.APR: self.bound_apr,
             Objective.APR_ONE_FAILED: self.bound_apr_one_failed,
@@ -268,7 +324,9 @@ class Stages:
 
             return find
 
-        return [(objective, settled(objective)) for objective in self.problem.objectives]
+        return [
+            (objective, settled(objective)) for objective in self.problem.objectives
+        ]
 
     def bound_units(self) -> float:
         """No layout that reaches the floors has fewer units; from here on none has more."""
@@ -280,7 +338,9 @@ class Stages:
                 bound = 2.0
             bound = float(self._fewest_by_walks(int(bound)))
             if len(self._units()) > bound:
-                found = search.look_for(Objective.UNITS, ()) - constants.SOLVER_TOLERANCE
+                found = (
+                    search.look_for(Objective.UNITS, ()) - constants.SOLVER_TOLERANCE
+                )
                 bound = max(bound, np.ceil(found))
         n_units = len(self._units())
         return self._restricted(float(n_units), bound, budget_units=n_units)
@@ -288,8 +348,8 @@ class Stages:
     def _fewest_by_walks(self, fewest: int) -> int:
         """No layout that reaches the floors has fewer units; `fewest` is such a bound.
 
-        All sets of ever more units are walked through, until some reach the floors, which is the
-        best set then, or the time is up.
+        All sets of ever more units are walked through, until some reach the floors,
+        which is the best set then, or the time is up.
         """
         search = self.search
         reduced = search.reduced
@@ -313,10 +373,15 @@ class Stages:
         """No layout that reaches the floors costs less; from here on none costs more."""
         search = self.search
         bound = self._cheapest_unit_eur()
-        if not self._is_complete() and search.value.cost_eur > bound + COST_TOLERANCE_EUR:
+        if (
+            not self._is_complete()
+            and search.value.cost_eur > bound + COST_TOLERANCE_EUR
+        ):
             bound = max(bound, search.look_for(Objective.COST, ()))
         cost = search.value.cost_eur
-        return self._restricted(cost, self._settled_from_below(cost, bound), budget_eur=cost)
+        return self._restricted(
+            cost, self._settled_from_below(cost, bound), budget_eur=cost
+        )
 
     def _restricted(self, value: float, bound: float, **limits: Any) -> float:
         """Bound of a stage whose value limits all sets from here on."""
@@ -335,7 +400,9 @@ class Stages:
         """No layout has a higher APR."""
         search = self.search
         rungs: list[Callable[[], float]] = [
-            lambda: self._complete_limit(Objective.APR) if self._is_complete() else np.inf,
+            lambda: (
+                self._complete_limit(Objective.APR) if self._is_complete() else np.inf
+            ),
             lambda: search.value.apr if self._walk(0) else np.inf,
             lambda: self.walk_limit[0],
             lambda: self._relaxed(search.reduced, Objective.APR),
@@ -371,18 +438,29 @@ class Stages:
             return self._complete_limit(Objective.SMALLEST_MARGIN)
         margins = search.reduced.margin_s
         candidates = np.unique(margins[margins <= limit + TOLERANCE])
-        low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
-        high, probe = len(candidates), low
+        low = int(
+            np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE)
+        )
+        high = len(candidates)
+        probe = low
         while low < high:
-            demand = self._demand(self._least_apr(), min_margin_s=float(candidates[probe]))
+            demand = self._demand(
+                self._least_apr(), min_margin_s=float(candidates[probe])
+            )
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 high = probe
             elif search.value.smallest_margin_s >= candidates[probe] - TOLERANCE:
-                low = int(np.searchsorted(candidates, search.value.smallest_margin_s + TOLERANCE))
+                low = int(
+                    np.searchsorted(
+                        candidates, search.value.smallest_margin_s + TOLERANCE
+                    )
+                )
             else:
                 break  # time is up
             probe = (low + high) // 2
-        return float(candidates[high - 1]) if low < high else search.value.smallest_margin_s
+        if low < high:
+            return float(candidates[high - 1])
+        return search.value.smallest_margin_s
 
     def bound_mean_margin_s(self) -> float:
         """No layout that holds the stages before has a larger mean margin."""
@@ -395,7 +473,9 @@ class Stages:
         if self._is_complete():
             return self._complete_limit(Objective.MEAN_MARGIN)
         least_apr = self._least_apr()
-        if least_apr <= 0.0:  # what is avoided at least is not known: sums bound no mean
+        if (
+            least_apr <= 0.0
+        ):  # what is avoided at least is not known: sums bound no mean
             return limit
         total_s = self._relaxed(search.reduced, Objective.MEAN_MARGIN)
         limit = min(limit, total_s / least_apr)
@@ -407,7 +487,8 @@ class Stages:
     def bound_cost_eur(self) -> float:
         """No layout that holds the stages before costs less."""
         search = self.search
-        cost, least = search.value.cost_eur, self._cheapest_unit_eur()
+        cost = search.value.cost_eur
+        least = self._cheapest_unit_eur()
         if cost <= least + COST_TOLERANCE_EUR:
             return cost
         if self._is_complete():
@@ -431,7 +512,9 @@ class Stages:
             search.start([self._units()], chance=share)
         return limit
 
-    def _bound_failed(self, objective: Objective, n_failures: int, limit: float) -> float:
+    def _bound_failed(
+        self, objective: Objective, n_failures: int, limit: float
+    ) -> float:
         """No layout that holds the stages before keeps a higher APR when its worst units fail."""
         value = self._left(n_failures)
         if not self._is_settled(value, limit):
@@ -464,7 +547,10 @@ class Stages:
             bound = search.look_for(Objective.APR, (), fewer)
             limit = self._settle(self._left(n_failures), bound, limit)
         all_runs = reduced.measure.limit
-        if limit >= all_runs - TOLERANCE > self._left(n_failures) and reduced.measure.is_mean:
+        if (
+            limit >= all_runs - TOLERANCE > self._left(n_failures)
+            and reduced.measure.is_mean
+        ):
             demand = self._demand(all_runs, n_failures=n_failures)
             if search.look_for(None, [*self.held, demand]) == -np.inf:
                 limit = all_runs - float(reduced.weight.min())
@@ -478,12 +564,15 @@ class Stages:
         return limit
 
     def _left(self, n_failures: int) -> float:
-        reduced, sets = self.search.reduced, self._units()[None, :]
+        reduced = self.search.reduced
+        sets = self._units()[None, :]
         return float(left_after_failures(reduced, reduced.measure, n_failures, sets)[0])
 
     def _units(self) -> IntArray:
         units = self.search.units
-        assert units is not None  # a first set is there, or solve_placement has given up
+        assert (
+            units is not None
+        )  # a first set is there, or solve_placement has given up
         return units
 
     def _demand(self, least: float, **how: Any) -> Requirement:
@@ -499,7 +588,9 @@ class Stages:
         """Lower bound of a cost; the solver's own has an error."""
         error = constants.SOLVER_TOLERANCE * max(1.0, cost)
         step = price_step_eur(self.search.reduced.limits)
-        return cost if bound >= cost - max(COST_TOLERANCE_EUR, step - error) else bound
+        if bound >= cost - max(COST_TOLERANCE_EUR, step - error):
+            return cost
+        return bound
 
     def _smallest_margin_limit_s(self) -> float:
         search = self.search
@@ -552,7 +643,8 @@ class Stages:
     def _avoids_nothing(self) -> bool:
         """True if it is proven that no layout that holds the stages before avoids anything.
 
-        Where only the worst worlds count, an APR of 0 does not say so: others may avoid something.
+        Where only the worst worlds count, an APR of 0 does not say so: others may avoid
+        something.
         """
         reduced = self.search.reduced
         is_none = reduced.measure.tells_runs_apart and self.apr_limit == 0.0
@@ -562,14 +654,18 @@ class Stages:
         limits = self.search.reduced.limits
         if not limits.n_poses:
             return 0.0
-        return float((limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min())
+        return float(
+            (limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]).min()
+        )
 
     def _one_unit_does(self) -> bool:
         """True if a single pose reaches the floors."""
         reduced = self.search.reduced
         sets = np.arange(reduced.n_poses)[:, None]
         sets = sets[are_allowed(reduced.limits, sets)]
-        return bool(len(sets)) and bool((set_values(reduced, sets).lacking == 0.0).any())
+        return bool(len(sets)) and bool(
+            (set_values(reduced, sets).lacking == 0.0).any()
+        )
 
     def _is_complete(self) -> bool:
         """Go through all sets, if they are few; whether that was done."""
@@ -579,12 +675,17 @@ class Stages:
             if self.effort.is_exact:
                 deadline = search.deadline.of("few sets")
                 has_money = search.reduced.limits.budget_eur is not None
-                most = constants.MAX_SETS_OF_MONEY if has_money else constants.MAX_FEW_SETS
+                if has_money:
+                    most = constants.MAX_SETS_OF_MONEY
+                else:
+                    most = constants.MAX_FEW_SETS
                 most = min(most, int(deadline.left_s() * constants.FEW_SETS_PER_SECOND))
                 contenders, is_complete = best_of_few(
                     search.reduced, max_sets=most, deadline=deadline
                 )
-                has_any = contenders is not None and self._compared(search.reduced, contenders)
+                has_any = contenders is not None and self._compared(
+                    search.reduced, contenders
+                )
                 self.is_complete = is_complete and has_any
             if self.is_complete:
                 search.proofs["exhaustive enumeration"] = None
@@ -593,8 +694,9 @@ class Stages:
     def _walk(self, n_failures: int) -> bool:
         """Walk through all sets that may be better in a stage; whether that was done.
 
-        The stage is the APR when so many units fail; the APR itself is held in a later one. Where
-        few sets are best, the best of them all is best in every stage that comes.
+        The stage is the APR when so many units fail; the APR itself is held in a later
+        one. Where few sets are best, the best of them all is best in every stage that
+        comes.
         """
         search = self.search
         reduced = search.reduced
@@ -607,7 +709,9 @@ class Stages:
             return False
         if by_pairs:
             end = search.deadline.of("worlds")
-            tied = walk_by_pairs(reduced, self._units(), deadline=end, on_better=self._improved)
+            tied = walk_by_pairs(
+                reduced, self._units(), deadline=end, on_better=self._improved
+            )
         elif reduced.measure.is_mean:
             tied = self._find_tied(n_failures)
         else:
@@ -615,17 +719,23 @@ class Stages:
         search.proofs["branch and bound"] = None
         self.walk_limit[n_failures] = tied.limit
         if tied.sets is not None:
-            contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+            contenders = best_of_tied(
+                reduced, tied.sets, n_failures=n_failures, value=tied.value
+            )
             self.is_complete = self._compared(reduced, contenders)
         return tied.is_finished
 
     def _find_tied(self, n_failures: int) -> Tied:
         """Ties by a walk through the covering problem; the APR itself may be held already."""
         search = self.search
-        reduced, root = search.reduced, search.root
+        reduced = search.reduced
+        root = search.root
         held = None
         if n_failures:
-            held = least_apr(reduced) if self.problem.survive else self._least_apr()
+            if self.problem.survive:
+                held = least_apr(reduced)
+            else:
+                held = self._least_apr()
 
         def walk_from(need: float, left: float) -> SetWalk:
             return SetWalk(reduced, root, need=need, n_failures=n_failures, left=left)
@@ -634,7 +744,9 @@ class Stages:
             reduced,
             self._units(),
             walk_from=walk_from,
-            limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
+            limit=lambda least, deadline: failure_limit(
+                root, n_failures, least, deadline=deadline
+            ),
             ahead=constants.NEAR * self._left(n_failures) if n_failures else 0.0,
             n_failures=n_failures,
             least_apr=held,
@@ -644,5 +756,7 @@ class Stages:
     def _improved(self, units: IntArray) -> IntArray:
         """The best set so far after a set that may be better was improved by exchanges."""
         search = self.search
-        search.keep(improve(search.reduced, units, search.limit, deadline=search.deadline))
+        search.keep(
+            improve(search.reduced, units, search.limit, deadline=search.deadline)
+        )
         return self._units()

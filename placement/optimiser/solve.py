@@ -1,7 +1,7 @@
 """Layouts with proofs: wishes are checked, then stages solved in order, rung by rung.
 
-Of a table that is too large, all poses are bounded by relaxation alone; the layout is sought among
-those that gain most by its prices.
+Of a table that is too large, all poses are bounded by relaxation alone; the layout is
+sought among those that gain most by its prices.
 """
 
 import logging
@@ -43,12 +43,18 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         got = Unquoted("forced and forbidden")
         raise UnmetError(pose_ids[int(pose)], got, "one of the two at most")
     for site in np.flatnonzero(at_site > limits.site_capacity):
-        names = ", ".join(pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site)
+        names = ", ".join(
+            pose_ids[int(pose)] for pose in forced if limits.site_index[pose] == site
+        )
         got = Unquoted(f"{at_site[site]} at one site ({names})")
         most = limits.site_capacity[site]
-        raise UnmetError("forced units", got, f"at most {most}, what the site can carry")
+        raise UnmetError(
+            "forced units", got, f"at most {most}, what the site can carry"
+        )
     if not usable.any():
-        raise UnmetError("candidates", Unquoted("none that may be used"), "at least one")
+        raise UnmetError(
+            "candidates", Unquoted("none that may be used"), "at least one"
+        )
     n_usable = np.bincount(limits.site_index[usable], minlength=limits.n_sites)
     if (limits.is_forced_site & (n_usable == 0)).any():
         got = Unquoted("a site without a pose that may be used")
@@ -59,14 +65,23 @@ def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
         raise UnmetError("separation_m", got, "one of them at most")
     n_needed = len(forced) + int((limits.is_forced_site & (at_site == 0)).sum())
     if limits.budget_units is not None and n_needed > limits.budget_units:
-        expected = f"at least {n_needed}, the units that are forced or stand at forced sites"
+        expected = (
+            f"at least {n_needed}, the units that are forced or stand at forced sites"
+        )
         raise UnmetError("budget", limits.budget_units, expected)
-    needed, what = cost_eur(limits, forced), "the price of the forced units"
+    needed = cost_eur(limits, forced)
+    what = "the price of the forced units"
     if not len(forced):
         price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
-        needed, what = float(price[usable].min()), "the price of the cheapest unit with its site"
-    if limits.budget_eur is not None and needed > limits.budget_eur + COST_TOLERANCE_EUR:
-        raise UnmetError("budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}")
+        needed = float(price[usable].min())
+        what = "the price of the cheapest unit with its site"
+    if (
+        limits.budget_eur is not None
+        and needed > limits.budget_eur + COST_TOLERANCE_EUR
+    ):
+        raise UnmetError(
+            "budget_cost", limits.budget_eur, f"at least {needed:.2f} EUR, {what}"
+        )
 
 
 def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
@@ -79,7 +94,8 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
             raise UnmetError(
                 floor.name,
                 Unquoted(f"{floor.share:g}"),
-                f"at most {_rounded_down(reached)}, what all candidate poses together reach",
+                f"at most {_rounded_down(reached)}, what all candidate poses together"
+                " reach",
             )
 
 
@@ -89,7 +105,10 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
         return
     reduced = search.reduced
     if search.units is None:
-        why = "no set of poses meets all of them" if search.nothing_meets_all else "none was found"
+        if search.nothing_meets_all:
+            why = "no set of poses meets all of them"
+        else:
+            why = "none was found"
         raise UnmetError("limits", Unquoted(why), "limits that leave a choice")
     sets = search.units[None, :]
     reached = [
@@ -97,14 +116,21 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
         for floor in reduced.floors
     ]
     worst = int(
-        np.argmax([f.share - share for f, share in zip(problem.floors, reached, strict=True)])
+        np.argmax(
+            [f.share - share for f, share in zip(problem.floors, reached, strict=True)]
+        )
     )
-    floor, most = problem.floors[worst], _rounded_down(reached[worst])
-    most += f" when any {floor.n_failures} fail" if floor.n_failures else ""
+    floor = problem.floors[worst]
+    most = _rounded_down(reached[worst])
+    if floor.n_failures:
+        most += f" when any {floor.n_failures} fail"
+    else:
+        most += ""
     expected = f"at most {most}, what the best set found reaches"
     if not search.nothing_meets_all:
         expected = (
-            f"more time than the limit, or at most {most}, what the best set found in it reaches"
+            f"more time than the limit, or at most {most}, what the best set found in"
+            " it reaches"
         )
     raise UnmetError(floor.name, Unquoted(f"{floor.share:g}"), expected)
 
@@ -152,26 +178,36 @@ def solve_placement(
 ) -> Solution:
     """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
 
-    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the table that
-    are tried first, (n,) each, such as a good layout for a unit less; only the first `n_stages`
-    objectives are bounded, by default all; `on_stage` is called with the name of every stage when
-    it begins. The bound of a stage is what no layout exceeds that is as good in all stages before.
+    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the
+    table that are tried first, (n,) each, such as a good layout for a unit less; only
+    the first `n_stages` objectives are bounded, by default all; `on_stage` is called
+    with the name of every stage when it begins. The bound of a stage is what no layout
+    exceeds that is as good in all stages before.
 
-    Raises InputError if nothing meets the wishes, with the one that cannot be met and the best that
-    can, or if nothing was found that does in the time given.
+    Raises InputError if nothing meets the wishes, with the one that cannot be met and
+    the best that can, or if nothing was found that does in the time given.
     """
-    effort = Effort() if effort is None else effort
+    if effort is None:
+        effort = Effort()
+    else:
+        effort = effort
     deadline = deadline_in(effort.time_limit_s)
     check_limits(problem.limits, problem.table.pose_ids)
     if problem.limits.failing == "site":
-        # No set is worth more where sites fail, and one whose units stand apart as much: if it is
-        # best where units fail, it is best here. That is far quicker to find: there, a pose may be
-        # replaced by one at another site.
+        # No set is worth more where sites fail, and one whose units stand apart as
+        # much: if it is best where units fail, it is best here. That is far quicker to
+        # find: there, a pose may be replaced by one at another site.
         by_unit = replace(problem, limits=replace(problem.limits, failing="unit"))
         part = effort.until(deadline.of("as if units failed"))
-        with suppress(UnmetError):  # where sites fail, more is possible, or time was too short
+        with suppress(
+            UnmetError
+        ):  # where sites fail, more is possible, or time was too short
             found = solve_placement(
-                by_unit, effort=part, starts=starts, n_stages=n_stages, on_stage=on_stage
+                by_unit,
+                effort=part,
+                starts=starts,
+                n_stages=n_stages,
+                on_stage=on_stage,
             )
             sites = problem.limits.site_index[list(found.pose_index)]
             if len(np.unique(sites)) == len(sites):
@@ -225,13 +261,16 @@ def solve_sturdily(
 ) -> tuple[Solution, Solution | None]:
     """The layout of the highest APR; and the one that keeps most when a unit fails.
 
-    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It is None
-    where nothing may be given up, for a single unit, and of a table that is too large to be solved
-    as a whole. Raises InputError as :func:`solve_placement`.
+    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It
+    is None where nothing may be given up, for a single unit, and of a table that is too
+    large to be solved as a whole. Raises InputError as :func:`solve_placement`.
     """
     deadline = deadline_in(effort.time_limit_s)
     has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
-    first = replace(effort, time_limit_s=effort.time_limit_s / 2.0) if has_two else effort
+    if has_two:
+        first = replace(effort, time_limit_s=effort.time_limit_s / 2.0)
+    else:
+        first = effort
     if has_two and reduced is None and problem.limits.failing == "unit":
         check_limits(problem.limits, problem.table.pose_ids)
         reduced = presolve(problem, workers=effort.workers)
@@ -263,19 +302,24 @@ def _solve_large(
 ) -> Solution:
     """The best among promising poses, bounded by the relaxation of all.
 
-    What cannot be met is said of all poses only: where no layout of the pool meets the demands, the
-    pool grows until it has all poses, which are then solved as a whole.
+    What cannot be met is said of all poses only: where no layout of the pool meets the
+    demands, the pool grows until it has all poses, which are then solved as a whole.
     """
     if on_stage is not None:
         on_stage("all poses")
-    every = presolve(problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES})
+    every = presolve(
+        problem, workers=effort.workers, rules=ALL_RULES - {Rule.DOMINATED_POSES}
+    )
     check_reach(problem, every)
     most = Search(every)
     apr = every.measure.limit
     gains = np.zeros(every.n_poses)
     if len(every.weight):
-        end, n_units = deadline.of("relaxation"), every.limits.max_units
-        root = polished(find_root(every, run_rows(every), n_units=n_units, deadline=end))
+        end = deadline.of("relaxation")
+        n_units = every.limits.max_units
+        root = polished(
+            find_root(every, run_rows(every), n_units=n_units, deadline=end)
+        )
         apr = min(rounded_down(every, root.limit), apr)
         gains = root.gains()
     n_pool = constants.POOL_POSES
@@ -295,19 +339,26 @@ def _solve_large(
                 raise _unmet_by_pool(error, pool, every) from None
         n_pool *= constants.POOL_GROWTH
     value = {stage.name: stage.objective for stage in found.certificate.stages}
-    avoided = value[Objective.APR] if problem.tail == 1.0 else 0.0
+    if problem.tail == 1.0:
+        avoided = value[Objective.APR]
+    else:
+        avoided = 0.0
     bounds = _loose_bounds(most, apr, avoided)
     stages = []
     for stage in found.certificate.stages:
         objective = Objective(stage.name)
-        stages.append(build_stage(objective, stage.objective, bounds[objective], stage.seconds))
+        stages.append(
+            build_stage(objective, stage.objective, bounds[objective], stage.seconds)
+        )
     n_poses = problem.table.n_poses
     return Solution(
         pose_index=tuple(int(pool[pose]) for pose in found.pose_index),
         certificate=Certificate(
             stages=tuple(stages),
-            solver=f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
-            f"{len(pool)}",
+            solver=(
+                f"{relaxation_text()}: relaxation of all {n_poses} poses, search among "
+                f"{len(pool)}"
+            ),
         ),
         presolve=replace(found.presolve, n_poses=(n_poses, found.presolve.n_poses[1])),
     )
@@ -316,12 +367,15 @@ def _solve_large(
 def _promising_poses(every: ReducedProblem, gains: FloatArray, n_pool: int) -> IntArray:
     """Poses among which a layout of a large table is looked for, ascending.
 
-    The `n_pool` that gain most by the relaxation's prices, (n_poses,), the forced ones, and what
-    each demand needs by itself: the best poses and the cheapest one at every forced site, and those
-    that avoid most of what a floor counts.
+    The `n_pool` that gain most by the relaxation's prices, (n_poses,), the forced ones,
+    and what each demand needs by itself: the best poses and the cheapest one at every
+    forced site, and those that avoid most of what a floor counts.
     """
     limits = every.limits
-    wanted = [np.argsort(-gains, kind="stable")[:n_pool], np.flatnonzero(limits.is_forced)]
+    wanted = [
+        np.argsort(-gains, kind="stable")[:n_pool],
+        np.flatnonzero(limits.is_forced),
+    ]
     forced_sites = np.flatnonzero(limits.is_forced_site)
     n_each = -(-n_pool // max(len(forced_sites), 1))
     for site in forced_sites:
@@ -348,13 +402,19 @@ def _solve_pool(
     check_limits(part.limits, part.table.pose_ids)
     reduced = presolve(part, workers=effort.workers)
     effort = replace(effort.until(deadline), solver="greedy")
-    return solve_placement(part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage)
+    return solve_placement(
+        part, reduced, effort=effort, n_stages=n_stages, on_stage=on_stage
+    )
 
 
-def _unmet_by_pool(error: UnmetError, pool: IntArray, every: ReducedProblem) -> UnmetError:
+def _unmet_by_pool(
+    error: UnmetError, pool: IntArray, every: ReducedProblem
+) -> UnmetError:
     """What is refused when the time is up before all poses were looked at."""
     looked_at = f"{len(pool)} of {every.n_poses} poses"
-    expected = f"more time than the limit: among {looked_at} no layout was found that meets it"
+    expected = (
+        f"more time than the limit: among {looked_at} no layout was found that meets it"
+    )
     return UnmetError(error.where, error.got, expected)
 
 
@@ -376,21 +436,31 @@ def instead(
 ) -> Solution:
     """Other poses in place of a solution's, with what its bounds say of them.
 
-    A stage's bound holds for poses that are as good as the solution's in all stages before; behind
-    the first one in which they are not, stages have what all poses together reach.
+    A stage's bound holds for poses that are as good as the solution's in all stages
+    before; behind the first one in which they are not, stages have what all poses
+    together reach.
     """
-    values, holds, stages = objective_values(problem, pose_index), True, []
+    values = objective_values(problem, pose_index)
+    holds = True
+    stages = []
     loose = _loose_bounds(Search(reduced), reduced.measure.limit, values[Objective.APR])
     for stage in solution.certificate.stages:
         one = Objective(stage.name)
-        bound = stage.bound if holds else loose[one]
+        if holds:
+            bound = stage.bound
+        else:
+            bound = loose[one]
         stages.append(build_stage(one, values[one], bound, stage.seconds))
         holds &= abs(values[one] - stage.objective) <= one.tolerance
     certificate = replace(solution.certificate, stages=tuple(stages))
-    return replace(solution, pose_index=tuple(sorted(pose_index)), certificate=certificate)
+    return replace(
+        solution, pose_index=tuple(sorted(pose_index)), certificate=certificate
+    )
 
 
-def build_stage(objective: Objective, value: float, bound: float, seconds: float) -> Stage:
+def build_stage(
+    objective: Objective, value: float, bound: float, seconds: float
+) -> Stage:
     """A stage of a certificate; a bound that is worse than the value itself is not believed."""
     bound = objective.better(bound, value)
     gap = relative_gap(value, bound, tolerance=objective.tolerance)

@@ -1,20 +1,22 @@
 """Third rung: all sets of so many units that lose little, and the best of those that tie.
 
-As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same poses cover are
-one row. Of the poses at a site, most cover no row that another one there does not cover: a *class*
-is a pose that is widest in this sense with those below it. So the walk is one through sets of
-classes, each as good as its widest pose:
+As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same
+poses cover are one row. Of the poses at a site, most cover no row that another one
+there does not cover: a *class* is a pose that is widest in this sense with those below
+it. So the walk is one through sets of classes, each as good as its widest pose:
 
-* It asks which class covers the row that fewest cover. Where hardly anything may be lost, that
+* It asks which class covers the row that fewest cover. Where hardly anything may be
+  lost, that
   leaves few classes at every node. When they have been tried, the row is lost.
-* With m units to come, the m best classes at most cover what is not covered yet, and m - N of them
-  if N units to come fail, or m - N + 1 if one of the chosen fails, which loses what it covers
-  alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
+* With m units to come, the m best classes at most cover what is not covered yet, and m
+  - N of them
+  if N units to come fail, or m - N + 1 if one of the chosen fails, which loses what it
+  covers alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
 
-What remains is spelled out: sets of poses, one of each class, valued on the windows, where poses of
-a class that is not settled yet see together. A walk that ends has met every set. Where few tie, all
-are valued, and every later stage is proven at once; where many do, the APR that is left when units
-fail is asked for in the walk, too.
+What remains is spelled out: sets of poses, one of each class, valued on the windows,
+where poses of a class that is not settled yet see together. A walk that ends has met
+every set. Where few tie, all are valued, and every later stage is proven at once; where
+many do, the APR that is left when units fail is asked for in the walk, too.
 """
 
 from collections.abc import Callable, Iterator
@@ -76,8 +78,12 @@ def least_apr(reduced: ReducedProblem) -> float | None:
     if len(reduced.floors) != 1:
         return None
     (floor,) = reduced.floors
-    is_of_all = floor.measure.is_mean and bool((floor.measure.weight == reduced.weight).all())
-    return floor.least if is_of_all and not floor.n_failures else None
+    is_of_all = floor.measure.is_mean and bool(
+        (floor.measure.weight == reduced.weight).all()
+    )
+    if is_of_all and not floor.n_failures:
+        return floor.least
+    return None
 
 
 def best_of_few(
@@ -85,8 +91,8 @@ def best_of_few(
 ) -> tuple[Contenders | None, bool]:
     """The best of all allowed sets, of any size, and what ties, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline: the flag says whether
-    all sets were gone through. None if no set was.
+    Gives up if there are more than `max_sets`, or at the deadline: the flag says
+    whether all sets were gone through. None if no set was.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -113,7 +119,9 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
     """All sets within limits, by their size; None if more than `max_sets`, or too many to tell."""
     forced = np.flatnonzero(limits.is_forced)
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
-    grown, sizes, n_sets = forced[None, :], [], 0
+    grown = forced[None, :]
+    sizes = []
+    n_sets = 0
     for n_units in range(len(forced), limits.max_units + 1):
         if n_units:
             sets = grown[are_allowed(limits, grown)]
@@ -127,7 +135,10 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
         if len(grown) * len(poses) > most:
             return None
         # A later pose than the last one: every set comes up once.
-        last = grown[:, -1:] if n_units > len(forced) else np.full((1, 1), -1)
+        if n_units > len(forced):
+            last = grown[:, -1:]
+        else:
+            last = np.full((1, 1), -1)
         row, later = np.nonzero(poses[None, :] > last)
         grown = np.column_stack([grown[row], poses[later]])
         grown = grown[may_grow(limits, grown)]
@@ -137,9 +148,9 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
 class SetWalk:
     """A walk through all sets of so many units that reach `need`, also when units fail.
 
-    With failures, `left` is what must remain of any `n_failures` of them; sets are checked exactly
-    for one failure, and for more only by bounds. Forced poses are in every set; sites' capacities
-    hold; other limits do not count.
+    With failures, `left` is what must remain of any `n_failures` of them; sets are
+    checked exactly for one failure, and for more only by bounds. Forced poses are in
+    every set; sites' capacities hold; other limits do not count.
     """
 
     def __init__(
@@ -153,7 +164,8 @@ class SetWalk:
     ) -> None:
         from .walk_kernels import Covers, Losses
 
-        self.reduced, self.n_failures = reduced, n_failures
+        self.reduced = reduced
+        self.n_failures = n_failures
         self.forced, choice = forced_units(reduced), root.choice
         self.n_units, self.capacity = choice.n_units, choice.room
         self.total = float(reduced.weight.sum())
@@ -191,8 +203,8 @@ class SetWalk:
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that meet the needs, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. All threads walk, each behind a node
-        near the root: the order of the sets is left to chance.
+        An empty block says that nothing was found for a while. All threads walk, each
+        behind a node near the root: the order of the sets is left to chance.
         """
         if self.n_units == 1:
             yield self._alone()
@@ -202,9 +214,13 @@ class SetWalk:
 
         def next_task() -> "Callable[[], tuple[_Task, list[IntArray]]] | None":
             task = paused.pop() if paused else next(nodes, None)
-            return None if task is None else task.go_on
+            if task is None:
+                return None
+            return task.go_on
 
-        for task, found in in_threads(next_task, workers=self.reduced.workers, deadline=deadline):
+        for task, found in in_threads(
+            next_task, workers=self.reduced.workers, deadline=deadline
+        ):
             (spare if task.is_done else paused).append(task)
             yield self._with_forced(found)
         self.is_finished = not deadline.is_over
@@ -229,12 +245,20 @@ class SetWalk:
         scout = _Task(self)
         while True:
             state = grow(
-                self.covers, scout.walk, self.n_failures, stop, constants.WALK_WORK, scout.out
+                self.covers,
+                scout.walk,
+                self.n_failures,
+                stop,
+                constants.WALK_WORK,
+                scout.out,
             )
             if state == DONE:
                 return
             if state == AT_STOP:
-                task = spare.pop() if spare else _Task(self)
+                if spare:
+                    task = spare.pop()
+                else:
+                    task = _Task(self)
                 task.begin_at(scout.walk)
                 yield task
                 scout.walk.where[0] -= 1
@@ -247,10 +271,13 @@ class _Task:
     def __init__(self, owner: SetWalk) -> None:
         from .walk_kernels import Walk
 
-        self.owner, self.is_done, self.is_walked = owner, False, False
+        self.owner = owner
+        self.is_done = False
+        self.is_walked = False
         self.waiting: list[IntArray] = []  # to be spelled out
         self.losses = owner.losses._replace(order=owner.losses.order.copy())
-        n_units, (n_poses, n_words) = owner.n_units, owner.covers.covers.shape
+        n_units = owner.n_units
+        (n_poses, n_words) = owner.covers.covers.shape
         self.out = np.empty((constants.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
             where=np.array([0, 1, 0, 0, 0]),
@@ -293,10 +320,17 @@ class _Task:
         if not self.waiting and not self.is_walked:
             self.walk.where[2] = 0
             state = grow(
-                owner.covers, self.walk, owner.n_failures, -1, constants.WALK_WORK, self.out
+                owner.covers,
+                self.walk,
+                owner.n_failures,
+                -1,
+                constants.WALK_WORK,
+                self.out,
             )
             self.is_walked = state == DONE
-            self.waiting = [np.sort(classes) for classes in self.out[: self.walk.where[2]]]
+            self.waiting = [
+                np.sort(classes) for classes in self.out[: self.walk.where[2]]
+            ]
         self.is_done = self.is_walked and not self.waiting
         return self, found
 
@@ -304,10 +338,12 @@ class _Task:
         from .walk_kernels import spell_out
 
         owner = self.owner
-        place, found = np.append(np.full(len(classes), -1), 0), []
+        place = np.append(np.full(len(classes), -1), 0)
+        found = []
         while place[-1] >= 0:
             sets = np.empty((256, len(classes)), dtype=np.int64)
-            words, has_failures = owner.reduced.words, owner.n_failures > 0
+            words = owner.reduced.words
+            has_failures = owner.n_failures > 0
             n_found = spell_out(
                 words, owner.classes, self.losses, has_failures, classes, place, sets
             )
@@ -320,16 +356,20 @@ def find_of_size(
 ) -> tuple[IntArray | None, bool]:
     """A set of exactly so many units within the limits that reaches the floors, (n_units,).
 
-    None if none was found; the flag says whether all sets were gone through. There is at least one
-    floor, and no set has fewer units than there are forced poses.
+    None if none was found; the flag says whether all sets were gone through. There is
+    at least one floor, and no set has fewer units than there are forced poses.
 
-    The walk is one for the hardest floor; what it asks for is necessary: the APR as a mean over all
-    worlds, and what is left when units fail, though sites may. What it meets is looked at exactly.
+    The walk is one for the hardest floor; what it asks for is necessary: the APR as a
+    mean over all worlds, and what is left when units fail, though sites may. What it
+    meets is looked at exactly.
     """
     forced = forced_units(reduced)
     if n_units <= len(forced):
         return _first_that_will_do(reduced, forced[None, :]), True
-    floor = max(reduced.floors, key=lambda one: one.least / max(one.measure.limit, constants.TINY))
+    floor = max(
+        reduced.floors,
+        key=lambda one: one.least / max(one.measure.limit, constants.TINY),
+    )
     counted = replace(reduced, measure=replace(floor.measure, tail=1.0))
     rows = run_rows(counted)
     rows = rows.of(rows.weight > 0.0)
@@ -371,10 +411,12 @@ def widest_poses(
 ) -> tuple[IntArray, IntArray]:
     """Poses that cover what no other one at their site covers, and the class of each pose.
 
-    `rows`, (n_poses, n_rows), says what each covers. Classes are numbered as the widest poses are;
-    -1: not usable.
+    `rows`, (n_poses, n_rows), says what each covers. Classes are numbered as the widest
+    poses are; -1: not usable.
     """
-    widest, class_of, n_classes = [], np.full(len(rows), -1), 0
+    widest = []
+    class_of = np.full(len(rows), -1)
+    n_classes = 0
     for site in np.unique(site_index[usable]):
         poses = np.flatnonzero(usable & (site_index == site))
         poses = poses[np.argsort(-rows[poses].sum(axis=1), kind="stable")]
@@ -405,7 +447,9 @@ def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
     """Weight of runs that are lost by chain and first live window, (n_chains, longest + 1)."""
     longest = int(np.diff(reduced.chains.start).max(initial=0))
     lost = np.zeros((reduced.n_chains, longest + 1))
-    for chain, last, weight in zip(reduced.run_chain, reduced.last, reduced.weight, strict=True):
+    for chain, last, weight in zip(
+        reduced.run_chain, reduced.last, reduced.weight, strict=True
+    ):
         lost[chain, last:] += weight
     return lost
 
@@ -422,7 +466,10 @@ def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> Int
 
 
 def in_threads(
-    next_task: Callable[[], Callable[[], _T] | None], *, workers: int, deadline: Deadline
+    next_task: Callable[[], Callable[[], _T] | None],
+    *,
+    workers: int,
+    deadline: Deadline,
 ) -> Iterator[_T]:
     """What tasks return, as they end, until none is left or the time is up."""
     waiting: set[Future[_T]] = set()
@@ -455,7 +502,9 @@ class SomeWalk(Protocol):
 class Tied(NamedTuple):
     """Sets that tie at the best value of a stage."""
 
-    sets: IntArray | None  # (n, n_units): all of them; None: too many, or not all were looked at
+    sets: (
+        IntArray | None
+    )  # (n, n_units): all of them; None: too many, or not all were looked at
     value: float  # the best that was found
     limit: float  # no set exceeds it
     is_finished: bool  # whether the value is proven
@@ -464,12 +513,12 @@ class Tied(NamedTuple):
 class TieSearch:
     """Looks for all sets as good as the best, by the APR when units fail, 0 for none.
 
-    `units` is the best set so far; `walk_from` begins a walk for what whole sets must reach, and
-    what must be left of them; `limit` bounds all sets that reach so much. Where `ahead` is not 0,
-    it is first proven that no set is better by that. Where a walk may not end, it is proven before
-    that no set is better by `near`, by half of it, and so on. `least_apr` is what the whole set
-    must reach, by default what must be left. `on_better` takes better sets and returns what they
-    were improved to.
+    `units` is the best set so far; `walk_from` begins a walk for what whole sets must
+    reach, and what must be left of them; `limit` bounds all sets that reach so much.
+    Where `ahead` is not 0, it is first proven that no set is better by that. Where a
+    walk may not end, it is proven before that no set is better by `near`, by half of
+    it, and so on. `least_apr` is what the whole set must reach, by default what must be
+    left. `on_better` takes better sets and returns what they were improved to.
     """
 
     def __init__(
@@ -485,27 +534,38 @@ class TieSearch:
         least_apr: float | None = None,
         on_better: Callable[[IntArray], IntArray] = lambda units: units,
     ) -> None:
-        self.reduced, self.walk_from, self.limit = reduced, walk_from, limit
-        self.n_failures, self.least_apr, self.on_better = n_failures, least_apr, on_better
+        self.reduced = reduced
+        self.walk_from = walk_from
+        self.limit = limit
+        self.n_failures = n_failures
+        self.least_apr = least_apr
+        self.on_better = on_better
         self.best = float(self._value_of(np.sort(units)[None, :])[0])
-        self.ahead, self.near = ahead, near
+        self.ahead = ahead
+        self.near = near
         self.tied: list[IntArray] = []
         self.has_all = True
 
     def find(self, deadline: Deadline) -> Tied:
         """Prove the best value, as far as the time goes, then meet all ties.
 
-        It takes much less to prove that nothing is better by a step, where values are so far apart,
-        or by a little, than to meet all ties.
+        It takes much less to prove that nothing is better by a step, where values are
+        so far apart, or by a little, than to meet all ties.
         """
         step = (1.0 - constants.SOLVER_TOLERANCE) * self.reduced.measure.step
         is_near = self.ahead > 0.0
-        ahead = self.ahead if is_near else step
+        if is_near:
+            ahead = self.ahead
+        else:
+            ahead = step
         if deadline.is_over:
             return self._tied(self.reduced.measure.limit, False)
         limit = self.reduced.measure.limit
         if self.limit is not None:
-            need = self.best if self.least_apr is None else self.least_apr
+            if self.least_apr is None:
+                need = self.best
+            else:
+                need = self.least_apr
             limit = min(limit, rounded_down(self.reduced, self.limit(need, deadline)))
         is_proven = False
         limit = self._come_near(deadline, limit)
@@ -535,8 +595,13 @@ class TieSearch:
             near /= 2.0
         return limit
 
-    def _tied(self, limit: float, is_proven: bool, sets: IntArray | None = None) -> Tied:
-        limit = self.best if is_proven else max(limit, self.best)
+    def _tied(
+        self, limit: float, is_proven: bool, sets: IntArray | None = None
+    ) -> Tied:
+        if is_proven:
+            limit = self.best
+        else:
+            limit = max(limit, self.best)
         return Tied(sets=sets, value=self.best, limit=limit, is_finished=is_proven)
 
     @property
@@ -545,18 +610,23 @@ class TieSearch:
         return self.best - TIES_OF_TIES * TOLERANCE
 
     def _value_of(self, sets: IntArray) -> FloatArray:
-        return left_after_failures(self.reduced, self.reduced.measure, self.n_failures, sets)
+        return left_after_failures(
+            self.reduced, self.reduced.measure, self.n_failures, sets
+        )
 
     def _needs(self, need: float) -> tuple[float, float]:
         """Value that whole sets must reach, and value that must be left of them."""
         return need if self.least_apr is None else self.least_apr, need
 
-    def _walk(self, deadline: Deadline, ahead: float, *, is_proven: bool = False) -> bool:
+    def _walk(
+        self, deadline: Deadline, ahead: float, *, is_proven: bool = False
+    ) -> bool:
         """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
         walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
         if not ahead:
             n_units = self.reduced.limits.max_units
-            self.tied, self.has_all = [np.empty((0, n_units), dtype=np.int64)], True
+            self.tied = [np.empty((0, n_units), dtype=np.int64)]
+            self.has_all = True
         for block in walk.blocks(deadline):
             value, block = self._within(block)
             if len(block) and value.max() > self.best + TOLERANCE:
@@ -564,10 +634,14 @@ class TieSearch:
                 of_better = float(self._value_of(np.sort(better)[None, :])[0])
                 before = self.best
                 self.best = max(float(value.max()), of_better)
-                need = self.best + ahead if ahead else self._least
+                if ahead:
+                    need = self.best + ahead
+                else:
+                    need = self._least
                 walk.raise_needs(*self._needs(need))
                 if before < self._least:  # none of those before ties any more
-                    self.tied, self.has_all = self.tied[:1], True
+                    self.tied = self.tied[:1]
+                    self.has_all = True
             elif len(block):
                 self.best = max(self.best, float(value.max()))
             if ahead or not self.has_all:

@@ -8,7 +8,14 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 from .allowed_sets import Choice
-from .bit_kernels import ByteArray, count_bits, has_bit, has_entry, look_through, lowest_bit
+from .bit_kernels import (
+    ByteArray,
+    count_bits,
+    has_bit,
+    has_entry,
+    look_through,
+    lowest_bit,
+)
 from .problem import Chains, WordArray
 
 
@@ -19,13 +26,16 @@ def ask_for_least_seen(
 ) -> None:
     """Ask the windows of some chains for the frame, or tail, that a union lacks and is seen least.
 
-    `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes the frame
-    of each window, -1 where the union lacks nothing.
+    `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes
+    the frame of each window, -1 where the union lacks nothing.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     for chain in some:
-        tail, last_tail, least_tail = tail_start[chain], tail_start[chain + 1], -1
-        # Windows of the chain, the last one first: the earlier, the more tails are needed.
+        tail = tail_start[chain]
+        last_tail = tail_start[chain + 1]
+        least_tail = -1
+        # Windows of the chain, the last one first: the earlier, the more tails are
+        # needed.
         for link in range(start[chain + 1] - start[chain] - 1, -1, -1):
             while tail < last_tail and tail_links[tail] > link:
                 least_tail = less_seen(union, seen, tail_frame[tail], least_tail)
@@ -42,7 +52,9 @@ def ask_for_least_seen(
 def less_seen(union: WordArray, seen: FloatArray, frame: int, least: int) -> int:
     """A frame that a union lacks, if it is seen less than the least so far, or that one."""
     is_less = not has_bit(union, frame) and (least < 0 or seen[frame] < seen[least])
-    return frame if is_less else least
+    if is_less:
+        return frame
+    return least
 
 
 @kernel
@@ -58,8 +70,8 @@ def cover_rows(
 ) -> None:
     """Poses that see what one of a row's windows is asked for, (n_rows, n_words).
 
-    Rows begin .. end - 1 are looked at; row r has the first ``row_last[r]`` windows of chain
-    ``row_chain[r]``. `columns`, (n_frames, n_words), has bits along the poses.
+    Rows begin .. end - 1 are looked at; row r has the first ``row_last[r]`` windows of
+    chain ``row_chain[r]``. `columns`, (n_frames, n_words), has bits along the poses.
     """
     for row in range(begin, end):
         first = start[row_chain[row]]
@@ -71,16 +83,20 @@ def cover_rows(
                 continue
             before = frame
             for word in range(columns.shape[1]):
-                coverers[row, word] |= columns[frame, word] if frame >= 0 else ~np.uint64(0)
+                coverers[row, word] |= (
+                    columns[frame, word] if frame >= 0 else ~np.uint64(0)
+                )
 
 
 # ---------- prices
 @kernel
-def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray) -> int:
+def weigh_bytes(
+    weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray
+) -> int:
     """Weigh each value of each byte of bits along rows, (n_bytes, 256); some rows count.
 
-    Bytes that are worth something are written to `used`; how many they are. Sums over bits become
-    sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
+    Bytes that are worth something are written to `used`; how many they are. Sums over
+    bits become sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
     """
     n_used = 0
     for place in range(len(table)):
@@ -93,14 +109,19 @@ def weigh_bytes(weight: FloatArray, rows: WordArray, table: FloatArray, used: In
         of_byte[0] = 0.0
         for bit in range(8):
             is_counted = (counted >> np.uint64(bit)) & np.uint64(1)
-            amount = weight[8 * place + bit] if is_counted else 0.0
+            if is_counted:
+                amount = weight[8 * place + bit]
+            else:
+                amount = 0.0
             for value in range(1 << bit):
                 of_byte[value + (1 << bit)] = of_byte[value] + amount
     return n_used
 
 
 @kernel
-def weight_of(covers: ByteArray, table: FloatArray, used: IntArray, n_used: int) -> float:
+def weight_of(
+    covers: ByteArray, table: FloatArray, used: IntArray, n_used: int
+) -> float:
     """Worth of a pose's bits along rows, by a table of bytes."""
     total = 0.0
     for number in range(n_used):
@@ -121,9 +142,13 @@ def weights_of(
 @kernel
 def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
     """Poses that gain most and have room at their sites: their sum and number."""
-    total, n_picked, site, room = 0.0, 0, choice.site, choice.room
+    total = 0.0
+    n_picked = 0
+    site = choice.site
+    room = choice.room
     for _ in range(choice.n_units):
-        best, most = -1, 0.0
+        best = -1
+        most = 0.0
         for place in range(len(gain)):
             if gain[place] > most:
                 here = site[place]
@@ -134,7 +159,8 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
                     elif site[picked[earlier]] == here:
                         left -= 1
                 if left > 0:
-                    best, most = place, gain[place]
+                    best = place
+                    most = gain[place]
         if best < 0:
             break
         picked[n_picked] = best
@@ -144,17 +170,20 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
 
 
 @kernel
-def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
+def pick_affordable(
+    gain: FloatArray, choice: Choice, picked: IntArray
+) -> tuple[float, int]:
     """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
 
-    Any price of money bounds it: what the best poses gain beyond their price, and the price itself.
-    The lowest bound is convex in the price; it is looked for by halving.
+    Any price of money bounds it: what the best poses gain beyond their price, and the
+    price itself. The lowest bound is convex in the price; it is looked for by halving.
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
     if len(cost) == 0 or cost[picked[:n_picked]].sum() <= 1.0:
         return total, n_picked
-    low, high = 0.0, total
+    low = 0.0
+    high = total
     for _ in range(16):  # prices of money
         middle = 0.5 * (low + high)
         of_poses, n_picked = pick_best(gain - middle * cost, choice, picked)
@@ -167,13 +196,17 @@ def pick_affordable(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple
 
 
 @kernel
-def row_limit(reward: FloatArray, weight: float, n_units: int, price: float) -> tuple[float, int]:
+def row_limit(
+    reward: FloatArray, weight: float, n_units: int, price: float
+) -> tuple[float, int]:
     """Most that a row is worth after paying for each unit that covers it; how many do."""
-    most, units = weight * reward[0], 0
+    most = weight * reward[0]
+    units = 0
     for number in range(1, n_units + 1):
         value = weight * reward[number] - number * price
         if value > most:
-            most, units = value, number
+            most = value
+            units = number
     return most, units
 
 
@@ -190,21 +223,31 @@ def tighten_prices(
 ) -> float:
     """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the numbers
-    of :mod:`placement.optimiser.constants` that the first line unpacks. Returns the bound; `price`
-    becomes what proves it, and `share` how often each pose was picked of late.
+    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the
+    numbers of :mod:`placement.optimiser.constants` that the first line unpacks. Returns
+    the bound; `price` becomes what proves it, and `share` how often each pose was
+    picked of late.
     """
     length, cut, deflection, memory, patience = timing
-    n_units, is_open = choice.n_units, choice.is_open
-    n_rows, n_poses, best, idle = len(price), len(share), np.inf, 0
-    best_price, slope, units = np.empty(n_rows), np.zeros(n_rows), np.zeros(n_rows, dtype=np.int64)
-    gain, picked = np.empty(n_poses), np.empty(max(n_units, 1), dtype=np.int64)
-    table, used = np.empty((covers.shape[1], 256)), np.empty(covers.shape[1], dtype=np.int64)
+    n_units = choice.n_units
+    is_open = choice.is_open
+    n_rows = len(price)
+    n_poses = len(share)
+    best = np.inf
+    idle = 0
+    best_price = np.empty(n_rows)
+    slope = np.zeros(n_rows)
+    units = np.zeros(n_rows, dtype=np.int64)
+    gain = np.empty(n_poses)
+    picked = np.empty(max(n_units, 1), dtype=np.int64)
+    table = np.empty((covers.shape[1], 256))
+    used = np.empty(covers.shape[1], dtype=np.int64)
     every = np.full(-(-covers.shape[1] // 8), ~np.uint64(0))
     for row in range(n_rows, 64 * len(every)):  # padding behind the rows
         every[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
     for step in range(n_steps + 1):
-        # The bound at these prices: what rows are worth beyond them, and the best poses.
+        # The bound at these prices: what rows are worth beyond them, and the best
+        # poses.
         total = 0.0
         for row in range(n_rows):
             most = weight[row] * (reward[1] - reward[0])
@@ -213,24 +256,31 @@ def tighten_prices(
             total += value
         n_used = weigh_bytes(price, every, table, used)
         for pose in range(n_poses):
-            gain[pose] = weight_of(covers[pose], table, used, n_used) if is_open[pose] else 0.0
+            if is_open[pose]:
+                gain[pose] = weight_of(covers[pose], table, used, n_used)
+            else:
+                gain[pose] = 0.0
         of_poses, n_picked = pick_affordable(gain, choice, picked)
         total += of_poses
         share *= memory
         for pose in picked[:n_picked]:
             share[pose] += 1.0 - memory
         if total < best * (1.0 - 1.0e-12):
-            best, idle = total, 0
+            best = total
+            idle = 0
             best_price[:] = price
         else:
             idle += 1
         if step == n_steps:
             break
         if idle > patience:
-            price[:], slope[:] = best_price, 0.0
-            length, idle = length * cut, 0
+            price[:] = best_price
+            slope[:] = 0.0
+            length = length * cut
+            idle = 0
             continue
-        # A step against the slope: poses that cover the row less the units it would pay for.
+        # A step against the slope: poses that cover the row less the units it would pay
+        # for.
         steepness = 0.0
         for row in range(n_rows):
             rise = -float(units[row])
@@ -247,7 +297,10 @@ def tighten_prices(
 
 
 # ---------- the walk
-DONE, PAUSED, FULL, AT_STOP = 0, 1, 2, 3
+DONE = 0
+PAUSED = 1
+FULL = 2
+AT_STOP = 3
 
 
 class Covers(NamedTuple):
@@ -265,10 +318,11 @@ class Covers(NamedTuple):
 class Walk(NamedTuple):
     """Where a walk stands; arrays have a place for each depth."""
 
-    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind which the
-    # walk began.
+    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind
+    # which the walk began.
     where: IntArray
-    may_lose: FloatArray  # (2,): weight of rows that all units, and all but the failed, may lose
+    # (2,): weight of rows that all units, and all but the failed, may lose
+    may_lose: FloatArray
     chosen: IntArray  # (n_units,)
     once: WordArray  # (n_units + 1, n_row_words): rows that a unit covers
     twice: WordArray  # the same, that two do
@@ -276,7 +330,9 @@ class Walk(NamedTuple):
     lost: FloatArray  # (n_units + 1,): what those weigh
     is_open: BoolArray  # (n_units + 1, n_poses): candidates
     room: IntArray  # (n_units + 1, n_sites)
-    queue: IntArray  # (n_units, n_poses): candidates that are tried, one after the other
+    queue: (
+        IntArray  # (n_units, n_poses): candidates that are tried, one after the other
+    )
     n_queued: IntArray  # (n_units,)
     position: IntArray  # (n_units,)
     gain: FloatArray  # (n_poses,): working space
@@ -313,19 +369,28 @@ def drop_hopeless(
 ) -> bool:
     """Drop candidates that cannot gain enough with others; whether some are left.
 
-    `n_more` candidates together have to gain `need`; with none to choose nothing is dropped.
+    `n_more` candidates together have to gain `need`; with none to choose nothing is
+    dropped.
     """
     if n_more <= 0:
         return need <= 0.0
-    most, least = 0.0, 0.0
+    most = 0.0
+    least = 0.0
     for number in range(n_more):
-        highest, pose = -1.0, -1
+        highest = -1.0
+        pose = -1
         for other in range(len(gain)):
-            if is_open[other] and gain[other] > highest and not has_entry(best[:number], other):
-                highest, pose = gain[other], other
+            if (
+                is_open[other]
+                and gain[other] > highest
+                and not has_entry(best[:number], other)
+            ):
+                highest = gain[other]
+                pose = other
         if pose < 0:
             break
-        best[number], least = pose, highest
+        best[number] = pose
+        least = highest
         most += highest
     if most < need:
         return False
@@ -343,15 +408,18 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     That is the row which fewest candidates cover; -1 if all are covered.
     """
     depth = walk.where[0]
-    once, gone = walk.once[depth], walk.gone[depth]
+    once = walk.once[depth]
+    gone = walk.gone[depth]
     candidates = np.zeros(covers.coverers.shape[1], dtype=np.uint64)
     for pose in range(walk.is_open.shape[1]):
         if walk.is_open[depth, pose]:
             candidates[pose >> 6] |= np.uint64(1) << np.uint64(pose & 63)
-    hardest, fewest = -1, len(walk.gain) + 1
+    hardest = -1
+    fewest = len(walk.gain) + 1
     rows[:] = 0
     for row in range(len(covers.weight)):
-        word, mask = row >> 6, np.uint64(1) << np.uint64(row & 63)
+        word = row >> 6
+        mask = np.uint64(1) << np.uint64(row & 63)
         if (once[word] | gone[word]) & mask:
             continue
         n_covering = 0
@@ -363,7 +431,8 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
             continue
         rows[word] |= mask
         if n_covering < fewest:
-            hardest, fewest = row, n_covering
+            hardest = row
+            fewest = n_covering
     return hardest
 
 
@@ -375,7 +444,9 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     """
     depth = walk.where[0]
     left = len(walk.chosen) - depth
-    is_open, gain, beside = walk.is_open[depth], walk.gain, walk.beside
+    is_open = walk.is_open[depth]
+    gain = walk.gain
+    beside = walk.beside
     rows = np.empty(walk.once.shape[1], dtype=np.uint64)
     hardest = give_up_rows(covers, walk, rows)
     walk.n_queued[depth] = walk.position[depth] = 0
@@ -398,10 +469,18 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
             for word in range(len(rows)):
                 rows[word] = of_unit[word] & ~walk.twice[depth, word]
             beside[:] = gain
-            need = total + add_gains(covers, covers.weight, rows, walk, beside) - walk.may_lose[1]
-            if not drop_hopeless(beside, is_open, left - n_failures + 1, need, walk.best):
+            need = (
+                total
+                + add_gains(covers, covers.weight, rows, walk, beside)
+                - walk.may_lose[1]
+            )
+            if not drop_hopeless(
+                beside, is_open, left - n_failures + 1, need, walk.best
+            ):
                 return False
-    queue, n_queued, is_any = walk.queue[depth], 0, False
+    queue = walk.queue[depth]
+    n_queued = 0
+    is_any = False
     for pose in range(len(gain)):
         if not is_open[pose]:
             continue
@@ -424,11 +503,13 @@ def grow(
 ) -> int:
     """Go on with a walk through all sets that lose little, until `max_work` or `out` is full.
 
-    Sets are written to `out`, (n, n_units). Nodes of depth `stop` are not looked into: the walk
-    pauses at each.
+    Sets are written to `out`, (n, n_units). Nodes of depth `stop` are not looked into:
+    the walk pauses at each.
     """
-    n_poses, n_units = walk.is_open.shape[1], len(walk.chosen)
-    begun, base = walk.where[3], walk.where[4]
+    n_poses = walk.is_open.shape[1]
+    n_units = len(walk.chosen)
+    begun = walk.where[3]
+    base = walk.where[4]
     while walk.where[0] >= base:
         depth = walk.where[0]
         if walk.where[3] - begun > max_work:
@@ -469,7 +550,9 @@ def grow(
                     walk.is_open[after, other] = False
         for word in range(walk.once.shape[1]):
             of_pose = covers.covers[pose, word]
-            walk.twice[after, word] = walk.twice[depth, word] | (walk.once[depth, word] & of_pose)
+            walk.twice[after, word] = walk.twice[depth, word] | (
+                walk.once[depth, word] & of_pose
+            )
             walk.once[after, word] = walk.once[depth, word] | of_pose
         walk.gone[after] = walk.gone[depth]
         walk.lost[after] = walk.lost[depth]
@@ -493,7 +576,8 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
     """True if units, (n_units, n_words), lose little, and without each if failures count."""
     chains, lost, order, may_lose, base = losses
     n_units = len(bits)
-    union, first = np.empty(len(base), dtype=np.uint64), np.empty(len(lost), dtype=np.int64)
+    union = np.empty(len(base), dtype=np.uint64)
+    first = np.empty(len(lost), dtype=np.int64)
     # All units together, then all but each one of them.
     for failed in range(n_units, -1 if with_failures else n_units - 1, -1):
         union[:] = base
@@ -501,10 +585,15 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
             if unit != failed:
                 for word in range(len(union)):
                     union[word] |= bits[unit, word]
-        may = may_lose[0] if failed == n_units else may_lose[1]
+        if failed == n_units:
+            may = may_lose[0]
+        else:
+            may = may_lose[1]
         rank = look_through(union, chains, order, lost, may, first)
         if rank < len(order):
-            before = rank // 2  # nearer to the front, not all the way: some fail by chance
+            before = (
+                rank // 2
+            )  # nearer to the front, not all the way: some fail by chance
             order[rank], order[before] = order[before], order[rank]
             return False
     return True
@@ -514,7 +603,8 @@ class Classes(NamedTuple):
     """Poses of each class."""
 
     member: IntArray  # poses, class after class
-    start: IntArray  # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    start: IntArray
     words: WordArray  # (n_classes, n_words): what all poses of each class see
 
 
@@ -530,21 +620,27 @@ def spell_out(
 ) -> int:
     """Sets of poses, one of each class in its place, that lose little; how many were written.
 
-    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the members
-    looked at, and the number of units that are settled, or -1 when all sets were seen.
+    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the
+    members looked at, and the number of units that are settled, or -1 when all sets
+    were seen.
     """
     member, start, class_words = of_classes
     n_units = len(classes)
     bits = np.empty((n_units, words.shape[1]), dtype=np.uint64)
-    unit, n_found = place[n_units], 0
+    unit = place[n_units]
+    n_found = 0
     for number in range(n_units):
         is_settled = number < unit
-        bits[number] = words[member[place[number]]] if is_settled else class_words[classes[number]]
+        if is_settled:
+            bits[number] = words[member[place[number]]]
+        else:
+            bits[number] = class_words[classes[number]]
     if unit == 0 and place[0] < start[classes[0]]:
         place[0] = start[classes[0]]
         if not can_keep(bits, losses, with_failures):
             unit = -1
-    # A member of the class of one unit after the other; units behind see what their class sees.
+    # A member of the class of one unit after the other; units behind see what their
+    # class sees.
     while unit >= 0:
         if place[unit] == start[classes[unit] + 1]:
             bits[unit] = class_words[classes[unit]]
@@ -563,7 +659,10 @@ def spell_out(
             place[unit] += 1
         else:
             is_same = classes[unit + 1] == classes[unit]
-            place[unit + 1] = place[unit] + 1 if is_same else start[classes[unit + 1]]
+            if is_same:
+                place[unit + 1] = place[unit] + 1
+            else:
+                place[unit + 1] = start[classes[unit + 1]]
             unit += 1
     place[n_units] = unit
     return n_found
@@ -581,15 +680,22 @@ def lost_by_pairs(
 ) -> None:
     """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
 
-    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row next to the
-    others, `may` where it sees what is asked for, `part` where it sees a piece that is missing. A
-    pair may avoid a row only if one sees what is asked for, and one avoids it or both see a part.
+    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row
+    next to the others, `may` where it sees what is asked for, `part` where it sees a
+    piece that is missing. A pair may avoid a row only if one sees what is asked for,
+    and one avoids it or both see a part.
     """
     for number in range(len(pairs)):
-        one, other, total = pairs[number, 0], pairs[number, 1], 0.0
+        one = pairs[number, 0]
+        other = pairs[number, 1]
+        total = 0.0
         # 64 rows at a time, the hardest first.
         for word in range(alone.shape[1]):
-            covered = alone[one, word] | alone[other, word] | (part[one, word] & part[other, word])
+            covered = (
+                alone[one, word]
+                | alone[other, word]
+                | (part[one, word] & part[other, word])
+            )
             left = ~(covered & (may[one, word] | may[other, word]))
             place = 8 * word
             while left:
@@ -602,7 +708,9 @@ def lost_by_pairs(
 
 
 @kernel
-def keep_sets(words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray) -> None:
+def keep_sets(
+    words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray
+) -> None:
     """Which sets of poses, (n_sets, n_units), lose no more than they may, (n_sets,)."""
     for number in range(len(sets)):
         kept[number] = can_keep(words[sets[number]], losses, False)

@@ -1,10 +1,10 @@
 """Detections from elsewhere: recordings of the CarlaNCAP study, and in the formats of others.
 
-``read`` reads a folder strictly, cuts its frames into drives that end at the impact, and counts
-what it leaves out; ``evaluate`` matches, confirms and brakes. ``files`` knows the layout, from
-``data/carla_ncap_format.toml``, and writes such a folder. ``formats`` has annotated tracks and
-detections in other formats, ``calibrations`` reads cameras;
-``pairs`` lays annotations and detections side by side.
+``read`` reads a folder strictly, cuts its frames into drives that end at the impact,
+and counts what it leaves out; ``evaluate`` matches, confirms and brakes. ``files``
+knows the layout, from ``data/carla_ncap_format.toml``, and writes such a folder.
+``formats`` has annotated tracks and detections in other formats, ``calibrations`` reads
+cameras; ``pairs`` lays annotations and detections side by side.
 """
 
 from .evaluate import RecordedEvaluation as RecordedEvaluation

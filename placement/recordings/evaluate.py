@@ -34,9 +34,12 @@ class RecordedEvaluation:
     vut: Verdict | None  # the VUT's own camera alone; None where it is not recorded
     units: Mapping[str, Verdict]  # each roadside unit alone, by the name of its folder
     rsu_all: Verdict  # all of them fused: in each frame any of them may be the detector
-    vut_and_rsus: Verdict | None  # the same with the VUT's camera; None where that is not recorded
-    # frames of a roadside unit with several VRUs of the drive's class in view: it is not known
-    # which one the VUT is about to hit, so that they count only if each of them is detected
+    vut_and_rsus: (
+        Verdict | None
+    )  # the same with the VUT's camera; None where that is not recorded
+    # frames of a roadside unit with several VRUs of the drive's class in view: it is
+    # not known which one the VUT is about to hit, so that they count only if each of
+    # them is detected
     n_ambiguous: int
 
 
@@ -45,16 +48,18 @@ def evaluate_recording(
 ) -> RecordedEvaluation:
     """Evaluate the units of a recording; its drives are runs, in order.
 
-    A unit detects the VRU of a drive in a frame if a detection of at least `min_confidence`
-    overlaps its label by more than :func:`placement.detectors.load_min_iou`. Where several VRUs of
-    the drive's class are labelled, the VUT's is the one whose distance comes nearest to that of
-    WorldData; of a roadside unit each of them must be detected. A frame that is missing is not
-    detected.
+    A unit detects the VRU of a drive in a frame if a detection of at least
+    `min_confidence` overlaps its label by more than
+    :func:`placement.detectors.load_min_iou`. Where several VRUs of the drive's class
+    are labelled, the VUT's is the one whose distance comes nearest to that of
+    WorldData; of a roadside unit each of them must be detected. A frame that is missing
+    is not detected.
     """
     if not 0.0 <= min_confidence <= 1.0:
         raise InputError("min_confidence", min_confidence, "a confidence, 0 .. 1")
     form = load_format()
-    detected, n_ambiguous = {}, 0
+    detected = {}
+    n_ambiguous = 0
     for unit in recording.units:
         detected[unit], n_several = _detected(recording, unit, form, min_confidence)
         n_ambiguous += n_several
@@ -92,7 +97,8 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
 
     Cases are "scenario-3-pedestrian" and so on.
     """
-    form, drives = load_format(), recording.drives
+    form = load_format()
+    drives = recording.drives
     last_s = [
         last_brake_time_s(
             vut_speed_mps=drive.vut_speed_mps,
@@ -120,18 +126,25 @@ def build_recorded_axis(recording: Recording, rule: AebRule) -> FrameAxis:
 def is_longitudinal(drive: Drive) -> bool:
     """True if the VUT catches up with a VRU that goes its way."""
     names = "vut_speed_mps", "vru_speed_mps", "closing_speed_mps"
-    return is_same_direction(**{name: getattr(drive, name) for name in names}, form=load_format())
+    return is_same_direction(
+        **{name: getattr(drive, name) for name in names}, form=load_format()
+    )
 
 
 def is_same_direction(
-    *, vut_speed_mps: float, vru_speed_mps: float, closing_speed_mps: float, form: RecordingFormat
+    *,
+    vut_speed_mps: float,
+    vru_speed_mps: float,
+    closing_speed_mps: float,
+    form: RecordingFormat,
 ) -> bool:
     """True if the VUT catches up with a VRU that goes its way, by the law of cosines.
 
-    False for a VRU that stands, or is as fast as the VUT. The format says up to which angle the
-    ways count as the same.
+    False for a VRU that stands, or is as fast as the VUT. The format says up to which
+    angle the ways count as the same.
     """
-    v, u = vut_speed_mps, vru_speed_mps
+    v = vut_speed_mps
+    u = vru_speed_mps
     if not 0.0 < u < v:
         return False
     cosine = (v**2 + u**2 - closing_speed_mps**2) / (2.0 * u * v)
@@ -139,12 +152,17 @@ def is_same_direction(
 
 
 def last_brake_time_s(
-    *, vut_speed_mps: float, vru_speed_mps: float, is_same_direction: bool, rule: AebRule
+    *,
+    vut_speed_mps: float,
+    vru_speed_mps: float,
+    is_same_direction: bool,
+    rule: AebRule,
 ) -> float:
     """Latest onset of braking that avoids, in seconds relative to the impact.
 
-    -(v - u) / (2 a) without build-up if both go the same way: the VUT must only shed v - u before
-    the gap to the VRU is closed. Otherwise -v / (2 a): it must stop before the place of the impact.
+    -(v - u) / (2 a) without build-up if both go the same way: the VUT must only shed v
+    - u before the gap to the VRU is closed. Otherwise -v / (2 a): it must stop before
+    the place of the impact.
 
     >>> from dataclasses import replace
     >>> from scenarios.aeb import load_aeb_rule
@@ -154,8 +172,12 @@ def last_brake_time_s(
     ... )
     -0.75
     """
-    shed_mps = vut_speed_mps - vru_speed_mps if is_same_direction else vut_speed_mps
-    # The VUT needs this distance to shed that speed; unbraked it would take distance / speed.
+    if is_same_direction:
+        shed_mps = vut_speed_mps - vru_speed_mps
+    else:
+        shed_mps = vut_speed_mps
+    # The VUT needs this distance to shed that speed; unbraked it would take distance /
+    # speed.
     distance_m = float(braking_distance_m(np.inf, speed_mps=shed_mps, rule=rule))
     return -distance_m / shed_mps
 
@@ -175,20 +197,29 @@ def _detected(
     recording: Recording, unit: str, form: RecordingFormat, min_confidence: float
 ) -> tuple[BoolArray, int]:
     """Frames in which a unit detects the VRU, and the number of those with several in view."""
-    all_labels, all_found = recording.labels[unit], recording.detections[unit]
-    detected, n_several = [], 0
+    all_labels = recording.labels[unit]
+    all_found = recording.detections[unit]
+    detected = []
+    n_several = 0
     for drive in recording.drives:
-        for key, distance_m in zip(drive.frames, drive.distance_m.tolist(), strict=True):
+        for key, distance_m in zip(
+            drive.frames, drive.distance_m.tolist(), strict=True
+        ):
             labels = [
-                label for label in all_labels.get(key, ()) if label.class_name == drive.vru_class
+                label
+                for label in all_labels.get(key, ())
+                if label.class_name == drive.vru_class
             ]
             if unit == form.vut_folder and len(labels) > 1:
-                labels = [min(labels, key=lambda label: abs(label.distance_m - distance_m))]
+                labels = [
+                    min(labels, key=lambda label: abs(label.distance_m - distance_m))
+                ]
             n_several += len(labels) > 1 and not np.isnan(distance_m)
             found = [
                 one
                 for one in (all_found.get(key, ()) if labels else ())
-                if one.confidence >= min_confidence and one.class_name in _FINDS[drive.vru_class]
+                if one.confidence >= min_confidence
+                and one.class_name in _FINDS[drive.vru_class]
             ]
             detected.append(not np.isnan(distance_m) and _is_match(labels, found))
     return np.array(detected), n_several
@@ -218,7 +249,9 @@ def _evaluate(
         vut=None if by_vut is None else _verdict(by_vut, axis, rule),
         units={unit: _verdict(frames, axis, rule) for unit, frames in detected.items()},
         rsu_all=_verdict(any_unit, axis, rule),
-        vut_and_rsus=None if by_vut is None else _verdict(any_unit | by_vut, axis, rule),
+        vut_and_rsus=(
+            None if by_vut is None else _verdict(any_unit | by_vut, axis, rule)
+        ),
         n_ambiguous=n_ambiguous,
     )
 

@@ -27,7 +27,10 @@ from geometry.files import (
     write_new,
 )
 
-VRU_CLASSES = ("pedestrian", "bicycle")  # that are read; other road users are only written
+VRU_CLASSES = (
+    "pedestrian",
+    "bicycle",
+)  # that are read; other road users are only written
 _MOST_FRAMES = 100_000_000
 _SIDES = ("min_x", "min_y", "max_x", "max_y")
 _WRITTEN = (*VRU_CLASSES, "motorcycle", "car")
@@ -137,12 +140,16 @@ class Fields:
         """A field's whole number; raises InputError as :meth:`number` does."""
         value = self.number(name, least=least, most=most)
         if value != int(value):
-            raise InputError(f"{self.place}: {name}", self.words[name], "a whole number")
+            raise InputError(
+                f"{self.place}: {name}", self.words[name], "a whole number"
+            )
         return int(value)
 
     def box(self, names: Sequence[str], *, most: float = 1.0e9) -> Box:
         """A box of the four fields that are named."""
-        left, top, right, bottom = (self.number(name, least=-most, most=most) for name in names)
+        left, top, right, bottom = (
+            self.number(name, least=-most, most=most) for name in names
+        )
         return left, top, right, bottom
 
 
@@ -151,16 +158,22 @@ def read_lines(
 ) -> Iterator[Fields]:
     """Lines of a text file that are not empty, cut into fields.
 
-    Raises InputError where a line has fewer than `least` fields (by default all that are named), or
-    more than are named: a file that was cut off ends in such a line.
+    Raises InputError where a line has fewer than `least` fields (by default all that
+    are named), or more than are named: a file that was cut off ends in such a line.
     """
-    fewest = len(names) if least is None else least
+    if least is None:
+        fewest = len(names)
+    else:
+        fewest = least
     for line, text in enumerate(read_text(path, "text").splitlines(), start=1):
         words = [word.strip() for word in text.strip().split(separator)]
         if not any(words):
             continue
         if not fewest <= len(words) <= len(names):
-            count = f"{fewest}" if fewest == len(names) else f"{fewest} to {len(names)}"
+            if fewest == len(names):
+                count = f"{fewest}"
+            else:
+                count = f"{fewest} to {len(names)}"
             what = f"{count} fields: {(separator or ' ').join(names)}"
             raise InputError(f"{path}:{line}", Unquoted(f"{len(words)} fields"), what)
         yield Fields(f"{path}:{line}", dict(zip(names, words, strict=False)), line)
@@ -169,12 +182,14 @@ def read_lines(
 def read_labels(path: Path, form: RecordingFormat) -> tuple[list[Label], int]:
     """Labels of a unit's frame, ``UNIT/SCENARIO_FRAME.txt``, and how many lines repeat others.
 
-    The file is empty where nothing is in view; boxes may extend beyond the image. Lines repeat
-    because the generator opens its files for appending.
+    The file is empty where nothing is in view; boxes may extend beyond the image. Lines
+    repeat because the generator opens its files for appending.
     """
     rows, n_repeated = _distinct(path, form.label_fields)
     return [
-        Label(_class(row, form), _box(row), row.number("dist", least=0.0, most=math.inf))
+        Label(
+            _class(row, form), _box(row), row.number("dist", least=0.0, most=math.inf)
+        )
         for row in rows
     ], n_repeated
 
@@ -197,15 +212,17 @@ def read_detections(path: Path, form: RecordingFormat) -> tuple[list[Detection],
 def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
     """Distance and speeds of a frame, ``WorldData/SCENARIO_FRAME.txt``, and how often they repeat.
 
-    The generator ends the line without a line break: a frame that is recorded twice reads
-    ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
+    The generator ends the line without a line break: a frame that is recorded twice
+    reads ``12.5 5.6 1.412.5 5.6 1.4``. Different numbers in a file are an error.
     """
     text = read_text(path, "text").strip()
     once, n_repeated = _once(text, len(form.world_fields))
     fields = once.split()
     if len(fields) != len(form.world_fields):
         raise InputError(
-            f"{path}:1", text, f"{' '.join(form.world_fields)}, once or repeated exactly"
+            f"{path}:1",
+            text,
+            f"{' '.join(form.world_fields)}, once or repeated exactly",
         )
     distance, vut_speed, vru_speed = fields
     world = World(
@@ -214,7 +231,9 @@ def read_world(path: Path, form: RecordingFormat) -> tuple[World, int]:
         vru_speed_mps=parse_number(vru_speed, f"{path}:1: vru_speed", least=0.0),
     )
     if world.vut_speed_mps <= 0.0:
-        raise InputError(f"{path}:1: car_speed", world.vut_speed_mps, "m/s, more than 0")
+        raise InputError(
+            f"{path}:1: car_speed", world.vut_speed_mps, "m/s, more than 0"
+        )
     return world, n_repeated
 
 
@@ -269,18 +288,24 @@ class WrittenDrive:
     # vut_speed_mps, vru_speed_mps: target speeds. [m/s]
     vut_speed_mps: float
     vru_speed_mps: float
-    # (n_frames,): between the origins of VUT and VRU; the last frame is that of the impact. [m]
+    # (n_frames,): between the origins of VUT and VRU; the last frame is that of the
+    # impact. [m]
     distance_m: FloatArray
-    # labels_px, detections_px: (n_frames, 4): per unit, by the name of its folder, the VRU's box
-    # and what was found; a box without area stands for none. [px]
+    # labels_px, detections_px: (n_frames, 4): per unit, by the name of its folder, the
+    # VRU's box and what was found; a box without area stands for none. [px]
     labels_px: Mapping[str, FloatArray]
     detections_px: Mapping[str, FloatArray]
-    label_distance_m: Mapping[str, FloatArray]  # (n_frames,): per unit, how far the VRU is. [m]
+    label_distance_m: Mapping[
+        str, FloatArray
+    ]  # (n_frames,): per unit, how far the VRU is. [m]
 
     def __post_init__(self) -> None:
         check_one_of("vru_class", self.vru_class, _WRITTEN)
-        object.__setattr__(self, "distance_m", float_array(self.distance_m, (-1,), "distance_m"))
-        n_frames, units = len(self.distance_m), list(self.labels_px)
+        object.__setattr__(
+            self, "distance_m", float_array(self.distance_m, (-1,), "distance_m")
+        )
+        n_frames = len(self.distance_m)
+        units = list(self.labels_px)
         for name, shape in (
             ("labels_px", (n_frames, 4)),
             ("detections_px", (n_frames, 4)),
@@ -290,7 +315,8 @@ class WrittenDrive:
             if list(arrays) != units:
                 raise InputError(name, list(arrays), f"the units of labels_px: {units}")
             checked = {
-                unit: float_array(array, shape, f"{name}[{unit}]") for unit, array in arrays.items()
+                unit: float_array(array, shape, f"{name}[{unit}]")
+                for unit, array in arrays.items()
             }
             object.__setattr__(self, name, checked)
 
@@ -304,10 +330,10 @@ def write_recording(
 ) -> None:
     """Write drives (with the same units) as the study's generator does, whole or not at all.
 
-    Frame numbers run on over all drives. After each drive there are `n_reset_frames` frames, by
-    default as many as the generator's, with the bodies back at their starts, as in its first frame.
-    `also` are other files that shall be there, with their text. Raises InputError if units differ,
-    or the folder is not empty or not writable.
+    Frame numbers run on over all drives. After each drive there are `n_reset_frames`
+    frames, by default as many as the generator's, with the bodies back at their starts,
+    as in its first frame. `also` are other files that shall be there, with their text.
+    Raises InputError if units differ, or the folder is not empty or not writable.
     """
     form = load_format()
     if not drives:
@@ -315,8 +341,13 @@ def write_recording(
     units = list(drives[0].labels_px)
     for drive in drives:
         if list(drive.labels_px) != units:
-            raise InputError("units", list(drive.labels_px), f"those of the first drive: {units}")
-    n_resets = form.n_reset_frames if n_reset_frames is None else n_reset_frames
+            raise InputError(
+                "units", list(drive.labels_px), f"those of the first drive: {units}"
+            )
+    if n_reset_frames is None:
+        n_resets = form.n_reset_frames
+    else:
+        n_resets = n_reset_frames
     write_folder(
         folder,
         itertools.chain(_files(drives, form, n_resets), (also or {}).items()),
@@ -334,7 +365,9 @@ def write_folder(
     temporary = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
     with ExitStack() as stack, reading(folder, "a folder that can be written", OSError):
         if folder.exists() and any(folder.iterdir()):
-            raise InputError(str(folder), Unquoted("a folder that is not empty"), "a new one")
+            raise InputError(
+                str(folder), Unquoted("a folder that is not empty"), "a new one"
+            )
         stack.callback(shutil.rmtree, temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         for name in folders:
@@ -350,19 +383,28 @@ def _files(
     """Names relative to the folder, and contents."""
     number = 0
     for drive in drives:
-        actor = _BICYCLE if drive.vru_class == "bicycle" else drive.vru_class
+        if drive.vru_class == "bicycle":
+            actor = _BICYCLE
+        else:
+            actor = drive.vru_class
         for frame in [*range(len(drive.distance_m)), *[0] * n_resets]:
             name = FrameKey(drive.scenario, number).file_name
             number += 1
             yield (
                 f"{form.world_folder}/{name}",
-                _words(drive.distance_m[frame], drive.vut_speed_mps, drive.vru_speed_mps),
+                _words(
+                    drive.distance_m[frame], drive.vut_speed_mps, drive.vru_speed_mps
+                ),
             )
             found = []
             for unit, labels_px in drive.labels_px.items():
-                label, detection = labels_px[frame], drive.detections_px[unit][frame]
+                label = labels_px[frame]
+                detection = drive.detections_px[unit][frame]
                 distance_m = drive.label_distance_m[unit][frame]
-                text = f"{actor} {_words(*label, distance_m)}\n" if _has_area(label) else ""
+                if _has_area(label):
+                    text = f"{actor} {_words(*label, distance_m)}\n"
+                else:
+                    text = ""
                 yield f"{unit}/{name}", text
                 if _has_area(detection):
                     found.append(f"{unit} {actor} {_words(*detection, CONFIDENCE)}\n")

@@ -1,10 +1,11 @@
 """Boxes of recordings in the formats of others, and which format a recording is in.
 
-MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from 0 here.
-KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and its development kit;
-RRC as in DeepFusionMOT, PointRCNN as in AB3DMOT. CVML: T. List, R. Fisher, "CVML - an XML-based
-computer vision markup language", 2004. WILDTRACK: T. Chavdarova et al., "WILDTRACK: a multi-camera
-HD dataset for dense unscripted pedestrian detection", 2018; places are cells of a grid.
+MOT challenge: https://motchallenge.net/instructions; frames count from 1 in files, from
+0 here. KITTI: A. Geiger et al., "Vision meets robotics: the KITTI dataset", 2013, and
+its development kit; RRC as in DeepFusionMOT, PointRCNN as in AB3DMOT. CVML: T. List, R.
+Fisher, "CVML - an XML-based computer vision markup language", 2004. WILDTRACK: T.
+Chavdarova et al., "WILDTRACK: a multi-camera HD dataset for dense unscripted pedestrian
+detection", 2018; places are cells of a grid.
 """
 
 import re
@@ -61,12 +62,17 @@ class RecordedBoxes:
     box_px: FloatArray
     track: IntArray  # (n,): whose box it is; -1: not said
     score: FloatArray  # (n,): a detector's; not a number where it is annotated
-    seen_share: FloatArray  # (n,): that nothing hides; not a number where it is not said
+    seen_share: (
+        FloatArray  # (n,): that nothing hides; not a number where it is not said
+    )
     # (n,): KITTI's: 0 in view, 1 partly, 2 largely hidden; -1: not said
     hidden_level: IntArray
-    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not said. [m]
+    # (n, 3): middle of the body's foot in the recording's own frame; not a number: not
+    # said. [m]
     position_m: FloatArray
-    left_out: Mapping[str, int] = field(default_factory=dict)  # what is not among them, how often
+    left_out: Mapping[str, int] = field(
+        default_factory=dict
+    )  # what is not among them, how often
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -80,7 +86,9 @@ class RecordedBoxes:
         index = np.arange(len(self))[rows]
         values = {name: getattr(self, name) for name in self.__slots__}
         arrays: dict[str, Any] = {
-            name: one[index] for name, one in values.items() if isinstance(one, np.ndarray)
+            name: one[index]
+            for name, one in values.items()
+            if isinstance(one, np.ndarray)
         }
         names = tuple(self.class_name[one] for one in index.tolist())
         return replace(self, class_name=names, **arrays)
@@ -89,8 +97,9 @@ class RecordedBoxes:
 def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
     """The boxes of a file's rows, in their order, without tracks that jump.
 
-    Raises InputError, with the row's place: a frame before that of the row above (of the same
-    track, where there are tracks), a negative width or height, numbers out of range.
+    Raises InputError, with the row's place: a frame before that of the row above (of
+    the same track, where there are tracks), a negative width or height, numbers out of
+    range.
     """
     kept = list(rows)
     last: dict[int, int] = {}
@@ -98,16 +107,25 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
         before = last.get(row.track, -1)
         # A track is once in a frame; a detector finds several things in one.
         if row.frame < before or (row.track >= 0 and row.frame == before):
-            what = f"of track {row.track}, once each, " if row.track >= 0 else ""
-            raise InputError(row.place, Unquoted(f"frame {row.frame}"), f"frames {what}in order")
+            if row.track >= 0:
+                what = f"of track {row.track}, once each, "
+            else:
+                what = ""
+            raise InputError(
+                row.place, Unquoted(f"frame {row.frame}"), f"frames {what}in order"
+            )
         last[row.track] = row.frame
         left, top, right, bottom = row.box_px
         if right < left or bottom < top:
             got = Unquoted(f"{right - left:g} x {bottom - top:g} px")
-            raise InputError(f"{row.place}: box", got, "a width and a height, at least 0")
+            raise InputError(
+                f"{row.place}: box", got, "a width and a height, at least 0"
+            )
 
     def column(name: str, kind: type, *size: int) -> Any:
-        return freeze(np.array([getattr(row, name) for row in kept], kind).reshape(-1, *size))
+        return freeze(
+            np.array([getattr(row, name) for row in kept], kind).reshape(-1, *size)
+        )
 
     boxes = RecordedBoxes(
         source=str(path),
@@ -120,7 +138,9 @@ def gather_boxes(path: Path, rows: Iterable[BoxRow]) -> RecordedBoxes:
     jumping = _jumping(boxes)
     if not len(jumping):
         return boxes
-    return replace(boxes.take(~np.isin(boxes.track, jumping)), left_out={JUMPS: len(jumping)})
+    return replace(
+        boxes.take(~np.isin(boxes.track, jumping)), left_out={JUMPS: len(jumping)}
+    )
 
 
 def _jumping(boxes: RecordedBoxes) -> IntArray:
@@ -128,7 +148,8 @@ def _jumping(boxes: RecordedBoxes) -> IntArray:
     left, top, right, bottom = boxes.box_px.T
     rows = np.flatnonzero((boxes.track >= 0) & (right > left) & (bottom > top))
     rows = rows[np.argsort(boxes.track[rows], kind="stable")]
-    before, after = rows[:-1], rows[1:]
+    before = rows[:-1]
+    after = rows[1:]
     moved = 0.5 * np.hypot(np.diff((left + right)[rows]), np.diff((top + bottom)[rows]))
     height = np.maximum((bottom - top)[before], (bottom - top)[after])
     is_same = boxes.track[before] == boxes.track[after]
@@ -137,7 +158,18 @@ def _jumping(boxes: RecordedBoxes) -> IntArray:
 
 
 # ---------- MOT challenge: annotated tracks (gt.txt) and detections (det.txt)
-_MOT = ("frame", "id", "left", "top", "width", "height", "conf", "class", "visibility", "z")
+_MOT = (
+    "frame",
+    "id",
+    "left",
+    "top",
+    "width",
+    "height",
+    "conf",
+    "class",
+    "visibility",
+    "z",
+)
 _MOT_LEAST = 7  # the rest is -1, or missing
 _WITH_CLASSES = 9  # fields from 2016 on; in 2015 there were x, y, z in their place
 _PEDESTRIAN = 1
@@ -150,21 +182,34 @@ def mot_rows(path: Path) -> Iterator[BoxRow]:
     for fields in read_lines(path, _MOT, separator=",", least=_MOT_LEAST):
         frame = fields.whole("frame", least=1)
         track = fields.whole("id")
-        left, top = fields.number("left"), fields.number("top")
+        left = fields.number("left")
+        top = fields.number("top")
         box = (left, top, left + fields.number("width"), top + fields.number("height"))
         conf = fields.number("conf")
         if track < 0:
             yield BoxRow(fields.place, frame - 1, "pedestrian", box, score=conf)
             continue
-        name, seen = "pedestrian", float("nan")
+        name = "pedestrian"
+        seen = float("nan")
         if len(fields.words) == _WITH_CLASSES:
             kind = fields.whole("class", least=-1, most=100)
-            name = name if kind in (_PEDESTRIAN, -1) else _MOT_OTHERS.get(kind, "other")
+            if kind in (_PEDESTRIAN, -1):
+                name = name
+            else:
+                name = _MOT_OTHERS.get(kind, "other")
             seen = fields.number("visibility", least=-1.0, most=1.0)
-            seen = seen if seen >= 0.0 else float("nan")
+            if seen >= 0.0:
+                seen = seen
+            else:
+                seen = float("nan")
         if conf not in (0.0, 1.0):
-            raise InputError(f"{fields.place}: conf", conf, "0 or 1 where there is an id")
-        name = name if conf else IGNORE
+            raise InputError(
+                f"{fields.place}: conf", conf, "0 or 1 where there is an id"
+            )
+        if conf:
+            name = name
+        else:
+            name = IGNORE
         yield BoxRow(fields.place, frame - 1, name, box, track=track, seen_share=seen)
 
 
@@ -174,7 +219,12 @@ _PLACE = ("height", "width", "length", "x", "y", "z", "yaw")
 _LABEL = ("frame", "track", "type", "truncated", "occluded", "alpha", *_SIDES, *_PLACE)
 _RRC = ("frame", *_SIDES, "score")
 _POINTRCNN = ("frame", "type", *_SIDES, "score", *_PLACE, "alpha")
-_CLASSES = {"Pedestrian": "pedestrian", "Cyclist": "cyclist", "Car": "car", "DontCare": IGNORE}
+_CLASSES = {
+    "Pedestrian": "pedestrian",
+    "Cyclist": "cyclist",
+    "Car": "car",
+    "DontCare": IGNORE,
+}
 _OTHERS = ("Van", "Truck", "Person", "Person_sitting", "Tram", "Misc")
 _POINTRCNN_CLASSES = {1: "pedestrian", 2: "car", 3: "cyclist"}
 
@@ -205,7 +255,8 @@ def _position(fields: Fields) -> tuple[float, float, float]:
 def rrc_rows(path: Path) -> Iterator[BoxRow]:
     """Pedestrians found by RRC in a sequence, a file a class: frame, box, score."""
     for fields in read_lines(path, _RRC, separator=","):
-        frame, score = fields.whole("frame", least=0), fields.number("score", least=0.0, most=1.0)
+        frame = fields.whole("frame", least=0)
+        score = fields.number("score", least=0.0, most=1.0)
         yield BoxRow(fields.place, frame, "pedestrian", fields.box(_SIDES), score=score)
 
 
@@ -235,10 +286,14 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
         place = f"{path}: frame {frame.get('number')}"
         number = Fields(place, frame.attrib).whole("number", least=0)
         if last is not None:
-            step = number - last if step is None else step
+            if step is None:
+                step = number - last
+            else:
+                step = step
             if number - last != step or step <= 0:
                 expected = (
-                    f"{last + max(step, 1)} after frame {last}: frames in order, all as far apart"
+                    f"{last + max(step, 1)} after frame {last}: frames in order, all as"
+                    " far apart"
                 )
                 raise InputError(place, number, expected)
         last = number
@@ -255,7 +310,9 @@ def cvml_rows(path: Path) -> Iterator[BoxRow]:
 
 # ---------- WILDTRACK: people on a square who are annotated in seven calibrated views
 N_VIEWS = 7
-_CELL_M, _COLUMNS, _ORIGIN_M = 0.025, 480, (-3.0, -9.0)
+_CELL_M = 0.025
+_COLUMNS = 480
+_ORIGIN_M = (-3.0, -9.0)
 _NAME = re.compile(r"(\d{1,8})\.json", re.ASCII)
 _Pixel = Annotated[int, Meta(ge=-100_000, le=100_000)]
 
@@ -277,9 +334,9 @@ class _Person(msgspec.Struct, frozen=True):
 def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
     """Everybody who is annotated, view by view; a box without area means: not in this view.
 
-    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a file is not
-    what it should be, views are missing, or the files' numbers are not all as far apart (mixed
-    frame rates).
+    Frames are numbered 0, 1, .. in the order of their files. Raises InputError if a
+    file is not what it should be, views are missing, or the files' numbers are not all
+    as far apart (mixed frame rates).
     """
     rows: list[list[BoxRow]] = [[] for _ in range(N_VIEWS)]
     for frame, path in enumerate(_files(folder)):
@@ -293,7 +350,9 @@ def read_wildtrack(folder: Path) -> tuple[RecordedBoxes, ...]:
             for view in person.views:
                 sides = (view.xmin, view.ymin, view.xmax, view.ymax)
                 is_seen = sides != (-1, -1, -1, -1)
-                left, top, right, bottom = map(float, sides if is_seen else (0, 0, 0, 0))
+                left, top, right, bottom = map(
+                    float, sides if is_seen else (0, 0, 0, 0)
+                )
                 rows[view.viewNum].append(
                     BoxRow(
                         f"{path}: person {person.personID}, view {view.viewNum}",
@@ -313,7 +372,9 @@ def _files(folder: Path) -> list[Path]:
     named = [(int(m[1]), path) for path in entries if (m := _NAME.fullmatch(path.name))]
     found = dict(named)
     if len(found) < len(named):
-        raise InputError(str(folder), Unquoted("two files of one frame"), "each frame once")
+        raise InputError(
+            str(folder), Unquoted("two files of one frame"), "each frame once"
+        )
     if not found:
         raise InputError(str(folder), Unquoted("no frame"), "files FRAME.json")
     numbers = sorted(found)
@@ -327,7 +388,10 @@ def _files(folder: Path) -> list[Path]:
 
 
 # ---------- any of them
-STUDY, MOT_FOLDER, WILDTRACK, COCO = "study", "MOT challenge's folder", "WILDTRACK", "COCO"
+STUDY = "study"
+MOT_FOLDER = "MOT challenge's folder"
+WILDTRACK = "WILDTRACK"
+COCO = "COCO"
 MOT_FILES = (Path("gt/gt.txt"), Path("det/det.txt"))
 """In a folder of MOT challenge: who was annotated, and what was found."""
 
@@ -348,12 +412,17 @@ def find_format(path: Path) -> str:
     """
     with reading(path, "a recording", OSError):
         is_folder = stat.S_ISDIR(path.stat().st_mode)
-        name = _of_folder(path) if is_folder else None
+        if is_folder:
+            name = _of_folder(path)
+        else:
+            name = None
     if is_folder and name is None:
         raise _unknown(str(path), "a folder without their files")
     if name is not None:
         return name
-    first = next((one for one in read_text(path, "text").splitlines() if one.strip()), "")
+    first = next(
+        (one for one in read_text(path, "text").splitlines() if one.strip()), ""
+    )
     if first.lstrip("\ufeff \t").startswith("<"):
         return "CVML"
     if first.lstrip().startswith(("{", "[")):
@@ -365,7 +434,9 @@ def find_format(path: Path) -> str:
     if n_fields == 1 and len(words) > 2 and not words[2][0].isdigit():
         return "KITTI"
     if n_fields not in _BY_FIELDS:
-        raise _unknown(f"{path}:1", f"{n_fields if n_fields > 1 else len(words)} fields")
+        raise _unknown(
+            f"{path}:1", f"{n_fields if n_fields > 1 else len(words)} fields"
+        )
     return _BY_FIELDS[n_fields]
 
 
@@ -375,7 +446,9 @@ def _of_folder(path: Path) -> str | None:
         return STUDY
     if (path / MOT_FILES[0]).is_file():
         return MOT_FOLDER
-    return WILDTRACK if any(_NAME.fullmatch(one.name) for one in path.iterdir()) else None
+    if any(_NAME.fullmatch(one.name) for one in path.iterdir()):
+        return WILDTRACK
+    return None
 
 
 def _unknown(where: str, got: str) -> InputError:
@@ -386,7 +459,8 @@ def _unknown(where: str, got: str) -> InputError:
 def read_boxes(path: Path) -> RecordedBoxes:
     """Boxes of a file in any of the formats that are known; the file itself says in which.
 
-    Raises InputError, with line or frame, if it is none of them, or not what its format asks for.
+    Raises InputError, with line or frame, if it is none of them, or not what its format
+    asks for.
     """
     name = find_format(path)
     if name not in _READERS:

@@ -18,7 +18,9 @@ HIDDEN_SHARES = (1.0, 0.75, 0.25)
 _FROM_THE_SIDE_DEG = 90.0
 _MOSTLY = 0.5  # a box of which more lies in a region to ignore does not count
 _LEAST_FRAMES = 10  # with boxes, to tell a frame rate
-_OUTSIDE_FRAMES = 10  # detections may go on for so long where nobody is annotated any more
+_OUTSIDE_FRAMES = (
+    10  # detections may go on for so long where nobody is annotated any more
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,7 +28,9 @@ class PairedBoxes:
     """Pictures of a recording, and which of its boxes their labels are."""
 
     pictures: tuple[LabelledPicture, ...]
-    label_index: IntArray  # (n,): into the annotated boxes, in the order of the pictures' labels
+    label_index: (
+        IntArray  # (n,): into the annotated boxes, in the order of the pictures' labels
+    )
 
 
 def pair_boxes(
@@ -40,15 +44,18 @@ def pair_boxes(
 ) -> PairedBoxes:
     """Pictures with labels of some classes, and the boxes of at least `min_score` found in them.
 
-    `classes` are those that are annotated, and the road users that they are. Boxes mostly in a
-    region to ignore, or on other annotated things, are no false alarms. Tracks are numbered from
-    `first_track` on. `n_frames` were recorded; by default as many as have boxes. Raises InputError
-    if nobody of these classes is annotated, or frames of the two files do not belong together.
+    `classes` are those that are annotated, and the road users that they are. Boxes
+    mostly in a region to ignore, or on other annotated things, are no false alarms.
+    Tracks are numbered from `first_track` on. `n_frames` were recorded; by default as
+    many as have boxes. Raises InputError if nobody of these classes is annotated, or
+    frames of the two files do not belong together.
     """
     is_label = annotated.is_class(*classes) & (annotated.track >= 0)
     if not is_label.any():
         got = Unquoted("nobody")
-        raise InputError(annotated.source, got, "boxes with an id of " + ", ".join(classes))
+        raise InputError(
+            annotated.source, got, "boxes with an id of " + ", ".join(classes)
+        )
     last = int(annotated.frame.max())
     if len(found) and found.frame.max() > max(last, n_frames or 0) + _OUTSIDE_FRAMES:
         got = Unquoted(f"frames up to {found.frame.max()}")
@@ -59,13 +66,18 @@ def pair_boxes(
         got = Unquoted(f"a frame in {steps[1]}")
         expected = f"one in {steps[0]}, as in {annotated.source}: the same frame rate"
         raise InputError(found.source, got, expected)
-    shares, tracks = seen_shares(annotated), np.unique(annotated.track, return_inverse=True)[1]
-    kinds = np.array([VRU_CLASSES.index(classes.get(n, "car")) for n in annotated.class_name])
+    shares = seen_shares(annotated)
+    tracks = np.unique(annotated.track, return_inverse=True)[1]
+    kinds = np.array(
+        [VRU_CLASSES.index(classes.get(n, "car")) for n in annotated.class_name]
+    )
     counts = found.is_class(*classes) & (found.score >= min_score)
-    pictures, index = [], []
+    pictures = []
+    index = []
     for frame in range(last + 1 if n_frames is None else n_frames):
         here = np.flatnonzero(annotated.frame == frame)
-        labels, others = here[is_label[here]], here[~is_label[here]]
+        labels = here[is_label[here]]
+        others = here[~is_label[here]]
         boxes = found.box_px[counts & (found.frame == frame)]
         index.append(labels)
         is_aside = (_overlap(boxes, annotated.box_px[others]) > _MOSTLY).any(axis=1)
@@ -89,21 +101,25 @@ def pair_boxes(
 def _step(frame: IntArray) -> int:
     """How far apart frames with boxes are, at least; 0 where there are too few to tell."""
     frames = np.unique(frame)
-    return int(np.gcd.reduce(np.diff(frames))) if len(frames) >= _LEAST_FRAMES else 0
+    if len(frames) >= _LEAST_FRAMES:
+        return int(np.gcd.reduce(np.diff(frames)))
+    return 0
 
 
 def seen_shares(annotated: RecordedBoxes) -> FloatArray:
     """Share of each annotated box (n,) that is seen, as well as the recording tells it.
 
-    As annotated; else by KITTI's level (see ``HIDDEN_SHARES``); else what the box of no single
-    nearer person covers. A box whose lower side is further down is nearer.
+    As annotated; else by KITTI's level (see ``HIDDEN_SHARES``); else what the box of no
+    single nearer person covers. A box whose lower side is further down is nearer.
     """
     shares = np.ones(len(annotated))
     for frame in np.unique(annotated.frame).tolist():
         rows = np.flatnonzero((annotated.frame == frame) & (annotated.track >= 0))
         boxes = annotated.box_px[rows]
         is_nearer = boxes[:, None, 3] < boxes[None, :, 3]
-        shares[rows] -= np.where(is_nearer, _overlap(boxes, boxes), 0.0).max(axis=1, initial=0.0)
+        shares[rows] -= np.where(is_nearer, _overlap(boxes, boxes), 0.0).max(
+            axis=1, initial=0.0
+        )
     level = annotated.hidden_level
     by_level = np.array([*HIDDEN_SHARES, 1.0])[level]
     shares = np.where(level >= 0, by_level, shares)
@@ -116,7 +132,9 @@ def _overlap(boxes: FloatArray, others: FloatArray) -> FloatArray:
     high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     area = np.prod(np.maximum(high - low, 0.0), axis=2)
     whole = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)[:, None]
-    return np.asarray(np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0))
+    return np.asarray(
+        np.divide(area, whole, out=np.zeros_like(area), where=whole > 0.0)
+    )
 
 
 def frames_to_confirm(
@@ -124,23 +142,34 @@ def frames_to_confirm(
 ) -> IntArray:
     """Frames from each row (n,) on until its track is confirmed, both included.
 
-    So many consecutive frames in which it is found confirm a track; 0: that never happens. Rows
-    of a track are in the order of their frames.
+    So many consecutive frames in which it is found confirm a track; 0: that never
+    happens. Rows of a track are in the order of their frames.
 
     >>> found = np.array([True, False, True, True, True])
     >>> frames_to_confirm(found, np.zeros(5, int), np.arange(5), n_confirmations=3)
     array([5, 4, 3, 0, 0])
     """
     waits = np.zeros(len(is_found), dtype=np.int64)
-    last_frame, last_track, end, n_row = -1, -1, 0, 0
+    last_frame = -1
+    last_track = -1
+    end = 0
+    n_row = 0
     # From the end: a row's own frames are the first of a stretch that is known by then.
     for row in range(len(is_found) - 1, -1, -1):
         if track[row] != last_track:
-            end, n_row = 0, 0
+            end = 0
+            n_row = 0
         is_next = track[row] == last_track and frame[row] + 1 == last_frame
-        n_row = (n_row if is_next else 0) + 1 if is_found[row] else 0
-        last_frame, last_track = int(frame[row]), int(track[row])
+        if is_found[row]:
+            n_row = (n_row if is_next else 0) + 1
+        else:
+            n_row = 0
+        last_frame = int(frame[row])
+        last_track = int(track[row])
         if n_row >= n_confirmations:
             end = last_frame + n_confirmations
-        waits[row] = end - last_frame if end else 0
+        if end:
+            waits[row] = end - last_frame
+        else:
+            waits[row] = 0
     return waits

@@ -1,6 +1,7 @@
 """A recording from its folder: its frames cut into drives, its labels and detections.
 
-Anything that would make the result wrong is an error; frames that are left out are counted.
+Anything that would make the result wrong is an error; frames that are left out are
+counted.
 """
 
 import re
@@ -64,8 +65,8 @@ class Drive:
     # at which the distance falls in the last second before the impact. [m/s]
     closing_speed_mps: float
     first_number: int  # frame number of the first frame; the others follow one by one
-    # (n_frames,): between the origins of VUT and VRU; the last one is that of the impact. NaN for a
-    # frame that is missing. [m]
+    # (n_frames,): between the origins of VUT and VRU; the last one is that of the
+    # impact. NaN for a frame that is missing. [m]
     distance_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -85,11 +86,14 @@ class Drive:
     def frames(self) -> tuple[FrameKey, ...]:
         """Keys of all frames."""
         return tuple(
-            FrameKey(self.scenario, self.first_number + index) for index in range(self.n_frames)
+            FrameKey(self.scenario, self.first_number + index)
+            for index in range(self.n_frames)
         )
 
     def __repr__(self) -> str:
-        return f"Drive(scenario {self.scenario}, {self.vru_class}, {self.n_frames} frames)"
+        return (
+            f"Drive(scenario {self.scenario}, {self.vru_class}, {self.n_frames} frames)"
+        )
 
 
 def cut_drives(
@@ -97,15 +101,17 @@ def cut_drives(
 ) -> tuple[list[Drive], Counter[str]]:
     """Cut the frames of a recording into drives, and count the others by reason.
 
-    Within a scenario a drive is a sequence of frames with the same target speeds. Where the
-    distance rises by more than these allow, the bodies were put back and another drive begins, as
-    it does where many frames are missing. The impact is the frame of the smallest distance; what
-    follows does not belong to the drive, nor do frames after a reset in which the bodies still
-    stand. Classes are still "unseen".
+    Within a scenario a drive is a sequence of frames with the same target speeds. Where
+    the distance rises by more than these allow, the bodies were put back and another
+    drive begins, as it does where many frames are missing. The impact is the frame of
+    the smallest distance; what follows does not belong to the drive, nor do frames
+    after a reset in which the bodies still stand. Classes are still "unseen".
     """
     drives: list[Drive] = []
     left_out: Counter[str] = Counter()
-    for _, group in groupby(sorted(world), key=lambda key: (key.scenario, *world[key][1:])):
+    for _, group in groupby(
+        sorted(world), key=lambda key: (key.scenario, *world[key][1:])
+    ):
         frames = list(group)
         for part, is_after_reset in _between_resets(frames, world, form):
             result = _drive(part, world, form, is_after_reset=is_after_reset)
@@ -120,7 +126,8 @@ def cut_drives(
 def with_class(drive: Drive, votes: Counter[str]) -> Drive:
     """The drive with the class of VRU that most of its labels have.
 
-    A rider may be labelled as well as the bicycle: if both are as frequent it is a bicycle's drive.
+    A rider may be labelled as well as the bicycle: if both are as frequent it is a
+    bicycle's drive.
     """
     if not votes:
         return drive
@@ -137,7 +144,9 @@ def _between_resets(
     fastest_m = (vut_speed + vru_speed) * np.diff(numbers) / form.frame_rate_hz
     is_cut = np.diff(distance) > fastest_m + form.jump_m
     is_cut |= np.diff(numbers) > form.max_gap_s * form.frame_rate_hz
-    for first, last in pairwise([0, *(np.flatnonzero(is_cut) + 1).tolist(), len(frames)]):
+    for first, last in pairwise(
+        [0, *(np.flatnonzero(is_cut) + 1).tolist(), len(frames)]
+    ):
         yield frames[first:last], first > 0
 
 
@@ -153,25 +162,41 @@ def _drive(
     _, vut_speed, vru_speed = world[frames[0]]
     impact = int(np.argmin(distance))
     first = 0
-    if is_after_reset:  # without the frames in which the bodies stand at their starts, but the last
+    if (
+        is_after_reset
+    ):  # without the frames in which the bodies stand at their starts, but the last
         has_moved = np.abs(distance - distance[0]) > form.standing_m
-        first = int(np.argmax(has_moved)) - 1 if has_moved.any() else len(distance) - 1
+        if has_moved.any():
+            first = int(np.argmax(has_moved)) - 1
+        else:
+            first = len(distance) - 1
     n_window = round(form.window_s * form.frame_rate_hz)
     is_near = (numbers >= numbers[impact] - n_window) & (numbers < numbers[impact])
     is_near[:first] = False
     if is_near.sum() + 1 < form.min_frames:
         never_nears = impact <= first and len(frames) >= form.min_frames
-        return RESETS if is_after_reset else NO_APPROACH if never_nears else TOO_SHORT
+        if is_after_reset:
+            return RESETS
+        if never_nears:
+            return NO_APPROACH
+        return TOO_SHORT
     # Without the frame of the impact: there the bodies have pushed each other already.
-    closing = closing_speed_mps(numbers[is_near] / form.frame_rate_hz, distance[is_near])
+    closing = closing_speed_mps(
+        numbers[is_near] / form.frame_rate_hz, distance[is_near]
+    )
     if closing < form.min_closing_speed_mps:
-        return RESETS if is_after_reset else NO_APPROACH
-    slowest, fastest = abs(vut_speed - vru_speed), vut_speed + vru_speed
+        if is_after_reset:
+            return RESETS
+        return NO_APPROACH
+    slowest = abs(vut_speed - vru_speed)
+    fastest = vut_speed + vru_speed
     tolerance = form.speed_tolerance
     if not (1.0 - tolerance) * slowest <= closing <= (1.0 + tolerance) * fastest:
         return MISFITS
     laid_out = np.full(numbers[impact] - numbers[first] + 1, np.nan)
-    laid_out[numbers[first : impact + 1] - numbers[first]] = distance[first : impact + 1]
+    laid_out[numbers[first : impact + 1] - numbers[first]] = distance[
+        first : impact + 1
+    ]
     return Drive(
         scenario=frames[0].scenario,
         vru_class=UNSEEN,
@@ -224,28 +249,35 @@ class Recording:
 
     def __repr__(self) -> str:
         return (
-            f"Recording({self.folder.name!r}: {len(self.units)} units, {len(self.drives)} drives, "
-            f"{self.n_frames} frames)"
+            f"Recording({self.folder.name!r}: {len(self.units)} units,"
+            f" {len(self.drives)} drives, {self.n_frames} frames)"
         )
 
 
 def read_recording(folder: Path) -> Recording:
     """Read a folder in the format of the released CarlaNCAP data, and count what is left out.
 
-    It has unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In ``Eval``,
-    cam_index is the name of a unit's folder; where there is no unit folder ``12``, that number
-    means the VUT's camera, as -1 does: the release does not say which it uses. Raises InputError if
-    a folder is missing or holds no frame, a line is not what it should be, Eval names a unit that
-    has no folder, or nothing remains that could be judged.
+    It has unit folders ``0``, ``1``.. and ``car``, ``WorldData`` and ``Eval``. In
+    ``Eval``, cam_index is the name of a unit's folder; where there is no unit folder
+    ``12``, that number means the VUT's camera, as -1 does: the release does not say
+    which it uses. Raises InputError if a folder is missing or holds no frame, a line is
+    not what it should be, Eval names a unit that has no folder, or nothing remains that
+    could be judged.
     """
     name = find_format(folder)
     if name != STUDY:
-        expected = "the study's folder, which has a car that brakes (detector fit reads others)"
+        expected = (
+            "the study's folder, which has a car that brakes (detector fit reads"
+            " others)"
+        )
         raise InputError(str(folder), Unquoted(name), expected)
     form = load_format()
     skipped: Counter[str] = Counter()
     units, has_vut = _find_units(folder, form, skipped)
-    names = [*units, form.vut_folder] if has_vut else [*units]
+    if has_vut:
+        names = [*units, form.vut_folder]
+    else:
+        names = [*units]
     world = {}
     for key, path in _frames(folder / form.world_folder, skipped):
         world[key], n_repeated = read_world(path, form)
@@ -258,12 +290,16 @@ def read_recording(folder: Path) -> Recording:
     if not drives:
         raise InputError(
             str(folder),
-            Unquoted("no drive; " + ", ".join(f"{n} {why}" for why, n in skipped.items())),
+            Unquoted(
+                "no drive; " + ", ".join(f"{n} {why}" for why, n in skipped.items())
+            ),
             "frames in which the VUT and a VRU come together",
         )
 
     def votes(drive: Drive) -> Counter[str]:
-        of_units = [frames.get(key, ()) for frames in labels.values() for key in drive.frames]
+        of_units = [
+            frames.get(key, ()) for frames in labels.values() for key in drive.frames
+        ]
         return Counter(label.class_name for found in of_units for label in found)
 
     return Recording(
@@ -285,11 +321,15 @@ def _find_units(
     names = {entry.name for entry in entries if entry.is_dir()}
     for name in (form.world_folder, form.eval_folder):
         if name not in names:
-            raise InputError(str(folder / name), Unquoted("nothing"), "a folder with frames")
+            raise InputError(
+                str(folder / name), Unquoted("nothing"), "a folder with frames"
+            )
     units = sorted((name for name in names if _UNIT_NAME.fullmatch(name)), key=int)
     if not units:
         raise InputError(
-            str(folder), Unquoted("no unit"), "a folder named 0, 1 .. for each roadside unit"
+            str(folder),
+            Unquoted("no unit"),
+            "a folder named 0, 1 .. for each roadside unit",
         )
     known = {*units, form.vut_folder, form.world_folder, form.eval_folder}
     skipped[OTHER_NAMES] += len({entry.name for entry in entries} - (known & names))

@@ -1,13 +1,17 @@
 """Loops that draw detections frame by frame.
 
-Every random number is a function of a key and a counter, so that only those are made that are
-looked at, in any order: the bits of SplitMix64, and the ziggurat of Marsaglia and Tsang.
+Every random number is a function of a key and a counter, so that only those are made
+that are looked at, in any order: the bits of SplitMix64, and the ziggurat of Marsaglia
+and Tsang.
 
 References
 ----------
-.. [1] G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", 2014.
-.. [2] G. Marsaglia, W. W. Tsang, "The ziggurat method for generating random variables", 2000.
-.. [3] J. A. Doornik, "An improved ziggurat method to generate normal random samples", 2005: the
+.. [1] G. L. Steele, D. Lea, C. H. Flood, "Fast splittable pseudorandom number
+   generators", 2014.
+.. [2] G. Marsaglia, W. W. Tsang, "The ziggurat method for generating random variables",
+   2000.
+.. [3] J. A. Doornik, "An improved ziggurat method to generate normal random samples",
+   2005: the
    layer comes from other bits than the number, as here.
 """
 
@@ -32,17 +36,22 @@ def random_bits(key: Any, counter: int) -> Any:
 
 
 _N_LAYERS = 128  # of the ziggurat
-_TAIL = 3.442619855899  # where its lowest layer ends, and the tail begins: of 128 layers [2]
+# where its lowest layer ends, and the tail begins: of 128 layers [2]
+_TAIL = 3.442619855899
 
 
 def _layers() -> tuple[Array, Array]:
     """Half widths of the layers from the lowest on, the last one 0, and the density there."""
     density = np.exp(-0.5 * _TAIL**2)
-    area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(_TAIL / math.sqrt(2.0))
+    area = _TAIL * density + math.sqrt(math.pi / 2.0) * math.erfc(
+        _TAIL / math.sqrt(2.0)
+    )
     widths = [area / density, _TAIL]
     while len(widths) < _N_LAYERS:
         widths.append(
-            math.sqrt(-2.0 * math.log(area / widths[-1] + math.exp(-0.5 * widths[-1] ** 2)))
+            math.sqrt(
+                -2.0 * math.log(area / widths[-1] + math.exp(-0.5 * widths[-1] ** 2))
+            )
         )
     half = np.array([*widths, 0.0])
     return half, np.exp(-0.5 * half**2)
@@ -62,7 +71,9 @@ def _normal(key: Any, counter: int) -> Any:
     """A standard normal number."""
     bits = random_bits(key, counter)
     while True:
-        layer = np.int64(bits & np.uint64(_N_LAYERS - 1))  # these bits are not in the share
+        layer = np.int64(
+            bits & np.uint64(_N_LAYERS - 1)
+        )  # these bits are not in the share
         x = (2.0 * _share(bits) - 1.0) * _HALF_WIDTH[layer]
         if abs(x) < _HALF_WIDTH[layer + 1]:
             return x
@@ -70,9 +81,12 @@ def _normal(key: Any, counter: int) -> Any:
         if layer == 0:
             tail = -np.log(_share(more)) / _TAIL
             if -2.0 * np.log(_share(random_bits(bits, 1))) > tail * tail:
-                return _TAIL + tail if x > 0.0 else -_TAIL - tail
+                if x > 0.0:
+                    return _TAIL + tail
+                return -_TAIL - tail
         else:
-            low, high = _DENSITY[layer], _DENSITY[layer + 1]
+            low = _DENSITY[layer]
+            high = _DENSITY[layer + 1]
             if low + _share(more) * (high - low) < np.exp(-0.5 * x * x):
                 return x
         bits = random_bits(bits, 2)
@@ -80,17 +94,27 @@ def _normal(key: Any, counter: int) -> Any:
 
 @kernel
 def _linked(
-    key: Any, correlation: float, step: float, run: int, place: int, before: int, last: float
+    key: Any,
+    correlation: float,
+    step: float,
+    run: int,
+    place: int,
+    before: int,
+    last: float,
 ) -> float:
     """Noise at a place of a run, from that at a place before; -1 is before the first.
 
-    Standard normal, a first-order autoregression: the frame of number `place` of a run has the
-    fresh random number of counter `run` + `place`; `correlation` is that of a frame with the next.
+    Standard normal, a first-order autoregression: the frame of number `place` of a run
+    has the fresh random number of counter `run` + `place`; `correlation` is that of a
+    frame with the next.
     """
     for here in range(before + 1, place + 1):
         fresh = _normal(key, run + here)
         # The first one stands for all that came before.
-        last = step * fresh + correlation * last if here > 0 else fresh
+        if here > 0:
+            last = step * fresh + correlation * last
+        else:
+            last = fresh
     return last
 
 
@@ -110,12 +134,16 @@ def draw_frames(
 ) -> None:
     """Bits (n_bytes,) of the frames whose noise is below the limit of what they show.
 
-    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is the sum of
-    what the `person` (n_frames,) adds, of a number that lasts for a run, and of one that is linked
-    from frame to frame, with this `correlation`; `deviations` (2,) are those of the last two.
+    `limit` (n_weathers, n_entries); a frame whose entry is -1 shows nothing. Noise is
+    the sum of what the `person` (n_frames,) adds, of a number that lasts for a run, and
+    of one that is linked from frame to frame, with this `correlation`; `deviations`
+    (2,) are those of the last two.
     """
     step = np.sqrt(1.0 - correlation**2)
-    run, before, last, own = -1, -1, 0.0, 0.0
+    run = -1
+    before = -1
+    last = 0.0
+    own = 0.0
     for frame in range(len(entry_of_frame)):
         entry = entry_of_frame[frame]
         if entry < 0:
@@ -126,7 +154,9 @@ def draw_frames(
         if least < np.inf:
             place = place_of_frame[frame]
             if run_of_frame[frame] != run or place < before:
-                run, before, last = run_of_frame[frame], -1, 0.0
+                run = run_of_frame[frame]
+                before = -1
+                last = 0.0
                 own = deviations[0] * _normal(own_key, run)
             last = _linked(key, correlation, step, run, place, before, last)
             before = place
@@ -154,15 +184,17 @@ def lose_frames(
 ) -> None:
     """Take a share of the frames out of bits (n_bytes,), with counters `run` + `place`.
 
-    Whether a frame is lost is drawn anew with the probability `again`, and is else as in the frame
-    before: a chain of two states (E. N. Gilbert, "Capacity of a burst-noise channel", Bell System
-    Technical Journal 39, 1960), with the same share of lost frames whatever `again` is.
+    Whether a frame is lost is drawn anew with the probability `again`, and is else as
+    in the frame before: a chain of two states (E. N. Gilbert, "Capacity of a
+    burst-noise channel", Bell System Technical Journal 39, 1960), with the same share
+    of lost frames whatever `again` is.
     """
     for frame in range(len(run_of_frame)):
         bit = np.uint8(1 << (frame & 7))
         if not packed[frame >> 3] & bit:
             continue
-        run, drawn = run_of_frame[frame], place_of_frame[frame]
+        run = run_of_frame[frame]
+        drawn = place_of_frame[frame]
         while drawn > 0 and not _share(random_bits(again_key, run + drawn)) < again:
             drawn -= 1
         if _share(random_bits(key, run + drawn)) < loss:

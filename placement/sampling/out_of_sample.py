@@ -43,18 +43,23 @@ class MeanEstimate:
     method: str  # how the interval was found, in words
 
 
-def estimate_mean(values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)) -> MeanEstimate:
+def estimate_mean(
+    values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)
+) -> MeanEstimate:
     """Mean of independent samples within `bounds`, and between which limits the true mean lies.
 
-    The interval has 95 % confidence: Student's t [1]_, cut off at the bounds. Where samples show no
-    spread, at most a share q of all worlds differs, since n draws in a row would show none of a
-    larger share with a probability below (1 - q)^n = 0.05, and these may be as bad or as good as
-    can be [2]_. Raises InputError for no sample, or one out of bounds.
+    The interval has 95 % confidence: Student's t [1]_, cut off at the bounds. Where
+    samples show no spread, at most a share q of all worlds differs, since n draws in a
+    row would show none of a larger share with a probability below (1 - q)^n = 0.05, and
+    these may be as bad or as good as can be [2]_. Raises InputError for no sample, or
+    one out of bounds.
 
     References
     ----------
-    .. [1] W. S. Gosset ("Student"), "The probable error of a mean", Biometrika 6 (1908).
-    .. [2] J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all right?", JAMA
+    .. [1] W. S. Gosset ("Student"), "The probable error of a mean", Biometrika 6
+       (1908).
+    .. [2] J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all
+       right?", JAMA
        249 (1983): none in n, hence with 95 % confidence at most about 3 / n.
 
     Examples
@@ -63,32 +68,41 @@ def estimate_mean(values: ArrayLike, *, bounds: tuple[float, float] = (0.0, 1.0)
     >>> round(estimate.low, 3), estimate.high
     (0.95, 1.0)
     """
-    samples, (lowest, highest) = float_array(values, (-1,), "samples"), bounds
+    samples = float_array(values, (-1,), "samples")
+    (lowest, highest) = bounds
     if len(samples) == 0:
         raise InputError("samples", Unquoted("none"), "at least one")
     if samples.min() < lowest - _NO_SPREAD or samples.max() > highest + _NO_SPREAD:
         raise InputError("samples", samples.tolist(), f"{lowest:g} .. {highest:g}")
     n = len(samples)
     mean = min(max(math.fsum(samples) / n, lowest), highest)
-    error = float(samples.std(ddof=1)) / math.sqrt(n) if n > 1 else math.nan
+    if n > 1:
+        error = float(samples.std(ddof=1)) / math.sqrt(n)
+    else:
+        error = math.nan
     if np.ptp(samples) <= _NO_SPREAD:
         share = 1.0 - (1.0 - 0.95) ** (1.0 / n)
-        low, high = mean + share * (lowest - mean), mean + share * (highest - mean)
+        low = mean + share * (lowest - mean)
+        high = mean + share * (highest - mean)
         method = f"95 % interval: no spread in {n} samples, rule of three"
     else:
         from scipy.special import stdtrit
 
         reach = float(stdtrit(n - 1, 0.5 + 0.5 * 0.95)) * error
-        low, high = max(lowest, mean - reach), min(highest, mean + reach)
+        low = max(lowest, mean - reach)
+        high = min(highest, mean + reach)
         method = f"95 % interval: Student's t, {n} samples"
-    return MeanEstimate(mean=mean, standard_error=error, low=low, high=high, method=method)
+    return MeanEstimate(
+        mean=mean, standard_error=error, low=low, high=high, method=method
+    )
 
 
 def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
     """Conditional value at risk: the mean over the worst share of equally likely worlds.
 
-    max over t of t - mean(max(0, t - apr)) / tail (R. T. Rockafellar, S. Uryasev, "Optimization of
-    conditional value-at-risk", Journal of Risk 2, 2000); up to 1 / n_samples it is the worst world.
+    max over t of t - mean(max(0, t - apr)) / tail (R. T. Rockafellar, S. Uryasev,
+    "Optimization of conditional value-at-risk", Journal of Risk 2, 2000); up to 1 /
+    n_samples it is the worst world.
 
     Examples
     --------
@@ -104,11 +118,14 @@ def cvar(apr_by_sample: ArrayLike, tail: float) -> float:
 _N_RESAMPLED = 1000
 
 
-def resampled_cvar(apr_by_sample: ArrayLike, tail: float, *, seed: int = 0) -> FloatArray:
+def resampled_cvar(
+    apr_by_sample: ArrayLike, tail: float, *, seed: int = 0
+) -> FloatArray:
     """CVaR of several layouts, (n_layouts, n_samples), in worlds drawn with repetition.
 
-    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods: another look at
-    the jackknife", Annals of Statistics 7, 1979). All layouts have the same worlds in each draw.
+    (n_layouts, 1000): the bootstrap's distribution (B. Efron, "Bootstrap methods:
+    another look at the jackknife", Annals of Statistics 7, 1979). All layouts have the
+    same worlds in each draw.
     """
     samples = float_array(apr_by_sample, (-1, -1), "samples")
     rng = np.random.default_rng(seed)
@@ -132,9 +149,13 @@ class SampledApr:
     layout: Layout
     axis: FrameAxis  # runs as planned
     apr_by_sample: FloatArray  # (n_samples,): 0 .. 1
-    avoided_share: FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
+    avoided_share: (
+        FloatArray  # (n_runs,): of all worlds, in which each run is avoided. 0 .. 1
+    )
     driving: TrafficCount = NO_TRAFFIC  # vehicles that drove by in these worlds
-    alone: float = 0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
+    alone: float = (
+        0.0  # mean APR of all cars without units; 0 where they are blind. 0 .. 1
+    )
 
     def __post_init__(self) -> None:
         set_arrays(self, "", apr_by_sample=(-1,), avoided_share=(self.axis.n_runs,))
@@ -166,7 +187,9 @@ class FreshWorlds:
 
     avoided: FloatArray  # (n_layouts, n_worlds, n_runs): share of the draws in a world
     driving: TrafficCount  # vehicles that drove by, in all of them
-    alone: FloatArray  # (n_worlds, n_runs): share of the cars that avoid it without units
+    alone: (
+        FloatArray  # (n_worlds, n_runs): share of the cars that avoid it without units
+    )
 
 
 def out_of_sample_layouts(
@@ -181,9 +204,10 @@ def out_of_sample_layouts(
 ) -> list[SampledApr]:
     """Evaluate layouts by detection tables in new sampled worlds, all in the same ones.
 
-    No draw is shared with the worlds of :func:`placement.sampling.tables.sampled_table`, also not
-    for the same seed. What is avoided is cached, unless vehicles drive by or a network looks at
-    pictures; progress counts the worlds.
+    No draw is shared with the worlds of
+    :func:`placement.sampling.tables.sampled_table`, also not for the same seed. What is
+    avoided is cached, unless vehicles drive by or a network looks at pictures; progress
+    counts the worlds.
     """
     look = partial(look_at_fresh_worlds, n_worlds=n_samples, first=first, fusion=fusion)
     is_cached = uncertainty.moving is None and not setting.detector.needs_pictures
@@ -193,7 +217,13 @@ def out_of_sample_layouts(
         partial(look, setting, layouts, uncertainty, compute=compute),
         kind=FreshWorlds,
         made_from=(
-            *(setting.scene, setting.runs, setting.rule, setting.detector, setting.table_detector),
+            *(
+                setting.scene,
+                setting.runs,
+                setting.rule,
+                setting.detector,
+                setting.table_detector,
+            ),
             *(setting.radio, setting.vut_sensors, setting.vut_camera, setting.cars),
             *(uncertainty, look.keywords, compute.seed),
             [[replace(unit, id="") for unit in layout.units] for layout in layouts],
@@ -214,21 +244,27 @@ def look_at_fresh_worlds(
 ) -> FreshWorlds:
     """Runs that layouts avoid in so many fresh worlds, from one of them on.
 
-    In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance decides them.
+    In each world, detections and lost messages are drawn ``N_DRAWS`` times, if chance
+    decides them.
     """
     units = {_key(unit): unit for layout in layouts for unit in layout.units}
     row = {key: index for index, key in enumerate(units)}
     # Two layouts may call different units the same.
     poses = [replace(unit, id=f"#{index}") for index, unit in enumerate(units.values())]
     samples = draw_samples(
-        *(setting, poses, uncertainty),
+        setting,
+        poses,
+        uncertainty,
         n_samples=n_worlds,
         seed=compute.seed,
         purpose="judge",
         first=first,
     )
     compute.progress(STAGE, 0, n_worlds)
-    n_draws = N_DRAWS if uncertainty.draws_anew else 1
+    if uncertainty.draws_anew:
+        n_draws = N_DRAWS
+    else:
+        n_draws = 1
     avoided = np.zeros((len(layouts), n_worlds, setting.axis.n_runs))
     alone = np.zeros(avoided.shape[1:])
     quiet = replace(compute, cache_folder=None, progress=silent)
@@ -236,9 +272,11 @@ def look_at_fresh_worlds(
         samples,
         compute=quiet,
         at_once=compute.workers,
-        lasting=_shared(setting, uncertainty.moving is None, quiet)
-        if uncertainty.road_users.are_as_planned
-        else None,
+        lasting=(
+            _shared(setting, uncertainty.moving is None, quiet)
+            if uncertainty.road_users.are_as_planned
+            else None
+        ),
         n_draws=n_draws,
     )
     driving = TrafficCount()
@@ -246,14 +284,26 @@ def look_at_fresh_worlds(
         index = draw // n_draws
         if draw % n_draws == 0:
             driving += sample.driving
-            seen = seen_by_vut(sample, quiet)  # once in each world: nothing repeats in its images
-            own = [] if seen is None else [(seen, setting.rule.latency_s)]
+            seen = seen_by_vut(
+                sample, quiet
+            )  # once in each world: nothing repeats in its images
+            if seen is None:
+                own = []
+            else:
+                own = [(seen, setting.rule.latency_s)]
             if own:
-                alone[index] = setting.cars * _avoided(own, table.axis, setting.rule, fusion)
+                alone[index] = setting.cars * _avoided(
+                    own, table.axis, setting.rule, fusion
+                )
         detected = table.detected(slice(None))
         for which, layout in enumerate(layouts):
-            sent = [(detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units]
-            for share, arrivals in ((setting.cars, [*sent, *own]), (1.0 - setting.cars, sent)):
+            sent = [
+                (detected[row[_key(u)]], u.latency(setting.rule)) for u in layout.units
+            ]
+            for share, arrivals in (
+                (setting.cars, [*sent, *own]),
+                (1.0 - setting.cars, sent),
+            ):
                 if share:
                     in_time = _avoided(arrivals, table.axis, setting.rule, fusion)
                     avoided[which, index] += share * in_time
@@ -290,7 +340,9 @@ def judge_layouts(
             alone=float(alone @ (weight / weight.sum())),
         )
         for layout, by_sample in zip(
-            layouts, np.concatenate([some.avoided for some in worlds], axis=1), strict=True
+            layouts,
+            np.concatenate([some.avoided for some in worlds], axis=1),
+            strict=True,
         )
     ]
 
@@ -300,11 +352,19 @@ def _key(unit: CandidatePose) -> tuple[object, ...]:
 
 
 def _avoided(
-    arrivals: Sequence[tuple[BoolArray, float]], axis: FrameAxis, rule: AebRule, fusion: str
+    arrivals: Sequence[tuple[BoolArray, float]],
+    axis: FrameAxis,
+    rule: AebRule,
+    fusion: str,
 ) -> BoolArray:
     """Runs in which braking comes in time, (n_runs,), by frames detected and their latency."""
-    together = [arrivals] if fusion == "any" else [[arrival] for arrival in arrivals]
+    if fusion == "any":
+        together = [arrivals]
+    else:
+        together = [[arrival] for arrival in arrivals]
     avoided = np.zeros(axis.n_runs, dtype=bool)
     for fused in together:
-        avoided |= find_onsets(earliest_arrival_s(fused, axis), axis, rule=rule).is_in_time
+        avoided |= find_onsets(
+            earliest_arrival_s(fused, axis), axis, rule=rule
+        ).is_in_time
     return avoided

@@ -23,13 +23,26 @@ from ..detectors import ResponseDetector
 from ..evaluator import with_sight
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
-from ..visibility import build_detection_table, load_table, save_table, table_fingerprint
+from ..visibility import (
+    build_detection_table,
+    load_table,
+    save_table,
+    table_fingerprint,
+)
 from ..visibility.build import N_POINTS, at_each_mount
 from ..visibility.casting import SharedScene, World, build_shared_scene, build_world
 from ..visibility.sensing import build_sensing, cast_for
 from .moving import TrafficCount
 from .uncertainty import Blinding, Uncertainty
-from .worlds import RandomStreams, Sample, draw_samples, link_frames, mount_key, pose_key, unit_key
+from .worlds import (
+    RandomStreams,
+    Sample,
+    draw_samples,
+    link_frames,
+    mount_key,
+    pose_key,
+    unit_key,
+)
 
 
 # ---------- misses
@@ -43,10 +56,11 @@ def build_drawn_tables(
 ) -> tuple[DetectionTable, ...]:
     """Detection tables of a sampled world in which chance decides every frame of a camera.
 
-    Random numbers of a pose do not depend on the other poses, but for those of the person, and are
-    the same in all weathers; frames are linked as in the evaluator. Boxes are not drawn; a LiDAR
-    counts the points that it may expect. `lasting` is what this world shares with others. A table
-    for each of `n_draws`: what can be seen, and who is hard to see, is the same in all.
+    Random numbers of a pose do not depend on the other poses, but for those of the
+    person, and are the same in all weathers; frames are linked as in the evaluator.
+    Boxes are not drawn; a LiDAR counts the points that it may expect. `lasting` is what
+    this world shares with others. A table for each of `n_draws`: what can be seen, and
+    who is hard to see, is the same in all.
     """
     setting = sample.setting
     world = build_world(
@@ -58,13 +72,15 @@ def build_drawn_tables(
         shared=lasting,
     )
     numbers = draw_index(setting.runs)
-    order, lasting_noise = link_frames(numbers), detector.lasting
+    order = link_frames(numbers)
+    lasting_noise = detector.lasting
     correlation, deviations = detector.frame_correlation, np.array([0.0, 1.0])
     person = np.zeros(len(numbers))
     if lasting_noise is not None:
         correlation = lasting_noise.frame_correlation(correlation)
         shares = (lasting_noise.unit_person_share, lasting_noise.frame_share)
-        deviations, person = np.sqrt(shares), lasting_noise.person[numbers]
+        deviations = np.sqrt(shares)
+        person = lasting_noise.person[numbers]
     n_bytes = -(-setting.axis.n_frames // 8)
     packed = np.zeros((n_draws, len(sample.candidates), n_bytes), dtype=np.uint8)
 
@@ -78,9 +94,12 @@ def build_drawn_tables(
             if (limit == -np.inf).all():
                 continue
             for draw in range(n_draws):
-                streams, key = replace(sample.streams, draw=draw), pose_key(planned)
+                streams = replace(sample.streams, draw=draw)
+                key = pose_key(planned)
                 draw_frames(
-                    *(limit, world.views.weather_of_frame, entry_of_frame),
+                    limit,
+                    world.views.weather_of_frame,
+                    entry_of_frame,
                     *order,
                     streams.key("detector", *key),
                     correlation,
@@ -92,7 +111,10 @@ def build_drawn_tables(
 
     at_each_mount(sample.candidates, fill, stage=STAGE, compute=compute)
     pose_ids = tuple(candidate.id for candidate in sample.candidates)
-    return tuple(DetectionTable(pose_ids=pose_ids, axis=setting.axis, packed=one) for one in packed)
+    return tuple(
+        DetectionTable(pose_ids=pose_ids, axis=setting.axis, packed=one)
+        for one in packed
+    )
 
 
 def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
@@ -104,7 +126,9 @@ def seen_by_vut(sample: Sample, compute: Compute) -> BoolArray | None:
     if sample.drawn_detector is not None:
         compute = replace(compute, seed=int(sample.streams.key("vut") >> np.uint64(1)))
     seen = with_sight(sample.setting, compute=compute).seen_by_vut
-    return None if seen is None else seen & ~blinded_frames(sample)
+    if seen is None:
+        return None
+    return seen & ~blinded_frames(sample)
 
 
 def _limits(
@@ -112,20 +136,27 @@ def _limits(
 ) -> tuple[FloatArray, IntArray]:
     """Limits below which a standard normal number is a detection, for one mount position.
 
-    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is seen.
+    (n, n_weathers, n_entries), and the entry that each frame shows; -1 where nothing is
+    seen.
     """
     from scipy.special import ndtri
 
     position_m = candidates[0].pose.position_m
-    sight = cast_for(world, position_m, [(candidate, detector) for candidate in candidates])
+    sight = cast_for(
+        world, position_m, [(candidate, detector) for candidate in candidates]
+    )
     sensing = build_sensing(world, sight, position_m, detector)
     limits = np.full((len(candidates), *sensing.contrast.shape), -np.inf)
     lidars = [i for i, c in enumerate(candidates) if isinstance(c.sensor, LidarModel)]
-    limits[lidars] = np.where(sensing.detected([candidates[i] for i in lidars]), np.inf, -np.inf)
+    limits[lidars] = np.where(
+        sensing.detected([candidates[i] for i in lidars]), np.inf, -np.inf
+    )
     for rows, evidence in sensing.evidence(candidates):
         entries = evidence.draw_index
         for weather, contrast in enumerate(sensing.contrast):
-            probability = detector.probability(replace(evidence, contrast=contrast[entries]))
+            probability = detector.probability(
+                replace(evidence, contrast=contrast[entries])
+            )
             limits[rows, weather, entries] = ndtri(probability)
     return limits, sight.entry_of_frame
 
@@ -133,7 +164,10 @@ def _limits(
 def drawing_key(streams: RandomStreams, detector: ResponseDetector) -> str:
     """Everything but the probabilities that a drawn table depends on, and how it is drawn."""
     lasting = detector.lasting
-    shares = "" if lasting is None else f" {lasting.person_share} {lasting.unit_person_share}"
+    if lasting is None:
+        shares = ""
+    else:
+        shares = f" {lasting.person_share} {lasting.unit_person_share}"
     where = f"{streams.seed} {streams.purpose} {streams.index}"
     return f"2 {where} {detector.frame_correlation!r}{shares}"
 
@@ -148,8 +182,8 @@ _ROWS = 256  # unpacked at a time
 class SampledTable:
     """Detections in many sampled worlds: every run once in each."""
 
-    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds; last brake
-    # times have lost what messages take longer than the rule says
+    # run ids end in "#1", "#2" and so on; weights are divided by the number of worlds;
+    # last brake times have lost what messages take longer than the rule says
     table: DetectionTable
     sample_index: IntArray  # (n_runs,): world of each run of `table`, from 0
     n_samples: int
@@ -167,19 +201,27 @@ def sampled_table(
 ) -> SampledTable:
     """Detections of every candidate pose in many sampled worlds from `first` on, one after another.
 
-    Where mounts, the street or detections are drawn, every world takes nearly as long as the plan's
-    own table. A packed table has n_poses x n_frames / 8 bytes per world, in memory and in the
-    cache, which has single worlds. Progress counts the mount positions of all.
+    Where mounts, the street or detections are drawn, every world takes nearly as long
+    as the plan's own table. A packed table has n_poses x n_frames / 8 bytes per world,
+    in memory and in the cache, which has single worlds. Progress counts the mount
+    positions of all.
     """
     samples = draw_samples(
-        *(setting, candidates, uncertainty), n_samples=n_samples, seed=compute.seed, first=first
+        setting,
+        candidates,
+        uncertainty,
+        n_samples=n_samples,
+        seed=compute.seed,
+        first=first,
     )
     compute.progress(STAGE, 0, 0)
     n_frames = setting.axis.n_frames
     packed = np.zeros((len(candidates), -(-n_samples * n_frames // 8)), dtype=np.uint8)
-    last_brake_s, seen = [], []
+    last_brake_s = []
+    seen = []
     worlds = build_sample_tables(samples, n_samples=n_samples, compute=compute)
-    driving, n_as_planned = TrafficCount(), 0
+    driving = TrafficCount()
+    n_as_planned = 0
     for index, (sample, table) in enumerate(worlds):
         driving += sample.driving
         n_as_planned += sample.n_as_planned
@@ -189,30 +231,39 @@ def sampled_table(
     tell_traffic(driving, uncertainty)
     if n_as_planned:
         n_all = n_samples * setting.axis.n_runs
-        _log.info("%d of %d drawn runs would have no impact: as planned", n_as_planned, n_all)
+        _log.info(
+            "%d of %d drawn runs would have no impact: as planned", n_as_planned, n_all
+        )
     return SampledTable(
         table=DetectionTable(
             pose_ids=tuple(candidate.id for candidate in candidates),
             axis=repeated_axis(
                 setting.axis,
                 [f"#{number}" for number in range(1, n_samples + 1)],
-                weight=np.tile(setting.axis.weight / n_samples, n_samples),  # they sum to 1
+                weight=np.tile(
+                    setting.axis.weight / n_samples, n_samples
+                ),  # they sum to 1
                 last_brake_time_s=np.concatenate(last_brake_s),
             ),
             packed=packed,
         ),
         sample_index=np.repeat(np.arange(n_samples), setting.axis.n_runs),
         n_samples=n_samples,
-        seen_by_vut=np.concatenate([each for each in seen if each is not None])
-        if setting.cars
-        else None,
+        seen_by_vut=(
+            np.concatenate([each for each in seen if each is not None])
+            if setting.cars
+            else None
+        ),
     )
 
 
 def tell_traffic(driving: TrafficCount, uncertainty: Uncertainty) -> None:
     """Say in the log what drove by, and as a warning what SUMO found no room for."""
     if uncertainty.moving is not None:
-        level = logging.WARNING if driving.n_waiting else logging.INFO
+        if driving.n_waiting:
+            level = logging.WARNING
+        else:
+            level = logging.INFO
         _log.log(level, "traffic (%s): %s", uncertainty.moving.name, driving)
 
 
@@ -227,13 +278,18 @@ def build_sample_tables(
 ) -> Iterator[tuple[Sample, DetectionTable]]:
     """Detection table of one sampled world after the other, from the cache or built anew.
 
-    Detections that are not told are taken out, see :func:`.silence`. Worlds that look as planned
-    share one build, all of them what scene and bodies hide. The next world is drawn and built while
-    one is looked at; with few poses, several may be built `at_once`, by one thread each.
-    `n_samples` is for the progress, `lasting` as of :func:`share_scene`. Each world comes `n_draws`
-    times, with detections and lost messages drawn anew; only single draws are cached.
+    Detections that are not told are taken out, see :func:`.silence`. Worlds that look
+    as planned share one build, all of them what scene and bodies hide. The next world
+    is drawn and built while one is looked at; with few poses, several may be built
+    `at_once`, by one thread each. `n_samples` is for the progress, `lasting` as of
+    :func:`share_scene`. Each world comes `n_draws` times, with detections and lost
+    messages drawn anew; only single draws are cached.
     """
-    lock, shared = Lock(), [] if lasting is None else [lasting]
+    lock = Lock()
+    if lasting is None:
+        shared = []
+    else:
+        shared = [lasting]
 
     def share(sample: Sample) -> SharedScene | None:
         if not sample.uncertainty.road_users.are_as_planned:
@@ -241,12 +297,17 @@ def build_sample_tables(
         with lock:  # where all tables are in the cache, nobody asks
             if not shared:
                 is_still = sample.uncertainty.moving is None
-                shared.append(share_scene(sample.setting, is_still=is_still, compute=compute))
+                shared.append(
+                    share_scene(sample.setting, is_still=is_still, compute=compute)
+                )
         return shared[0]
 
     as_planned: Future[tuple[DetectionTable, ...]] | None = None
     pending: deque[tuple[Sample, Future[tuple[DetectionTable, ...]]]] = deque()
-    workers = compute.workers if at_once == 1 else 1
+    if at_once == 1:
+        workers = compute.workers
+    else:
+        workers = 1
     # A pool that ends while another is at work must not give BLAS its threads back.
     with one_blas_thread(), ThreadPoolExecutor(at_once) as pool:
         for index, sample in enumerate(samples):
@@ -300,7 +361,9 @@ def _obtain(
             sample, detector, compute=compute, lasting=share(sample), n_draws=n_draws
         )
     world = sample.setting, sample.candidates
-    table = obtain_table(*world, sample=sample, share=partial(share, sample), compute=compute)
+    table = obtain_table(
+        *world, sample=sample, share=partial(share, sample), compute=compute
+    )
     return (table,) * n_draws
 
 
@@ -316,20 +379,32 @@ def obtain_table(
 
     A sampled world gives itself, and `share` what it has in common with others.
     """
-    drawn = None if sample is None else sample.drawn_detector
+    if sample is None:
+        drawn = None
+    else:
+        drawn = sample.drawn_detector
     path = None
     if compute.cache_folder is not None:
         fingerprint = table_fingerprint(
-            setting.scene, candidates, setting.runs, setting.table_detector, seed=compute.seed
+            setting.scene,
+            candidates,
+            setting.runs,
+            setting.table_detector,
+            seed=compute.seed,
         )
         if sample is not None and drawn is not None:
             text = f"{fingerprint} drawn {drawing_key(sample.streams, drawn)}"
             fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
         path = compute.cache_folder / f"table-{fingerprint}.npz"
-        cached = load_table(path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis)
+        cached = load_table(
+            path, fingerprint=fingerprint, candidates=candidates, axis=setting.axis
+        )
         if cached is not None:
             _log.info("detection table read from %s", path)
-            told = ("detection table (cached)", 0, 0) if sample is None else (STAGE, 1, 1)
+            if sample is None:
+                told = ("detection table (cached)", 0, 0)
+            else:
+                told = (STAGE, 1, 1)
             compute.progress(*told)
             return cached
     if sample is None:
@@ -338,7 +413,10 @@ def obtain_table(
         (table,) = build_drawn_tables(sample, drawn, compute=compute, lasting=share())
     else:
         table = build_detection_table(
-            *(setting.scene, candidates, setting.runs, setting.axis),
+            setting.scene,
+            candidates,
+            setting.runs,
+            setting.axis,
             detector=setting.table_detector,
             compute=compute,
             shared=share(),
@@ -356,44 +434,60 @@ def _append(
     for row in range(0, len(part), _ROWS):
         rows = slice(row, row + _ROWS)
         bits = np.unpackbits(part[rows], axis=1, count=n_bits, bitorder="little")
-        shifted = np.packbits(np.pad(bits, ((0, 0), (shift, 0))), axis=1, bitorder="little")
+        shifted = np.packbits(
+            np.pad(bits, ((0, 0), (shift, 0))), axis=1, bitorder="little"
+        )
         packed[rows, byte : byte + shifted.shape[1]] |= shifted
 
 
 def _progress_of(index: int, n_samples: int, progress: Progress) -> Progress:
     """Progress of one world, as part of that of all."""
-    return lambda stage, done, total: progress(STAGE, index * total + done, n_samples * total)
+    return lambda stage, done, total: progress(
+        STAGE, index * total + done, n_samples * total
+    )
 
 
 # ---------- frames that are not told: messages lost, units out of order, cameras dirty or dazzled
 def silence(sample: Sample, table: DetectionTable) -> DetectionTable:
     """A table without the detections that do not reach the VUT, the same ones in all weathers.
 
-    All is drawn for each run, and anew each time that a world is looked at, but for low sun, which
-    is that of the VUT and shines by day alone. Poses that may be the same unit (see
-    :func:`.unit_key`) are out of order and dirty together. LiDARs are never blinded.
+    All is drawn for each run, and anew each time that a world is looked at, but for low
+    sun, which is that of the VUT and shines by day alone. Poses that may be the same
+    unit (see :func:`.unit_key`) are out of order and dirty together. LiDARs are never
+    blinded.
     """
-    drawn, loss = sample.uncertainty, sample.setting.radio.packet_loss
+    drawn = sample.uncertainty
+    loss = sample.setting.radio.packet_loss
     if loss == 0.0 and not drawn.may_fail:
         return table
     from .detection_kernels import lose_frames
 
     order = link_frames(draw_index(sample.setting.runs))
     n_frames = [len(run.time_s) for run in sample.setting.runs]
-    is_silent = _silent_runs(sample) if drawn.may_fail else None
-    mounts = pose_key if drawn.loss_shared_by == "unit" else mount_key
+    if drawn.may_fail:
+        is_silent = _silent_runs(sample)
+    else:
+        is_silent = None
+    if drawn.loss_shared_by == "unit":
+        mounts = pose_key
+    else:
+        mounts = mount_key
     packed = np.array(table.packed)
     for row in np.flatnonzero(packed.any(axis=1)).tolist():
         planned = sample.planned[row]
         if is_silent is not None:
             silent = is_silent(planned, sample.candidates[row])
             if silent.any():
-                packed[row] &= np.packbits(~np.repeat(silent, n_frames), bitorder="little")
+                packed[row] &= np.packbits(
+                    ~np.repeat(silent, n_frames), bitorder="little"
+                )
         if loss:
             lose_frames(
                 *order,
-                *(sample.streams.key("message", *mounts(planned)), loss),
-                *(sample.streams.key("burst", *mounts(planned)), 1.0 / drawn.burst_frames),
+                sample.streams.key("message", *mounts(planned)),
+                loss,
+                sample.streams.key("burst", *mounts(planned)),
+                1.0 / drawn.burst_frames,
                 packed[row],
             )
     return DetectionTable(pose_ids=table.pose_ids, axis=table.axis, packed=packed)
@@ -404,7 +498,8 @@ def blinded_frames(sample: Sample) -> BoolArray:
 
     Each run's VUT is another car.
     """
-    runs, blinding = sample.setting.runs, sample.uncertainty.blinding
+    runs = sample.setting.runs
+    blinding = sample.uncertainty.blinding
     n_frames = [len(run.time_s) for run in runs]
     if sample.setting.vut_sensors != ("camera",) or blinding == Blinding():
         return np.zeros(sum(n_frames), dtype=bool)
@@ -421,13 +516,15 @@ def blinded_frames(sample: Sample) -> BoolArray:
 
 def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], BoolArray]:
     """Runs in which a unit tells nothing, (n_runs,): of its pose as planned, and as mounted."""
-    outages, blinding = sample.uncertainty.outages, sample.uncertainty.blinding
+    outages = sample.uncertainty.outages
+    blinding = sample.uncertainty.blinding
     coins = _coins(sample)
     is_low, sun = _low_sun(sample)
     least = np.cos(np.radians(blinding.dazzled_within_deg))
 
     def is_silent(planned: CandidatePose, mounted: CandidatePose) -> BoolArray:
-        unit, pole = unit_key(planned), mount_key(planned)
+        unit = unit_key(planned)
+        pole = mount_key(planned)
         silent = coins("unit", *unit) < outages.unit_share
         silent |= coins("pole", *pole) < outages.pole_share
         if isinstance(planned.sensor, LidarModel):
@@ -442,14 +539,17 @@ def _silent_runs(sample: Sample) -> Callable[[CandidatePose, CandidatePose], Boo
 
 def _low_sun(sample: Sample) -> tuple[BoolArray, FloatArray]:
     """Runs with low sun (n_runs,), and unit vectors towards it (n_runs, 3)."""
-    blinding, runs = sample.uncertainty.blinding, sample.setting.runs
+    blinding = sample.uncertainty.blinding
+    runs = sample.setting.runs
     coins = _coins(replace(sample, streams=replace(sample.streams, draw=0)))
     is_low = coins("low sun") < blinding.low_sun_share
     is_low &= [pick_weather(run.weather, "runs: weather").sun_lux > 0.0 for run in runs]
     yaw = 2.0 * np.pi * coins("yaw of the sun")
     height = np.radians(blinding.sun_below_deg) * coins("height of the sun")
     level = np.cos(height)
-    return is_low, np.stack([level * np.cos(yaw), level * np.sin(yaw), np.sin(height)], axis=1)
+    return is_low, np.stack(
+        [level * np.cos(yaw), level * np.sin(yaw), np.sin(height)], axis=1
+    )
 
 
 def _coins(sample: Sample) -> Callable[..., FloatArray]:

@@ -38,8 +38,8 @@ class Footprints:
     def are_any_within(self, others: "Footprints", limit_m: FloatArray) -> BoolArray:
         """Which others, (n_others,), are within a limit of any of these, (n,), which has its own.
 
-        The gap along one of the normals of two sides is at least the distance of the middles over
-        the root of 2, less both radii.
+        The gap along one of the normals of two sides is at least the distance of the
+        middles over the root of 2, less both radii.
         """
         east, north = self.middle_m[:, None, :] - others.middle_m[:, :, None]
         reach_m = limit_m + (self.radius_m + others.radius_m[:, None] + _TOGETHER_M)
@@ -65,7 +65,8 @@ class Ways:
 
     # footprints of VUT and VRU, close to one another along their ways
     swept: Footprints
-    # (n,): nothing of a body between two footprints is farther than this from the nearer one. [m]
+    # (n,): nothing of a body between two footprints is farther than this from the
+    # nearer one. [m]
     reach_m: FloatArray
     parked: Footprints  # of the case's own obstructions
 
@@ -85,8 +86,8 @@ def group_key(run: Run) -> GroupKey:
 def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:
     """Ways of runs by group, see :func:`group_key`.
 
-    The VUT may brake as late as at the impact: its way ends where it then stands, and the VRU's
-    where it then is.
+    The VUT may brake as late as at the impact: its way ends where it then stands, and
+    the VRU's where it then is.
     """
     groups: dict[GroupKey, list[Run]] = {}
     for run in runs:
@@ -96,23 +97,30 @@ def build_ways(runs: Sequence[Run], rule: AebRule) -> dict[GroupKey, Ways]:
 
 def _footprints_of(bodies: Iterable[PlacedActor]) -> Footprints:
     """Footprints of bodies that stand somewhere; maybe none."""
-    return _footprints(np.array([placed.footprint_m for placed in bodies]).reshape(-1, 4, 2))
+    return _footprints(
+        np.array([placed.footprint_m for placed in bodies]).reshape(-1, 4, 2)
+    )
 
 
 def touches_any(corners_m: FloatArray, others_m: Sequence[FloatArray]) -> bool:
     """True if a footprint touches one of others."""
     if not others_m:
         return False
-    return bool((footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M).any())
+    return bool(
+        (footprint_separation(np.stack(others_m), corners_m) <= _TOGETHER_M).any()
+    )
 
 
 def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
-    swept, reach = [], []
+    swept = []
+    reach = []
     # In all weathers the encounter is one and the same.
     for encounter in {id(run.encounter): run.encounter for run in runs}.values():
         speed_mps = encounter.vut_motion.speed_mps
         standstill_s = float(standstill_time_s(speed_mps, rule=rule))
-        braking_m = float(braking_distance_m(standstill_s, speed_mps=speed_mps, rule=rule))
+        braking_m = float(
+            braking_distance_m(standstill_s, speed_mps=speed_mps, rule=rule)
+        )
         vut_end_m = float(encounter.vut_motion.distance_m(0.0)) + braking_m
         vru_end_m = float(encounter.vru_motion.distance_m(standstill_s))
         for body, motion, end_m, turns in (
@@ -120,7 +128,9 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
             (encounter.vru, encounter.vru_motion, vru_end_m, encounter.vru_reach),
         ):
             place = motion.path.at(np.linspace(0.0, end_m, int(end_m / _STEP_M) + 2))
-            corners = footprint_corners(*place, length_m=body.length_m, width_m=body.width_m)
+            corners = footprint_corners(
+                *place, length_m=body.length_m, width_m=body.width_m
+            )
             swept.append(corners)
             reach.append(np.full(len(corners), 0.5 * _STEP_M * turns))
     parked = {placed.key: placed for run in runs for placed in run.obstruction}
@@ -132,7 +142,10 @@ def _build(runs: Sequence[Run], rule: AebRule) -> Ways:
 
 
 # ---------- vehicles that stand
-_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls; and just below each roof
+_HEIGHTS_M = (
+    0.35,
+    1.0,
+)  # above kerbs, below bonnets and walls; and just below each roof
 _BELOW_ROOF_M = 0.1
 _MOUTH_M = 10.0  # so much of a lane says where it points at its mouth
 _PARALLEL = 1.0e-3
@@ -152,7 +165,10 @@ class Kerbside:
     def at(self, near_m: float, actor: Actor) -> PlacedActor:
         """A body on the lane, facing as it is driven, one end so far from the lane's mouth."""
         ends = [self._point(near_m), self._point(near_m + actor.length_m)]
-        rear, front = reversed(ends) if self.is_in else ends
+        if self.is_in:
+            rear, front = reversed(ends)
+        else:
+            rear, front = ends
         east, north = front - rear
         pose = Pose(
             position_m=np.append(0.5 * (rear + front), 0.0),
@@ -161,7 +177,10 @@ class Kerbside:
         return PlacedActor(actor=actor, pose=pose)
 
     def _point(self, from_mouth_m: float) -> FloatArray:
-        points = self.lane.centreline_m[::-1] if self.is_in else self.lane.centreline_m
+        if self.is_in:
+            points = self.lane.centreline_m[::-1]
+        else:
+            points = self.lane.centreline_m
         return points_at(points, np.array(from_mouth_m))
 
 
@@ -174,13 +193,16 @@ class Street:
     parking: tuple[Kerbside, ...]
     entries: tuple[Kerbside, ...]
     solid: RayCaster  # everything but the ground, relative to `origin_m`
-    origin_m: FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
+    origin_m: (
+        FloatArray  # (3,): near the junction: rays are cast in single precision. [m]
+    )
     scene: Scene
 
     def draw(self, rng: Rng) -> tuple[PlacedActor, ...]:
         """Vehicles of one sampled world, clear of the scene and of one another.
 
-        `rng` gives each thing its generator: what stands in one lane does not depend on the others.
+        `rng` gives each thing its generator: what stands in one lane does not depend on
+        the others.
         """
         kept: list[PlacedActor] = []
         taken: list[FloatArray] = []
@@ -195,7 +217,9 @@ class Street:
         ]
         for placed in drawn:
             corners = placed.footprint_m
-            if not touches_any(corners, taken) and self._is_free(corners, placed.actor.height_m):
+            if not touches_any(corners, taken) and self._is_free(
+                corners, placed.actor.height_m
+            ):
                 kept.append(placed)
                 taken.append(corners)
         return set_down(kept, self.scene)
@@ -214,7 +238,8 @@ class Street:
 
 def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
     """Find where in a scene vehicles may stand; raises InputError where there is no junction."""
-    parking, entries = [], []
+    parking = []
+    entries = []
 
     def kerbside(lane: Lane, is_in: bool, first_m: float) -> Kerbside:
         end_m = min(traffic.along_arm_m, lane_length_m(lane))
@@ -232,7 +257,9 @@ def build_street(scene: Scene, traffic: StandingTraffic) -> Street:
             for lane in arm.entry_lanes
         ]
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
-    solid = [i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"]
+    solid = [
+        i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
+    ]
     triangles = np.asarray(scene.triangles)[np.isin(scene.triangle_instance, solid)]
     return Street(
         traffic=traffic,
@@ -258,7 +285,10 @@ def stop_line_m(arm: Arm, lane: Lane, crosswalk_gap_m: float) -> float:
 
 
 def clear_of_ways(
-    vehicles: tuple[PlacedActor, ...], ways: Mapping[GroupKey, Ways], *, clearance_m: float
+    vehicles: tuple[PlacedActor, ...],
+    ways: Mapping[GroupKey, Ways],
+    *,
+    clearance_m: float,
 ) -> dict[GroupKey, tuple[PlacedActor, ...]]:
     """Vehicles that stand at least `clearance_m` from everybody's way, by group of runs."""
     footprints = _footprints_of(vehicles)
@@ -288,7 +318,8 @@ def _queue(
     side: Kerbside, traffic: StandingTraffic, rng: np.random.Generator
 ) -> Iterator[PlacedActor]:
     """One at the stop line or none; behind each, another one or none."""
-    near_m, share = side.first_m, traffic.waiting_share
+    near_m = side.first_m
+    share = traffic.waiting_share
     while rng.random() < share:
         actor = _pick(traffic.vehicles, "waiting_share", rng)
         if near_m + actor.length_m > side.end_m:

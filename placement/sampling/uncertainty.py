@@ -42,10 +42,14 @@ _REACH = dict.fromkeys(_SPEEDS, ("km/h", 50.0)) | {
 }
 _WAYS = ("heading_deg", "path_m")
 _SUM_TOLERANCE = 1.0e-6
-_UNIFORM_REACH = np.sqrt(3.0)  # standard deviations from a uniform distribution's mean to its end
+_UNIFORM_REACH = np.sqrt(
+    3.0
+)  # standard deviations from a uniform distribution's mean to its end
 
 
-def _up_to(most: float, unit: str = "", *, default: Any = 0.0, least: float = 0.0) -> Any:
+def _up_to(
+    most: float, unit: str = "", *, default: Any = 0.0, least: float = 0.0
+) -> Any:
     """Field of a number from `least` to `most`, which :func:`_check_numbers` looks at."""
     return field(default=default, metadata={"limits": (least, most, unit)})
 
@@ -65,7 +69,10 @@ def _check_range(name: str, value: Any, least: float, most: float, unit: str) ->
 
 _SD_DEG = "Standard deviation, in degrees; errors are normal, cut off at three of them."
 _SD_M = "Standard deviation, in metres; three values stand for a normal distribution."
-_OUT = "Probability, in each run, that a unit is out of order, and that a pole is with all of its"
+_OUT = (
+    "Probability, in each run, that a unit is out of order, and that a pole is with all"
+    " of its"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,30 +94,42 @@ class LatencyJitter:
 
     # {"gamma", "uniform"}: of the time on top of the rule's latency; never negative
     distribution: str = "gamma"
-    # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the mean. [s]
+    # mean_s, sd_s: mean and standard deviation; with a deviation of 0 it is always the
+    # mean. [s]
     mean_s: float = _up_to(10.0, "seconds")
     sd_s: float = _up_to(10.0, "seconds")
     drawn_per: str = "run"  # {"run", "sample"}: how often it is drawn
-    # in place of all that: totals are drawn from it, and stand in for the rule's latency
+    # in place of all that: totals are drawn from it, and stand in for the rule's
+    # latency
     budget: LatencyBudget | None = None
 
     def __post_init__(self) -> None:
         check_one_of("distribution", self.distribution, ("gamma", "uniform"))
         check_one_of("drawn_per", self.drawn_per, ("run", "sample"))
         _check_numbers(self)
-        most = np.inf if self.distribution == "gamma" else self.mean_s / _UNIFORM_REACH
-        if self.sd_s > most * (1.0 + 1.0e-9) or (self.mean_s == 0.0 and self.sd_s > 0.0):
+        if self.distribution == "gamma":
+            most = np.inf
+        else:
+            most = self.mean_s / _UNIFORM_REACH
+        if self.sd_s > most * (1.0 + 1.0e-9) or (
+            self.mean_s == 0.0 and self.sd_s > 0.0
+        ):
             expected = f"less spread around a mean of {self.mean_s:g} s: none below 0"
             raise InputError("sd_s", self.sd_s, expected)
         if self.budget is not None and (self.mean_s, self.sd_s) != (0.0, 0.0):
             raise InputError("budget", self.budget.name, "no mean_s and sd_s beside it")
 
-    def draw_s(self, rng: np.random.Generator, n_runs: int, *, rule_latency_s: float) -> FloatArray:
+    def draw_s(
+        self, rng: np.random.Generator, n_runs: int, *, rule_latency_s: float
+    ) -> FloatArray:
         """Draw how much longer messages take than by the rule, (n_runs,) in s.
 
         Negative where a budget's total is shorter than the rule's latency.
         """
-        n_draws = n_runs if self.drawn_per == "run" else 1
+        if self.drawn_per == "run":
+            n_draws = n_runs
+        else:
+            n_draws = 1
         if self.budget is not None:
             drawn = self.budget.sample_s(rng, n_draws) - rule_latency_s
         elif self.sd_s == 0.0:
@@ -145,11 +164,13 @@ class Blinding:
     dirty_share : float
         Probability, in each run, that a camera is dirty. 0 .. 1
     low_sun_share : float
-        Share of the runs by day with low sun, from a direction that all cameras share. 0 .. 1
+        Share of the runs by day with low sun, from a direction that all cameras share.
+        0 .. 1
     sun_below_deg : float
         Most that low sun stands above the horizon, in degrees.
     dazzled_within_deg : float
-        Least angle between a camera's axis and the sun without being dazzled, in degrees.
+        Least angle between a camera's axis and the sun without being dazzled, in
+        degrees.
     """
 
     dirty_share: float = _up_to(1.0)
@@ -177,27 +198,42 @@ class VehicleKind:
 class StandingTraffic:
     """Vehicles that stand at random: parked along the arms, and waiting to enter the junction."""
 
-    taken_share: float = _up_to(1.0)  # probability that a place in a parking lane is taken
-    # waiting_share, following_share: probability that somebody waits at the stop line of a lane;
-    # then, again and again, that another one stands behind
+    taken_share: float = _up_to(
+        1.0
+    )  # probability that a place in a parking lane is taken
+    # waiting_share, following_share: probability that somebody waits at the stop line
+    # of a lane; then, again and again, that another one stands behind
     waiting_share: float = _up_to(1.0)
     following_share: float = _up_to(1.0)
-    free_place_m: float = _up_to(1000.0, "metres", default=5.5)  # length of a place that stays free
+    free_place_m: float = _up_to(
+        1000.0, "metres", default=5.5
+    )  # length of a place that stays free
     # parked_gap_m, waiting_gap_m: from bumper to bumper
     parked_gap_m: float = _up_to(1000.0, "metres", default=0.8)
-    clear_of_mouth_m: float = _up_to(1000.0, "metres", default=5.0)  # no parking nearer to it
+    clear_of_mouth_m: float = _up_to(
+        1000.0, "metres", default=5.0
+    )  # no parking nearer to it
     waiting_gap_m: float = _up_to(1000.0, "metres", default=2.0)
     # from the line on which pedestrians cross an arm to the first bumper that waits
     crosswalk_gap_m: float = _up_to(1000.0, "metres", default=3.0)
-    along_arm_m: float = _up_to(1000.0, "metres", default=60.0)  # nobody stands farther away
-    clearance_m: float = _up_to(1000.0, "metres", default=0.5)  # nor nearer to a VUT's or VRU's way
-    vehicles: tuple[VehicleKind, ...] = ()  # what stands there; shares of each use sum to 1
+    along_arm_m: float = _up_to(
+        1000.0, "metres", default=60.0
+    )  # nobody stands farther away
+    clearance_m: float = _up_to(
+        1000.0, "metres", default=0.5
+    )  # nor nearer to a VUT's or VRU's way
+    vehicles: tuple[
+        VehicleKind, ...
+    ] = ()  # what stands there; shares of each use sum to 1
 
     def __post_init__(self) -> None:
         _check_numbers(self)
         if self.free_place_m <= 0.0:
             raise InputError("free_place_m", self.free_place_m, "metres, more than 0")
-        for name, use in (("taken_share", "parked_share"), ("waiting_share", "waiting_share")):
+        for name, use in (
+            ("taken_share", "parked_share"),
+            ("waiting_share", "waiting_share"),
+        ):
             if getattr(self, name) > 0.0:
                 self._check_mix(use)
 
@@ -218,20 +254,33 @@ class StandingTraffic:
 class MeasuredPeople:
     """Speeds and starts of a class of people."""
 
-    probability: Annotated[tuple[float, ...], says("Shares of all people, ascending. 0 .. 1.")]
+    probability: Annotated[
+        tuple[float, ...], says("Shares of all people, ascending. 0 .. 1.")
+    ]
     speed_kmh: Annotated[
-        tuple[float, ...], says("So fast go those who keep moving, at these shares, in km/h.")
+        tuple[float, ...],
+        says("So fast go those who keep moving, at these shares, in km/h."),
     ]
     start_mps2: Annotated[
-        tuple[float, ...], says("Mean acceleration of those who start, at these shares, in m/s^2.")
+        tuple[float, ...],
+        says("Mean acceleration of those who start, at these shares, in m/s^2."),
     ]
 
     def __post_init__(self) -> None:
-        for name, most in (("probability", 1.0), ("speed_kmh", 50.0), ("start_mps2", 10.0)):
+        for name, most in (
+            ("probability", 1.0),
+            ("speed_kmh", 50.0),
+            ("start_mps2", 10.0),
+        ):
             values = getattr(self, name)
-            is_ascending = all(low < high for low, high in pairwise((0.0, *values, most + 1.0e-9)))
+            is_ascending = all(
+                low < high for low, high in pairwise((0.0, *values, most + 1.0e-9))
+            )
             if not (is_ascending and len(values) == len(self.probability) > 1):
-                expected = f"at least two that ascend, above 0, up to {most:g}, in each list alike"
+                expected = (
+                    f"at least two that ascend, above 0, up to {most:g}, in each list"
+                    " alike"
+                )
                 raise InputError(name, list(values), expected)
 
     def draw(self, rng: np.random.Generator, planned_kmh: float) -> tuple[float, float]:
@@ -255,11 +304,11 @@ class RoadUsers:
     start_nearer_share : float
         Most by which the way from rest to the impact is shorter. 0 .. 1
     heading_deg : dict of (2,) float
-        By Euro NCAP's name of a case: least and most by which the way is turned about the impact,
-        counter-clockwise where traffic keeps right. [deg]
+        By Euro NCAP's name of a case: least and most by which the way is turned about
+        the impact, counter-clockwise where traffic keeps right. [deg]
     path_m : dict of (2,) float
-        By Euro NCAP's name of a case: least and most by which the way lies farther to the left of
-        whoever takes it. [m]
+        By Euro NCAP's name of a case: least and most by which the way lies farther to
+        the left of whoever takes it. [m]
     measured : dict of MeasuredPeople
         By class: speeds and starts that are drawn in place of those of the case.
     """
@@ -276,7 +325,9 @@ class RoadUsers:
     def __post_init__(self) -> None:
         limits = {name: getattr(self, name) for name in _SPEEDS}
         for way in _WAYS:
-            limits |= {f"{way}.{case}": pair for case, pair in getattr(self, way).items()}
+            limits |= {
+                f"{way}.{case}": pair for case, pair in getattr(self, way).items()
+            }
         for name, (low, high) in limits.items():
             unit, reach = _REACH[name.partition(".")[0]]
             if not -reach <= low <= 0.0 <= high <= reach:
@@ -299,27 +350,42 @@ class RoadUsers:
 class Uncertainty:
     """All that is uncertain; by default nothing is."""
 
-    mounting: MountingErrors = field(default_factory=MountingErrors)  # how far off units are
-    latency: LatencyJitter = field(default_factory=LatencyJitter)  # how long messages take
-    # probability that the message of one unit in one frame is lost; in place of the setting's
+    mounting: MountingErrors = field(
+        default_factory=MountingErrors
+    )  # how far off units are
+    latency: LatencyJitter = field(
+        default_factory=LatencyJitter
+    )  # how long messages take
+    # probability that the message of one unit in one frame is lost; in place of the
+    # setting's
     packet_loss: float = _up_to(1.0)
     # whether a planning detector that gives probabilities is drawn frame by frame
     draws_detections: bool = False
-    # person_share, unit_person_share: of the variance of what decides a frame, what is the same in
-    # all frames of a run: for all units, and for one of them
+    # person_share, unit_person_share: of the variance of what decides a frame, what is
+    # the same in all frames of a run: for all units, and for one of them
     person_share: float = _up_to(1.0)
     unit_person_share: float = 0.0
-    # whether messages get lost lasts so many frames on average, then it is drawn anew; 1: each
+    # whether messages get lost lasts so many frames on average, then it is drawn anew;
+    # 1: each
     burst_frames: float = _up_to(1000.0, "frames", default=1.0, least=1.0)
     loss_shared_by: str = "unit"  # {"unit", "pole"}: who loses the same messages
     outages: Outages = field(default_factory=Outages)  # units out of order
     blinding: Blinding = field(default_factory=Blinding)  # cameras that see nothing
-    v2x_share: float = _up_to(1.0, default=1.0)  # of all cars, those that hear the units
-    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most so often
+    v2x_share: float = _up_to(
+        1.0, default=1.0
+    )  # of all cars, those that hear the units
+    # in worlds to choose in, a run of k times the mean weight is drawn k times, at most
+    # so often
     most_draws: int = 1
-    traffic: StandingTraffic = field(default_factory=StandingTraffic)  # what stands at random
-    road_users: RoadUsers = field(default_factory=RoadUsers)  # how those of the cases move
-    moving: MovingTraffic | None = None  # what drives by; see :func:`with_moving_traffic`
+    traffic: StandingTraffic = field(
+        default_factory=StandingTraffic
+    )  # what stands at random
+    road_users: RoadUsers = field(
+        default_factory=RoadUsers
+    )  # how those of the cases move
+    moving: MovingTraffic | None = (
+        None  # what drives by; see :func:`with_moving_traffic`
+    )
     name: str = "none"  # what it is called in reports
 
     def __post_init__(self) -> None:
@@ -356,8 +422,8 @@ _SECTIONS = (
     *("choosing", "traffic", "vehicles", "road_users", "people"),
 )
 _AS = "as"  # what else is as in one of the names
-# Sections whose values are fields of :class:`Uncertainty` itself: field and reader of each key;
-# but for the first of a section they may be left out.
+# Sections whose values are fields of :class:`Uncertainty` itself: field and reader of
+# each key; but for the first of a section they may be left out.
 _Reader = Callable[[Table, str, str], Any]
 _FLAT: dict[str, dict[str, tuple[str, _Reader]]] = {
     "messages": {
@@ -373,36 +439,45 @@ _FLAT: dict[str, dict[str, tuple[str, _Reader]]] = {
     "fleet": {"v2x_share": ("v2x_share", take_number)},
     "choosing": {"most_draws": ("most_draws", take)},
 }
-_PLACES = {name: f"{key}.{k}" for key, keys in _FLAT.items() for k, (name, _) in keys.items()}
+_PLACES = {
+    name: f"{key}.{k}" for key, keys in _FLAT.items() for k, (name, _) in keys.items()
+}
 _PEOPLE = ("pedestrian", "cyclist")
 
 
-def load_uncertainty(name_or_path: str = "default", *, where: str = "uncertainty") -> Uncertainty:
+def load_uncertainty(
+    name_or_path: str = "default", *, where: str = "uncertainty"
+) -> Uncertainty:
     """Uncertainty by name (``UNCERTAINTY_NAMES``), or a file like ``data/uncertainty.toml``.
 
-    `where` says what named it, for error messages. Raises InputError if the name is unknown, or the
-    file or a field is not what it should be.
+    `where` says what named it, for error messages. Raises InputError if the name is
+    unknown, or the file or a field is not what it should be.
     """
     if name_or_path in UNCERTAINTY_NAMES:
         return _load_named(name_or_path)
     path = Path(name_or_path)
     if path.suffix != ".toml":
         names = ", ".join(UNCERTAINTY_NAMES)
-        raise InputError(where, name_or_path, f"{names}, or a .toml file with uncertainties")
+        raise InputError(
+            where, name_or_path, f"{names}, or a .toml file with uncertainties"
+        )
     return _read(load_toml(path), path.name, f"{path}: ")
 
 
 def load_drawn(question: Question, scene: Scene, *, n_samples: int) -> Uncertainty:
     """Uncertainty and traffic that a question draws in so many sampled worlds of a scene.
 
-    Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where traffic is
-    given and no world is sampled; MissingExtraError where SUMO is asked for and not installed.
+    Raises InputError as :func:`load_uncertainty` and :func:`.load_traffic`, or where
+    traffic is given and no world is sampled; MissingExtraError where SUMO is asked for
+    and not installed.
     """
     uncertainty = load_uncertainty(question.uncertainty, where="uncertainty")
     if not question.traffic:
         return uncertainty
     if n_samples == 0:
-        raise InputError("traffic", question.traffic, "`samples` N beside it: worlds to drive in")
+        raise InputError(
+            "traffic", question.traffic, "`samples` N beside it: worlds to drive in"
+        )
     return with_moving_traffic(uncertainty, load_traffic(question.traffic, scene))
 
 
@@ -431,7 +506,9 @@ def _read(document: Table, name: str, prefix: str) -> Uncertainty:
             "mounting": _read_numbers(mounting, "mounting", MountingErrors),
             "latency": _read_latency(document),
             "road_users": _read_road_users(document),
-            "traffic": _read_numbers(document, "traffic", StandingTraffic, vehicles=vehicles),
+            "traffic": _read_numbers(
+                document, "traffic", StandingTraffic, vehicles=vehicles
+            ),
             "outages": _read_numbers(document, "outages", Outages),
             "blinding": _read_numbers(document, "blinding", Blinding),
         }
@@ -456,7 +533,9 @@ def _with_rest(document: Table) -> Table:
     return {**given, **{key: document[key] for key in document if key != _AS}}
 
 
-def _section(document: Table, key: str, known: Sequence[str], at: str = "") -> Table | None:
+def _section(
+    document: Table, key: str, known: Sequence[str], at: str = ""
+) -> Table | None:
     """A section without unknown keys, None where it is left out; `at` is where its parent is."""
     table = document.get(key)
     if table is not None:
@@ -466,11 +545,16 @@ def _section(document: Table, key: str, known: Sequence[str], at: str = "") -> T
     return table
 
 
-def _read_numbers(document: Table, key: str, kind: Callable[..., _T], **more: Any) -> _T:
+def _read_numbers(
+    document: Table, key: str, kind: Callable[..., _T], **more: Any
+) -> _T:
     """A value whose numbers a section has, all of them; the default where it is left out."""
     names = [one.name for one in fields(kind) if one.metadata]  # type: ignore[arg-type]
     table = _section(document, key, names)
-    numbers = {} if table is None else {name: take_number(table, name, key) for name in names}
+    if table is None:
+        numbers = {}
+    else:
+        numbers = {name: take_number(table, name, key) for name in names}
     with located(f"{key}."):
         return kind(**numbers, **more)
 
@@ -483,7 +567,9 @@ def _read_latency(document: Table) -> LatencyJitter:
     if table is None:
         return LatencyJitter()
     if has_budget:
-        budget = load_latency_budget(take_text(table, "budget", where), where=f"{where}.budget")
+        budget = load_latency_budget(
+            take_text(table, "budget", where), where=f"{where}.budget"
+        )
         given: dict[str, Any] = {"budget": budget}
     else:
         given = {key: take_number(table, key, where) for key in ("mean_s", "sd_s")}
@@ -494,7 +580,8 @@ def _read_latency(document: Table) -> LatencyJitter:
 
 
 def _read_road_users(document: Table) -> RoadUsers:
-    measured, where = _read_people(document), "road_users"
+    measured = _read_people(document)
+    where = "road_users"
     table = _section(document, where, (*_SPEEDS, "start_nearer_share", *_WAYS))
     if table is None:
         return RoadUsers(measured=measured)
@@ -503,17 +590,21 @@ def _read_road_users(document: Table) -> RoadUsers:
     known = sorted({case.family for case in load_cases().values()})
     for key in _WAYS:
         by_case = _section(table, key, known, f"{where}.") or {}
-        limits[key] = {name: _read_list(by_case, name, f"{where}.{key}", 2) for name in by_case}
+        limits[key] = {
+            name: _read_list(by_case, name, f"{where}.{key}", 2) for name in by_case
+        }
     with located(f"{where}."):
         return RoadUsers(**limits, start_nearer_share=nearer, measured=measured)
 
 
 def _read_people(document: Table) -> dict[str, MeasuredPeople]:
-    where, keys = "people", ("speed_kmh", "start_mps2")
+    where = "people"
+    keys = ("speed_kmh", "start_mps2")
     table = _section(document, where, ("probability", *_PEOPLE))
     if table is None:
         return {}
-    probability, found = _read_list(table, "probability", where), {}
+    probability = _read_list(table, "probability", where)
+    found = {}
     for name in _PEOPLE:
         here = f"{where}.{name}"
         if values := _section(table, name, keys, f"{where}."):
@@ -523,18 +614,27 @@ def _read_people(document: Table) -> dict[str, MeasuredPeople]:
     return found
 
 
-def _read_list(table: Table, key: str, where: str, length: int = -1) -> tuple[float, ...]:
-    return tuple(float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist())
+def _read_list(
+    table: Table, key: str, where: str, length: int = -1
+) -> tuple[float, ...]:
+    return tuple(
+        float_array(take_list(table, key, where), (length,), f"{where}.{key}").tolist()
+    )
 
 
 def _read_vehicles(document: Table) -> tuple[VehicleKind, ...]:
-    kinds, names = [], ("parked_share", "waiting_share")
-    for index, entry in enumerate(take_list({"vehicles": [], **document}, "vehicles", "")):
+    kinds = []
+    names = ("parked_share", "waiting_share")
+    for index, entry in enumerate(
+        take_list({"vehicles": [], **document}, "vehicles", "")
+    ):
         where = f"vehicles[{index}]"
         if not isinstance(entry, dict):
             raise InputError(where, entry, "a table [[vehicles]]")
         shares = {key: take_number(entry, key, where) for key in names}
-        actor = read_body({key: entry[key] for key in entry if key not in shares}, where)
+        actor = read_body(
+            {key: entry[key] for key in entry if key not in shares}, where
+        )
         with located(f"{where}."):
             kinds.append(VehicleKind(actor=actor, **shares))
     return tuple(kinds)

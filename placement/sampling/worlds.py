@@ -28,7 +28,15 @@ from ..detectors.built_in import LastingNoise
 from ..evaluator.surroundings import draw_index
 from ..setting import Setting
 from .moving import TrafficCount
-from .traffic import GroupKey, Street, Ways, build_street, build_ways, clear_of_ways, group_key
+from .traffic import (
+    GroupKey,
+    Street,
+    Ways,
+    build_street,
+    build_ways,
+    clear_of_ways,
+    group_key,
+)
 from .uncertainty import MountingErrors, RoadUsers, Uncertainty
 
 # ---------- random numbers
@@ -37,8 +45,8 @@ from .uncertainty import MountingErrors, RoadUsers, Uncertainty
 class FrameLinks(NamedTuple):
     """Frames that share their random numbers, and frames that follow one another, (n_frames,).
 
-    The place of each in its run, and what makes the sum of both another for each frame; the same
-    for the same run in several weathers.
+    The place of each in its run, and what makes the sum of both another for each frame;
+    the same for the same run in several weathers.
     """
 
     run_of_frame: IntArray
@@ -70,7 +78,9 @@ class RandomStreams:
     seed: int  # the user's
     purpose: str  # {"choose", "judge"}: what the world is for
     index: int  # number of the world
-    draw: int = 0  # of detections and lost messages: a world may be looked at more than once
+    draw: int = (
+        0  # of detections and lost messages: a world may be looked at more than once
+    )
 
     def rng(self, *key: object) -> np.random.Generator:
         """Generator of one thing of this world; its draws do not depend on any other thing."""
@@ -111,9 +121,10 @@ def pose_key(candidate: CandidatePose) -> tuple[object, ...]:
 
 
 _CUT_OFF = 3.0  # standard deviations: who is off by more, notices
-# Two thirds of all heights are as planned, a sixth is this much lower, and a sixth higher: in mean,
-# variance and the moments up to the fifth as if they were normal (Gauss and Hermite's rule of three
-# points). Few heights come up again: what hides what from there need not be found out anew.
+# Two thirds of all heights are as planned, a sixth is this much lower, and a sixth
+# higher: in mean, variance and the moments up to the fifth as if they were normal
+# (Gauss and Hermite's rule of three points). Few heights come up again: what hides what
+# from there need not be found out anew.
 _HEIGHT_STEP = np.sqrt(3.0)  # standard deviations
 _LEVEL = 0.9674215661017014  # two thirds of all normal numbers are nearer to 0
 _LOWEST_M = 0.1  # above the road
@@ -125,16 +136,22 @@ class Sample:
 
     streams: RandomStreams  # where its random numbers come from
     uncertainty: Uncertainty  # what they are drawn of
-    # the runs with all that stands in the street in them; deadlines less what messages take longer
-    # than the rule says; the share of messages that is lost
+    # the runs with all that stands in the street in them; deadlines less what messages
+    # take longer than the rule says; the share of messages that is lost
     setting: Setting
     planned: tuple[CandidatePose, ...]  # poses as planned
     # the same as they are really mounted; ids, sites and sensors are as planned
     candidates: tuple[CandidatePose, ...]
-    vehicles: tuple[PlacedActor, ...]  # all that stands in the street, in whichever runs
+    vehicles: tuple[
+        PlacedActor, ...
+    ]  # all that stands in the street, in whichever runs
     driving: TrafficCount  # how many drive by, in all runs together
-    n_as_planned: int  # runs whose road users' drawn motions lead to no impact, and are not used
-    extra_latency_s: FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
+    n_as_planned: (
+        int  # runs whose road users' drawn motions lead to no impact, and are not used
+    )
+    extra_latency_s: (
+        FloatArray  # (n_runs,): what messages take longer than the rule says. [s]
+    )
 
     @property
     def drawn_detector(self) -> ResponseDetector | None:
@@ -160,8 +177,9 @@ class Sample:
 def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
     """Setting that has a run of k times the mean weight k times, at most so often, k rounded.
 
-    Copies share its weight and are drawn each by itself: the variance of a weighted sum is least so
-    (Neyman), if runs are equally uncertain. Their ids end in "+1", "+2" and so on.
+    Copies share its weight and are drawn each by itself: the variance of a weighted sum
+    is least so (Neyman), if runs are equally uncertain. Their ids end in "+1", "+2" and
+    so on.
     """
     axis = setting.axis
     times = np.clip(np.rint(axis.weight / axis.weight.mean()), 1, most).astype(np.int64)
@@ -183,9 +201,11 @@ def repeat_heavy_runs(setting: Setting, *, most: int) -> Setting:
         setting,
         runs=tuple(runs),
         axis=build_frame_axis(runs, (axis.weight / times)[rows]),
-        seen_by_vut=None
-        if seen is None
-        else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()]),
+        seen_by_vut=(
+            None
+            if seen is None
+            else np.concatenate([seen[axis.frames_of(row)] for row in rows.tolist()])
+        ),
     )
 
 
@@ -201,23 +221,39 @@ def draw_samples(
 ) -> Iterator[Sample]:
     """Draw worlds, one after the other: each is built when it is asked for.
 
-    A world is the same whatever their number, and from which one on they are drawn. Worlds of one
-    `purpose`, "choose" or "judge", share no random number with those of the other.
+    A world is the same whatever their number, and from which one on they are drawn.
+    Worlds of one `purpose`, "choose" or "judge", share no random number with those of
+    the other.
 
-    All poses of one site share the mount's errors of yaw, pitch and height. What stands in the
-    street is the same in all runs of a world, but for what would stand in a run's way. Road users
-    move as :func:`draw_road_users` says, each run's by itself; what drives by is drawn for each
-    group of runs (see :func:`.traffic.group_key`). Raises InputError for a number that cannot be,
-    or vehicles in a scene without a junction; MissingExtraError where SUMO shall drive and is not
-    installed.
+    All poses of one site share the mount's errors of yaw, pitch and height. What stands
+    in the street is the same in all runs of a world, but for what would stand in a
+    run's way. Road users move as :func:`draw_road_users` says, each run's by itself;
+    what drives by is drawn for each group of runs (see :func:`.traffic.group_key`).
+    Raises InputError for a number that cannot be, or vehicles in a scene without a
+    junction; MissingExtraError where SUMO shall drive and is not installed.
     """
     check_whole("samples", n_samples, least=1)
     traffic = uncertainty.traffic
-    street = None if traffic.is_empty else build_street(setting.scene, traffic)
-    ways = {} if street is None else build_ways(setting.runs, setting.rule)
-    streams, planned = RandomStreams(seed=seed, purpose=purpose, index=0), tuple(candidates)
+    if traffic.is_empty:
+        street = None
+    else:
+        street = build_street(setting.scene, traffic)
+    if street is None:
+        ways = {}
+    else:
+        ways = build_ways(setting.runs, setting.rule)
+    streams = RandomStreams(seed=seed, purpose=purpose, index=0)
+    planned = tuple(candidates)
     draws = (
-        partial(_draw, setting, planned, uncertainty, replace(streams, index=index), street, ways)
+        partial(
+            _draw,
+            setting,
+            planned,
+            uncertainty,
+            replace(streams, index=index),
+            street,
+            ways,
+        )
         for index in range(first, first + n_samples)
     )
     return _one_ahead(draws)
@@ -247,7 +283,8 @@ def _draw(
         streams.rng("latency"), axis.n_runs, rule_latency_s=rule.latency_s
     )
     vehicles = () if street is None else street.draw(streams.rng)
-    runs, n_as_planned = setting.runs, 0
+    runs = setting.runs
+    n_as_planned = 0
     last_s = axis.last_brake_time_s
     if not uncertainty.road_users.are_as_planned:
         runs, n_as_planned = draw_road_users(
@@ -258,7 +295,8 @@ def _draw(
         clearance_m = uncertainty.traffic.clearance_m
         standing = clear_of_ways(vehicles, ways, clearance_m=clearance_m)
         runs = tuple(
-            replace(run, obstruction=(*run.obstruction, *standing[group_key(run)])) for run in runs
+            replace(run, obstruction=(*run.obstruction, *standing[group_key(run)]))
+            for run in runs
         )
     driving = TrafficCount()
     if uncertainty.moving is not None:
@@ -294,7 +332,10 @@ def _draw(
 
 
 def _with_lasting_noise(
-    setting: Setting, runs: tuple[Run, ...], uncertainty: Uncertainty, streams: RandomStreams
+    setting: Setting,
+    runs: tuple[Run, ...],
+    uncertainty: Uncertainty,
+    streams: RandomStreams,
 ) -> Setting:
     """Setting whose detectors draw what is the same in all frames of a run as shares say."""
     shares = (uncertainty.person_share, uncertainty.unit_person_share)
@@ -316,7 +357,9 @@ def _with_lasting_noise(
 
 
 def _as_mounted(
-    candidates: tuple[CandidatePose, ...], errors: MountingErrors, streams: RandomStreams
+    candidates: tuple[CandidatePose, ...],
+    errors: MountingErrors,
+    streams: RandomStreams,
 ) -> tuple[CandidatePose, ...]:
     spread = np.array([errors.yaw_sd_deg, errors.pitch_sd_deg, errors.height_sd_m])
     if not spread.any():
@@ -337,13 +380,17 @@ def _off(pose: Pose, yaw_deg: float, pitch_deg: float, height_m: float) -> Pose:
     east, north, up = pose.position_m.tolist()
     position_m = np.array([east, north, max(up + height_m, min(up, _LOWEST_M))])
     pitch_deg = float(np.clip(pose.pitch_deg + pitch_deg, -90.0, 90.0))
-    return Pose(position_m=position_m, yaw_deg=pose.yaw_deg + yaw_deg, pitch_deg=pitch_deg)
+    return Pose(
+        position_m=position_m, yaw_deg=pose.yaw_deg + yaw_deg, pitch_deg=pitch_deg
+    )
 
 
 # ---------- road users who move otherwise than a case says
 
 
-_MAX_EARLY_S = 0.3  # of a contact before the impact: more is another impact, somewhere else
+_MAX_EARLY_S = (
+    0.3  # of a contact before the impact: more is another impact, somewhere else
+)
 
 
 def draw_road_users(
@@ -355,19 +402,23 @@ def draw_road_users(
 ) -> tuple[tuple[Run, ...], int]:
     """Runs of one sampled world, and how many road users move as planned because they must.
 
-    `rng` gives each encounter its generator: a run is the same in all weathers, and does not depend
-    on others. Speed, start, heading and way are drawn evenly within their limits, measured speeds
-    and starts as often as measured. The planned way stays where something stands in the other one,
-    the planned motion where the drawn one leads to no impact at the planned place.
+    `rng` gives each encounter its generator: a run is the same in all weathers, and
+    does not depend on others. Speed, start, heading and way are drawn evenly within
+    their limits, measured speeds and starts as often as measured. The planned way stays
+    where something stands in the other one, the planned motion where the drawn one
+    leads to no impact at the planned place.
     """
     changed: dict[int, Run | None] = {}
-    drawn, n_kept = [], 0
+    drawn = []
+    n_kept = 0
     for run in runs:
         key = id(run.encounter)  # one and the same in all weathers
         if key not in changed:
             place = (run.case.name, run.approach, run.position, run.vut_speed_kmh)
             both = (run.case.vru_speed_kmh,) if run.case.pairs_kmh else ()
-            changed[key] = _draw_one(run, users, rule, rng("road user", *place, *both), scene)
+            changed[key] = _draw_one(
+                run, users, rule, rng("road user", *place, *both), scene
+            )
         other = changed[key]
         n_kept += other is None
         if other is not None:  # its bodies move so in every weather
@@ -381,7 +432,9 @@ def _draw_one(
 ) -> Run | None:
     encounter = run.encounter
     planned_mps = encounter.vru_motion.speed_mps
-    faster_mps = random.uniform(*users.speed_kmh(encounter.vru.class_name)) * MPS_PER_KMH
+    faster_mps = (
+        random.uniform(*users.speed_kmh(encounter.vru.class_name)) * MPS_PER_KMH
+    )
     nearer_share = random.uniform(0.0, users.start_nearer_share)
     turn_deg = random.uniform(*users.heading_deg.get(run.case.family, (0.0, 0.0)))
     aside_m = random.uniform(*users.path_m.get(run.case.family, (0.0, 0.0)))
@@ -394,7 +447,8 @@ def _draw_one(
             speed_kmh, start_mps2 = measured.draw(random, planned_mps / MPS_PER_KMH)
             speed_mps = speed_kmh * MPS_PER_KMH + faster_mps
     else:  # who stands or brakes does what the case is about
-        speed_mps, nearer_share = planned_mps, 0.0
+        speed_mps = planned_mps
+        nearer_share = 0.0
     if turn_deg or aside_m:
         other = change_motion(
             run,
@@ -419,7 +473,9 @@ def _sense(run: Run) -> float:
     if run.case.kind != "crossing":
         return 1.0
     _, north = rotated([1.0, 0.0], float(run.vru_yaw_deg[-1] - run.vut_yaw_deg[-1]))
-    return 1.0 if (north > 0.0) == (run.case.vru_side == "near") else -1.0
+    if (north > 0.0) == (run.case.vru_side == "near"):
+        return 1.0
+    return -1.0
 
 
 def change_motion(
@@ -434,19 +490,25 @@ def change_motion(
 ) -> Run | None:
     """A run whose road user is faster or slower, starts nearer to the impact, or comes otherwise.
 
-    Its way from rest to the impact is shorter by `nearer_share`, turned about the impact by
-    `turn_deg`, counter-clockwise, then `aside_m` farther to its left. With `start_mps2` it sets off
-    so, else over the planned distance. The VUT keeps its way; both are at the impact as planned.
-    Frames are those of the planned run; the last brake time is computed anew. None: the bodies do
-    not touch, or long before, somewhere else.
+    Its way from rest to the impact is shorter by `nearer_share`, turned about the
+    impact by `turn_deg`, counter-clockwise, then `aside_m` farther to its left. With
+    `start_mps2` it sets off so, else over the planned distance. The VUT keeps its way;
+    both are at the impact as planned. Frames are those of the planned run; the last
+    brake time is computed anew. None: the bodies do not touch, or long before,
+    somewhere else.
     """
     encounter, vru = run.encounter, run.encounter.vru_motion
     if speed_mps < 0.0 or (speed_mps == 0.0 and vru.speed_mps > 0.0):
         return None
-    motion, gains_m = vru, vru.acceleration_distance_m
+    motion = vru
+    gains_m = vru.acceleration_distance_m
     if start_mps2 is not None and gains_m > 0.0:
         gains_m = 0.5 * speed_mps**2 / start_mps2
-    if speed_mps != vru.speed_mps or nearer_share or gains_m != vru.acceleration_distance_m:
+    if (
+        speed_mps != vru.speed_mps
+        or nearer_share
+        or gains_m != vru.acceleration_distance_m
+    ):
         whole_m = float(vru.distance_m(0.0))
         ahead_m = nearer_share * whole_m
         travel_s = travel_time_s(
@@ -490,7 +552,8 @@ def _later(motion: Motion, seconds: float) -> Motion:
 
 def _moved(encounter: Encounter, time_s: FloatArray) -> dict[str, Any]:
     """Fields of a run that follow from its motions."""
-    vut, vru = encounter.vut_motion, encounter.vru_motion
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
     vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))
     vru_distance = vru.distance_m(time_s)
     vru_position, vru_yaw = vru.path.at(vru_distance)

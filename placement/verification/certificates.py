@@ -1,7 +1,7 @@
 """``certificate.json``: what was solved, what was found, and how good it is said to be.
 
-Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they are enough to
-check the claim without the optimiser.
+Next to it lies ``instance.npz``, the whole problem (:mod:`.instances`): together they
+are enough to check the claim without the optimiser.
 """
 
 import json
@@ -74,7 +74,9 @@ class StoredCertificate(Struct, frozen=True, kw_only=True):
     """
 
     instance: dict[str, Any]  # what :func:`instance_of` says
-    model: dict[str, Any]  # what :func:`model_of` says, and the names of the "stages" in order
+    model: dict[
+        str, Any
+    ]  # what :func:`model_of` says, and the names of the "stages" in order
     layout: Annotated[list[StoredUnit], _SOME]
     claims: Annotated[list[Claim], _SOME] = field(name="stages")  # objectives in order
     is_proven: bool  # is the layout claimed to be the best in all?
@@ -125,8 +127,8 @@ def build_certificate(
 ) -> dict[str, Any]:
     """The document that ``certificate.json`` holds; an infinite gap is None in it.
 
-    `units` are as the layout's file has them, and `pose_index` their rows of the table. `versions`
-    says which programs the numbers depend on, `mounts` what the poses are.
+    `units` are as the layout's file has them, and `pose_index` their rows of the table.
+    `versions` says which programs the numbers depend on, `mounts` what the poses are.
     """
     return {
         "schema": SCHEMA,
@@ -143,7 +145,9 @@ def build_certificate(
         "stages": [
             {
                 **asdict(stage),
-                "gap": stage.gap if math.isfinite(stage.gap) else None,  # JSON has no infinity
+                "gap": (
+                    stage.gap if math.isfinite(stage.gap) else None
+                ),  # JSON has no infinity
                 "is_proven": bool(stage.gap == 0.0),
             }
             for stage in certificate.stages
@@ -174,12 +178,15 @@ def save_certificate(
 def load_certificate(path: str | Path) -> StoredCertificate:
     """Read a ``certificate.json``; whether its claims are true is not looked at.
 
-    Raises InputError: the file cannot be read, is no certificate, or a field is missing or not of
-    its kind.
+    Raises InputError: the file cannot be read, is no certificate, or a field is missing
+    or not of its kind.
     """
     where = str(path)
     document = parse_json(read_text(Path(path), "JSON"), where, "a certificate")
-    schema = document.get("schema") if isinstance(document, dict) else Unquoted("no object")
+    if isinstance(document, dict):
+        schema = document.get("schema")
+    else:
+        schema = Unquoted("no object")
     if schema != SCHEMA:
         raise InputError(f"{where}: schema", schema, SCHEMA)
     read = read_table(document, StoredCertificate, where)
@@ -203,7 +210,9 @@ def instance_of(problem: PlacementProblem, mounts: Mounts | None) -> dict[str, A
 def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]:
     """The model in words: fusion, what avoided means, and the formula of each stage."""
     words = load_data("placement", "certificate.toml")
-    formulas, avoided, parts = words["formulas"], words["avoided"], words["parts"]
+    formulas = words["formulas"]
+    avoided = words["avoided"]
+    parts = words["parts"]
     if problem.limits.failing == "site":
         formulas |= words["site_formulas"]
     return {
@@ -218,12 +227,16 @@ def words_of(problem: PlacementProblem, stages: Sequence[str]) -> dict[str, str]
 
 def cars_of(problem: PlacementProblem) -> float:
     """Share of the VUTs that see in a problem, 0..1."""
-    return 0.0 if problem.seen_by_vut is None else seeing_share(problem.table.axis)
+    if problem.seen_by_vut is None:
+        return 0.0
+    return seeing_share(problem.table.axis)
 
 
 def model_of(problem: PlacementProblem) -> dict[str, Any]:
     """Demands and limits of a problem, as plain values for JSON."""
-    axis, limits, samples = problem.table.axis, problem.limits, problem.sample_index
+    axis = problem.table.axis
+    limits = problem.limits
+    samples = problem.sample_index
     return {
         "fusion": problem.fusion,
         "goal": problem.goal,
@@ -245,7 +258,11 @@ def model_of(problem: PlacementProblem) -> dict[str, Any]:
                 "name": floor.name,
                 "apr": float(floor.share),
                 "n_failures": floor.n_failures,
-                "n_runs": axis.n_runs if floor.is_counted is None else int(floor.is_counted.sum()),
+                "n_runs": (
+                    axis.n_runs
+                    if floor.is_counted is None
+                    else int(floor.is_counted.sum())
+                ),
             }
             for floor in problem.floors
         ],

@@ -1,7 +1,8 @@
 """``instance.npz``: a whole problem as a file that any program can read, and its hash.
 
 It is compressed and holds no Python objects: numpy's arrays under the names in
-``data/instance.toml``. It may also say where and what the poses are, see :class:`Mounts`.
+``data/instance.toml``. It may also say where and what the poses are, see
+:class:`Mounts`.
 """
 
 import hashlib
@@ -78,10 +79,20 @@ class Mounts:
         """Differences of a unit from the pose of a row, in words; its name does not count."""
         found = []
         if unit.site_id != self.sites[row]:
-            found.append(f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}")
+            found.append(
+                f"site {unit.site_id or 'none'}, not {self.sites[row] or 'none'}"
+            )
         names = ("x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "latency_s")
-        own_s = math.nan if unit.latency_s is None else unit.latency_s
-        got = (*unit.pose.position_m.tolist(), unit.pose.yaw_deg, unit.pose.pitch_deg, own_s)
+        if unit.latency_s is None:
+            own_s = math.nan
+        else:
+            own_s = unit.latency_s
+        got = (
+            *unit.pose.position_m.tolist(),
+            unit.pose.yaw_deg,
+            unit.pose.pitch_deg,
+            own_s,
+        )
         rest = (self.yaw_deg[row], self.pitch_deg[row], self.latency_s[row])
         wanted = (*self.position_m[row], *rest)
         is_same = np.isclose(got, wanted, rtol=0.0, atol=TOLERANCE, equal_nan=True)
@@ -91,18 +102,21 @@ class Mounts:
             if not same
         ]
         sensor = self.sensors[int(self.sensor_index[row])]
-        return found if unit.sensor == sensor else found + _sensor_differences(unit.sensor, sensor)
+        if unit.sensor == sensor:
+            return found
+        return found + _sensor_differences(unit.sensor, sensor)
 
     def misnamed(
         self, pose_ids: Sequence[str], feet_m: Mapping[str, FloatArray] | None = None
     ) -> str:
         """The first pose of the grid whose name does not say where it is, in words; or nothing.
 
-        Names of the grid have site, height, yaw, pitch and sensor. All poses of a site are one
-        above the other, as far apart as their names say; above the site, if `feet_m` has the places
-        of sites.
+        Names of the grid have site, height, yaw, pitch and sensor. All poses of a site
+        are one above the other, as far apart as their names say; above the site, if
+        `feet_m` has the places of sites.
         """
-        sites, foot_m = set(self.sites), dict(feet_m or {})
+        sites = set(self.sites)
+        foot_m = dict(feet_m or {})
         for row, name in enumerate(pose_ids):
             parts = _OF_GRID.fullmatch(name)
             if parts is None or parts["site"] not in sites:
@@ -150,9 +164,12 @@ def _sensor_differences(got: Sensor, wanted: Sensor) -> list[str]:
 def build_mounts(scene: Scene, candidates: Sequence[CandidatePose]) -> Mounts:
     """Poses behind the names of candidates; they are the rows of a table."""
     sensors = {
-        sensor: row for row, sensor in enumerate(dict.fromkeys(c.sensor for c in candidates))
+        sensor: row
+        for row, sensor in enumerate(dict.fromkeys(c.sensor for c in candidates))
     }
-    latencies_s = [math.nan if one.latency_s is None else one.latency_s for one in candidates]
+    latencies_s = [
+        math.nan if one.latency_s is None else one.latency_s for one in candidates
+    ]
     return Mounts(
         sites=tuple(candidate.site_id for candidate in candidates),
         position_m=np.array([candidate.pose.position_m for candidate in candidates]),
@@ -174,11 +191,21 @@ def scene_hash(scene: Scene) -> str:
     digest = hashlib.sha256()
 
     def add(name: str, array: NDArray[Any]) -> None:
-        values = array + 0.0 if array.dtype.kind == "f" else array  # no -0.0, which equals 0.0
+        # no -0.0, which equals 0.0
+        if array.dtype.kind == "f":
+            values = array + 0.0
+        else:
+            values = array
         digest.update(f"{name}\0{values.dtype.name}\0{values.shape}\0".encode())
         digest.update(values.astype(values.dtype.newbyteorder("<")).tobytes())
 
-    for name in ("vertices_m", "triangles", "triangle_instance", "outline_m", "crosswalks_m"):
+    for name in (
+        "vertices_m",
+        "triangles",
+        "triangle_instance",
+        "outline_m",
+        "crosswalks_m",
+    ):
         add(name, getattr(scene, name))
     add("source_origin_m", scene.source_origin_m)
     for lane in scene.lanes:
@@ -197,7 +224,9 @@ def scene_hash(scene: Scene) -> str:
             for site in scene.sites
         ],
     }
-    limits = {lane.id: lane.speed_limit_kmh for lane in scene.lanes if lane.speed_limit_kmh}
+    limits = {
+        lane.id: lane.speed_limit_kmh for lane in scene.lanes if lane.speed_limit_kmh
+    }
     if limits:
         words["speed_limits"] = limits
     if scene.zero_height_m is not None:  # else as before scenes had it
@@ -209,12 +238,19 @@ def scene_hash(scene: Scene) -> str:
 # ---------- as arrays of a file
 def _mounts_to_arrays(mounts: Mounts) -> Arrays:
     """The arrays of :data:`_MOUNT_FIELDS`."""
-    values = {name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()}
+    values = {
+        name: getattr(mounts, attribute) for name, attribute in _ATTRIBUTES.items()
+    }
     values["sensors"] = [
-        json.dumps({"kind": sensor_kind(sensor), **_fields_of(sensor)}, default=to_builtins)
+        json.dumps(
+            {"kind": sensor_kind(sensor), **_fields_of(sensor)}, default=to_builtins
+        )
         for sensor in mounts.sensors
     ]
-    return {name: np.array(value, _MOUNT_FIELDS[name].dtype) for name, value in values.items()}
+    return {
+        name: np.array(value, _MOUNT_FIELDS[name].dtype)
+        for name, value in values.items()
+    }
 
 
 def _fields_of(sensor: Sensor) -> dict[str, object]:
@@ -231,7 +267,9 @@ def _read_sensor(text: str) -> Sensor:
     except (InputError, LookupError, AttributeError, TypeError):
         kind = name = None
     if kind not in SENSOR_KINDS or not isinstance(name, str):
-        raise InputError("sensors", text, "JSON of a sensor model with its kind and name")
+        raise InputError(
+            "sensors", text, "JSON of a sensor model with its kind and name"
+        )
     return read_sensor(name, given, kind, "sensors")
 
 
@@ -244,7 +282,9 @@ KIND_WITH_MOUNTS = "place-rsus/placement-problem/2"
 KINDS = (KIND, KIND_WITH_MOUNTS)
 
 _UNDAMAGED = "an undamaged instance file (.npz)"
-_UNPACKED_BYTES = 4  # of memory for each byte of a file, unpacked, while it is read and checked
+_UNPACKED_BYTES = (
+    4  # of memory for each byte of a file, unpacked, while it is read and checked
+)
 
 
 class _Field(Struct, frozen=True):
@@ -263,25 +303,30 @@ class _Fields(Struct, frozen=True):
 
 
 _ALL_FIELDS = read_data("placement", "instance.toml", _Fields)
-_FIELDS, _MOUNT_FIELDS = _ALL_FIELDS.problem, _ALL_FIELDS.mounts
+_FIELDS = _ALL_FIELDS.problem
+_MOUNT_FIELDS = _ALL_FIELDS.mounts
 _ATTRIBUTES = {name: name.removeprefix("mount_") for name in _MOUNT_FIELDS} | {
     "mount_site": "sites",
     "mount_sensor": "sensor_index",
 }
 
 
-def save_problem(path: Path, problem: PlacementProblem, mounts: Mounts | None = None) -> None:
+def save_problem(
+    path: Path, problem: PlacementProblem, mounts: Mounts | None = None
+) -> None:
     """Write a problem, whole or not at all; the same problem always makes the same file.
 
-    Raises InputError if a name ends with a null character, which numpy's text cannot hold, and
-    OSError if the file cannot be written.
+    Raises InputError if a name ends with a null character, which numpy's text cannot
+    hold, and OSError if the file cannot be written.
     """
     arrays = _to_arrays(problem, mounts)
 
     def write(
         file: BinaryIO,
     ) -> None:  # as numpy's savez_compressed: 6 % larger, a third of its time
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with zipfile.ZipFile(
+            file, "w", zipfile.ZIP_DEFLATED, compresslevel=1
+        ) as archive:
             for name, array in arrays.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, array, allow_pickle=False)
@@ -304,8 +349,8 @@ def load_problem(path: str | Path) -> PlacementProblem:
 def load_stored_problem(path: Path) -> StoredProblem:
     """Read a problem and what its poses are, checked field by field.
 
-    Raises InputError where the file is missing, damaged or of another kind; a field is missing,
-    unknown, or has another type or shape; or the values contradict each other.
+    Raises InputError where the file is missing, damaged or of another kind; a field is
+    missing, unknown, or has another type or shape; or the values contradict each other.
     """
     with _archive(path) as archive:
         stored = _read(archive, "kind", str(path))
@@ -314,7 +359,10 @@ def load_stored_problem(path: Path) -> StoredProblem:
         kind = str(stored)
         if kind not in KINDS:
             raise InputError(f"{path}: kind", kind, " or ".join(KINDS))
-        known = _FIELDS if kind == KIND else {**_FIELDS, **_MOUNT_FIELDS}
+        if kind == KIND:
+            known = _FIELDS
+        else:
+            known = {**_FIELDS, **_MOUNT_FIELDS}
         unknown = sorted(set(archive.files) - set(known))
         if unknown:
             refuse(f"{path}: {unknown[0]}", "a field", "none of this name")
@@ -323,7 +371,9 @@ def load_stored_problem(path: Path) -> StoredProblem:
     mounts = None
     with located(f"{path}: "):
         if known is not _FIELDS:
-            of_mounts = {attribute: arrays[name] for name, attribute in _ATTRIBUTES.items()}
+            of_mounts = {
+                attribute: arrays[name] for name, attribute in _ATTRIBUTES.items()
+            }
             sensors = tuple(_read_sensor(text) for text in arrays["sensors"].tolist())
             mounts = _build(Mounts, of_mounts, sensors=sensors)
         return StoredProblem(_from_arrays(arrays), mounts)
@@ -339,10 +389,14 @@ def problem_hash(problem: PlacementProblem, mounts: Mounts | None = None) -> str
     content: bytes | memoryview
     for name, array in sorted(_to_arrays(problem, mounts).items()):
         if array.dtype.kind == "U":
-            type_name, content = "str", json.dumps(array.tolist()).encode()
+            type_name = "str"
+            content = json.dumps(array.tolist()).encode()
         else:
             # Adding zero turns -0.0, which equals 0.0, into it.
-            values = array + 0.0 if array.dtype.kind == "f" else array
+            if array.dtype.kind == "f":
+                values = array + 0.0
+            else:
+                values = array
             type_name = values.dtype.name
             little = values.astype(values.dtype.newbyteorder("<"), copy=False)
             content = np.ascontiguousarray(little).reshape(-1).view(np.uint8).data
@@ -357,10 +411,19 @@ def is_never_lost(rule: AebRule) -> bool:
 
 
 def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
-    table, axis, limits, rule = problem.table, problem.table.axis, problem.limits, problem.rule
+    table, axis, limits, rule = (
+        problem.table,
+        problem.table.axis,
+        problem.limits,
+        problem.rule,
+    )
     floors = problem.floors
     counted = [
-        np.ones(axis.n_runs, dtype=bool) if floor.is_counted is None else floor.is_counted
+        (
+            np.ones(axis.n_runs, dtype=bool)
+            if floor.is_counted is None
+            else floor.is_counted
+        )
         for floor in floors
     ]
     values = {
@@ -371,10 +434,14 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
         "floor_shares": [floor.share for floor in floors],
         "floor_failures": [floor.n_failures for floor in floors],
         "floor_counts_all": [floor.is_counted is None for floor in floors],
-        "floor_is_counted": np.array(counted, dtype=bool).reshape(len(floors), axis.n_runs),
+        "floor_is_counted": np.array(counted, dtype=bool).reshape(
+            len(floors), axis.n_runs
+        ),
     }
     for owner in (axis, limits, problem, rule):
-        values |= {name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)}
+        values |= {
+            name: getattr(owner, name) for name in _FIELDS if hasattr(owner, name)
+        }
     if is_never_lost(rule):
         del values["track_memory_s"]
     if limits.failing == "unit":
@@ -387,9 +454,17 @@ def _to_arrays(problem: PlacementProblem, mounts: Mounts | None) -> Arrays:
         if value is not None
     }
     for name, array in arrays.items():
-        if array.dtype.kind == "U" and array.ndim and array.tolist() != list(values[name]):
-            raise InputError(name, list(values[name]), "names without a null character at the end")
-    return arrays if mounts is None else arrays | _mounts_to_arrays(mounts)
+        if (
+            array.dtype.kind == "U"
+            and array.ndim
+            and array.tolist() != list(values[name])
+        ):
+            raise InputError(
+                name, list(values[name]), "names without a null character at the end"
+            )
+    if mounts is None:
+        return arrays
+    return arrays | _mounts_to_arrays(mounts)
 
 
 def _from_arrays(arrays: Arrays) -> PlacementProblem:
@@ -400,8 +475,12 @@ def _from_arrays(arrays: Arrays) -> PlacementProblem:
     if not np.array_equal(_without_padding(table), table.packed):
         refuse("packed", "bits behind the last frame", "zeros there")
     floors = zip(
-        *(arrays[f"floor_{name}"].tolist() for name in ("names", "shares", "counts_all")),
-        *(arrays["floor_is_counted"], arrays["floor_failures"].tolist()),
+        *(
+            arrays[f"floor_{name}"].tolist()
+            for name in ("names", "shares", "counts_all")
+        ),
+        arrays["floor_is_counted"],
+        arrays["floor_failures"].tolist(),
         strict=True,
     )
     return _build(
@@ -429,8 +508,14 @@ def _build(kind: type[_T], arrays: Arrays, **more: Any) -> _T:
         if name in arrays:
             array = arrays[name]
             is_plain = array.ndim == 0 or array.dtype.kind == "U"
-            values = array.tolist() if is_plain else array
-            given[name] = tuple(values) if is_plain and array.ndim else values
+            if is_plain:
+                values = array.tolist()
+            else:
+                values = array
+            if is_plain and array.ndim:
+                given[name] = tuple(values)
+            else:
+                given[name] = values
     return kind(**(given | more))
 
 
@@ -449,7 +534,9 @@ def _without_padding(table: DetectionTable) -> NDArray[np.uint8]:
 def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
     """An archive that says what kind it is; whatever is wrong with it is an InputError."""
     with (
-        reading(path, _UNDAMAGED, Exception),  # what damaged ones raise has no end: zipfile's, ..
+        reading(
+            path, _UNDAMAGED, Exception
+        ),  # what damaged ones raise has no end: zipfile's, ..
         reading(path, "a readable instance file", OSError),
         open_file(path) as file,
         # Not np.load(): it takes whatever is no archive for a pickle, and says so.
@@ -463,7 +550,8 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
             # Programs differ in which of the two they read.
             refuse(str(path), "an array twice", "every array once")
         n_bytes = unpacked_bytes(archive.zip, str(path))
-        what, room = f"{n_bytes:,} bytes when unpacked", _UNPACKED_BYTES * n_bytes
+        what = f"{n_bytes:,} bytes when unpacked"
+        room = _UNPACKED_BYTES * n_bytes
         check_fits(str(path), what, room, "fewer poses or frames")
         yield archive
 
@@ -471,7 +559,9 @@ def _archive(path: Path) -> Iterator[np.lib.npyio.NpzFile]:
 def _read(archive: np.lib.npyio.NpzFile, name: str, where: str) -> NDArray[Any]:
     with reading(f"{where}: {name}", _UNDAMAGED, Exception):
         array: NDArray[Any] | bytes = archive[name]
-    if not isinstance(array, np.ndarray):  # what does not begin as an array comes as bytes
+    if not isinstance(
+        array, np.ndarray
+    ):  # what does not begin as an array comes as bytes
         refuse(f"{where}: {name}", "no array", "an array")
     if array.dtype.kind == "U" and not is_text(array):
         refuse(f"{where}: {name}", "characters that are none", "texts")
@@ -491,8 +581,12 @@ def _check_fields(arrays: Arrays, known: Mapping[str, _Field], where: str) -> No
         if array.dtype.kind != "U" if is_text else array.dtype != np.dtype(field.dtype):
             refuse(f"{where}: {name}", f"type {array.dtype}", field.dtype)
         if array.ndim != len(field.axes):
-            expected = f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})"
+            expected = (
+                f"{len(field.axes)} ({', '.join(field.axes) or 'a single value'})"
+            )
             refuse(f"{where}: {name}", f"{array.ndim} axes", expected)
         for axis, size in zip(field.axes, array.shape, strict=True):
             if sizes.setdefault(axis, size) != size:
-                refuse(f"{where}: {name}", f"shape {array.shape}", f"{sizes[axis]} {axis}")
+                refuse(
+                    f"{where}: {name}", f"shape {array.shape}", f"{sizes[axis]} {axis}"
+                )

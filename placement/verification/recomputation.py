@@ -1,8 +1,8 @@
 """Recompute the worth of sets of poses from a saved problem, without the optimiser's code.
 
-Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the names of
-the objectives. Frames are gone through one after the other; there is no presolve, no window and no
-model. To be read against ``docs/method.md``.
+Shared with :mod:`placement.optimiser` are only the problem as it lies in a file and the
+names of the objectives. Frames are gone through one after the other; there is no
+presolve, no window and no model. To be read against ``docs/method.md``.
 """
 
 import math
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 
 # ---------- values
-EPSILON = 1.0e-9  # shares and times that differ by no more are equal: they carry rounding noise
+# shares and times that differ by no more are equal: they carry rounding noise
+EPSILON = 1.0e-9
 EPSILON_EUR = 1.0e-6  # so are sums of prices
 
 _BLOCK_BYTES = 1 << 22
@@ -41,7 +42,9 @@ def stage_names(problem: "PlacementProblem") -> tuple[Objective, ...]:
     return tuple(order)
 
 
-def stage_values(problem: "PlacementProblem", objective: Objective, sets: IntArray) -> FloatArray:
+def stage_values(
+    problem: "PlacementProblem", objective: Objective, sets: IntArray
+) -> FloatArray:
     """Values of sets of poses in a stage: (n_sets, n_units) distinct rows -> (n_sets,)."""
     if objective is Objective.UNITS:
         return np.full(len(sets), float(sets.shape[1]))
@@ -51,8 +54,12 @@ def stage_values(problem: "PlacementProblem", objective: Objective, sets: IntArr
         Objective.APR_SURVIVED: lambda block: _left(problem, block, problem.survive),
         Objective.APR_ONE_FAILED: lambda block: _left(problem, block, 1),
         Objective.APR: lambda block: _apr(problem, margins_s(problem, block)),
-        Objective.SMALLEST_MARGIN: lambda block: _smallest_s(problem, margins_s(problem, block)),
-        Objective.MEAN_MARGIN: lambda block: _mean_s(problem, margins_s(problem, block)),
+        Objective.SMALLEST_MARGIN: lambda block: _smallest_s(
+            problem, margins_s(problem, block)
+        ),
+        Objective.MEAN_MARGIN: lambda block: _mean_s(
+            problem, margins_s(problem, block)
+        ),
     }
     return _of_blocks(problem, sets, values[objective])
 
@@ -60,13 +67,16 @@ def stage_values(problem: "PlacementProblem", objective: Objective, sets: IntArr
 def margins_s(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
     """Margins of all runs for sets of poses: (n_sets, n_units) -> (n_sets, n_runs).
 
-    That is last brake time - (confirmation + latency); minus infinity where that is too late or
-    there is no confirmation. The VUT, if it sees, is one unit more, also where there is no other.
+    That is last brake time - (confirmation + latency); minus infinity where that is too
+    late or there is no confirmation. The VUT, if it sees, is one unit more, also where
+    there is no other.
     """
-    packed, n_units = problem.table.packed, sets.shape[1]
+    packed = problem.table.packed
+    n_units = sets.shape[1]
     if problem.seen_by_vut is not None:
         vut = np.packbits(problem.seen_by_vut, bitorder="little")[None, :]
-        packed, n_units = np.concatenate([packed, vut]), n_units + 1
+        packed = np.concatenate([packed, vut])
+        n_units = n_units + 1
         sets = np.column_stack([sets, np.full(len(sets), len(packed) - 1)])
     if n_units == 0:
         return np.full((len(sets), problem.table.axis.n_runs), -np.inf)
@@ -107,9 +117,14 @@ def costs_eur(problem: "PlacementProblem", sets: IntArray) -> FloatArray:
 
 def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolArray]:
     """Which sets are within each limit, (n_sets,) by the name of the limit."""
-    limits, n_units = problem.limits, sets.shape[1]
-    sites, everyone = limits.site_index[sets], np.ones(len(sets), dtype=bool)
-    most = np.inf if limits.budget_units is None else limits.budget_units
+    limits = problem.limits
+    n_units = sets.shape[1]
+    sites = limits.site_index[sets]
+    everyone = np.ones(len(sets), dtype=bool)
+    if limits.budget_units is None:
+        most = np.inf
+    else:
+        most = limits.budget_units
     checks = {"units": everyone & (1 <= n_units <= most)}
     if limits.budget_eur is not None:
         checks["money"] = costs_eur(problem, sets) <= limits.budget_eur + EPSILON_EUR
@@ -135,21 +150,32 @@ def limit_checks(problem: "PlacementProblem", sets: IntArray) -> dict[str, BoolA
     return checks
 
 
-def floor_values(problem: "PlacementProblem", floor: "Floor", sets: IntArray) -> FloatArray:
+def floor_values(
+    problem: "PlacementProblem", floor: "Floor", sets: IntArray
+) -> FloatArray:
     """Share of a floor that sets reach after the failures that it allows for, (n_sets,)."""
-    return _of_blocks(problem, sets, lambda block: _left(problem, block, floor.n_failures, floor))
+    return _of_blocks(
+        problem, sets, lambda block: _left(problem, block, floor.n_failures, floor)
+    )
 
 
 def _left(
-    problem: "PlacementProblem", sets: IntArray, n_failures: int, floor: "Floor | None" = None
+    problem: "PlacementProblem",
+    sets: IntArray,
+    n_failures: int,
+    floor: "Floor | None" = None,
 ) -> FloatArray:
     """Smallest ratio that is left when any so many units, or whole sites, fail, (n_sets,).
 
-    Failing more never leaves more: the sites of any so many units are all that need be tried.
+    Failing more never leaves more: the sites of any so many units are all that need be
+    tried.
     """
     if n_failures > sets.shape[1]:
         return _apr(problem, margins_s(problem, sets[:, :0]), floor)
-    at = problem.limits.site_index[sets] if problem.limits.failing == "site" else sets
+    if problem.limits.failing == "site":
+        at = problem.limits.site_index[sets]
+    else:
+        at = sets
     smallest = np.full(len(sets), np.inf)
     for chosen in combinations(range(sets.shape[1]), n_failures):
         has_failed = (at[:, :, None] == at[:, None, list(chosen)]).any(axis=2)
@@ -172,8 +198,9 @@ def _apr(
         return np.asarray((is_avoided * (counted / counted.sum())).sum(axis=1))
     if problem.tail == 1.0:
         return np.asarray((is_avoided * weight).sum(axis=1))
-    # Rockafellar and Uryasev (2000): the mean of the worst share `tail` of the worlds is the
-    # largest t - E[(t - ratio)+] / tail over all t, and a world's own ratio is such a t.
+    # Rockafellar and Uryasev (2000): the mean of the worst share `tail` of the worlds
+    # is the largest t - E[(t - ratio)+] / tail over all t, and a world's own ratio is
+    # such a t.
     world = np.zeros(len(weight), np.int64)
     if problem.sample_index is not None:
         world = problem.sample_index
@@ -181,7 +208,11 @@ def _apr(
     chance = np.array([weight[world == index].sum() for index in range(n_worlds)])
     chance = chance / chance.sum()
     ratio = np.stack(
-        [(is_avoided * weight)[:, world == index].sum(axis=1) for index in range(n_worlds)], axis=1
+        [
+            (is_avoided * weight)[:, world == index].sum(axis=1)
+            for index in range(n_worlds)
+        ],
+        axis=1,
     )
     ratio = ratio / chance
     best = np.full(len(margin_s), -np.inf)
@@ -207,19 +238,28 @@ def _mean_s(problem: "PlacementProblem", margin_s: FloatArray) -> FloatArray:
     return np.where(total > 0.0, summed / np.where(total > 0.0, total, 1.0), 0.0)
 
 
-def _margins_of_bits(problem: "PlacementProblem", bits: NDArray[np.uint8]) -> FloatArray:
+def _margins_of_bits(
+    problem: "PlacementProblem", bits: NDArray[np.uint8]
+) -> FloatArray:
     """Margins if the frames with set bits are seen: (n, n_bytes) -> (n, n_runs).
 
-    A track is born with the last of n frames in a row, and dies when it is not seen for longer than
-    its memory, be it by the next frame that is seen or by the last moment.
+    A track is born with the last of n frames in a row, and dies when it is not seen for
+    longer than its memory, be it by the next frame that is seen or by the last moment.
     """
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     moment_s = axis.last_brake_time_s - rule.latency_s
     run_of_frame = np.repeat(np.arange(axis.n_runs), np.diff(axis.run_start))
-    is_in_time = axis.time_s <= moment_s[run_of_frame] + EPSILON  # times of a run ascend
+    is_in_time = (
+        axis.time_s <= moment_s[run_of_frame] + EPSILON
+    )  # times of a run ascend
     length = np.bincount(run_of_frame[is_in_time], minlength=axis.n_runs)
-    order = np.argsort(-length, kind="stable")  # runs that have a frame come before all others
-    start, last_s, moment_s = axis.run_start[order], axis.last_brake_time_s[order], moment_s[order]
+    order = np.argsort(
+        -length, kind="stable"
+    )  # runs that have a frame come before all others
+    start = axis.run_start[order]
+    last_s = axis.last_brake_time_s[order]
+    moment_s = moment_s[order]
     margin_s = np.full((len(bits), axis.n_runs), -np.inf)
     in_a_row = np.zeros((len(bits), axis.n_runs), dtype=np.int32)
     seen_s = np.full((len(bits), axis.n_runs), -np.inf)  # when last
@@ -250,7 +290,9 @@ def _blocks(problem: "PlacementProblem", sets: IntArray) -> Iterator[IntArray]:
 
 
 def _of_blocks(
-    problem: "PlacementProblem", sets: IntArray, values: Callable[[IntArray], FloatArray]
+    problem: "PlacementProblem",
+    sets: IntArray,
+    values: Callable[[IntArray], FloatArray],
 ) -> FloatArray:
     if not len(sets):
         return np.zeros(0)
@@ -267,9 +309,13 @@ def usable_poses(problem: "PlacementProblem") -> IntArray:
 
 def most_units(problem: "PlacementProblem") -> int:
     """No layout has more units."""
-    limits, usable = problem.limits, usable_poses(problem)
+    limits = problem.limits
+    usable = usable_poses(problem)
     most = sum(
-        min(int(limits.site_capacity[site]), int((limits.site_index[usable] == site).sum()))
+        min(
+            int(limits.site_capacity[site]),
+            int((limits.site_index[usable] == site).sum()),
+        )
         for site in np.unique(limits.site_index[usable])
     )
     if limits.budget_units is not None:
@@ -280,19 +326,24 @@ def most_units(problem: "PlacementProblem") -> int:
     return most
 
 
-def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[Objective, float]:
+def simple_limits(
+    problem: "PlacementProblem", stages: Sequence[Stage]
+) -> dict[Objective, float]:
     """Limit of each objective that no layout exceeds, by a look at all poses at once.
 
-    All usable poses together avoid every run that any layout avoids, with the largest margin. If
-    the layout that `stages` claim avoids as much, every layout as good avoids the very same runs,
-    so that their margins bound it.
+    All usable poses together avoid every run that any layout avoids, with the largest
+    margin. If the layout that `stages` claim avoids as much, every layout as good
+    avoids the very same runs, so that their margins bound it.
     """
-    limits, weight = problem.limits, problem.table.axis.weight
+    limits = problem.limits
+    weight = problem.table.axis.weight
     usable = usable_poses(problem)
     margin_s = margins_of_all_s(problem, usable)
     counts = (margin_s > -np.inf) & (weight > 0.0)
     most_apr = float(_apr(problem, margin_s[None, :])[0])
-    smallest_s = mean_s = float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
+    smallest_s = mean_s = (
+        float(margin_s[counts].max(initial=-np.inf)) if counts.any() else 0.0
+    )
     claimed = {stage.name: stage.objective for stage in stages}
     if (
         counts.any()
@@ -303,7 +354,9 @@ def simple_limits(problem: "PlacementProblem", stages: Sequence[Stage]) -> dict[
         mean_s = float(np.average(margin_s[counts], weights=weight[counts]))
     most = most_units(problem)
     nobody = np.empty((1, 0), dtype=np.int64)
-    of_vut = float(_apr(problem, margins_s(problem, nobody))[0])  # when all units have failed
+    of_vut = float(
+        _apr(problem, margins_s(problem, nobody))[0]
+    )  # when all units have failed
     forced = np.flatnonzero(limits.is_forced)
     price = limits.unit_cost_eur + limits.site_cost_eur[limits.site_index]
     least_eur = float(price[usable].min(initial=np.inf))
@@ -360,7 +413,10 @@ def neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> Iterator[Int
 def n_neighbours(problem: "PlacementProblem", rows: Sequence[int]) -> int:
     """How many sets :func:`neighbours` goes through."""
     n_others = len(np.setdiff1d(usable_poses(problem), rows))
-    n_fewer = len(rows) if len(rows) > 1 else 0
+    if len(rows) > 1:
+        n_fewer = len(rows)
+    else:
+        n_fewer = 0
     return n_fewer + 1 + (len(rows) + 1) * n_others
 
 
@@ -369,8 +425,8 @@ def best_others(
 ) -> list[BestOther]:
     """Best value of each claimed stage among families of sets, each (n_sets, n_units).
 
-    Sets that are not allowed, or miss a floor, are left out; so are, from each stage on, those that
-    are not as good in it as what is claimed.
+    Sets that are not allowed, or miss a floor, are left out; so are, from each stage
+    on, those that are not as good in it as what is claimed.
     """
     alive = []
     for sets in families:
@@ -381,13 +437,22 @@ def best_others(
     best = []
     for stage in stages:
         objective = Objective(stage.name)
-        sign = -1.0 if objective.is_minimised else 1.0
-        found, still_alive = BestOther(objective, math.nan, ()), []
+        if objective.is_minimised:
+            sign = -1.0
+        else:
+            sign = 1.0
+        found = BestOther(objective, math.nan, ())
+        still_alive = []
         for sets in (one for one in alive if len(one)):
             value = stage_values(problem, objective, sets)
             first = int(np.argmax(sign * value))
-            if not found.poses or objective.excess(float(value[first]), found.value) > 0.0:
-                found = BestOther(objective, float(value[first]), tuple(sets[first].tolist()))
+            if (
+                not found.poses
+                or objective.excess(float(value[first]), found.value) > 0.0
+            ):
+                found = BestOther(
+                    objective, float(value[first]), tuple(sets[first].tolist())
+                )
             is_as_good = sign * value >= sign * stage.objective - objective.tolerance
             still_alive.append(sets[is_as_good])
         best.append(found)

@@ -1,10 +1,11 @@
 """An independent check of a certificate: everything that can be recomputed is recomputed.
 
-That the layout is within all limits, and what it is worth, is recomputed by :mod:`.recomputation`.
-That no other is better than the bound is proven again where all poses together reach no more, or
-all sets can be compared. Elsewhere the proof rests on the solver that the certificate names; but
-layouts that differ in one unit are compared, if they are not too many. Whether the detection table
-is right is the evaluator's question.
+That the layout is within all limits, and what it is worth, is recomputed by
+:mod:`.recomputation`. That no other is better than the bound is proven again where all
+poses together reach no more, or all sets can be compared. Elsewhere the proof rests on
+the solver that the certificate names; but layouts that differ in one unit are compared,
+if they are not too many. Whether the detection table is right is the evaluator's
+question.
 """
 
 import math
@@ -42,7 +43,9 @@ MAX_SETS = 50_000  # so many sets of poses are compared at most
 _MAX_LOOKS = 2_000_000_000  # sets times frames; half a minute
 _ROUNDED_GAP = 1.0e-9  # certificates round gaps
 _SIZES = ("poses", "frames", "windows", "runs")
-_SOLVER_TOLERANCE = 1.0e-6  # relative; solvers meet their rows and whole numbers up to this
+_SOLVER_TOLERANCE = (
+    1.0e-6  # relative; solvers meet their rows and whole numbers up to this
+)
 
 
 class Check(NamedTuple):
@@ -57,7 +60,9 @@ class StageProof(NamedTuple):
     """Grounds for a stage of a certificate."""
 
     name: str  # the stage
-    claims_optimum: bool  # whether the certificate says that the layout is proven best in it
+    claims_optimum: (
+        bool  # whether the certificate says that the layout is proven best in it
+    )
     is_proven_again: bool  # whether that was proven here, without a solver
     reason: str  # how; or what it rests on instead
 
@@ -67,7 +72,9 @@ class Verification:
     """Result of checking a certificate."""
 
     checks: tuple[Check, ...]  # in the order in which they were made
-    proofs: tuple[StageProof, ...]  # of every stage; none if the layout could not be made out
+    proofs: tuple[
+        StageProof, ...
+    ]  # of every stage; none if the layout could not be made out
 
     @property
     def passed(self) -> bool:
@@ -87,34 +94,50 @@ def verify_certificate(
 ) -> Verification:
     """Check a certificate against the problem that it is about, as it was saved.
 
-    `shown` are the units of the layout file next to it, `units` the same with their sensors;
-    `mounts` is what the poses of the problem are, as the instance file says. At most `max_sets`
-    sets of poses are compared; `on_stage` is called with what is done next. Every check is made,
-    also after one has failed, as far as it can be.
+    `shown` are the units of the layout file next to it, `units` the same with their
+    sensors; `mounts` is what the poses of the problem are, as the instance file says.
+    At most `max_sets` sets of poses are compared; `on_stage` is called with what is
+    done next. Every check is made, also after one has failed, as far as it can be.
     """
     report = on_stage or (lambda stage: None)
     report("recompute the layout's values")
-    checks = [*_instance_checks(problem, stored, mounts), *_model_checks(problem, stored)]
+    checks = [
+        *_instance_checks(problem, stored, mounts),
+        *_model_checks(problem, stored),
+    ]
     checks += [*_pose_checks(problem, stored), _layout_check(problem, stored, shown)]
     checks += _mount_checks(problem, stored, mounts, units)
     if not all(check.passed for check in checks if check.name in ("poses", "stages")):
-        return Verification(checks=tuple(checks), proofs=())  # there is nothing to recompute
+        return Verification(
+            checks=tuple(checks), proofs=()
+        )  # there is nothing to recompute
     chosen = np.array([stored.pose_index], dtype=np.int64)
     checks += [
-        Check(name, bool(within[0]), "within the limit" if within[0] else "beyond the limit")
+        Check(
+            name,
+            bool(within[0]),
+            "within the limit" if within[0] else "beyond the limit",
+        )
         for name, within in limit_checks(problem, chosen).items()
     ]
     for floor in problem.floors:
         reached = float(floor_values(problem, floor, chosen)[0])
         who = f"{floor.n_failures} {problem.limits.failing}s"
-        failing = f" when any {who} fail" if floor.n_failures else ""
+        if floor.n_failures:
+            failing = f" when any {who} fail"
+        else:
+            failing = ""
         text = f"{reached:.9g} is reached{failing}, {floor.share:.9g} is asked for"
-        checks.append(Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text))
+        checks.append(
+            Check(f"floor {floor.name}", reached >= floor.share - EPSILON, text)
+        )
     limits = simple_limits(problem, stored.stages)
     proofs = []
     for stage, claim in zip(stored.stages, stored.claims, strict=True):
-        objective, is_proven = Objective(stage.name), claim.is_proven
-        value, limit = float(stage_values(problem, objective, chosen)[0]), limits[objective]
+        objective = Objective(stage.name)
+        is_proven = claim.is_proven
+        value = float(stage_values(problem, objective, chosen)[0])
+        limit = limits[objective]
         checks += _stage_checks(stage, objective, is_proven, value, limit)
         is_simple = objective.excess(limit, stage.objective) <= objective.tolerance
         proofs.append(
@@ -122,7 +145,11 @@ def verify_certificate(
                 stage.name,
                 is_proven,
                 is_proven and is_simple,
-                f"{_limit_words(objective)} {limit:.9g}" if is_simple else stored.solver,
+                (
+                    f"{_limit_words(objective)} {limit:.9g}"
+                    if is_simple
+                    else stored.solver
+                ),
             )
         )
     checks, proofs = _compare(problem, stored, checks, proofs, max_sets, report)
@@ -139,7 +166,10 @@ def _instance_checks(
 ) -> list[Check]:
     found = problem_hash(problem, mounts)
     text = f"SHA-256 {found[:16]}.."
-    other = [f"{text}, not {stored.sha256[:16]}.."] if found != stored.sha256 else []
+    if found != stored.sha256:
+        other = [f"{text}, not {stored.sha256[:16]}.."]
+    else:
+        other = []
     wrong = [
         f"{name} {stored.instance.get(name)}, not {value}"
         for name, value in instance_of(problem, mounts).items()
@@ -149,39 +179,61 @@ def _instance_checks(
     return [_check("instance", other, text), _check("instance sizes", wrong, as_said)]
 
 
-def _model_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
+def _model_checks(
+    problem: "PlacementProblem", stored: StoredCertificate
+) -> list[Check]:
     asked = model_of(problem)
     wrong = [name for name, value in asked.items() if stored.model.get(name) != value]
     names = [stage.name for stage in stored.stages]
     expected = [objective.value for objective in stage_names(problem)]
     is_so = names == expected and stored.model.get("stages") == expected
     table, axis = problem.table, problem.table.axis
-    n_windows = np.maximum(np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0).sum()
+    n_windows = np.maximum(
+        np.diff(axis.run_start) + 1 - problem.rule.n_confirmations, 0
+    ).sum()
     sizes = (table.n_poses, axis.n_frames, int(n_windows), axis.n_runs)
     presolve: dict[str, tuple[int, int]] = asdict(stored.presolve)
     before = tuple(pair[0] for pair in presolve.values())
     # Where a track must be held on to, presolve adds columns to those of the frames.
     shrinks = [a >= b for name, (a, b) in presolve.items() if name != "n_frames"]
     has_words = is_so and stored.model.get("in_words") == words_of(problem, names)
-    says = "another " + ", ".join(wrong) if wrong else "what is asked"
-    proof = "complete" if stored.is_proven else "incomplete"
+    if wrong:
+        says = "another " + ", ".join(wrong)
+    else:
+        says = "what is asked"
+    if stored.is_proven:
+        proof = "complete"
+    else:
+        proof = "incomplete"
     is_said = stored.is_proven == all(claim.is_proven for claim in stored.claims)
     shown = ", ".join(f"{n} {noun}" for n, noun in zip(before, _SIZES, strict=True))
     return [
-        Check("model in words", has_words, "as asked" if has_words else "other words than this"),
+        Check(
+            "model in words",
+            has_words,
+            "as asked" if has_words else "other words than this",
+        ),
         Check("model", not wrong, f"the certificate says {says}"),
         Check("proof", is_said, f"claimed to be {proof}"),
-        Check("stages", is_so, ", ".join(names) + ("" if is_so else ": not those that are asked")),
+        Check(
+            "stages",
+            is_so,
+            ", ".join(names) + ("" if is_so else ": not those that are asked"),
+        ),
         Check("presolve", before == sizes and all(shrinks), f"from {shown}"),
     ]
 
 
 def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list[Check]:
     """True if the poses exist; "poses" fails if nothing can be made of them."""
-    table, rows = problem.table, stored.pose_index
+    table = problem.table
+    rows = stored.pose_index
     missing = [row for row in rows if row >= table.n_poses]
     if missing or len(set(rows)) < len(rows):
-        text = f"row {missing[0]} of {table.n_poses}" if missing else "a row twice"
+        if missing:
+            text = f"row {missing[0]} of {table.n_poses}"
+        else:
+            text = "a row twice"
         return [Check("poses", False, text)]
     wrong = [
         f"row {one.row} is {table.pose_ids[one.row]}, not {one.pose}"
@@ -195,19 +247,25 @@ def _pose_checks(problem: "PlacementProblem", stored: StoredCertificate) -> list
 
 
 def _layout_check(
-    problem: "PlacementProblem", stored: StoredCertificate, shown: Sequence[Mapping[str, Any]]
+    problem: "PlacementProblem",
+    stored: StoredCertificate,
+    shown: Sequence[Mapping[str, Any]],
 ) -> Check:
     """True if the layout file has the same units, and sites where the problem has."""
     if [dict(unit) for unit in shown] != [dict(unit) for unit in stored.units]:
         return Check("layout file", False, "it does not show the certificate's units")
     sites = [unit.get("site") for unit in shown]
     rows = stored.pose_index
-    for (site, row), (other_site, other_row) in combinations(zip(sites, rows, strict=True), 2):
+    for (site, row), (other_site, other_row) in combinations(
+        zip(sites, rows, strict=True), 2
+    ):
         if not (site and other_site) or max(row, other_row) >= problem.table.n_poses:
             continue
         index = problem.limits.site_index
         if (site == other_site) != (index[row] == index[other_row]):
-            return Check("layout file", False, f"rows {row} and {other_row} stand on other sites")
+            return Check(
+                "layout file", False, f"rows {row} and {other_row} stand on other sites"
+            )
     return Check("layout file", True, f"it shows the same {len(shown)} units")
 
 
@@ -223,7 +281,8 @@ def _mount_checks(
     """
     if mounts is None:
         return []
-    table, limits = problem.table, problem.limits
+    table = problem.table
+    limits = problem.limits
     misnamed = mounts.misnamed(table.pose_ids)
     of_index: dict[int, str] = {}
     torn = [
@@ -231,9 +290,15 @@ def _mount_checks(
         for row, index in enumerate(limits.site_index.tolist())
         if of_index.setdefault(index, mounts.sites[row]) != mounts.sites[row]
     ]
-    prices = np.array([sensor.price_eur for sensor in mounts.sensors])[mounts.sensor_index]
-    is_paid = (limits.unit_cost_eur == prices) | ((limits.unit_cost_eur == 0.0) & limits.is_forced)
-    unpaid = [f"{table.pose_ids[row]} has another" for row in np.flatnonzero(~is_paid)[:1]]
+    prices = np.array([sensor.price_eur for sensor in mounts.sensors])[
+        mounts.sensor_index
+    ]
+    is_paid = (limits.unit_cost_eur == prices) | (
+        (limits.unit_cost_eur == 0.0) & limits.is_forced
+    )
+    unpaid = [
+        f"{table.pose_ids[row]} has another" for row in np.flatnonzero(~is_paid)[:1]
+    ]
     are_named = "poses of the grid are and look as their names say"
     return [
         _check("poses and names", [misnamed] if misnamed else [], are_named),
@@ -241,7 +306,9 @@ def _mount_checks(
         _check("prices of sensors", unpaid, "those of the models"),
         *(
             Check(
-                f"unit {unit.id}", not wrong, wrong or f"is mounted, looks and is made as row {row}"
+                f"unit {unit.id}",
+                not wrong,
+                wrong or f"is mounted, looks and is made as row {row}",
             )
             for unit, row in zip(units, stored.pose_index, strict=False)
             if row < table.n_poses
@@ -254,21 +321,33 @@ def _stage_checks(
     stage: Stage, objective: Objective, is_proven: bool, value: float, limit: float
 ) -> list[Check]:
     """Checks of a stage's claims about the layout, and of its numbers among themselves."""
-    name, claimed, bound = stage.name, stage.objective, stage.bound
+    name = stage.name
+    claimed = stage.objective
+    bound = stage.bound
     distance = abs(bound - claimed)
-    gap = 0.0 if distance <= EPSILON * max(1.0, abs(claimed)) else math.inf
+    if distance <= EPSILON * max(1.0, abs(claimed)):
+        gap = 0.0
+    else:
+        gap = math.inf
     if gap and claimed:
         gap = distance / abs(claimed)
     has_gap = gap == stage.gap or abs(gap - stage.gap) <= _ROUNDED_GAP * max(1.0, gap)
     fits = objective.excess(bound, claimed) >= -objective.tolerance
-    side = "above" if objective.is_minimised else "below"
+    if objective.is_minimised:
+        side = "above"
+    else:
+        side = "below"
     return [
         Check(
             name,
             abs(value - claimed) <= objective.tolerance,
             f"recomputed {value:.9g}, claimed {claimed:.9g}",
         ),
-        Check(f"{name}: bound", fits, f"{bound:.9g} is {'not ' if fits else ''}{side} the value"),
+        Check(
+            f"{name}: bound",
+            fits,
+            f"{bound:.9g} is {'not ' if fits else ''}{side} the value",
+        ),
         Check(
             f"{name}: gap",
             has_gap and is_proven == (stage.gap == 0.0),
@@ -283,7 +362,9 @@ def _stage_checks(
 
 
 def _limit_words(objective: Objective) -> str:
-    return "no layout has less than" if objective.is_minimised else "no poses reach more than"
+    if objective.is_minimised:
+        return "no layout has less than"
+    return "no poses reach more than"
 
 
 def _compare(
@@ -298,11 +379,13 @@ def _compare(
     if all(proof.is_proven_again for proof in proofs):
         return checks, proofs
     most = min(max_sets, _MAX_LOOKS // problem.table.axis.n_frames)
-    n_all, n_near = n_sets_of_all(problem), n_neighbours(problem, stored.pose_index)
+    n_all = n_sets_of_all(problem)
+    n_near = n_neighbours(problem, stored.pose_index)
     is_all = n_all <= most
     if is_all:
         report(f"compare all {n_all} sets of poses")
-        families, words = all_sets(problem), f"all {n_all} sets of poses"
+        families = all_sets(problem)
+        words = f"all {n_all} sets of poses"
     elif n_near <= most:
         report(f"compare {n_near} sets that differ in one unit")
         families = neighbours(problem, stored.pose_index)
@@ -310,7 +393,8 @@ def _compare(
     else:
         return checks, proofs
     best = best_others(problem, stored.stages, families)
-    checks, proofs = checks.copy(), proofs.copy()
+    checks = checks.copy()
+    proofs = proofs.copy()
     for index, (stage, other) in enumerate(zip(stored.stages, best, strict=True)):
         slack = _SOLVER_TOLERANCE * max(1.0, abs(stage.bound))
         excess = Objective(stage.name).excess(other.value, stage.bound)
@@ -320,6 +404,9 @@ def _compare(
             text = f"rows {', '.join(map(str, other.poses))} reach {other.value:.9g}"
         checks.append(Check(f"{stage.name}: others", holds, text))
         if is_all and proofs[index].claims_optimum:
-            reason = f"{words} compared" if holds else "disproved"
+            if holds:
+                reason = f"{words} compared"
+            else:
+                reason = "disproved"
             proofs[index] = StageProof(stage.name, True, holds, reason)
     return checks, proofs

@@ -42,11 +42,17 @@ def build_detection_table(
 ) -> DetectionTable:
     """Detections V[c, f] of every candidate pose in every frame; all runs have the same VUT.
 
-    The detector says what counts as a detection of a camera; a LiDAR counts points. Progress
-    counts mount positions. `shared` is what this world has in common with others, if there are any.
+    The detector says what counts as a detection of a camera; a LiDAR counts points.
+    Progress counts mount positions. `shared` is what this world has in common with
+    others, if there are any.
     """
     world = build_world(
-        scene, runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays, shared=shared
+        scene,
+        runs,
+        n_points=N_POINTS,
+        seed=compute.seed,
+        rays=compute.rays,
+        shared=shared,
     )
     looks = [(candidate, detector) for candidate in candidates]
     return DetectionTable(
@@ -59,14 +65,20 @@ def build_detection_table(
 Look = tuple[CandidatePose, PlanningDetector]
 
 
-def _pack_rows(world: World, looks: Sequence[Look], compute: Compute) -> NDArray[np.uint8]:
+def _pack_rows(
+    world: World, looks: Sequence[Look], compute: Compute
+) -> NDArray[np.uint8]:
     """Rows of all looks, as bits; rays are cast once for all from one place."""
-    packed = np.zeros((len(looks), -(-len(world.views.view_of_frame) // 8)), dtype=np.uint8)
+    packed = np.zeros(
+        (len(looks), -(-len(world.views.view_of_frame) // 8)), dtype=np.uint8
+    )
 
     def fill(rows: list[int]) -> None:
         here = [looks[row] for row in rows]
         position_m = here[0][0].pose.position_m
-        sensing = build_sensing(world, cast_for(world, position_m, here), position_m, here[0][1])
+        sensing = build_sensing(
+            world, cast_for(world, position_m, here), position_m, here[0][1]
+        )
         rows_of: dict[PlanningDetector, list[int]] = {}
         for row in rows:
             rows_of.setdefault(looks[row][1], []).append(row)
@@ -74,7 +86,9 @@ def _pack_rows(world: World, looks: Sequence[Look], compute: Compute) -> NDArray
             seeing = replace(sensing, detector=detector)
             packed[alike] = seeing.packed([looks[row][0] for row in alike])
 
-    at_each_mount([candidate for candidate, _ in looks], fill, stage=STAGE, compute=compute)
+    at_each_mount(
+        [candidate for candidate, _ in looks], fill, stage=STAGE, compute=compute
+    )
     return packed
 
 
@@ -104,14 +118,17 @@ def detected_frames(
 ) -> BoolArray:
     """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
 
-    These are the rows that :func:`build_detection_table` has for each. Rays are cast once for all
-    from one place, and only to what any of them has in its view. Frames that are cached by an
-    earlier call are not looked for again. Progress is that of the `stage`.
+    These are the rows that :func:`build_detection_table` has for each. Rays are cast
+    once for all from one place, and only to what any of them has in its view. Frames
+    that are cached by an earlier call are not looked for again. Progress is that of the
+    `stage`.
     """
     compute.progress(stage, 0, 0)
     hashes = Fingerprints()
     names = [
-        hashes.of(unit.pose, unit.sensor, detector.fingerprint(), load_lidar_detection())
+        hashes.of(
+            unit.pose, unit.sensor, detector.fingerprint(), load_lidar_detection()
+        )
         for unit, detector in looks
     ]
     scene_hash = ""
@@ -119,14 +136,26 @@ def detected_frames(
         scene_hash = table_fingerprint(
             setting.scene, (), setting.runs, setting.table_detector, seed=compute.seed
         )
-    cached = CachedArrays(compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash)
-    new = {name: look for name, look in zip(names, looks, strict=True) if name not in cached.arrays}
+    cached = CachedArrays(
+        compute.cache_folder, "looks", kind=_FORMAT, fingerprint=scene_hash
+    )
+    new = {
+        name: look
+        for name, look in zip(names, looks, strict=True)
+        if name not in cached.arrays
+    }
     if new:
         world = build_world(
-            setting.scene, setting.runs, n_points=N_POINTS, seed=compute.seed, rays=compute.rays
+            setting.scene,
+            setting.runs,
+            n_points=N_POINTS,
+            seed=compute.seed,
+            rays=compute.rays,
         )
         packed = _pack_rows(world, [*new.values()], compute.within(stage))
-        frames = np.unpackbits(packed, axis=1, count=setting.axis.n_frames, bitorder="little")
+        frames = np.unpackbits(
+            packed, axis=1, count=setting.axis.n_frames, bitorder="little"
+        )
         cached.add(dict(zip(new, frames.astype(bool), strict=True)))
     return np.array([cached.arrays[name] for name in names])
 
@@ -156,10 +185,19 @@ def table_fingerprint(
         [(candidate.id, sensors.index(candidate.sensor)) for candidate in candidates],
         np.array([pose.position_m for pose in poses]),
         np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-        [pick_weather(name, "runs: weather") for name in dict.fromkeys(r.weather for r in runs)],
+        [
+            pick_weather(name, "runs: weather")
+            for name in dict.fromkeys(r.weather for r in runs)
+        ],
         [
             (
-                *(run.id, run.weather, run.encounter.vut, run.encounter.vru, run.time_s),
+                *(
+                    run.id,
+                    run.weather,
+                    run.encounter.vut,
+                    run.encounter.vru,
+                    run.time_s,
+                ),
                 *(run.vut_position_m, run.vut_yaw_deg),
                 *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
                 *(run.obstruction, run.traffic),
@@ -171,11 +209,21 @@ def table_fingerprint(
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
     """Write a table, whole or not at all; a folder that cannot be written to is only logged."""
-    save_arrays(path, {"packed": table.packed}, what=_WHAT, kind=_FORMAT, fingerprint=fingerprint)
+    save_arrays(
+        path,
+        {"packed": table.packed},
+        what=_WHAT,
+        kind=_FORMAT,
+        fingerprint=fingerprint,
+    )
 
 
 def load_table(
-    path: Path, *, fingerprint: str, candidates: Sequence[CandidatePose], axis: FrameAxis
+    path: Path,
+    *,
+    fingerprint: str,
+    candidates: Sequence[CandidatePose],
+    axis: FrameAxis,
 ) -> DetectionTable | None:
     """Read a table of a fingerprint; None, and logged, if the file is damaged or foreign."""
     arrays = load_arrays(path, what=_WHAT, kind=_FORMAT, fingerprint=fingerprint)
@@ -183,8 +231,13 @@ def load_table(
         return None
     try:
         return DetectionTable(
-            pose_ids=tuple(candidate.id for candidate in candidates), axis=axis, **arrays
+            pose_ids=tuple(candidate.id for candidate in candidates),
+            axis=axis,
+            **arrays,
         )
-    except (InputError, TypeError) as error:  # another number of frames, or other arrays
+    except (
+        InputError,
+        TypeError,
+    ) as error:  # another number of frames, or other arrays
         tell_unused(path, error, what=_WHAT)
         return None

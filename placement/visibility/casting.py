@@ -1,9 +1,9 @@
 """Rays from a mount position to the VRU's points: once per position and unique VRU pose.
 
-A ray does not depend on where the camera looks, and the VRU's pose and gait depend on the time to
-impact only, not on the VUT's speed. Few kinds of bodies stand or drive in many places: rays are
-taken into the frame of each body that they may meet, and cast against its shape there, so that what
-is prepared for a shape serves wherever it is.
+A ray does not depend on where the camera looks, and the VRU's pose and gait depend on
+the time to impact only, not on the VUT's speed. Few kinds of bodies stand or drive in
+many places: rays are taken into the frame of each body that they may meet, and cast
+against its shape there, so that what is prepared for a shape serves wherever it is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -42,14 +42,18 @@ _ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
 class Bodies:
     """Bodies that are there in some of the runs, or in some frames; in groups.
 
-    Of what stands, a group is an obstruction, as some of the runs have it; of what drives, the VUT
-    among it, a group is a frame of the frame axis.
+    Of what stands, a group is an obstruction, as some of the runs have it; of what
+    drives, the VUT among it, a group is a frame of the frame axis.
     """
 
-    actors: tuple[Actor, ...]  # distinct kinds of bodies; of what drives the VUT comes first
+    actors: tuple[
+        Actor, ...
+    ]  # distinct kinds of bodies; of what drives the VUT comes first
     casters: tuple[RayCaster, ...]  # of each kind, in its own frame
     kind: IntArray  # (n,): into `actors`
-    position_m: FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
+    position_m: (
+        FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
+    )
     rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
     members: IntArray  # (m,): bodies, group by group
     first: IntArray  # (n_groups + 1,): where each group begins in `members`
@@ -77,7 +81,9 @@ def shape_caster(shape: Shape, rays: str) -> RayCaster:
 
 @lru_cache(maxsize=256)
 def _shape_box_m(shape: Shape) -> FloatArray:
-    return freeze(np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)]))
+    return freeze(
+        np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
+    )
 
 
 def _box_m(shape: Shape) -> FloatArray:
@@ -85,12 +91,16 @@ def _box_m(shape: Shape) -> FloatArray:
     return _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
 
 
-def find_obstructions(runs: Sequence[Run]) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
+def find_obstructions(
+    runs: Sequence[Run],
+) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
     """Distinct obstructions in the order of their groups, and which each run has, (n_runs,).
 
     Those are equal that have the same bodies at the same places.
     """
-    keys = {body: body.key for body in {body for run in runs for body in run.obstruction}}
+    keys = {
+        body: body.key for body in {body for run in runs for body in run.obstruction}
+    }
     of_runs = [tuple(keys[body] for body in run.obstruction) for run in runs]
     found: dict[tuple[object, ...], tuple[PlacedActor, ...]] = {}
     for key, run in zip(of_runs, runs, strict=True):
@@ -107,7 +117,9 @@ def _build_standing(
         found.setdefault(body.key, body)
     placed = [*found.values()]
     numbers = {key: number for number, key in enumerate(found)}
-    groups = [[numbers[body.key] for body in obstruction] for obstruction in obstructions]
+    groups = [
+        [numbers[body.key] for body in obstruction] for obstruction in obstructions
+    ]
     actors = {body.actor.shapes[0]: body.actor for body in placed}
     kinds = {shape: kind for kind, shape in enumerate(actors)}
     poses = [body.pose for body in placed]
@@ -115,8 +127,12 @@ def _build_standing(
         actors=tuple(actors.values()),
         casters=tuple(shape_caster(shape, rays) for shape in actors),
         kind=np.array([kinds[body.actor.shapes[0]] for body in placed], dtype=np.int64),
-        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(-1, 3),
-        rotation=body_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(
+            -1, 3
+        ),
+        rotation=body_rotation(
+            [p.yaw_deg for p in poses], [p.pitch_deg for p in poses]
+        ),
         members=np.array([body for group in groups for body in group], dtype=np.int64),
         first=np.cumsum([0, *map(len, groups)]),
     )
@@ -126,11 +142,16 @@ def _build_vehicles(
     runs: Sequence[Run], origin_m: FloatArray, rays: str, terrain: Terrain | None
 ) -> Bodies:
     actors = {runs[0].encounter.vut: 0}
-    kind, frame, position, yaw = [], [], [], []
+    kind = []
+    frame = []
+    position = []
+    yaw = []
     n_frames = 0
     for run in runs:
         vut = MovingActor(
-            actor=run.encounter.vut, position_m=run.vut_position_m, yaw_deg=run.vut_yaw_deg
+            actor=run.encounter.vut,
+            position_m=run.vut_position_m,
+            yaw_deg=run.vut_yaw_deg,
         )
         for body in (vut, *run.traffic):
             there = np.flatnonzero(body.is_there)
@@ -157,14 +178,19 @@ def _build_vehicles(
 class SharedScene:
     """Everything that all sampled worlds of a scene have in common."""
 
-    origin_m: FloatArray  # (3,): subtracted from all coordinates: rays have single precision. [m]
+    # (3,): subtracted from all coordinates: rays have single precision. [m]
+    origin_m: FloatArray
     caster: RayCaster  # what stands there in all runs
-    triangles_m: FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    triangles_m: (
+        FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
+    )
     places: Places  # where VRUs are looked at
-    bodies: tuple[RayCaster, ...]  # their shapes in their own frame, of each of the surfaces
+    bodies: tuple[
+        RayCaster, ...
+    ]  # their shapes in their own frame, of each of the surfaces
     vehicles: Bodies | None = None  # what drives, if that is the same in all of them
-    # Caches: points of places that the scene hides, or the body itself; and points that `vehicles`
-    # hide in each frame.
+    # Caches: points of places that the scene hides, or the body itself; and points that
+    # `vehicles` hide in each frame.
     hidden_by_scene: HiddenPoints | None = None
     hidden_by_itself: HiddenPoints | None = None
     hidden_by_vehicles: HiddenPoints | None = None
@@ -199,7 +225,9 @@ class World:
         """Heights of the lowest and the highest point of any VRU, in metres."""
         heights = [surface.points_m[:, 2] for surface in self.surfaces]
         ground = self.views.up_m
-        return float(np.min(heights) + ground.min()), float(np.max(heights) + ground.max())
+        return float(np.min(heights) + ground.min()), float(
+            np.max(heights) + ground.max()
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,7 +235,8 @@ class Sight:
     """Visible points of the VRU from one mount position, whatever the camera's direction."""
 
     view_index: IntArray  # (n,): view of each entry
-    # (n, n_points): points that the rays reach; of a whole VRU maybe all, see :func:`cast_sight`
+    # (n, n_points): points that the rays reach; of a whole VRU maybe all, see
+    # :func:`cast_sight`
     is_visible: BoolArray
     is_whole: BoolArray  # (n,): nothing but the VRU itself hides any of its points
     # (n,): of the points that the VRU itself does not hide, those that nothing hides
@@ -227,17 +256,20 @@ def build_world(
 ) -> World:
     """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
 
-    All runs have the same VUT. `rays` names the library that casts them. `shared` is what another
-    world of the same scene and VRUs was built from, where there is one.
+    All runs have the same VUT. `rays` names the library that casts them. `shared` is
+    what another world of the same scene and VRUs was built from, where there is one.
     """
     if shared is None:
-        shared = build_shared_scene(scene, runs, n_points=n_points, seed=seed, rays=rays)
+        shared = build_shared_scene(
+            scene, runs, n_points=n_points, seed=seed, rays=rays
+        )
     origin = shared.origin_m
     obstructions, obstruction_index = find_obstructions(runs)
     return World(
         shared=shared,
         standing=_build_standing(obstructions, origin, rays),
-        vehicles=shared.vehicles or _build_vehicles(runs, origin, rays, terrain_of(scene)),
+        vehicles=shared.vehicles
+        or _build_vehicles(runs, origin, rays, terrain_of(scene)),
         views=build_views(shared.places, runs, obstruction_index),
     )
 
@@ -253,15 +285,17 @@ def build_shared_scene(
 ) -> SharedScene:
     """Prepare everything that worlds of one scene share whose VRUs walk as in these runs.
 
-    It caches the points that are hidden in all of them, where mounts come up again: by what stands
-    "still", or by "all" if vehicles drive the same way, too.
+    It caches the points that are hidden in all of them, where mounts come up again: by
+    what stands "still", or by "all" if vehicles drive the same way, too.
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
     n_places, n_frames = len(places.yaw_deg), len(places.place_of_frame)
 
     def of_places() -> HiddenPoints | None:
-        return None if caches == "nothing" else HiddenPoints(n_places, n_points)
+        if caches == "nothing":
+            return None
+        return HiddenPoints(n_places, n_points)
 
     return SharedScene(
         origin_m=origin,
@@ -273,11 +307,15 @@ def build_shared_scene(
             for surface in places.surfaces
         ),
         vehicles=(
-            _build_vehicles(runs, origin, rays, terrain_of(scene)) if caches == "all" else None
+            _build_vehicles(runs, origin, rays, terrain_of(scene))
+            if caches == "all"
+            else None
         ),
         hidden_by_scene=of_places(),
         hidden_by_itself=of_places(),
-        hidden_by_vehicles=HiddenPoints(n_frames, n_points) if caches == "all" else None,
+        hidden_by_vehicles=(
+            HiddenPoints(n_frames, n_points) if caches == "all" else None
+        ),
     )
 
 
@@ -293,12 +331,13 @@ def cast_sight(
 ) -> Sight:
     """Find the visible points from a mount position; entries without any are left out.
 
-    Things nearer than `near_m` to the lens hide nothing; VRUs farther than `max_distance_m`, and
-    views that are not asked for, (n_views,), are not looked at. Rays are cast where something may
-    stand in their way. Points that a body itself hides are of no account for a camera as long as
-    nothing else hides anything: with `for_lidar` false, no rays are cast for it, and all points of
-    such a body are taken to be visible. Views that are foreseen, (n_views,), may be asked for
-    later, from the same eye: it costs less to find out about them now, where that is cached.
+    Things nearer than `near_m` to the lens hide nothing; VRUs farther than
+    `max_distance_m`, and views that are not asked for, (n_views,), are not looked at.
+    Rays are cast where something may stand in their way. Points that a body itself
+    hides are of no account for a camera as long as nothing else hides anything: with
+    `for_lidar` false, no rays are cast for it, and all points of such a body are taken
+    to be visible. Views that are foreseen, (n_views,), may be asked for later, from the
+    same eye: it costs less to find out about them now, where that is cached.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
@@ -306,19 +345,24 @@ def cast_sight(
     distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
     near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
-    foreseen = None if is_foreseen is None else np.flatnonzero(is_foreseen)
+    if is_foreseen is None:
+        foreseen = None
+    else:
+        foreseen = np.flatnonzero(is_foreseen)
     blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
     obstruction = views.obstruction_index[near_views]
     row, body = _find_between(world, eye, world.standing, near_views, obstruction)
     _add_hidden_by_bodies(
-        *(world, eye, world.standing, body, near_views[row], row, blocked), near_m=near_m
+        world, eye, world.standing, body, near_views[row], row, blocked, near_m=near_m
     )
     n_blocked = blocked.sum(axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
     row_of_view[near_views[is_left]] = np.flatnonzero(is_left)
     row_of_frame = row_of_view[views.view_of_frame]
-    frames, behind = _hidden_by_vehicles(world, eye, row_of_frame, blocked, near_m=near_m)
+    frames, behind = _hidden_by_vehicles(
+        world, eye, row_of_frame, blocked, near_m=near_m
+    )
     rows = row_of_frame[frames]
 
     # In or right next to a body the body may hide all of itself.
@@ -331,15 +375,20 @@ def cast_sight(
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
     is_visible = faces_eye & ~blocked
-    n_visible, n_facing = is_visible.sum(axis=1), faces_eye.sum(axis=1)
+    n_visible = is_visible.sum(axis=1)
+    n_facing = faces_eye.sum(axis=1)
     is_seen = n_visible > 0
-    entry_of_row: IntArray = np.full(len(near_views) + 1, -1)  # one more, for frames without a row
+    entry_of_row: IntArray = np.full(
+        len(near_views) + 1, -1
+    )  # one more, for frames without a row
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
     entry_of_frame: IntArray = entry_of_row[row_of_frame]
     # A vehicle hides a part only if it is one that would be seen.
     left_visible = is_visible[rows] & ~behind
     is_less = is_seen[rows] & (left_visible != is_visible[rows]).any(axis=1)
-    frames, rows, left_visible = frames[is_less], rows[is_less], left_visible[is_less]
+    frames = frames[is_less]
+    rows = rows[is_less]
+    left_visible = left_visible[is_less]
     is_more = left_visible.any(axis=1)
     n_seen = int(is_seen.sum())
     entry_of_frame[frames] = -1
@@ -357,7 +406,9 @@ def cast_sight(
     )
 
 
-def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> BoolArray:
+def _is_self_visible(
+    world: World, eye_m: FloatArray, view_index: IntArray
+) -> BoolArray:
     """Points that the VRU's own body does not hide, (n, n_points)."""
     shared = world.shared
     places = shared.places
@@ -372,19 +423,25 @@ def _is_self_visible(world: World, eye_m: FloatArray, view_index: IntArray) -> B
         for number in np.unique(places.surface_index[index]).tolist():
             rows = np.flatnonzero(places.surface_index[index] == number)
             starts, vectors = _rays_to_own_points(places.surfaces[number], eyes_m[rows])
-            hidden[rows] = shared.bodies[number].is_blocked(starts, vectors).reshape(len(rows), -1)
+            hidden[rows] = (
+                shared.bodies[number].is_blocked(starts, vectors).reshape(len(rows), -1)
+            )
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
     return ~look(shared.hidden_by_itself, eye_m.tobytes(), asked, find)[row]
 
 
-def _rays_to_own_points(surface: Surface, eyes_m: FloatArray) -> tuple[FloatRays, FloatRays]:
+def _rays_to_own_points(
+    surface: Surface, eyes_m: FloatArray
+) -> tuple[FloatRays, FloatRays]:
     """Rays (n * n_points, 3) from eyes (n, 3) to just before a body's points, in its frame."""
     distance_m = np.sqrt((eyes_m**2).sum(axis=1))  # to the body's origin
     share = (1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)).astype(np.float32)
     eyes = eyes_m.astype(np.float32)[:, None]
-    vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[:, None, None]
+    vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[
+        :, None, None
+    ]
     return np.broadcast_to(eyes, vectors.shape).reshape(-1, 3), vectors.reshape(-1, 3)
 
 
@@ -419,7 +476,9 @@ def _hidden_by_scene(
         farthest_m = float(np.hypot(away_m, eye_m[2] - places.up_m[index]).max())
         far_m = farthest_m + 2.0 * world.radius_m + 1.0
         nearest = np.full((N_UP, N_AROUND), np.inf, dtype=np.float32)
-        mark_nearest(nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m)
+        mark_nearest(
+            nearest, shared.triangles_m, eye_m, near_m, far_m, *world.height_limits_m
+        )
         views = Views(places.axes_m, places.middle_m, places.radius_m)
         find_unclear_points(nearest, views, eye_m, index, unclear)
         room = (np.count_nonzero(unclear), 3)
@@ -431,12 +490,21 @@ def _hidden_by_scene(
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    later = None if foreseen is None else world.views.place_index[foreseen]
-    return look(shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later)[row]
+    if foreseen is None:
+        later = None
+    else:
+        later = world.views.place_index[foreseen]
+    return look(
+        shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later
+    )[row]
 
 
 def _find_between(
-    world: World, eye_m: FloatArray, bodies: Bodies, view_index: IntArray, group: IntArray
+    world: World,
+    eye_m: FloatArray,
+    bodies: Bodies,
+    view_index: IntArray,
+    group: IntArray,
 ) -> tuple[IntArray, IntArray]:
     """Rows and bodies (n_pairs,): body m of group `group[n]` may hide points of view n."""
     from .ray_kernels import Occluders, Views, find_bodies_between
@@ -472,12 +540,14 @@ def _add_hidden_by_bodies(
 ) -> None:
     """Add the points that bodies hide to rows of `hidden`, (n_rows, n_points).
 
-    Body `body_index[n]` is there while view `view_index[n]` is looked at, whose points have row
-    `row_index[n]`.
+    Body `body_index[n]` is there while view `view_index[n]` is looked at, whose points
+    have row `row_index[n]`.
     """
     from .ray_kernels import OneKind, Rays, find_rays_at_body
 
-    for kind, (actor, caster) in enumerate(zip(bodies.actors, bodies.casters, strict=True)):
+    for kind, (actor, caster) in enumerate(
+        zip(bodies.actors, bodies.casters, strict=True)
+    ):
         of_kind = np.flatnonzero(bodies.kind[body_index] == kind)
         of_kind = of_kind[np.argsort(row_index[of_kind], kind="stable")]
         low_m, high_m = _box_m(actor.shapes[0])
@@ -503,14 +573,20 @@ def _add_hidden_by_bodies(
 
 
 def _hidden_by_vehicles(
-    world: World, eye_m: FloatArray, row_of_frame: IntArray, hidden: BoolArray, *, near_m: float
+    world: World,
+    eye_m: FloatArray,
+    row_of_frame: IntArray,
+    hidden: BoolArray,
+    *,
+    near_m: float,
 ) -> tuple[IntArray, BoolArray]:
     """Frames (n,) in which vehicles hide points, and all that is hidden then, (n, n_points).
 
-    Points of a view that are `hidden` (n_rows, n_points) in any case are among these; frames whose
-    row is -1 are left out.
+    Points of a view that are `hidden` (n_rows, n_points) in any case are among these;
+    frames whose row is -1 are left out.
     """
-    vehicles, cache = world.vehicles, world.shared.hidden_by_vehicles
+    vehicles = world.vehicles
+    cache = world.shared.hidden_by_vehicles
     view_of_frame = world.views.view_of_frame
     shown = np.flatnonzero(row_of_frame >= 0)
     row, body = _find_between(world, eye_m, vehicles, view_of_frame[shown], shown)
@@ -525,7 +601,13 @@ def _hidden_by_vehicles(
         chosen = np.flatnonzero(row_of[frame] >= 0)
         at = frame[chosen]
         _add_hidden_by_bodies(
-            *(world, eye_m, vehicles, body[chosen], view_of_frame[at], row_of[at], behind),
+            world,
+            eye_m,
+            vehicles,
+            body[chosen],
+            view_of_frame[at],
+            row_of[at],
+            behind,
             near_m=near_m,
         )
         return behind
@@ -536,7 +618,9 @@ def _hidden_by_vehicles(
         behind = before | cache.look(
             (near_m, eye_m.tobytes()),
             frames,
-            lambda asked: add_behind(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)),
+            lambda asked: add_behind(
+                asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)
+            ),
         )
     is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

@@ -1,6 +1,7 @@
 """Numba kernels: boxes of bodies in pictures through lenses that distort.
 
-Point by point and camera by camera: what the fast loops of :mod:`.point_kernels` do for pinholes.
+Point by point and camera by camera: what the fast loops of :mod:`.point_kernels` do for
+pinholes.
 """
 
 import math
@@ -18,7 +19,8 @@ from .point_kernels import Array, BodyPoints, Found, Least, Seen
 
 _SLACK = 1.0e-6  # of a cosine
 # By so much of its size and so many pixels a body may reach beyond its corners.
-_BULGE, _MARGIN_PX = 0.1, 2.0
+_BULGE = 0.1
+_MARGIN_PX = 2.0
 _N_SHARES = 2048
 LENS = np.dtype(
     [
@@ -27,8 +29,9 @@ LENS = np.dtype(
         ("middle", float, 2),  # where the lens looks straight ahead
         ("size", float, 2),  # of the picture
         ("tangential", float, 2),  # p1 and p2 of Brown and Conrady
-        # The radial part: tangent of the farthest angle that is shown, 1 / square of its sine, and
-        # how far out a point is shown over how far out it lies, in even steps (`_pack_model`).
+        # The radial part: tangent of the farthest angle that is shown, 1 / square of
+        # its sine, and how far out a point is shown over how far out it lies, in even
+        # steps (`_pack_model`).
         ("limit", float),
         ("per_most", float),
         ("shares", float, _N_SHARES + 1),
@@ -64,9 +67,9 @@ def pack_lens(camera: CameraModel, rotation: FloatArray) -> Array:
 def _pack_model(camera: CameraModel) -> Array:
     """A camera that looks along z, as `LENS`.
 
-    The radial part of the lens is a table: how far out a point is shown over how far out it lies,
-    by even steps of sqrt(1 - sin^2(angle) / sin^2(largest angle)). There it is smooth up to the
-    fold.
+    The radial part of the lens is a table: how far out a point is shown over how far
+    out it lies, by even steps of sqrt(1 - sin^2(angle) / sin^2(largest angle)). There
+    it is smooth up to the fold.
     """
     lens = camera.lens or BrownConrady()
     tangential = (0.0, 0.0)
@@ -86,7 +89,9 @@ def _pack_model(camera: CameraModel) -> Array:
     packed["tangential"] = tangential
     packed["limit"] = reach
     packed["per_most"] = 1.0 / most
-    packed["shares"] = np.append(shares, shares[-1])  # one more, to interpolate at the last one
+    packed["shares"] = np.append(
+        shares, shares[-1]
+    )  # one more, to interpolate at the last one
     packed["cone_cos"] = math.cos(half_rad)
     packed["cone_sin"] = math.sin(half_rad)
     packed["axes"] = np.eye(3)
@@ -164,8 +169,8 @@ def _box_points(
 ) -> tuple[bool, bool, bool]:
     """If a body is ahead, if the picture cuts it off, and if the lens folds where it would show it.
 
-    Boxes of its points `axes` (3, n) go to `boxes`; all are seen if it `is_whole`, else those that
-    `is_seen` (n,) says.
+    Boxes of its points `axes` (3, n) go to `boxes`; all are seen if it `is_whole`, else
+    those that `is_seen` (n,) says.
     """
     _empty(boxes.every)
     _empty(boxes.seen)
@@ -200,7 +205,9 @@ def _is_out(lens: Any, box: FloatArray, min_height_px: float) -> bool:
     # Its edges are bent: it may reach a little farther than its corners.
     beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
     high = min(box[3], lens.size[1]) - max(box[1], 0.0) + 2.0 * beyond
-    return bool(box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0] or high < min_height_px)
+    return bool(
+        box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0] or high < min_height_px
+    )
 
 
 @kernel
@@ -214,7 +221,9 @@ def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
         shown[2] = min(every[2], lens.size[0])
         shown[3] = min(every[3], lens.size[1])
     inside = max(shown[2] - shown[0], 0.0) * max(shown[3] - shown[1], 0.0)
-    return float(min(inside / max((every[2] - every[0]) * (every[3] - every[1]), 1.0e-9), 1.0))
+    return float(
+        min(inside / max((every[2] - every[0]) * (every[3] - every[1]), 1.0e-9), 1.0)
+    )
 
 
 @kernel
@@ -231,12 +240,19 @@ def _is_near(lens: Any, middle: FloatArray, eye: FloatArray, radius: float) -> b
     if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:  # wider than half a turn
         return True
     along = x * lens.axes[2, 0] + y * lens.axes[2, 1] + z * lens.axes[2, 2]
-    return bool(along >= (lens.cone_cos * cosine - lens.cone_sin * sine - _SLACK) * away)
+    return bool(
+        along >= (lens.cone_cos * cosine - lens.cone_sin * sine - _SLACK) * away
+    )
 
 
 @kernel
 def box_through_lenses(
-    bodies: BodyPoints, eye: FloatArray, sight: Seen, lenses: Array, least: Least, found: Found
+    bodies: BodyPoints,
+    eye: FloatArray,
+    sight: Seen,
+    lenses: Array,
+    least: Least,
+    found: Found,
 ) -> tuple[int, int]:
     """Boxes of bodies through lenses, of those that are seen whole apart from the others.
 
@@ -248,7 +264,9 @@ def box_through_lenses(
     boxes = _Boxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
     n_plain = 0
     n_part = 0
-    for entry in range(len(sight.view_index)):  # bodies, and the cameras that may see each
+    for entry in range(
+        len(sight.view_index)
+    ):  # bodies, and the cameras that may see each
         view = sight.view_index[entry]
         is_seen = sight.is_visible[entry]
         is_whole = sight.is_whole[entry]
@@ -273,8 +291,14 @@ def box_through_lenses(
             _, is_cut, is_folded = _box_points(
                 lens, bodies.points[view], eye, is_seen, is_whole, min_depth, boxes
             )
-            seen = boxes.seen_shown if is_cut else boxes.seen
-            whole = boxes.shown if is_cut else boxes.every
+            if is_cut:
+                seen = boxes.seen_shown
+            else:
+                seen = boxes.seen
+            if is_cut:
+                whole = boxes.shown
+            else:
+                whole = boxes.every
             high = seen[3] - seen[1]
             if not (high >= min_height_px and high > 0.0):
                 continue

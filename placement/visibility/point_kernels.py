@@ -1,13 +1,13 @@
 """Numba kernels: points of bodies, spread over them, projected into cameras, counted by LiDARs.
 
-Most bodies are seen whole, and inside the image: the corners of their convex hulls say all. Many
-cameras are projected into at once, side by side in lanes. The others are looked at one by one,
-point by point, many points at once.
+Most bodies are seen whole, and inside the image: the corners of their convex hulls say
+all. Many cameras are projected into at once, side by side in lanes. The others are
+looked at one by one, point by point, many points at once.
 
-Whatever is handled side by side lies in a structured array: each field holds that number of all
-lanes, ``(LANES,)``, one after the other in memory, so that loops over lanes become vector
-instructions. It is one array, not one for each number: the compiler would have to prove that many
-arrays do not overlap, and gives up.
+Whatever is handled side by side lies in a structured array: each field holds that
+number of all lanes, ``(LANES,)``, one after the other in memory, so that loops over
+lanes become vector instructions. It is one array, not one for each number: the compiler
+would have to prove that many arrays do not overlap, and gives up.
 """
 
 from typing import Any, NamedTuple
@@ -30,14 +30,24 @@ def _in_lanes(*names: str) -> Any:
 
 
 LENSES = _in_lanes(
-    # Rotation: how far along each axis of a camera a way along each axis of the world leads.
-    *("x_right", "x_down", "x_ahead"),
-    *("y_right", "y_down", "y_ahead"),
-    *("z_right", "z_down", "z_ahead"),
-    # Focal length, and half of the image. [px]
-    *("focal", "half_width", "half_height"),
-    # Half angles of the field of view.
-    *("cos_across", "sin_across", "cos_up", "sin_up"),
+    # Rotation: how far along each axis of a camera a way along each axis of the world
+    # leads.
+    "x_right",
+    "x_down",
+    "x_ahead",
+    "y_right",
+    "y_down",
+    "y_ahead",
+    "z_right",
+    "z_down",
+    "z_ahead",
+    "focal",
+    "half_width",
+    "half_height",
+    "cos_across",
+    "sin_across",
+    "cos_up",
+    "sin_up",
 )
 """Cameras side by side."""
 OFFSETS = _in_lanes("x", "y", "z")
@@ -48,13 +58,17 @@ LIMITS = _in_lanes("left", "top", "right", "bottom", "depth")
 _FAR = np.float32(3.0e38)
 _NEARLY = 0.999  # for the rounding of single precision
 _SLACK_PX = 0.01
-_SLACK_M = np.float32(1.0e-3)  # of a sphere in single precision: nobody at the edge is left out
+_SLACK_M = np.float32(
+    1.0e-3
+)  # of a sphere in single precision: nobody at the edge is left out
 
 
 class BodyPoints(NamedTuple):
     """Bodies to be looked at; one view is one body at one place."""
 
-    points: Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
+    points: (
+        Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
+    )
     hull: Array  # (n_views, 3, n_corners): of its convex hull, single precision. [m]
     middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
     radius: FloatArray  # (n_views,): of that sphere. [m]
@@ -78,7 +92,9 @@ class Cameras(NamedTuple):
 class Least(NamedTuple):
     """From where on a body counts."""
 
-    depth: Any  # ahead of a lens; nearer points are projected as if they were there. [m]
+    depth: (
+        Any  # ahead of a lens; nearer points are projected as if they were there. [m]
+    )
     height_px: float  # of the box of what is visible. [px]
 
 
@@ -102,17 +118,22 @@ class _Work(NamedTuple):
     seen: Array  # (n_blocks,) of `OFFSETS`: visible points
 
 
-def pack_lenses(rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray) -> Array:
+def pack_lenses(
+    rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray
+) -> Array:
     """Cameras side by side for :func:`box_bodies`, (n_blocks,) of `LENSES`.
 
-    `rotation` (k, 3, 3) takes offsets into the cameras; `focal_px` (k,), `size_px` (k, 2).
+    `rotation` (k, 3, 3) takes offsets into the cameras; `focal_px` (k,), `size_px` (k,
+    2).
     """
     half = 0.5 * size_px
     angle = np.arctan2(half, focal_px[:, None])
     cosine = np.cos(angle)
     sine = np.sin(angle)
     numbers = np.column_stack([rotation.reshape(-1, 9), focal_px, half])
-    numbers = np.column_stack([numbers, cosine[:, 0], sine[:, 0], cosine[:, 1], sine[:, 1]])
+    numbers = np.column_stack(
+        [numbers, cosine[:, 0], sine[:, 0], cosine[:, 1], sine[:, 1]]
+    )
     lenses = np.zeros(-(-len(focal_px) // LANES), LENSES)
     for name, values in zip(LENSES.names or (), numbers.T, strict=True):
         in_lanes = np.zeros(len(lenses) * LANES, np.float32)
@@ -123,13 +144,20 @@ def pack_lenses(rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray)
 
 @kernel
 def _is_any_near(
-    x: Any, y: Any, z: Any, radius: Any, lens: Any, n: int, least_px: Any, is_near: Array
+    x: Any,
+    y: Any,
+    z: Any,
+    radius: Any,
+    lens: Any,
+    n: int,
+    least_px: Any,
+    is_near: Array,
 ) -> bool:
     """Set `is_near` (LANES,) where a sphere may be so high in a camera's image.
 
-    The sphere is at x, y, z from the eye; `lens` is a block of `LENSES`, of which the first `n`
-    count. Rows that it reaches lie between the tangents from the eye; next to and behind the lens
-    it may reach any.
+    The sphere is at x, y, z from the eye; `lens` is a block of `LENSES`, of which the
+    first `n` count. Rows that it reaches lie between the tangents from the eye; next to
+    and behind the lens it may reach any.
     """
     for j in range(LANES):  # cameras in the lanes
         right = x * lens.x_right[j] + y * lens.y_right[j] + z * lens.z_right[j]
@@ -137,14 +165,22 @@ def _is_any_near(
         ahead = x * lens.x_ahead[j] + y * lens.y_ahead[j] + z * lens.z_ahead[j]
         across = abs(right) * lens.cos_across[j] - ahead * lens.sin_across[j]
         up = abs(down) * lens.cos_up[j] - ahead * lens.sin_up[j]
-        half = radius / np.sqrt(down * down + ahead * ahead - radius * radius)  # tangents
+        half = radius / np.sqrt(
+            down * down + ahead * ahead - radius * radius
+        )  # tangents
         middle = down / ahead
         focal = lens.focal[j]
         half_height = lens.half_height[j]
         top = focal * (middle - half) / (np.float32(1.0) + middle * half)
         bottom = focal * (middle + half) / (np.float32(1.0) - middle * half)
-        top = top if top > -half_height else -half_height
-        bottom = bottom if bottom < half_height else half_height
+        if top > -half_height:
+            top = top
+        else:
+            top = -half_height
+        if bottom < half_height:
+            bottom = bottom
+        else:
+            bottom = half_height
         is_low = (ahead > radius) & (bottom - top < least_px)
         is_near[j] = (across <= radius) & (up <= radius) & (not is_low)
     found = False
@@ -170,8 +206,8 @@ def find_views(
 ) -> None:
     """Set `found` (n_views,) where a body may be `min_height_px` high in a camera's image.
 
-    `middle` (n_views, 3) and `radius` (n_views,) are of spheres around the bodies, in metres,
-    `eye` (3,) is the mount in single precision.
+    `middle` (n_views, 3) and `radius` (n_views,) are of spheres around the bodies, in
+    metres, `eye` (3,) is the mount in single precision.
     """
     is_near = np.empty(LANES, np.bool_)
     least_px = _least(min_height_px)
@@ -182,7 +218,9 @@ def find_views(
         reach = np.float32(radius[view]) + _SLACK_M
         for block in range(len(cameras.lenses)):
             n = min(LANES, cameras.n - block * LANES)
-            if _is_any_near(x, y, z, reach, cameras.lenses[block], n, least_px, is_near):
+            if _is_any_near(
+                x, y, z, reach, cameras.lenses[block], n, least_px, is_near
+            ):
                 found[view] = True
                 break
 
@@ -193,8 +231,8 @@ def _project_into_all(
 ) -> None:
     """Least and greatest column and row of a view's points in every camera, and the least depth.
 
-    `points` (n_views, 3, n), `eye` (3,), `lens` a block of `LENSES`, into a block of `LIMITS`. Each
-    number is computed as in :func:`_box_points`.
+    `points` (n_views, 3, n), `eye` (3,), `lens` a block of `LENSES`, into a block of
+    `LIMITS`. Each number is computed as in :func:`_box_points`.
     """
     ex = eye[0]
     ey = eye[1]
@@ -205,7 +243,9 @@ def _project_into_all(
         limits.depth[j] = _FAR
         limits.right[j] = -_FAR
         limits.bottom[j] = -_FAR
-    for point in range(0, points.shape[2], 2):  # points, two at a time, in all cameras at once
+    for point in range(
+        0, points.shape[2], 2
+    ):  # points, two at a time, in all cameras at once
         other_point = min(point + 1, points.shape[2] - 1)
         x = points[view, 0, point] - ex
         y = points[view, 1, point] - ey
@@ -222,33 +262,63 @@ def _project_into_all(
             focal = lens.focal[j]
             scale = focal / (depth if depth > min_depth else min_depth)
             other_scale = focal / (other if other > min_depth else min_depth)
-            low = other if other < depth else depth
+            if other < depth:
+                low = other
+            else:
+                low = depth
             least = limits.depth[j]
-            limits.depth[j] = low if low < least else least
+            if low < least:
+                limits.depth[j] = low
+            else:
+                limits.depth[j] = least
 
             x_right = lens.x_right[j]
             y_right = lens.y_right[j]
             z_right = lens.z_right[j]
             one = (x * x_right + y * y_right + z * z_right) * scale
             two = (a * x_right + b * y_right + c * z_right) * other_scale
-            low = one if one < two else two
-            high = two if one < two else one
+            if one < two:
+                low = one
+            else:
+                low = two
+            if one < two:
+                high = two
+            else:
+                high = one
             left = limits.left[j]
             right = limits.right[j]
-            limits.left[j] = low if low < left else left
-            limits.right[j] = high if high > right else right
+            if low < left:
+                limits.left[j] = low
+            else:
+                limits.left[j] = left
+            if high > right:
+                limits.right[j] = high
+            else:
+                limits.right[j] = right
 
             x_down = lens.x_down[j]
             y_down = lens.y_down[j]
             z_down = lens.z_down[j]
             one = (x * x_down + y * y_down + z * z_down) * scale
             two = (a * x_down + b * y_down + c * z_down) * other_scale
-            low = one if one < two else two
-            high = two if one < two else one
+            if one < two:
+                low = one
+            else:
+                low = two
+            if one < two:
+                high = two
+            else:
+                high = one
             top = limits.top[j]
             bottom = limits.bottom[j]
-            limits.top[j] = low if low < top else top
-            limits.bottom[j] = high if high > bottom else bottom
+            if low < top:
+                limits.top[j] = low
+            else:
+                limits.top[j] = top
+            if high > bottom:
+                limits.bottom[j] = high
+            else:
+                limits.bottom[j] = bottom
     for j in range(LANES):  # rounding leaves the order of numbers as it is
         limits.left[j] += lens.half_width[j]
         limits.right[j] += lens.half_width[j]
@@ -257,13 +327,17 @@ def _project_into_all(
 
 
 @kernel
-def _set_out(points: Array, view: int, eye: Array, shown: BoolArray, offsets: Array) -> int:
+def _set_out(
+    points: Array, view: int, eye: Array, shown: BoolArray, offsets: Array
+) -> int:
     """Put a view's points into lanes, (n_blocks,) of `OFFSETS`; how many blocks they fill.
 
     Of `points` (n_views, 3, n_points), those that are `shown` (n_points,).
     """
     count = 0
-    for point in range(points.shape[2]):  # points that are shown go to the next free lane
+    for point in range(
+        points.shape[2]
+    ):  # points that are shown go to the next free lane
         if shown[point]:
             block = offsets[count // LANES]
             block.x[count % LANES] = points[view, 0, point] - eye[0]
@@ -271,7 +345,9 @@ def _set_out(points: Array, view: int, eye: Array, shown: BoolArray, offsets: Ar
             block.z[count % LANES] = points[view, 2, point] - eye[2]
             count += 1
     n_blocks = -(-count // LANES)
-    for place in range(count, n_blocks * LANES):  # the last one fills what is left of the lanes
+    for place in range(
+        count, n_blocks * LANES
+    ):  # the last one fills what is left of the lanes
         block = offsets[n_blocks - 1]
         last = (count - 1) % LANES
         block.x[place % LANES] = block.x[last]
@@ -286,8 +362,8 @@ def _box_points(
 ) -> Box:
     """Box of points, (n_blocks,) of `OFFSETS`, in one camera of the lanes.
 
-    Zeros if no point counts. If the image cuts the body off, only points inside the image count.
-    `limits` is a block of `LIMITS` to work with.
+    Zeros if no point counts. If the image cuts the body off, only points inside the
+    image count. `limits` is a block of `LIMITS` to work with.
     """
     x_right = lens.x_right[camera]
     y_right = lens.y_right[camera]
@@ -301,9 +377,18 @@ def _box_points(
     focal = lens.focal[camera]
     half_width = lens.half_width[camera]
     half_height = lens.half_height[camera]
-    widest = half_width if is_cut else _FAR
-    highest = half_height if is_cut else _FAR
-    nearest = min_depth if is_cut else -_FAR
+    if is_cut:
+        widest = half_width
+    else:
+        widest = _FAR
+    if is_cut:
+        highest = half_height
+    else:
+        highest = _FAR
+    if is_cut:
+        nearest = min_depth
+    else:
+        nearest = -_FAR
     for j in range(LANES):
         limits.left[j] = _FAR
         limits.top[j] = _FAR
@@ -324,27 +409,63 @@ def _box_points(
                 & (abs(column - half_width) <= widest)
                 & (abs(row - half_height) <= highest)
             )
-            low = column if counts else _FAR
-            high = column if counts else -_FAR
+            if counts:
+                low = column
+            else:
+                low = _FAR
+            if counts:
+                high = column
+            else:
+                high = -_FAR
             left = limits.left[j]
             right = limits.right[j]
-            limits.left[j] = low if low < left else left
-            limits.right[j] = high if high > right else right
-            low = row if counts else _FAR
-            high = row if counts else -_FAR
+            if low < left:
+                limits.left[j] = low
+            else:
+                limits.left[j] = left
+            if high > right:
+                limits.right[j] = high
+            else:
+                limits.right[j] = right
+            if counts:
+                low = row
+            else:
+                low = _FAR
+            if counts:
+                high = row
+            else:
+                high = -_FAR
             top = limits.top[j]
             bottom = limits.bottom[j]
-            limits.top[j] = low if low < top else top
-            limits.bottom[j] = high if high > bottom else bottom
+            if low < top:
+                limits.top[j] = low
+            else:
+                limits.top[j] = top
+            if high > bottom:
+                limits.bottom[j] = high
+            else:
+                limits.bottom[j] = bottom
     left = _FAR
     top = _FAR
     right = -_FAR
     bottom = -_FAR
     for j in range(LANES):
-        left = limits.left[j] if limits.left[j] < left else left
-        top = limits.top[j] if limits.top[j] < top else top
-        right = limits.right[j] if limits.right[j] > right else right
-        bottom = limits.bottom[j] if limits.bottom[j] > bottom else bottom
+        if limits.left[j] < left:
+            left = limits.left[j]
+        else:
+            left = left
+        if limits.top[j] < top:
+            top = limits.top[j]
+        else:
+            top = top
+        if limits.right[j] > right:
+            right = limits.right[j]
+        else:
+            right = right
+        if limits.bottom[j] > bottom:
+            bottom = limits.bottom[j]
+        else:
+            bottom = bottom
     if left <= right:
         return left, top, right, bottom
     zero = np.float32(0.0)
@@ -353,7 +474,12 @@ def _box_points(
 
 @kernel
 def _find_near(
-    middle: FloatArray, reach: Any, eye: Array, cameras: Cameras, least_px: Any, near: IntArray
+    middle: FloatArray,
+    reach: Any,
+    eye: Array,
+    cameras: Cameras,
+    least_px: Any,
+    near: IntArray,
 ) -> int:
     """Cameras in whose images a view's body may be high enough, into `near`; their number.
 
@@ -414,7 +540,12 @@ def _gather_lanes(lenses: Array, cameras: IntArray, lens: Any) -> None:
 @kernel
 def _box_of(limits: Any, camera: int) -> Box:
     """Left, top, right and bottom of what one camera of the lanes shows."""
-    return limits.left[camera], limits.top[camera], limits.right[camera], limits.bottom[camera]
+    return (
+        limits.left[camera],
+        limits.top[camera],
+        limits.right[camera],
+        limits.bottom[camera],
+    )
 
 
 @kernel
@@ -428,16 +559,23 @@ def _put(boxes: Array, row: int, first: int, box: Box) -> None:
 
 @kernel
 def box_bodies(
-    bodies: BodyPoints, eye: Array, sight: Seen, cameras: Cameras, least: Least, found: Found
+    bodies: BodyPoints,
+    eye: Array,
+    sight: Seen,
+    cameras: Cameras,
+    least: Least,
+    found: Found,
 ) -> tuple[int, int]:
     """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
 
-    Returns how many plain pairs and how many others were written to `found`. Pairs whose visible
-    box is not as high as `least` says are left out. `eye` (3,) is in single precision.
+    Returns how many plain pairs and how many others were written to `found`. Pairs
+    whose visible box is not as high as `least` says are left out. `eye` (3,) is in
+    single precision.
 
-    For each entry, the cameras that may show it are gathered into lanes, and its hull is projected
-    into all of them at once. That is enough for a whole body inside the image. For the others the
-    visible points, or all of them, are put into lanes, and projected into one camera after another.
+    For each entry, the cameras that may show it are gathered into lanes, and its hull
+    is projected into all of them at once. That is enough for a whole body inside the
+    image. For the others the visible points, or all of them, are put into lanes, and
+    projected into one camera after another.
     """
     points = bodies.points
     n_blocks = -(-points.shape[2] // LANES)
@@ -463,7 +601,9 @@ def box_bodies(
         n_seen = -1
         reach = np.float32(bodies.radius[view]) + _SLACK_M
         n_near = _find_near(bodies.middle[view], reach, eye, cameras, least_px, near)
-        for first in range(0, n_near, LANES):  # near cameras, as many as there are lanes
+        for first in range(
+            0, n_near, LANES
+        ):  # near cameras, as many as there are lanes
             n = min(LANES, n_near - first)
             _gather_lanes(cameras.lenses, near[first : first + n], lens)
             _project_into_all(bodies.hull, view, eye, lens, least.depth, limits)
@@ -478,7 +618,13 @@ def box_bodies(
                 is_out = high < _NEARLY * least.height_px or high < 0.0
                 if not is_behind and (is_out or right < zero or left > width):
                     continue
-                is_cut = is_behind or left < zero or top < zero or right > width or bottom > height
+                is_cut = (
+                    is_behind
+                    or left < zero
+                    or top < zero
+                    or right > width
+                    or bottom > height
+                )
                 if is_whole and not is_cut:
                     if high >= least.height_px and high > 0.0:
                         found.plain[n_plain, 0] = camera
@@ -490,9 +636,13 @@ def box_bodies(
                 seen_box = hull_box
                 if not is_whole:
                     if n_seen < 0:
-                        n_seen = _set_out(points, view, eye, sight.is_visible[entry], work.seen)
+                        n_seen = _set_out(
+                            points, view, eye, sight.is_visible[entry], work.seen
+                        )
                     seen = work.seen[:n_seen]
-                    seen_box = _box_points(seen, lens, j, least.depth, is_cut, work.limits[0])
+                    seen_box = _box_points(
+                        seen, lens, j, least.depth, is_cut, work.limits[0]
+                    )
                     if not _is_high(seen_box, least.height_px):
                         continue
                 # All points, where the hull is not enough.
@@ -501,7 +651,9 @@ def box_bodies(
                     if n_every < 0:
                         n_every = _set_out(points, view, eye, every_point, work.every)
                     every = work.every[:n_every]
-                    whole_box = _box_points(every, lens, j, least.depth, is_cut, work.limits[0])
+                    whole_box = _box_points(
+                        every, lens, j, least.depth, is_cut, work.limits[0]
+                    )
                 if is_whole:
                     seen_box = whole_box
                     if not _is_high(seen_box, least.height_px):
@@ -510,11 +662,18 @@ def box_bodies(
                 found.part[n_part, 1] = entry
                 _put(found.part_px, n_part, 0, seen_box)
                 _put(found.part_px, n_part, 4, whole_box)
-                if is_behind:  # next to and behind the lens points are not projected as bodies are
-                    _project_into_all(points, view, eye, lens, least.depth, work.limits[0])
+                if (
+                    is_behind
+                ):  # next to and behind the lens points are not projected as bodies are
+                    _project_into_all(
+                        points, view, eye, lens, least.depth, work.limits[0]
+                    )
                     hull_box = _box_of(work.limits[0], j)
                 share = _share_inside(hull_box, width, height)
-                found.inside_share[n_part] = share if is_cut else 1.0
+                if is_cut:
+                    found.inside_share[n_part] = share
+                else:
+                    found.inside_share[n_part] = 1.0
                 n_part += 1
     return n_plain, n_part
 
@@ -525,7 +684,8 @@ class Echoes(NamedTuple):
 
     first: IntArray  # (n_entries + 1,): where the points of each entry begin
     directions: FloatArray  # (k, 3): unit vectors from the mount
-    expected: FloatArray  # (n_weathers, k): points that come back, if beams are as dense as level
+    # (n_weathers, k): points that come back, if beams are as dense as level
+    expected: FloatArray
     needed: FloatArray  # (n_entries,): points that it takes
 
 
@@ -538,13 +698,17 @@ class LidarView(NamedTuple):
 
 @kernel
 def count_echoes(
-    rotations: FloatArray, is_near: BoolArray, echoes: Echoes, limits: LidarView, detected: Array
+    rotations: FloatArray,
+    is_near: BoolArray,
+    echoes: Echoes,
+    limits: LidarView,
+    detected: Array,
 ) -> None:
     """Set `detected` (m, n_weathers, n_entries) where points that come back are as many as needed.
 
-    `rotations` (m, 3, 3) have the axes ahead, left and up of each LiDAR as columns; `is_near`
-    (m, n_entries): entries that may be in view. Beams grow denser as the circles of latitude
-    shrink.
+    `rotations` (m, 3, 3) have the axes ahead, left and up of each LiDAR as columns;
+    `is_near` (m, n_entries): entries that may be in view. Beams grow denser as the
+    circles of latitude shrink.
     """
     n_weathers = len(echoes.expected)
     directions = echoes.directions

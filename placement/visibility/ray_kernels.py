@@ -1,10 +1,11 @@
 """Numba kernels: occlusion culling, and rays from an eye to points of bodies.
 
-All directions from the eye are sorted into cells: azimuth by the diamond angle, elevation by its
-sine, so that no trigonometric function is needed. Each cell knows how near the nearest thing in it
-may be. Triangles are cut into pieces of some degrees, and each piece counts in all cells between
-its least and greatest azimuth and elevation: a cell never knows too little, and where it knows
-nothing nearer than a point, the ray to that point would meet nothing.
+All directions from the eye are sorted into cells: azimuth by the diamond angle,
+elevation by its sine, so that no trigonometric function is needed. Each cell knows how
+near the nearest thing in it may be. Triangles are cut into pieces of some degrees, and
+each piece counts in all cells between its least and greatest azimuth and elevation: a
+cell never knows too little, and where it knows nothing nearer than a point, the ray to
+that point would meet nothing.
 """
 
 from typing import Any, NamedTuple
@@ -31,7 +32,9 @@ _BLOCK = 8  # cells along either side of a block whose nearest thing is looked a
 class Views(NamedTuple):
     """Bodies to be looked at; one view is one body at one place."""
 
-    points: Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
+    points: (
+        Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
+    )
     middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
     radius: FloatArray  # (n_views,): of that sphere. [m]
 
@@ -43,7 +46,9 @@ class Occluders(NamedTuple):
     first: IntArray  # (n_groups + 1,): where each group begins in `members`
     position: FloatArray  # (n_bodies, 3): of each. [m]
     rotation: FloatArray  # (n_bodies, 3, 3): from its frame into the world's
-    boxes: FloatArray  # (n_bodies, 2, 3): lowest and highest coordinates in its frame. [m]
+    boxes: (
+        FloatArray  # (n_bodies, 2, 3): lowest and highest coordinates in its frame. [m]
+    )
 
 
 class OneKind(NamedTuple):
@@ -73,7 +78,9 @@ def _diamond(x: float, y: float) -> float:
     share = y / size
     if x < 0.0:
         return 2.0 - share
-    return share if share >= 0.0 else 4.0 + share
+    if share >= 0.0:
+        return share
+    return 4.0 + share
 
 
 @kernel
@@ -98,8 +105,10 @@ def _window(
     distance = np.sqrt(x * x + y * y + z * z)
     sine = radius / distance
     cosine = np.sqrt(max(0.0, 1.0 - sine * sine))
-    up, flat = z / distance, level / distance
-    low, high = up * cosine - flat * sine, up * cosine + flat * sine
+    up = z / distance
+    flat = level / distance
+    low = up * cosine - flat * sine
+    high = up * cosine + flat * sine
     if level <= radius:  # straight above or below: all azimuths
         if z < 0.0:
             low = -1.0
@@ -121,32 +130,43 @@ def _piece_window(
 ) -> tuple[int, int, int, int]:
     """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
 
-    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares t of the
-    corners c, height / |p| is at most the greatest such ratio of a corner times sum t |c| / |p|,
-    which is 1 .. 1 / cos(the triangle's angle); and at least the least one likewise.
+    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares
+    t of the corners c, height / |p| is at most the greatest such ratio of a corner
+    times sum t |c| / |p|, which is 1 .. 1 / cos(the triangle's angle); and at least the
+    least one likewise.
     """
     middle = _diamond(x, y)
     left = right = 0.0
-    bottom, top = 1.0, -1.0
+    bottom = 1.0
+    top = -1.0
     for cx, cy, cz in corners:
         turn = _diamond(cx, cy) - middle
         if turn > 2.0:
             turn -= 4.0
         elif turn < -2.0:
             turn += 4.0
-        left, right = min(left, turn), max(right, turn)
+        left = min(left, turn)
+        right = max(right, turn)
         ratio = cz / np.sqrt(cx * cx + cy * cy + cz * cz)
-        bottom, top = min(bottom, ratio), max(top, ratio)
+        bottom = min(bottom, ratio)
+        top = max(top, ratio)
     bulge = 1.0 / (1.0 - 2.0 * sine * sine)
-    bottom = bottom * bulge if bottom < 0.0 else bottom
-    top = top * bulge if top > 0.0 else top
+    if bottom < 0.0:
+        bottom = bottom * bulge
+    else:
+        bottom = bottom
+    if top > 0.0:
+        top = top * bulge
+    else:
+        top = top
     distance = np.sqrt(x * x + y * y)
     slack = _SLACK_M / distance + _SLACK_SIN
     n_up, n_around = shape
     first = int(np.floor((middle + left - slack) * (0.25 * n_around)))
     last = int(np.floor((middle + right + slack) * (0.25 * n_around)))
     if first < 0:
-        first, last = first + n_around, last + n_around
+        first = first + n_around
+        last = last + n_around
     return cell_up(bottom - slack, n_up), cell_up(top + slack, n_up), first, last
 
 
@@ -162,31 +182,37 @@ def mark_nearest(
 ) -> None:
     """Enter triangles (n, 3, 3) into cells (n_up, n_around) of distances from the eye.
 
-    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from the eye to
-    a point whose height is `low_m` .. `high_m` can meet.
+    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from
+    the eye to a point whose height is `low_m` .. `high_m` can meet.
     """
-    floor, ceiling = min(eye[2], low_m), max(eye[2], high_m)
+    floor = min(eye[2], low_m)
+    ceiling = max(eye[2], high_m)
     shape = nearest.shape
     n_around = shape[1]
     stack = np.empty((_MOST_CUTS + 1, 9))
     for number in range(len(triangles)):  # triangles of the scene
         for corner in range(3):
             for axis in range(3):
-                stack[0, 3 * corner + axis] = triangles[number, corner, axis] - eye[axis]
+                stack[0, 3 * corner + axis] = (
+                    triangles[number, corner, axis] - eye[axis]
+                )
         height = 1
         while height > 0:  # pieces of the triangle that are still to be cut or entered
             height -= 1
             ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
             if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
                 continue
-            x, y, z = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0, (az + bz + cz) / 3.0
+            x = (ax + bx + cx) / 3.0
+            y = (ay + by + cy) / 3.0
+            z = (az + bz + cz) / 3.0
             radius2 = max(
                 (ax - x) ** 2 + (ay - y) ** 2 + (az - z) ** 2,
                 (bx - x) ** 2 + (by - y) ** 2 + (bz - z) ** 2,
                 (cx - x) ** 2 + (cy - y) ** 2 + (cz - z) ** 2,
             )
             distance2 = x * x + y * y + z * z
-            radius, distance = np.sqrt(radius2), np.sqrt(distance2)
+            radius = np.sqrt(radius2)
+            distance = np.sqrt(distance2)
             if distance + radius < near_m - _SLACK_M or distance - radius > far_m:
                 continue
             is_piece = radius <= _PIECE_SIN * distance or radius <= _SMALLEST_M
@@ -196,15 +222,43 @@ def mark_nearest(
                 ca = (cx - ax) ** 2 + (cy - ay) ** 2 + (cz - az) ** 2
                 # Turned so that the longest side leads from a to b.
                 if bc >= ab and bc >= ca:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = bx, by, bz, cx, cy, cz, ax, ay, az
+                    ax, ay, az, bx, by, bz, cx, cy, cz = (
+                        bx,
+                        by,
+                        bz,
+                        cx,
+                        cy,
+                        cz,
+                        ax,
+                        ay,
+                        az,
+                    )
                 elif ca >= ab and ca >= bc:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = cx, cy, cz, ax, ay, az, bx, by, bz
-                mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+                    ax, ay, az, bx, by, bz, cx, cy, cz = (
+                        cx,
+                        cy,
+                        cz,
+                        ax,
+                        ay,
+                        az,
+                        bx,
+                        by,
+                        bz,
+                    )
+                mx = 0.5 * (ax + bx)
+                my = 0.5 * (ay + by)
+                mz = 0.5 * (az + bz)
                 for first, (px, py, pz) in enumerate(((ax, ay, az), (bx, by, bz))):
                     part = stack[height + first]
-                    part[0], part[1], part[2] = px, py, pz
-                    part[3], part[4], part[5] = mx, my, mz
-                    part[6], part[7], part[8] = cx, cy, cz
+                    part[0] = px
+                    part[1] = py
+                    part[2] = pz
+                    part[3] = mx
+                    part[4] = my
+                    part[5] = mz
+                    part[6] = cx
+                    part[7] = cy
+                    part[8] = cz
                 height += 2
                 continue
             wide = radius + _SLACK_M + _SLACK_SIN * distance
@@ -216,7 +270,9 @@ def mark_nearest(
                 low, high, begin, end = _window(x, y, z, wide, shape)
             else:
                 corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
-                low, high, begin, end = _piece_window(corners, x, y, wide / distance, shape)
+                low, high, begin, end = _piece_window(
+                    corners, x, y, wide / distance, shape
+                )
             for up in range(low, high + 1):  # cells that the piece touches
                 row = nearest[up]
                 for column in range(begin, min(end, n_around - 1) + 1):
@@ -226,12 +282,17 @@ def mark_nearest(
 
 
 @kernel
-def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far: Any) -> bool:
+def _is_clear(
+    nearest: Array, size: int, window: tuple[int, int, int, int], far: Any
+) -> bool:
     """True if no block of `size` x `size` cells in a window knows of anything as near as `far`."""
     low, high, begin, end = window
     for up in range(low // size, high // size + 1):
         for around in range(begin // size, end // size + 1):
-            column = around if around < N_AROUND // size else around - N_AROUND // size
+            if around < N_AROUND // size:
+                column = around
+            else:
+                column = around - N_AROUND // size
             if nearest[up, column] <= far:
                 return False
     return True
@@ -239,12 +300,16 @@ def _is_clear(nearest: Array, size: int, window: tuple[int, int, int, int], far:
 
 @kernel
 def find_unclear_points(
-    nearest: Array, views: Views, eye: FloatArray, view_index: IntArray, unclear: BoolArray
+    nearest: Array,
+    views: Views,
+    eye: FloatArray,
+    view_index: IntArray,
+    unclear: BoolArray,
 ) -> None:
     """Set `unclear` (n, n_points) where something may stand before a point of a view.
 
-    `nearest` (n_up, n_around) are cells of :func:`mark_nearest`, `eye` (3,) is where they are seen
-    from; `view_index` (n,): which views are asked for.
+    `nearest` (n_up, n_around) are cells of :func:`mark_nearest`, `eye` (3,) is where
+    they are seen from; `view_index` (n,): which views are asked for.
     """
     points = views.points
     middle = views.middle
@@ -257,7 +322,9 @@ def find_unclear_points(
         for column in range(N_AROUND):
             block = blocks[up // _BLOCK, column // _BLOCK]
             blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
-    for row in range(len(view_index)):  # views: first as a whole, by the sphere around them
+    for row in range(
+        len(view_index)
+    ):  # views: first as a whole, by the sphere around them
         view = view_index[row]
         x = middle[view, 0] - ex
         y = middle[view, 1] - ey
@@ -267,7 +334,9 @@ def find_unclear_points(
         if distance > wide:
             window = _window(x, y, z, wide, nearest.shape)
             far = np.float32(distance + wide)
-            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(nearest, 1, window, far):
+            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(
+                nearest, 1, window, far
+            ):
                 continue
         for point in range(points.shape[2]):  # then point by point, by its cell
             x = points[view, 0, point] - ex
@@ -285,18 +354,23 @@ def find_unclear_points(
 @kernel
 def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
     """True if the way from one place to another passes a box along the axes."""
-    first, last = 0.0, 1.0
+    first = 0.0
+    last = 1.0
     for axis in range(3):
-        origin, least, most = eye[axis], low[axis], high[axis]
+        origin = eye[axis]
+        least = low[axis]
+        most = high[axis]
         way = target[axis] - origin
         if abs(way) < 1.0e-9:
             if origin < least or origin > most:
                 return True
             continue
-        enter, leave = (least - origin) / way, (most - origin) / way
+        enter = (least - origin) / way
+        leave = (most - origin) / way
         if enter > leave:
             enter, leave = leave, enter
-        first, last = max(first, enter), min(last, leave)
+        first = max(first, enter)
+        last = min(last, leave)
     return first > last
 
 
@@ -314,8 +388,13 @@ def shorten(
     x, y, z = way
     one = np.float32(1.0)
     per_length = one / np.sqrt(x * x + y * y + z * z)
-    begin, share = near * per_length, one - cut * per_length
-    start[0], start[1], start[2] = x * begin + eye[0], y * begin + eye[1], z * begin + eye[2]
+    begin = near * per_length
+    share = one - cut * per_length
+    start[0], start[1], start[2] = (
+        x * begin + eye[0],
+        y * begin + eye[1],
+        z * begin + eye[2],
+    )
     vector[0], vector[1], vector[2] = x * share, y * share, z * share
 
 
@@ -333,7 +412,9 @@ def fill_rays(
     ey = np.float32(eye[1])
     ez = np.float32(eye[2])
     ray = 0
-    for row in range(len(view_index)):  # views, and the points of each that are asked for
+    for row in range(
+        len(view_index)
+    ):  # views, and the points of each that are asked for
         view = view_index[row]
         for point in range(points.shape[2]):
             if not asked[row, point]:
@@ -341,7 +422,9 @@ def fill_rays(
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
-            shorten((ex, ey, ez), (x, y, z), near, cut, rays.starts[ray], rays.vectors[ray])
+            shorten(
+                (ex, ey, ez), (x, y, z), near, cut, rays.starts[ray], rays.vectors[ray]
+            )
             ray += 1
 
 
@@ -356,9 +439,9 @@ def find_bodies_between(
 ) -> int:
     """Pairs (row, body) of views and bodies that may hide something of them; their number.
 
-    Row n is view `view_index[n]`; in it there are the bodies of group `group_index[n]`. Pairs go to
-    `pairs` (n_pairs, 2). The way to the middle of the view passes all other bodies at a greater
-    distance than any way to a point has from it.
+    Row n is view `view_index[n]`; in it there are the bodies of group `group_index[n]`.
+    Pairs go to `pairs` (n_pairs, 2). The way to the middle of the view passes all other
+    bodies at a greater distance than any way to a point has from it.
     """
     position = bodies.position
     n_bodies = len(bodies.boxes)
@@ -393,7 +476,9 @@ def find_bodies_between(
             cy = centre[body, 1] - eye[1]
             cz = centre[body, 2] - eye[2]
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
-            away2 = (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
+            away2 = (
+                (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
+            )
             if away2 > (reach[body] + wide) ** 2:
                 continue
             r = bodies.rotation[body]
@@ -440,16 +525,19 @@ def find_rays_at_body(
 ) -> int:
     """Rays to points of some views that meet the box around a body, in the body's frame.
 
-    Row n asks for the points of view `view_index[n]`, of `points` (n_views, 3, n_points), that are
-    not `hidden[n]`, while a body is at `bodies.position[n]`. Sets `asked` (n, n_points) and returns
-    the number of rays; there must be room for all points of all rows.
+    Row n asks for the points of view `view_index[n]`, of `points` (n_views, 3,
+    n_points), that are not `hidden[n]`, while a body is at `bodies.position[n]`. Sets
+    `asked` (n, n_points) and returns the number of rays; there must be room for all
+    points of all rows.
     """
     near = np.float32(rays.near_m)
     cut = np.float32(rays.near_m + rays.off_surface_m)
     least = (bodies.lowest[0], bodies.lowest[1], bodies.lowest[2])
     most = (bodies.highest[0], bodies.highest[1], bodies.highest[2])
     ray = 0
-    for row in range(len(view_index)):  # views with a body each; the eye goes into its frame
+    for row in range(
+        len(view_index)
+    ):  # views with a body each; the eye goes into its frame
         view = view_index[row]
         r = bodies.rotation[row]
         px = bodies.position[row, 0]

@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.catalogue import Sensor
 from geometry.image_boxes import box_height_px
-from geometry.lidar import LidarModel, beams_per_steradian, load_lidar_detection, return_probability
+from geometry.lidar import (
+    LidarModel,
+    beams_per_steradian,
+    load_lidar_detection,
+    return_probability,
+)
 from geometry.poses import body_rotation, camera_rotation
 from geometry.sensors import CameraModel, sharpest_px_per_rad
 
@@ -18,10 +23,14 @@ from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World, cast_sight
 
-_MIN_DEPTH_M = 0.01  # points next to or behind the lens are projected far outside the image
+_MIN_DEPTH_M = (
+    0.01  # points next to or behind the lens are projected far outside the image
+)
 _SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
 _SLACK_M = 1.0e-3  # of a sphere around a body
-_FORESEEN_RAD = 0.06  # by which mounts may be turned from world to world: three times one degree
+_FORESEEN_RAD = (
+    0.06  # by which mounts may be turned from world to world: three times one degree
+)
 _WIDEST_RAD = 1.5  # half of a lens
 _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
@@ -34,11 +43,13 @@ class Sensing:
     sight: Sight  # which points the rays reach
     detector: PlanningDetector  # of cameras
     eye_m: FloatArray  # (3,): the mount, relative to the origin of `world`. [m]
-    # middle_m, distance_m: (n, 3), (n,): mean of each entry's points, from the mount, and how far
-    # it is. [m]
+    # middle_m, distance_m: (n, 3), (n,): mean of each entry's points, from the mount,
+    # and how far it is. [m]
     middle_m: FloatArray
     distance_m: FloatArray
-    half_angle_rad: FloatArray  # (n,): within which the body lies around its middle. [rad]
+    half_angle_rad: (
+        FloatArray  # (n,): within which the body lies around its middle. [rad]
+    )
     contrast: FloatArray  # (n_weathers, n): of the VRU in each weather
     vru_class: IntArray  # (n,): into ``VRU_CLASSES``
     aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
@@ -54,7 +65,9 @@ class Sensing:
             if isinstance(candidate.sensor, LidarModel):
                 lidars.setdefault(candidate.sensor, []).append(row)
         for lidar, rows in lidars.items():
-            detected[rows] = _detect_echoes(self, lidar, [candidates[row] for row in rows])
+            detected[rows] = _detect_echoes(
+                self, lidar, [candidates[row] for row in rows]
+            )
         least_px = self._least_height_px()
         for boxes in self._boxes(candidates):
             high_px = box_height_px(boxes.plain_px)
@@ -65,7 +78,9 @@ class Sensing:
                 detected[plain[is_high], weather, entry[is_high]] = True
                 seen = replace(evidence, contrast=contrast[evidence.draw_index])
                 is_expected = self.detector.is_expected(seen)
-                detected[part[is_expected], weather, evidence.draw_index[is_expected]] = True
+                detected[
+                    part[is_expected], weather, evidence.draw_index[is_expected]
+                ] = True
         return detected
 
     def packed(self, candidates: Sequence[CandidatePose]) -> NDArray[np.uint8]:
@@ -75,14 +90,19 @@ class Sensing:
         """
         # One entry more, of which nothing is seen: that of frames whose entry is -1.
         detected = np.pad(self.detected(candidates), ((0, 0), (0, 0), (0, 1)))
-        frames = detected[:, self.world.views.weather_of_frame, self.sight.entry_of_frame]
+        frames = detected[
+            :, self.world.views.weather_of_frame, self.sight.entry_of_frame
+        ]
         return np.packbits(frames, axis=1, bitorder="little")
 
-    def evidence(self, candidates: Sequence[CandidatePose]) -> Iterator[tuple[IntArray, Evidence]]:
+    def evidence(
+        self, candidates: Sequence[CandidatePose]
+    ) -> Iterator[tuple[IntArray, Evidence]]:
         """Evidence of all cameras that see enough of an entry, at full contrast.
 
-        That is a box as high as the detector asks for. In parts: the index of each row's candidate,
-        and the evidence, whose `draw_index` is the entry. LiDARs are left out.
+        That is a box as high as the detector asks for. In parts: the index of each
+        row's candidate, and the evidence, whose `draw_index` is the entry. LiDARs are
+        left out.
         """
         for boxes in self._boxes(candidates):
             for is_plain in (True, False):
@@ -90,12 +110,21 @@ class Sensing:
 
     def _boxes(self, candidates: Sequence[CandidatePose]) -> Iterator["_Boxes"]:
         """Boxes in the cameras among the candidates, some of these at a time."""
-        cameras = [i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)]
+        cameras = [
+            i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)
+        ]
         step = max(1, _PAIRS // max(1, len(self.distance_m)))
         for through_lenses in (False, True):
-            rows = [row for row in cameras if _has_lens(candidates[row]) == through_lenses]
+            rows = [
+                row for row in cameras if _has_lens(candidates[row]) == through_lenses
+            ]
             for first in range(0, len(rows), step):
-                yield _box(self, candidates, np.array(rows[first : first + step]), through_lenses)
+                yield _box(
+                    self,
+                    candidates,
+                    np.array(rows[first : first + step]),
+                    through_lenses,
+                )
 
     def _least_height_px(self) -> FloatArray:
         """Height of the box of each entry from which on it is detected, if nothing hides any of it.
@@ -111,12 +140,18 @@ class Sensing:
             draw_index=np.arange(len(self.distance_m)),
         )
         return np.stack(
-            [self.detector.least_height_px(replace(whole, contrast=c)) for c in self.contrast]
+            [
+                self.detector.least_height_px(replace(whole, contrast=c))
+                for c in self.contrast
+            ]
         )
 
 
 def _in_cone(
-    candidate: CandidatePose, middle_m: FloatArray, distance_m: FloatArray, spread_rad: FloatArray
+    candidate: CandidatePose,
+    middle_m: FloatArray,
+    distance_m: FloatArray,
+    spread_rad: FloatArray,
 ) -> BoolArray:
     """Bodies (n,) of which a part, so far off their middle, may be in a sensor's field of view."""
     ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
@@ -144,14 +179,18 @@ def build_sensing(
         middle_m=middle,
         distance_m=distance,
         half_angle_rad=np.arcsin(np.minimum(1.0, radius / np.maximum(distance, 1e-6))),
-        contrast=np.stack([w.contrast * w.transmission(distance) for w in views.weathers]),
+        contrast=np.stack(
+            [w.contrast * w.transmission(distance) for w in views.weathers]
+        ),
         vru_class=classes[views.surface_index[sight.view_index]],
         aspect_deg=aspects_deg(middle[:, :2], views.yaw_deg[sight.view_index]),
     )
 
 
 def cast_for(
-    world: World, position_m: FloatArray, looks: Sequence[tuple[CandidatePose, PlanningDetector]]
+    world: World,
+    position_m: FloatArray,
+    looks: Sequence[tuple[CandidatePose, PlanningDetector]],
 ) -> Sight:
     """Sight of all that any sensor at one mount may detect, each with its detector."""
     return cast_sight(
@@ -164,7 +203,9 @@ def cast_for(
             if world.shared.hidden_by_scene is None
             else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
         ),
-        for_lidar=any(isinstance(candidate.sensor, LidarModel) for candidate, _ in looks),
+        for_lidar=any(
+            isinstance(candidate.sensor, LidarModel) for candidate, _ in looks
+        ),
     )
 
 
@@ -200,23 +241,33 @@ def _may_detect(
             views.radius_m,
             eye.astype(np.float32),
             Cameras(_lenses(candidates, turned_rad=turned_rad), len(candidates)),
-            height_px * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
+            height_px
+            * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
             may_detect,
         )
     return may_detect
 
 
 def _may_show(
-    world: World, eye: FloatArray, candidate: CandidatePose, height_px: float, turned_rad: float
+    world: World,
+    eye: FloatArray,
+    candidate: CandidatePose,
+    height_px: float,
+    turned_rad: float,
 ) -> BoolArray:
     """Views (n_views,) whose body may be so high through a lens, maybe turned a little."""
-    views, camera = world.views, candidate.sensor
+    views = world.views
+    camera = candidate.sensor
     assert isinstance(camera, CameraModel)
     offsets = views.middle_m - eye
     away = np.linalg.norm(offsets, axis=1)
-    spread = np.arcsin(np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6)))
+    spread = np.arcsin(
+        np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6))
+    )
     may_show = _in_cone(candidate, offsets, away, spread + turned_rad)
-    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (1.0 - turned_rad)
+    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (
+        1.0 - turned_rad
+    )
     return may_show
 
 
@@ -234,9 +285,13 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
         return extent_m + sensor.range_m
     fovs_deg = sensor.fov_range_deg or (sensor.horizontal_fov_deg,)
     cameras = [replace(sensor, horizontal_fov_deg=fov) for fov in fovs_deg]
-    farthest_m = [max_distance_m(one, detector, vru_height_m=extent_m) for one in cameras]
+    farthest_m = [
+        max_distance_m(one, detector, vru_height_m=extent_m) for one in cameras
+    ]
     if sensor.is_pinhole:
-        return extent_m + max(farthest_m)  # convex in the focal length: it is at either end
+        return extent_m + max(
+            farthest_m
+        )  # convex in the focal length: it is at either end
     focal_px = [one.focal_length_px for one in cameras]
     return float(extent_m + max(np.divide(farthest_m, focal_px)) * max(focal_px))
 
@@ -246,16 +301,19 @@ def max_distance_m(
 ) -> float:
     """Distance beyond which no VRU is high enough in the image to be detected, in m.
 
-    A body of extent h whose nearest point is at distance d from the lens spans at most h / d * f /
-    cos^2(e) pixels, where e is the largest angle off the optical axis; through a lens h / d times
-    the most pixels that a radian takes up. Infinite if the detector takes boxes of any height.
+    A body of extent h whose nearest point is at distance d from the lens spans at most
+    h / d * f / cos^2(e) pixels, where e is the largest angle off the optical axis;
+    through a lens h / d times the most pixels that a radian takes up. Infinite if the
+    detector takes boxes of any height.
     """
     if detector.min_box_height_px == 0.0:
         return np.inf
     if not camera.is_pinhole:
         return vru_height_m * sharpest_px_per_rad(camera) / detector.min_box_height_px
     stretch = 1.0 / np.cos(np.radians(0.5 * camera.diagonal_fov_deg)) ** 2
-    return float(vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px)
+    return float(
+        vru_height_m * camera.focal_length_px * stretch / detector.min_box_height_px
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -272,10 +330,14 @@ class _Boxes:
 
 
 def _box(
-    sensing: Sensing, candidates: Sequence[CandidatePose], rows: IntArray, through_lenses: bool
+    sensing: Sensing,
+    candidates: Sequence[CandidatePose],
+    rows: IntArray,
+    through_lenses: bool,
 ) -> _Boxes:
     """Boxes in some of the candidates, all of them cameras, and all with a lens or all without."""
-    views, sight = sensing.world.views, sensing.sight
+    views = sensing.world.views
+    sight = sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
     from .point_kernels import BodyPoints, Cameras, Found, Least, Seen, box_bodies
 
@@ -294,10 +356,14 @@ def _box(
         from .lens_kernels import box_through_lenses, pack_lens
 
         cameras = [one.sensor for one in chosen if isinstance(one.sensor, CameraModel)]
-        turns = [camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen]
+        turns = [
+            camera_rotation(one.pose.yaw_deg, one.pose.pitch_deg) for one in chosen
+        ]
         lenses = np.stack([pack_lens(*one) for one in zip(cameras, turns, strict=True)])
         least = Least(_MIN_DEPTH_M, min_height_px)
-        n_plain, n_part = box_through_lenses(bodies, sensing.eye_m, seen, lenses, least, found)
+        n_plain, n_part = box_through_lenses(
+            bodies, sensing.eye_m, seen, lenses, least, found
+        )
     else:
         pinholes = Cameras(_lenses(chosen), len(chosen))
         least = Least(np.float32(_MIN_DEPTH_M), min_height_px)
@@ -319,23 +385,31 @@ def _with_rows(pairs: IntArray, rows: IntArray) -> IntArray:
     return np.column_stack([rows[pairs[:, 0]], pairs[:, 1]])
 
 
-def _lenses(candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0) -> NDArray[np.void]:
+def _lenses(
+    candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0
+) -> NDArray[np.void]:
     """Cameras for ``point_kernels.box_bodies``, with images as large as if turned a little, too."""
     from .point_kernels import pack_lenses
 
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
     poses = [candidate.pose for candidate in candidates]
     focal = np.array([camera.focal_length_px for camera in cameras])
-    size = np.array([(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float64)
+    size = np.array(
+        [(camera.width_px, camera.height_px) for camera in cameras], dtype=np.float64
+    )
     if turned_rad:
         half = np.arctan(0.5 * size / focal[:, None]) + turned_rad
         size = 2.0 * focal[:, None] * np.tan(np.minimum(half, _WIDEST_RAD))
     return pack_lenses(
-        camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]), focal, size
+        camera_rotation([p.yaw_deg for p in poses], [p.pitch_deg for p in poses]),
+        focal,
+        size,
     )
 
 
-def _evidence(sensing: Sensing, boxes: _Boxes, *, is_plain: bool) -> tuple[IntArray, Evidence]:
+def _evidence(
+    sensing: Sensing, boxes: _Boxes, *, is_plain: bool
+) -> tuple[IntArray, Evidence]:
     """Index of the candidate, and the evidence, of one kind of boxes."""
     rows, entries = (boxes.plain if is_plain else boxes.part).T
     return rows, Evidence(
@@ -358,12 +432,15 @@ def _detect_echoes(
 ) -> BoolArray:
     """Entries on which LiDARs of one model have enough points, (n, n_weathers, n_entries).
 
-    Each visible point stands for the part of the surface around it: its solid angle, seen from the
-    LiDAR, times the density of beams in that direction is the number of beams that hit it.
+    Each visible point stands for the part of the surface around it: its solid angle,
+    seen from the LiDAR, times the density of beams in that direction is the number of
+    beams that hit it.
     """
     from .point_kernels import Echoes, LidarView, count_echoes
 
-    world, sight, vru_class = sensing.world, sensing.sight, sensing.vru_class
+    world = sensing.world
+    sight = sensing.sight
+    vru_class = sensing.vru_class
     views = world.views
     entry, point = np.nonzero(sight.is_visible)
     view = sight.view_index[entry]
@@ -372,7 +449,8 @@ def _detect_echoes(
     areas = np.stack([surface.area_m2 for surface in world.surfaces])
     area = areas[views.surface_index[view], point]
     yaw = np.radians(views.yaw_deg[view])
-    cos, sin = np.cos(yaw), np.sin(yaw)
+    cos = np.cos(yaw)
+    sin = np.sin(yaw)
     facing_m2 = -(
         (area[:, 0] * cos - area[:, 1] * sin) * offsets[:, 0]
         + (area[:, 0] * sin + area[:, 1] * cos) * offsets[:, 1]
@@ -385,7 +463,9 @@ def _detect_echoes(
     detection = load_lidar_detection()
     classes = vru_class[entry]
     reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
-    needed = np.array([detection.min_points[name] for name in VRU_CLASSES], dtype=np.float64)
+    needed = np.array(
+        [detection.min_points[name] for name in VRU_CLASSES], dtype=np.float64
+    )
     beams = facing_m2 / distance**2 * beams_per_steradian(lidar, 0.0)
     cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
     expected = np.stack(

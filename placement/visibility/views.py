@@ -1,8 +1,9 @@
 """Where VRUs are looked at: points on their bodies, and every distinct pose once.
 
-In sampled worlds other things stand in the street, but VRUs walk as planned, between the same
-houses. The points that the scene hides, and those that the body hides itself, are the same in all
-of them, for mounts at the same height: :class:`HiddenPoints` caches them.
+In sampled worlds other things stand in the street, but VRUs walk as planned, between
+the same houses. The points that the scene hides, and those that the body hides itself,
+are the same in all of them, for mounts at the same height: :class:`HiddenPoints` caches
+them.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,35 +34,52 @@ class Surface:
     actor: Actor
     shape_index: int  # which of its shapes
     points_m: FloatArray  # (n, 3): body frame; the shape's extremes are among them. [m]
-    # (n, 3): the part of the surface around each point: its area along its mean outward normal.
-    # [m^2]
+    # (n, 3): the part of the surface around each point: its area along its mean outward
+    # normal. [m^2]
     area_m2: FloatArray
-    hull_index: IntArray  # (n_corners,): points at the corners of the convex hull of all
+    hull_index: (
+        IntArray  # (n_corners,): points at the corners of the convex hull of all
+    )
     radius_m: float  # all points lie this near to their mean. [m]
 
 
 @cache  # tables of variants ask for the same bodies again
-def build_surface(actor: Actor, shape_index: int, *, n_points: int, seed: int) -> Surface:
+def build_surface(
+    actor: Actor, shape_index: int, *, n_points: int, seed: int
+) -> Surface:
     """Spread points evenly over the outside of a body's shape, a closed mesh.
 
-    The extremes along 26 directions come first, so that boxes around the points are boxes around
-    the shape; then, one by one, the random sample farthest from all points so far.
+    The extremes along 26 directions come first, so that boxes around the points are
+    boxes around the shape; then, one by one, the random sample farthest from all points
+    so far.
 
-    Source: Y. Eldar et al., "The farthest point strategy for progressive image sampling", 1997.
+    Source: Y. Eldar et al., "The farthest point strategy for progressive image
+    sampling", 1997.
     """
     import trimesh
     from scipy.spatial import cKDTree
 
     shape = actor.shapes[shape_index]
     mesh = trimesh.Trimesh(shape.vertices_m, shape.triangles, process=False)
-    samples, faces = trimesh.sample.sample_surface(mesh, _SAMPLES_PER_POINT * n_points, seed=seed)
-    signs = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
-    extremes = np.unique(np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0))
+    samples, faces = trimesh.sample.sample_surface(
+        mesh, _SAMPLES_PER_POINT * n_points, seed=seed
+    )
+    signs = np.array(
+        [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+    )
+    extremes = np.unique(
+        np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0)
+    )
     corners = extremes[:n_points]
-    spread = farthest_samples(samples, shape.vertices_m[corners], n_points - len(corners))
+    spread = farthest_samples(
+        samples, shape.vertices_m[corners], n_points - len(corners)
+    )
     points = np.concatenate([shape.vertices_m[corners], samples[spread]])
-    normals = np.concatenate([mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]])
-    # A sample belongs to the nearest point that faces the same way: not to one around the corner.
+    normals = np.concatenate(
+        [mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]]
+    )
+    # A sample belongs to the nearest point that faces the same way: not to one around
+    # the corner.
     tree = cKDTree(np.hstack([points, _TURN_M * normals]))
     sample_normals = mesh.face_normals[faces]
     _, nearest = tree.query(np.hstack([samples, _TURN_M * sample_normals]))
@@ -82,7 +100,8 @@ def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray
 
     The points `first` (k, 3) are there from the beginning.
     """
-    distance, chosen = np.full(len(samples), np.inf), np.empty(n, dtype=np.int64)
+    distance = np.full(len(samples), np.inf)
+    chosen = np.empty(n, dtype=np.int64)
     for step in range(len(first) + n):
         if step < len(first):
             point = first[step]
@@ -115,10 +134,11 @@ class _Bodies:
     surface_index: IntArray  # (n,): into `surfaces`
     # (n, 3, n_points): by axis, the body's points, relative to the origin. [m]
     axes_m: FloatRays
-    # (n, 3, n_corners): by axis, the points at the corners of the body's convex hull; some stand
-    # there twice. [m]
+    # (n, 3, n_corners): by axis, the points at the corners of the body's convex hull;
+    # some stand there twice. [m]
     hull_m: FloatRays
-    # middle_m, radius_m: (n, 3), (n,): mean of the points, and how far the farthest is from it. [m]
+    # middle_m, radius_m: (n, 3), (n,): mean of the points, and how far the farthest is
+    # from it. [m]
     middle_m: FloatArray
     radius_m: FloatArray
 
@@ -128,7 +148,9 @@ class Places(_Bodies):
     """Every distinct (body, shape, pose) in which a VRU is looked at, whatever stands around."""
 
     surfaces: tuple[Surface, ...]  # each distinct shape of a VRU
-    place_of_frame: IntArray  # (n_frames,): where the VRU is in each frame of the frame axis
+    place_of_frame: (
+        IntArray  # (n_frames,): where the VRU is in each frame of the frame axis
+    )
 
 
 def build_places(
@@ -136,13 +158,17 @@ def build_places(
 ) -> Places:
     """Find the poses in which the VRUs of runs are looked at, relative to an origin."""
     shapes = {
-        (run.encounter.vru, index): None for run in runs for index in np.unique(run.vru_shape)
+        (run.encounter.vru, index): None
+        for run in runs
+        for index in np.unique(run.vru_shape)
     }
     surfaces = tuple(
-        build_surface(actor, int(index), n_points=n_points, seed=seed) for actor, index in shapes
+        build_surface(actor, int(index), n_points=n_points, seed=seed)
+        for actor, index in shapes
     )
     numbers = {
-        (surface.actor, surface.shape_index): number for number, surface in enumerate(surfaces)
+        (surface.actor, surface.shape_index): number
+        for number, surface in enumerate(surfaces)
     }
     parts = []
     for run in runs:
@@ -150,7 +176,8 @@ def build_places(
         where = run.vru_position_m - origin_m[:2]
         parts.append(np.column_stack([where, run.vru_yaw_deg, shape]))
     rows = np.concatenate(parts)
-    # Rounded to a tenth of a millimetre: the same pose at another speed differs in the last bits.
+    # Rounded to a tenth of a millimetre: the same pose at another speed differs in the
+    # last bits.
     _, first, place_of_frame = np.unique(
         rows.round(4), axis=0, return_index=True, return_inverse=True
     )
@@ -163,7 +190,9 @@ def build_places(
     points[..., 2] += middle[:, None, 2]
     # As many numbers as machines handle at once divide the number of corners.
     n_corners = -(-max(len(surface.hull_index) for surface in surfaces) // 16) * 16
-    corners = np.stack([np.resize(surface.hull_index, n_corners) for surface in surfaces])
+    corners = np.stack(
+        [np.resize(surface.hull_index, n_corners) for surface in surfaces]
+    )
     axes = np.ascontiguousarray(np.swapaxes(points, 1, 2), dtype=np.float32)
     return Places(
         surfaces=surfaces,
@@ -186,7 +215,9 @@ class VruViews(_Bodies):
     # (n_views,) each: place, and what stands around, into the obstructions of `World`
     place_index: IntArray
     obstruction_index: IntArray
-    view_of_frame: IntArray  # (n_frames,): which view each frame of the frame axis shows
+    view_of_frame: (
+        IntArray  # (n_frames,): which view each frame of the frame axis shows
+    )
     weathers: tuple[Weather, ...]  # distinct weathers
     weather_of_frame: IntArray  # (n_frames,): which of them it is
 
@@ -196,14 +227,18 @@ class VruViews(_Bodies):
         return np.swapaxes(self.axes_m, 1, 2)
 
 
-def build_views(places: Places, runs: Sequence[Run], obstruction_index: IntArray) -> VruViews:
+def build_views(
+    places: Places, runs: Sequence[Run], obstruction_index: IntArray
+) -> VruViews:
     """Find out what stands around where: of the runs that the places are of, or the same VRUs'.
 
     `obstruction_index`, (n_runs,), is into the obstructions of `World`.
     """
     n_frames = [len(run.time_s) for run in runs]
     if sum(n_frames) != len(places.place_of_frame):
-        raise ValueError(f"runs: {sum(n_frames)} frames; expected {len(places.place_of_frame)}")
+        raise ValueError(
+            f"runs: {sum(n_frames)} frames; expected {len(places.place_of_frame)}"
+        )
     n_obstructions = int(obstruction_index.max()) + 1
     pairs, view_of_frame = np.unique(
         places.place_of_frame * n_obstructions + np.repeat(obstruction_index, n_frames),
@@ -217,10 +252,14 @@ def build_views(places: Places, runs: Sequence[Run], obstruction_index: IntArray
     return VruViews(
         place_index=place,
         obstruction_index=obstruction,
-        **{field.name: getattr(places, field.name)[chosen] for field in fields(_Bodies)},
+        **{
+            field.name: getattr(places, field.name)[chosen] for field in fields(_Bodies)
+        },
         view_of_frame=view_of_frame.ravel(),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
-        weather_of_frame=np.repeat([weathers.index(run.weather) for run in runs], n_frames),
+        weather_of_frame=np.repeat(
+            [weathers.index(run.weather) for run in runs], n_frames
+        ),
     )
 
 
@@ -232,21 +271,28 @@ Find = Callable[[IntArray], BoolArray]
 class HiddenPoints:
     """Cache of hidden points of bodies, row by row, for eyes that come up again.
 
-    Rows are places, or frames. Hidden points are found once and cached, as long as there is room;
-    the cache changes no result. Several threads may ask.
+    Rows are places, or frames. Hidden points are found once and cached, as long as
+    there is room; the cache changes no result. Several threads may ask.
     """
 
     def __init__(self, n_rows: int, n_points: int) -> None:
-        self._n_rows, self._n_points = n_rows, n_points
+        self._n_rows = n_rows
+        self._n_points = n_points
         self._of_eye: dict[object, tuple[BoolArray, NDArray[np.uint8]]] = {}
         self._most_eyes = _MOST_BYTES // max(1, n_rows * (1 + -(-n_points // 8)))
 
     def look(
-        self, eye: object, rows: IntArray, find: Find, *, foreseen: IntArray | None = None
+        self,
+        eye: object,
+        rows: IntArray,
+        find: Find,
+        *,
+        foreseen: IntArray | None = None,
     ) -> BoolArray:
         """Hidden points of rows (n,), distinct, seen from an eye by its name, (n, n_points).
 
-        `find` finds them. Where it has to, it is asked for the rows that are `foreseen`, too.
+        `find` finds them. Where it has to, it is asked for the rows that are
+        `foreseen`, too.
         """
         if eye not in self._of_eye:
             if len(self._of_eye) >= self._most_eyes:
@@ -274,4 +320,6 @@ def look(
     foreseen: IntArray | None = None,
 ) -> BoolArray:
     """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
-    return find(rows) if cache is None else cache.look(eye, rows, find, foreseen=foreseen)
+    if cache is None:
+        return find(rows)
+    return cache.look(eye, rows, find, foreseen=foreseen)

@@ -98,7 +98,9 @@ def part_of_many(small_setting, tmp_path_factory):
         )
         shapes = [GroundViews(small_setting).shape(unit) for unit in layout.units]
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(GroundViews, "shape", lambda self, unit: shapes[units.index(unit) % 50])
+            patch.setattr(
+                GroundViews, "shape", lambda self, unit: shapes[units.index(unit) % 50]
+            )
             part = interactive_part(small_setting, {"many": evaluation})
         (folder / "part.json").write_text(json.dumps(part))
 
@@ -132,9 +134,12 @@ def run(capsys, tables, tmp_path, monkeypatch):
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tables))
-    # By its words alone the command begins a second process, which knows nothing of small scenes.
+    # By its words alone the command begins a second process, which knows nothing of
+    # small scenes.
     begin = side_process.side_process
-    monkeypatch.setattr(side_process, "side_process", lambda is_wanted, **ready: begin(False))
+    monkeypatch.setattr(
+        side_process, "side_process", lambda is_wanted, **ready: begin(False)
+    )
 
     def run_command(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
@@ -151,14 +156,20 @@ def run(capsys, tables, tmp_path, monkeypatch):
 def layout(camera):
     """Two units with numbers that no short decimal equals, and one at the origin."""
     poses = (
-        Pose(position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0], yaw_deg=100.0 / 3.0, pitch_deg=-20.0 / 3.0),
+        Pose(
+            position_m=[-115.1 / 3.0, 8.7 / 7.0, 7.0],
+            yaw_deg=100.0 / 3.0,
+            pitch_deg=-20.0 / 3.0,
+        ),
         Pose(position_m=[0.1 + 0.2, -1.0e-7, 5.5], yaw_deg=180.0, pitch_deg=-90.0),
         Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0, pitch_deg=0.0),
     )
     return Layout(
         name='two, "quoted"',
         units=tuple(
-            CandidatePose(id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera)
+            CandidatePose(
+                id=f"pole, {index}/ü", site_id=f"site-{index}", pose=pose, sensor=camera
+            )
             for index, pose in enumerate(poses)
         ),
     )

@@ -32,7 +32,9 @@ def cameras_of(layout):
 def points_before(unit):
     """Points of the world frame in front of a unit, beside its optical axis, too."""
     rng = np.random.default_rng(7)
-    return to_world(rng.uniform([3.0, -9.0, -5.0], [40.0, 9.0, 5.0], (20, 3)), unit.pose)
+    return to_world(
+        rng.uniform([3.0, -9.0, -5.0], [40.0, 9.0, 5.0], (20, 3)), unit.pose
+    )
 
 
 def expected_px(unit, points_m):
@@ -49,7 +51,10 @@ def read_opencv(text, tmp_path):
     for index in range(node.size()):
         entry = node.at(index)
         texts = {"id": entry.getNode("id").string()}
-        sizes = {key: int(entry.getNode(key).real()) for key in ("image_width", "image_height")}
+        sizes = {
+            key: int(entry.getNode(key).real())
+            for key in ("image_width", "image_height")
+        }
         matrices = {
             key: entry.getNode(key).mat()
             for key in ("camera_matrix", "distortion_coefficients", "R", "rvec", "t")
@@ -78,7 +83,9 @@ def test_opencv_projects_as_the_camera_model_does(build, tmp_path):
                 camera["camera_matrix"],
                 camera["distortion_coefficients"],
             )
-            np.testing.assert_allclose(found[:, 0], expected_px(unit, points_m), atol=1e-6)
+            np.testing.assert_allclose(
+                found[:, 0], expected_px(unit, points_m), atol=1e-6
+            )
 
 
 def test_the_principal_point_is_in_the_middle_of_the_image(tmp_path):
@@ -125,7 +132,9 @@ def test_ros_camera_infos_and_transforms_project_as_the_camera_model_does(build)
         turn = Rotation.from_quat([move["rotation"][axis] for axis in "xyzw"])
         place_m = np.array([move["translation"][axis] for axis in "xyz"])
         points_m = points_before(unit)
-        optical = np.column_stack([turn.inv().apply(points_m - place_m), np.ones(len(points_m))])
+        optical = np.column_stack(
+            [turn.inv().apply(points_m - place_m), np.ones(len(points_m))]
+        )
         projected = optical @ matrices["projection_matrix"].T
         found = projected[:, :2] / projected[:, 2:]
         np.testing.assert_allclose(found, expected_px(unit, points_m), atol=1e-6)
@@ -157,14 +166,19 @@ def test_lidars_are_left_out_and_named(export):
 def test_lidars_alone_are_refused(name, export):
     with pytest.raises(InputError) as caught:
         export(level_layout(0.0, kind="lidar"))
-    assert str(caught.value) == f"{name}: got a layout of LiDARs only; expected at least one camera"
+    assert (
+        str(caught.value)
+        == f"{name}: got a layout of LiDARs only; expected at least one camera"
+    )
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_yaml_numbers_come_back_bit_by_bit(value):
     unit = level_layout(0.0).units[0]
     pose = replace(unit.pose, position_m=[value, 0.0, 7.0])
-    document = yaml.safe_load(to_ros(Layout(name="far", units=(replace(unit, pose=pose),))))
+    document = yaml.safe_load(
+        to_ros(Layout(name="far", units=(replace(unit, pose=pose),)))
+    )
     again = document["static_transform"]["transform"]["translation"]["x"]
     assert isinstance(again, float)
     assert again == value
@@ -180,22 +194,45 @@ def test_yaml_texts_come_back(value):
 def test_a_calibration_is_written_for_ros_with_its_lens(run, tmp_path):
     path = tmp_path / "north.xml"
     path.write_text(
-        "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0 1</data></camera_matrix>"
-        "<distortion_coefficients><data>-0.4 0.6 0.008 0.001 -0.6</data></distortion_coefficients>"
-        "</opencv_storage>"
+        "<opencv_storage><camera_matrix><data>1743 0 934 0 1735 444 0 0"
+        " 1</data></camera_matrix><distortion_coefficients><data>-0.4 0.6 0.008 0.001"
+        " -0.6</data></distortion_coefficients></opencv_storage>"
     )
-    asked = ("export", "--calibration", path, "--size", 1920, 1080, "--quiet", "--format")
+    asked = (
+        "export",
+        "--calibration",
+        path,
+        "--size",
+        1920,
+        1080,
+        "--quiet",
+        "--format",
+    )
     code, out, err = run(*asked, "ros")
     assert (code, err) == (0, "")
     (document,) = yaml.safe_load_all(out)
-    assert document["distortion_coefficients"]["data"] == [-0.4, 0.6, 0.008, 0.001, -0.6]
+    assert document["distortion_coefficients"]["data"] == [
+        -0.4,
+        0.6,
+        0.008,
+        0.001,
+        -0.6,
+    ]
     assert (document["unit"], document["distortion_model"]) == ("north", "plumb_bob")
     (tmp_path / "north.yaml").write_text(run(*asked, "opencv")[1])
-    again = run("export", "--calibration", tmp_path / "north.yaml", "--quiet", "--format", "ros")
+    again = run(
+        "export", "--calibration", tmp_path / "north.yaml", "--quiet", "--format", "ros"
+    )
     assert again == (0, out, "")
     assert run(*asked, "carla")[::2] == (
         2,
-        "place-rsus: --format: got carla beside --calibration; expected opencv or ros\n",
+        (
+            "place-rsus: --format: got carla beside --calibration; expected opencv or"
+            " ros\n"
+        ),
     )
     both = run(*asked, "ros", "--layout", "carlancap-12")
-    assert both[2] == "place-rsus: --calibration: got it with --layout; expected one of them\n"
+    assert (
+        both[2]
+        == "place-rsus: --calibration: got it with --layout; expected one of them\n"
+    )

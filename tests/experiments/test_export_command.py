@@ -33,7 +33,9 @@ def layout_path(tmp_path):
 
 
 def call(*arguments):
-    return CliRunner().invoke(command, [str(one) for one in arguments], obj=StageProgress())
+    return CliRunner().invoke(
+        command, [str(one) for one in arguments], obj=StageProgress()
+    )
 
 
 def test_every_format_is_described():
@@ -52,11 +54,18 @@ def test_every_format_is_described():
     "build", [awkward_layout, pytest.param(large_layout, marks=pytest.mark.long)]
 )
 def test_notes_tell_the_truth(name, build):
-    layout, note = build(), load_format(name)
+    layout = build()
+    note = load_format(name)
     content = note.write(layout, map_scene())
     assert isinstance(content, bytes) == note.is_binary
-    assert content == note.write(layout, map_scene()) or name in ("gpkg", "dxf")  # bear a date
-    gone = [] if note.has_lidars else lidar_ids(layout)
+    assert content == note.write(layout, map_scene()) or name in (
+        "gpkg",
+        "dxf",
+    )  # bear a date
+    if note.has_lidars:
+        gone = []
+    else:
+        gone = lidar_ids(layout)
     assert bool(gone) == (not note.has_lidars and build is awkward_layout)
     if isinstance(content, str):
         assert content.endswith("\n")
@@ -79,7 +88,9 @@ def test_every_format_is_written_to_a_file_whole(name, layout_path, tmp_path):
     assert result.stderr.startswith(said)
     assert bool(result.stderr) == bool(said)
     assert out.stat().st_size > 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([layout_path.name, out.name])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [layout_path.name, out.name]
+    )
     if name not in (*BINARY, "dxf"):  # it bears a date
         assert call(*given).stdout.encode() == out.read_bytes()
 
@@ -111,8 +122,14 @@ def test_an_old_file_survives_a_failure(name, layout_path, tmp_path, monkeypatch
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--run", "CPNC-50/east/40"], "--run: got 'CPNC-50/east/40'; expected none: {} shows no"),
-        (["--release", "2.1.1"], "--release: got '2.1.1'; expected none: {} has no such option"),
+        (
+            ["--run", "CPNC-50/east/40"],
+            "--run: got 'CPNC-50/east/40'; expected none: {} shows no",
+        ),
+        (
+            ["--release", "2.1.1"],
+            "--release: got '2.1.1'; expected none: {} has no such option",
+        ),
     ],
 )
 def test_a_format_says_what_it_does_not_show(name, given, message, layout_path):

@@ -8,7 +8,13 @@ from importlib.resources import files
 import jsonschema
 import numpy as np
 import pytest
-from export_layouts import awkward_layout, large_layout, level_layout, map_scene, placeless_scene
+from export_layouts import (
+    awkward_layout,
+    large_layout,
+    level_layout,
+    map_scene,
+    placeless_scene,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Transformer
@@ -32,11 +38,15 @@ from placement.layout import (
 
 @pytest.fixture(scope="module")
 def validator():
-    text = (files("experiments") / "data" / "layout.schema.json").read_text(encoding="utf-8")
+    text = (files("experiments") / "data" / "layout.schema.json").read_text(
+        encoding="utf-8"
+    )
     schema = json.loads(text)
     jsonschema.Draft202012Validator.check_schema(schema)
     assert schema["properties"]["schema"]["const"] == SCHEMA
-    assert schema["$defs"]["unit"]["properties"]["id"]["not"]["enum"] == list(RESERVED_IDS)
+    assert schema["$defs"]["unit"]["properties"]["id"]["not"]["enum"] == list(
+        RESERVED_IDS
+    )
     return jsonschema.Draft202012Validator(schema)
 
 
@@ -50,7 +60,9 @@ def test_layout_files_are_as_the_schema_says_and_read_back(build, validator, tmp
     again = load_layout(path)
     assert (again.name, again.scene_name) == (layout.name, layout.scene_name)
     assert layout_records(again) == layout_records(layout)
-    assert [unit.sensor for unit in again.units] == [unit.sensor for unit in layout.units]
+    assert [unit.sensor for unit in again.units] == [
+        unit.sensor for unit in layout.units
+    ]
 
 
 OWN = 'my "own", camera'
@@ -70,7 +82,9 @@ DAMAGE = {
     "reserved id": lambda document: document["layout"][0].update(id="rsu_all"),
     "number for an id": lambda document: document["layout"][0].update(id=7),
     "no camera": lambda document: document["layout"][0].pop("camera"),
-    "camera and lidar": lambda document: document["layout"][0].update(lidar="carla-ncap-lidar"),
+    "camera and lidar": lambda document: document["layout"][0].update(
+        lidar="carla-ncap-lidar"
+    ),
     "text for a number": lambda document: document["layout"][0].update(x_m="1"),
     "truth for a number": lambda document: document["layout"][0].update(yaw_deg=True),
     "no height": lambda document: document["layout"][0].pop("z_m"),
@@ -81,8 +95,12 @@ DAMAGE = {
     "sensor of no kind": lambda document: document["sensors"][OWN].pop("kind"),
     "sensor without a width": lambda document: document["sensors"][OWN].pop("width_px"),
     "flat sensor": lambda document: document["sensors"][OWN].update(height_px=0),
-    "sensor all around": lambda document: document["sensors"][OWN].update(horizontal_fov_deg=180.0),
-    "sensor for less than nothing": lambda document: document["sensors"][OWN].update(price_eur=-1),
+    "sensor all around": lambda document: document["sensors"][OWN].update(
+        horizontal_fov_deg=180.0
+    ),
+    "sensor for less than nothing": lambda document: document["sensors"][OWN].update(
+        price_eur=-1
+    ),
 }
 FINE = list(DAMAGE)[:7]
 
@@ -119,7 +137,8 @@ def test_an_own_lidar_is_in_the_schema(validator):
         assert validator.is_valid(document) == is_fine
 
 
-# Ranges of ETSI TS 102 894-2 V2.1.1; values that mean "unknown" or are not used are left out.
+# Ranges of ETSI TS 102 894-2 V2.1.1; values that mean "unknown" or are not used are
+# left out.
 ANGLE = range(3600)
 OFFSET = range(-32767, 32767)
 LENGTH = range(1, 4094)
@@ -133,10 +152,15 @@ def stations_of(layout, scene):
 
 def sensors_of(station):
     rsu, information = station["messages"][0]["payload"]["cpmContainers"]
-    assert (rsu, information["containerId"]) == ({"containerId": 2, "containerData": {}}, 3)
+    assert (rsu, information["containerId"]) == (
+        {"containerId": 2, "containerData": {}},
+        3,
+    )
     sensors = information["containerData"]
     assert 1 <= len(sensors) <= 128
-    assert [sensor["sensorId"] for sensor in sensors] == list(range(len(station["units"])))
+    assert [sensor["sensorId"] for sensor in sensors] == list(
+        range(len(station["units"]))
+    )
     return sensors
 
 
@@ -148,15 +172,23 @@ def test_cpm_sensors_are_where_the_units_are(build, scene):
     units = {unit.id: unit for unit in layout.units}
     named = []
     for station in stations_of(layout, scene):
-        reference = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
+        reference = station["messages"][0]["payload"]["managementContainer"][
+            "referencePosition"
+        ]
         assert all(isinstance(reference[key], int) for key in ("latitude", "longitude"))
-        origin = to_local.transform(reference["longitude"] / 1e7, reference["latitude"] / 1e7)
+        origin = to_local.transform(
+            reference["longitude"] / 1e7, reference["latitude"] / 1e7
+        )
         for name, sensor in zip(station["units"], sensors_of(station), strict=True):
             unit = units[name]
             assert unit.site_id == station["site"]
-            assert sensor["sensorType"] == (2 if isinstance(unit.sensor, LidarModel) else 3)
+            assert sensor["sensorType"] == (
+                2 if isinstance(unit.sensor, LidarModel) else 3
+            )
             shape = sensor["perceptionRegionShape"]["radial"]
-            offset = [shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"]
+            offset = [
+                shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"
+            ]
             assert all(value in OFFSET for value in offset)
             found_m = np.append(origin, 0.0) + np.array(offset) / 100.0
             # n stands for more than n - 1 and at most n centimetres.
@@ -192,7 +224,9 @@ def test_cpm_opens_from_left_to_right_and_from_below_to_above(yaw_deg, pitch_deg
         opening = (shape[end] - shape[start]) % 3600 / 10.0
         assert opening == pytest.approx(fov_deg, abs=0.11)
         middle = shape[start] / 10.0 + 0.5 * opening
-        assert (middle - middle_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=0.16)
+        assert (middle - middle_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
+            0.0, abs=0.16
+        )
 
 
 def test_cpm_by_hand():
@@ -200,8 +234,8 @@ def test_cpm_by_hand():
     (station,) = stations_of(layout, load_study_scene())
     assert (station["site"], station["units"]) == ("", ["one"])
     (sensor,) = sensors_of(station)
-    # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths rounded up.
-    # As far as an adult is 40 px high.
+    # 2 atan(tan(55 deg) 1080 / 1920) = 77.56 deg high: -48.8 .. 28.8 deg, tenths
+    # rounded up. As far as an adult is 40 px high.
     shape = sensor["perceptionRegionShape"]["radial"]
     adult_m = load_actors()["adult"].height_m
     assert shape.pop("range") == int(np.ceil(10.0 * 672.2 * adult_m / 40.0))
@@ -213,14 +247,18 @@ def test_cpm_by_hand():
         "verticalOpeningAngleEnd": 288,
     }
     assert sensor["shadowingApplies"] is True
-    reference = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
+    reference = station["messages"][0]["payload"]["managementContainer"][
+        "referencePosition"
+    ]
     assert (reference["latitude"], reference["longitude"]) == (490000000, 80000000)
     lidar = stations_of(level_layout(0.0, kind="lidar"), load_study_scene())[0]
     assert sensors_of(lidar)[0]["perceptionRegionShape"]["radial"]["range"] == 2500
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 180.0])
-@pytest.mark.parametrize(("pitch_deg", "low", "high"), [(0.0, 3375, 225), (-30.0, 3075, 525)])
+@pytest.mark.parametrize(
+    ("pitch_deg", "low", "high"), [(0.0, 3375, 225), (-30.0, 3075, 525)]
+)
 def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
     yaw_deg, pitch_deg, low, high
 ):
@@ -233,7 +271,10 @@ def test_cpm_opens_all_but_a_tenth_of_a_turn_where_a_lidar_scans_all_round(
         shape["stationaryHorizontalOpeningAngleStart"],
         shape["stationaryHorizontalOpeningAngleEnd"],
     ) == (0, 3599)
-    assert (shape["verticalOpeningAngleStart"], shape["verticalOpeningAngleEnd"]) == (low, high)
+    assert (shape["verticalOpeningAngleStart"], shape["verticalOpeningAngleEnd"]) == (
+        low,
+        high,
+    )
     assert shape["range"] == 1200
 
 
@@ -248,11 +289,18 @@ def test_cpm_refuses_what_the_standard_has_no_numbers_for():
         to_cpm(awkward_layout(), placeless_scene())
     one = level_layout(0.0).units[0]
     many = tuple(replace(one, id=f"{index}", site_id="mast") for index in range(129))
-    with pytest.raises(InputError, match=r"^cpm: mast: got 129 units; expected at most 128$"):
+    with pytest.raises(
+        InputError, match=r"^cpm: mast: got 129 units; expected at most 128$"
+    ):
         to_cpm(Layout(name="many", units=many), load_study_scene())
     far = replace(
-        one, id="far", site_id="mast", pose=Pose(position_m=[700.0, 0.0, 6.0], yaw_deg=0.0)
+        one,
+        id="far",
+        site_id="mast",
+        pose=Pose(position_m=[700.0, 0.0, 6.0], yaw_deg=0.0),
     )
     near = replace(one, site_id="mast")
-    with pytest.raises(InputError, match=r"^cpm: mast: got .* expected at most 327.66 m$"):
+    with pytest.raises(
+        InputError, match=r"^cpm: mast: got .* expected at most 327.66 m$"
+    ):
         to_cpm(Layout(name="far", units=(near, far)), load_study_scene())

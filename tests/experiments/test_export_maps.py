@@ -10,7 +10,13 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from defusedxml import ElementTree
-from export_layouts import MAP_CRS, awkward_layout, large_layout, map_scene, placeless_scene
+from export_layouts import (
+    MAP_CRS,
+    awkward_layout,
+    large_layout,
+    map_scene,
+    placeless_scene,
+)
 from pyproj import Transformer
 
 from experiments.export.geojson import to_geojson
@@ -29,7 +35,9 @@ def in_map(layout):
     """East and north of the units in the map's coordinates."""
     to_map = Transformer.from_crs(load_study_scene().crs, MAP_CRS, always_xy=True)
     position = np.array([unit.pose.position_m for unit in layout.units])
-    return np.column_stack([*to_map.transform(position[:, 0], position[:, 1]), position[:, 2]])
+    return np.column_stack(
+        [*to_map.transform(position[:, 0], position[:, 1]), position[:, 2]]
+    )
 
 
 def assert_same(found, expected, *, rtol=0.0):
@@ -78,7 +86,9 @@ def test_a_geopackage_lies_in_the_map_with_every_field(build, tmp_path):
     assert "map_x" in expected.columns
     assert_same(pd.DataFrame(frame.drop(columns="geometry")), expected)
     with sqlite3.connect(path) as database:
-        rows = database.execute("select table_name, z from gpkg_geometry_columns").fetchall()
+        rows = database.execute(
+            "select table_name, z from gpkg_geometry_columns"
+        ).fetchall()
     database.close()
     assert rows == [("units", 1)]
 
@@ -86,14 +96,19 @@ def test_a_geopackage_lies_in_the_map_with_every_field(build, tmp_path):
 def test_a_geopackage_of_a_map_in_degrees_is_in_degrees(tmp_path):
     layout = awkward_layout()
     path = tmp_path / "units.gpkg"
-    path.write_bytes(to_geopackage(layout, replace(map_scene(), source_crs="EPSG:4326")))
+    path.write_bytes(
+        to_geopackage(layout, replace(map_scene(), source_crs="EPSG:4326"))
+    )
     frame = gpd.read_file(path)
     assert frame.crs == "EPSG:4326"
-    np.testing.assert_allclose(coordinates(frame.to_crs(MAP_CRS)), in_map(layout), atol=1e-6)
+    np.testing.assert_allclose(
+        coordinates(frame.to_crs(MAP_CRS)), in_map(layout), atol=1e-6
+    )
 
 
 def test_a_geopackage_of_a_scene_without_a_map_lies_in_the_world_frame(tmp_path):
-    layout, scene = awkward_layout(), load_study_scene()
+    layout = awkward_layout()
+    scene = load_study_scene()
     path = tmp_path / "units.gpkg"
     path.write_bytes(to_geopackage(layout, scene))
     frame = gpd.read_file(path)
@@ -129,7 +144,9 @@ def test_kml_is_read_by_gdal(build, tmp_path):
     np.testing.assert_allclose(coordinates(ground), in_map(layout), atol=1e-6)
     assert frame.Name.tolist() == [unit.id for unit in layout.units]
     assert set(frame.altitudeMode) == {"relativeToGround"}
-    for record, (_, row) in zip(placed_records(layout, map_scene()), frame.iterrows(), strict=True):
+    for record, (_, row) in zip(
+        placed_records(layout, map_scene()), frame.iterrows(), strict=True
+    ):
         for key, value in record.items():
             assert type(value)(row[key]) == value, key
 
@@ -139,14 +156,25 @@ def test_the_kml_camera_looks_where_the_unit_looks():
     root = ElementTree.fromstring(to_kml(layout, load_study_scene()))
     space = {"k": "http://www.opengis.net/kml/2.2"}
     assert root.find("k:Document/k:name", space).text == layout.name
-    for unit, camera in zip(layout.units, root.iterfind(".//k:Camera", space), strict=True):
+    for unit, camera in zip(
+        layout.units, root.iterfind(".//k:Camera", space), strict=True
+    ):
         heading, tilt = (
-            np.radians(float(camera.find(f"k:{name}", space).text)) for name in ("heading", "tilt")
+            np.radians(float(camera.find(f"k:{name}", space).text))
+            for name in ("heading", "tilt")
         )
         # Heading from north by east; tilt from straight down.
-        axis = [np.sin(tilt) * np.sin(heading), np.sin(tilt) * np.cos(heading), -np.cos(tilt)]
+        axis = [
+            np.sin(tilt) * np.sin(heading),
+            np.sin(tilt) * np.cos(heading),
+            -np.cos(tilt),
+        ]
         yaw, pitch = np.radians([unit.pose.yaw_deg, unit.pose.pitch_deg])
-        expected = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
+        expected = [
+            np.cos(pitch) * np.cos(yaw),
+            np.cos(pitch) * np.sin(yaw),
+            np.sin(pitch),
+        ]
         np.testing.assert_allclose(axis, expected, atol=1e-12)
 
 
@@ -161,11 +189,18 @@ def test_the_kml_camera_looks_where_the_unit_looks():
 def test_maps_need_a_place_on_earth(name, export):
     with pytest.raises(InputError) as caught:
         export(awkward_layout(), placeless_scene())
-    assert str(caught.value) == (
-        f"{name}: got a scene without crs; expected one that says where on earth it lies"
+    assert (
+        str(caught.value)
+        == f"{name}: got a scene without crs; expected one that says where on earth it"
+        " lies"
     )
 
 
 def test_the_records_of_a_layout_are_all_there():
     keys = {key for record in layout_records(awkward_layout()) for key in record}
-    assert {"camera", "lidar", "latency_s", "fov_deg"} <= keys  # or the tests above say little
+    assert {
+        "camera",
+        "lidar",
+        "latency_s",
+        "fov_deg",
+    } <= keys  # or the tests above say little

@@ -1,6 +1,7 @@
 """Programs of others on what this project writes; skipped where they cannot be had.
 
-ETSI's modules are no package: the variable ETSI_ASN1 names their folders, separated by ":".
+ETSI's modules are no package: the variable ETSI_ASN1 names their folders, separated by
+":".
 """
 
 import importlib.util
@@ -41,7 +42,9 @@ def test_asams_checker_finds_an_actor_that_is_nobody(all_runs, tmp_path, monkeyp
 
     def write_nobody(*given, **options):
         text = write(*given, **options)
-        return text.replace('<EntityRef entityRef="vru"', '<EntityRef entityRef="nobody"', 1)
+        return text.replace(
+            '<EntityRef entityRef="vru"', '<EntityRef entityRef="nobody"', 1
+        )
 
     monkeypatch.setattr(judging, "to_openscenario", write_nobody)
     said = ask(judging.judge_openscenario, all_runs[:1], tmp_path)
@@ -61,7 +64,9 @@ def test_asams_checker_finds_no_issue_in_roads_but_those_made(tmp_path, monkeypa
     assert "gaps" in judging.judge_opendrive(tmp_path)["issues"][0]
 
 
-def test_commonroad_finds_the_impacts_within_a_hundredth_of_a_second(all_runs, tmp_path):
+def test_commonroad_finds_the_impacts_within_a_hundredth_of_a_second(
+    all_runs, tmp_path
+):
     off_s = ask(judging.judge_impacts, all_runs, tmp_path)
     assert len(off_s) == 100
     assert off_s.max() <= judging.STEP_S + 1.0e-6
@@ -79,12 +84,16 @@ def test_carlas_classes_turn_cameras_as_ours(tmp_path, monkeypatch):
     assert ask(judging.judge_carla, tmp_path) < 1.0e-4  # of single precision
     write = judging.to_carla
     monkeypatch.setattr(
-        judging, "to_carla", lambda layout: write(layout).replace('"pitch": -', '"pitch": ')
+        judging,
+        "to_carla",
+        lambda layout: write(layout).replace('"pitch": -', '"pitch": '),
     )
     assert judging.judge_carla(tmp_path) > 1.0e-4
 
 
-FOLDERS = [Path(name) for name in os.environ.get("ETSI_ASN1", "").split(os.pathsep) if name]
+FOLDERS = [
+    Path(name) for name in os.environ.get("ETSI_ASN1", "").split(os.pathsep) if name
+]
 
 
 @pytest.mark.skipif(not FOLDERS, reason="ETSI_ASN1 names no folder with ETSI's modules")
@@ -114,7 +123,9 @@ def one_unit(tmp_path):
     runs = np.arange(0, len(whole["weight"]), 20)
     spans = [np.arange(*whole["run_start"][run : run + 2]) for run in runs]
     frames = np.concatenate(spans)
-    sees = np.unpackbits(whole["packed"], axis=1, bitorder="little")[:, frames].astype(bool)
+    sees = np.unpackbits(whole["packed"], axis=1, bitorder="little")[:, frames].astype(
+        bool
+    )
     weight = whole["weight"][runs] / whole["weight"][runs].sum()
     part = whole | {
         "packed": np.packbits(sees, axis=1, bitorder="little"),
@@ -127,17 +138,22 @@ def one_unit(tmp_path):
     apr = np.zeros(len(sees))
     for index, run in enumerate(runs):
         moment_s = whole["last_brake_time_s"][run] - 0.025
-        first, time_s = part["run_start"][index], whole["time_s"][spans[index]]
+        first = part["run_start"][index]
+        time_s = whole["time_s"][spans[index]]
         timely = np.flatnonzero(time_s <= moment_s + 1e-6)
         for pose in range(len(sees)):
-            # In words: three frames in a row, then never more than a second without one.
+            # In words: three frames in a row, then never more than a second without
+            # one.
             seen = timely[sees[pose, first + timely]]
             is_third = np.isin(seen - 1, seen) & np.isin(seen - 2, seen)
             if not is_third.any():
                 continue
             ends = np.append(time_s[seen], moment_s)
             late = np.flatnonzero(np.diff(ends) > 1.0 + 1e-6)
-            alive = is_third[late[-1] + 1 :] if len(late) else is_third
+            if len(late):
+                alive = is_third[late[-1] + 1 :]
+            else:
+                alive = is_third
             apr[pose] += weight[index] * alive.any()
     np.savez(tmp_path / "instance.npz", **part)
     return tmp_path, float(apr.max())
@@ -146,9 +162,14 @@ def one_unit(tmp_path):
 @needs_scip
 @pytest.mark.parametrize("off", [0.0, 0.001])
 @pytest.mark.parametrize("gives_up", [False, True])
-def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(one_unit, off, gives_up):
+def test_scip_agrees_with_trying_each_pose_and_with_nothing_else(
+    one_unit, off, gives_up
+):
     folder, apr = one_unit
     proof = {"stages": [{"objective": apr + off, "bound": apr + off}]}
-    answer = {"stages": [], "highest": proof} if gives_up else proof | {"highest": None}
+    if gives_up:
+        answer = {"stages": [], "highest": proof}
+    else:
+        answer = proof | {"highest": None}
     (folder / "summary.json").write_text(json.dumps(answer), encoding="utf-8")
     assert prove_with_scip(folder).is_same == (off == 0.0)

@@ -74,7 +74,9 @@ def messages_of_code():
         method = {".py": "python", ".j2": "jinja2"}.get(path.suffix)
         if method and path.name != "language.py":
             options = {"extensions": "jinja2.ext.do", "silent": "false"}
-            for line, message, *_ in extract_from_file(method, path, KEYWORDS, options=options):
+            for line, message, *_ in extract_from_file(
+                method, path, KEYWORDS, options=options
+            ):
                 found.setdefault(message, []).append(f"{path.relative_to(ROOT)}:{line}")
     for one, many in page_messages():
         found.setdefault((one, many) if one else many, []).append("planner/page/*.js")
@@ -82,7 +84,10 @@ def messages_of_code():
         found.setdefault(message, []).append("data/said_below.toml")
     for of_part in load_data("experiments", "texts.toml").values():
         for message in of_part.values():
-            key = message if isinstance(message, str) else tuple(message)
+            if isinstance(message, str):
+                key = message
+            else:
+                key = tuple(message)
             found.setdefault(key, []).append("data/texts.toml")
     for messages in load_data("experiments", "lists.toml").values():
         for message in messages:
@@ -102,15 +107,20 @@ def translations():
 
 
 def names_in_braces(text):
-    return sorted(name for _, name, _, _ in string.Formatter().parse(text) if name is not None)
+    return sorted(
+        name for _, name, _, _ in string.Formatter().parse(text) if name is not None
+    )
 
 
 def test_every_message_has_a_translation():
-    known, messages = translations(), messages_of_code()
+    known = translations()
+    messages = messages_of_code()
     missing = {one: where for one, where in messages.items() if one not in known}
     assert not missing
     empty = [
-        one for one in messages if not all(e.string and not e.fuzzy for e in known[one].values())
+        one
+        for one in messages
+        if not all(e.string and not e.fuzzy for e in known[one].values())
     ]
     assert not empty
 
@@ -119,8 +129,14 @@ def test_translations_put_in_the_same_values_and_agree_between_files():
     for message, entries in translations().items():
         assert len({entry.string for entry in entries.values()}) == 1, message
         for entry in entries.values():
-            forms = (entry.id,) if isinstance(entry.id, str) else entry.id
-            texts = (entry.string,) if isinstance(entry.string, str) else entry.string
+            if isinstance(entry.id, str):
+                forms = (entry.id,)
+            else:
+                forms = entry.id
+            if isinstance(entry.string, str):
+                texts = (entry.string,)
+            else:
+                texts = entry.string
             wanted = set().union(*map(names_in_braces, forms))
             assert set().union(*map(names_in_braces, texts)) == wanted, message
 
@@ -176,16 +192,22 @@ class Said(HTMLParser):
         if ("script", "player-data") in self.open:
             data = json.loads(data)
             lists = (data[name] for name in ("runs", "parties", "units"))
-            entries = [entry for entries in lists for entry in entries] + data["plan"]["arms"]
+            entries = [entry for entries in lists for entry in entries] + data["plan"][
+                "arms"
+            ]
             keys = ("title", "case", "group", "name")
-            self.texts += [entry[key] for entry in entries for key in keys if key in entry]
+            self.texts += [
+                entry[key] for entry in entries for key in keys if key in entry
+            ]
         elif not {"style", "script", "code"} & {tag for tag, _ in self.open}:
             self.texts.append(data)
 
 
 def visible_words(page):
     """Words of a page that no message said."""
-    return {text.strip(): left_over(text) for text in Said(page).texts if left_over(text)}
+    return {
+        text.strip(): left_over(text) for text in Said(page).texts if left_over(text)
+    }
 
 
 @pytest.fixture
@@ -223,12 +245,19 @@ def mine(tmp_path):
     for name, units in (("mine-1", [camera]), ("mine-2", [camera, lidar])):
         text = json.dumps({"name": name, "layout": units})
         (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
-    corners = [[-130.0, -10.0], [-100.0, -10.0], [-100.0, 10.0], [-130.0, 10.0], [-130.0, -10.0]]
+    corners = [
+        [-130.0, -10.0],
+        [-100.0, -10.0],
+        [-100.0, 10.0],
+        [-130.0, 10.0],
+        [-130.0, -10.0],
+    ]
     ring = to_geographic(np.array(corners), load_study_scene().crs).tolist()
     area = {"type": "Polygon", "coordinates": [ring]}
     feature = {"type": "Feature", "properties": {"name": "garden-1"}, "geometry": area}
     (tmp_path / "garden-1.json").write_text(
-        json.dumps({"type": "FeatureCollection", "features": [feature]}), encoding="utf-8"
+        json.dumps({"type": "FeatureCollection", "features": [feature]}),
+        encoding="utf-8",
     )
     return [tmp_path / f"{name}.json" for name in ("mine-1", "mine-2", "garden-1")]
 
@@ -241,7 +270,10 @@ def mine(tmp_path):
         "--budget 2 --cars 0.5 --give-up 0.01 --vam-rate 0.5 --verbose",
         "--budget 2 --samples 4 --cars blind",
         "--budget 2 --cars see --fusion single --detector response --verbose",
-        "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026 --verbose",
+        (
+            "--target 0.5 --least cost --site-cost 100 --cars blind --score rating-2026"
+            " --verbose"
+        ),
         "evaluate --layout MINE-1 --cars blind --verbose",
         "evaluate --layout MINE-2 --no-look GARDEN-1 --verbose",
         "compare MINE-2 MINE-1 --samples 4 --verbose",
@@ -254,7 +286,9 @@ def mine(tmp_path):
     ],
 )
 def test_no_word_on_a_terminal_is_left_over(run, mine, few_runs, monkeypatch, asked):
-    monkeypatch.setattr(latency_part, "build_setting", lambda question, scene, **options: few_runs)
+    monkeypatch.setattr(
+        latency_part, "build_setting", lambda question, scene, **options: few_runs
+    )
     for path in mine:
         asked = asked.replace(path.stem.upper(), str(path))
     code, text, err = run(*asked.split(), "--language", "de", "--out", "out-1")
@@ -277,7 +311,9 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
         keep(pages, figure)
 
     monkeypatch.setattr(PdfPages, "savefig", savefig)
-    code, text, err = run("sheet", "--layout", mine[1], "--out", "s-1.pdf", "--language", "de")
+    code, text, err = run(
+        "sheet", "--layout", mine[1], "--out", "s-1.pdf", "--language", "de"
+    )
     assert code == 0, err
     assert len(texts) > 40
     assert not {text: left_over(text) for text in [*texts, text] if left_over(text)}
@@ -286,7 +322,8 @@ def test_no_word_of_a_sheet_is_left_over(run, mine, small_setting, monkeypatch):
 @pytest.mark.usefixtures("small_study")
 def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeypatch):
     asked = ("pareto", "--max", 1, "--quiet")
-    english, german = run(*asked), run(*asked, "--language", "de")
+    english = run(*asked)
+    german = run(*asked, "--language", "de")
     assert "The best of" in english[1]
     assert "Die besten von" in german[1]
     monkeypatch.setenv("PLACE_RSUS_LANGUAGE", "de")
@@ -304,9 +341,12 @@ def test_the_language_is_that_of_the_option_else_of_the_environment(run, monkeyp
     "asked",
     ["--budget 1 --refine --detector response", "--budget 2 --samples 2 --cars 0.3"],
 )
-def test_no_word_of_a_report_is_left_over(run, drawn, monkeypatch, small_setting, asked):
+def test_no_word_of_a_report_is_left_over(
+    run, drawn, monkeypatch, small_setting, asked
+):
     # Some runs are missed and one does not count; radio is bad, and tracks die.
-    axis, rule = small_setting.axis, small_setting.rule
+    axis = small_setting.axis
+    rule = small_setting.rule
     odd = replace(
         small_setting,
         axis=replace(axis, weight=np.array([0.0, 0.3, 0.3, 0.2, 0.1, 0.1])),
@@ -327,14 +367,24 @@ def test_what_the_packages_below_say_is_known():
     scene = load_study_scene()
     texts = [case.title for case in (load_cases() | load_unlaid_cases()).values()]
     texts += [worded_for(case, keeps_left=True).title for case in load_cases().values()]
-    names = [name for name in DETECTOR_NAMES if name != "cnn" or find_spec("onnxruntime")]
-    detectors = [load_detector(name) for name in [*names, *(f"geometric+{x}" for x in LIDAR_NAMES)]]
+    names = [
+        name for name in DETECTOR_NAMES if name != "cnn" or find_spec("onnxruntime")
+    ]
+    detectors = [
+        load_detector(name)
+        for name in [*names, *(f"geometric+{x}" for x in LIDAR_NAMES)]
+    ]
     texts += [one.description for one in detectors]
     listed = re.compile(", ".join(["[a-z_]+"] * 2) + "[a-z_, ]*")  # keys of its file
-    figures = [one.figures_words for one in detectors if isinstance(one, ResponseDetector)]
+    figures = [
+        one.figures_words for one in detectors if isinstance(one, ResponseDetector)
+    ]
     texts += [listed.sub("key_of_file", words) for words in figures]
     kinds = [*load_prices().kinds, "sign"]
-    sites = [replace(scene.sites[0], kind=kind, cost_eur=0.0) for kind in [*kinds, *kinds[1:]]]
+    sites = [
+        replace(scene.sites[0], kind=kind, cost_eur=0.0)
+        for kind in [*kinds, *kinds[1:]]
+    ]
     texts += assumed_prices(load_prices(), sites)
     texts += [*load_weathers(), *ARM_NAMES, *ROAD_USER_GROUPS, *VRU_CLASSES]
     texts += [objective.label for objective in Objective]
@@ -350,7 +400,9 @@ def test_words_of_scripts_are_in_the_page():
     literal = r'"((?:[^"\\]|\\.)*)"'
     calls = re.findall(r'say\(((?:[^"()]|"(?:[^"\\]|\\.)*")*)', scripts)
     asked = [text for text in re.findall(literal, " ".join(calls)) if text != r"\0"]
-    asked += [text for text in re.findall(literal, scripts) if re.search(r"\{\w+\}", text)]
+    asked += [
+        text for text in re.findall(literal, scripts) if re.search(r"\{\w+\}", text)
+    ]
     with speaking("de", Bracketed()):
         page = page_environment().get_template("words.html.j2").render()
     words = json.loads(re.search(r">(\{.*\})<", page)[1])
@@ -365,18 +417,28 @@ def test_no_word_of_the_planners_page_is_left_over():
         page = page_html()
     assert '<html lang="de">' in page
     keys = {*"lnop"}
-    assert not {text: words for text, words in visible_words(page).items() if set(words) - keys}
+    assert not {
+        text: words for text, words in visible_words(page).items() if set(words) - keys
+    }
 
 
 def test_scripts_of_the_planners_page_say_literals_and_nothing_else():
     """Each call of tr and trn is collected; no other literal has two words of a sentence."""
-    scripts = [path.read_text() for path in sorted((ROOT / "planner" / "page").glob("*.js"))]
-    code = re.sub(r"^ *//.*|(?<=[;{},]) // .*", "", "\n".join(scripts), flags=re.MULTILINE)
+    scripts = [
+        path.read_text() for path in sorted((ROOT / "planner" / "page").glob("*.js"))
+    ]
+    code = re.sub(
+        r"^ *//.*|(?<=[;{},]) // .*", "", "\n".join(scripts), flags=re.MULTILINE
+    )
     literal = r'"(?:[^"\\\n]|\\.)*"'
     left = re.sub(rf"\btr(n\({literal}, {literal}|\({literal})", "", code)
     assert not re.findall(r"\btrn?\(.*", left)
     assert len(page_messages()) > 200
-    phrases = [one for one in re.findall(literal, left) if re.search(r"[A-Za-z]{2} [a-z]{2}", one)]
+    phrases = [
+        one
+        for one in re.findall(literal, left)
+        if re.search(r"[A-Za-z]{2} [a-z]{2}", one)
+    ]
     assert set(phrases) <= {'"unit aim"', '"out of view"'}
 
 
@@ -388,14 +450,19 @@ def words_of(node):
         parts = (getattr(part, "value", None) for part in node.values)
         return "".join(part if isinstance(part, str) else "1" for part in parts)
     text = getattr(node, "value", None)
-    return text if isinstance(text, str) else None
+    if isinstance(text, str):
+        return text
+    return None
 
 
 def test_what_the_planner_refuses_is_known():
     texts = set()
     for path in sorted((ROOT / "planner").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            if isinstance(node, ast.Call):
+                called = getattr(node.func, "id", "")
+            else:
+                called = ""
             if called in ("InputError", "refuse"):
                 texts |= {*map(words_of, node.args)}
             elif isinstance(node, ast.Assign):
@@ -404,9 +471,17 @@ def test_what_the_planner_refuses_is_known():
                     "got",
                     "_EXPECTED",
                 )
-                texts |= {words_of(node.value)} if named else set()
+                if named:
+                    texts |= {words_of(node.value)}
+                else:
+                    texts |= set()
     texts -= {None}
-    options = {"--port", "--cars", "a free port", "blind or see: the page tells each run once"}
+    options = {
+        "--port",
+        "--cars",
+        "a free port",
+        "blind or see: the page tells each run once",
+    }
     options |= {"--tiles", "an address such as https://HOST/{z}/{x}/{y}.png"}
     assert options < texts  # of the command line, in English
     texts -= {*options, "0 to 1"}  # numbers of variants, which the page gives

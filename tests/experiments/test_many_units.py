@@ -34,7 +34,8 @@ def few(small_setting):
 
 
 def test_of_many_units_each_is_a_row_and_the_best_come_first(evaluation, few):
-    table, narrow = unit_apr_table("many", evaluation), unit_apr_table("few", few)
+    table = unit_apr_table("many", evaluation)
+    narrow = unit_apr_table("few", few)
     assert table.caption == "APR of each unit of many by itself, best first"
     assert len(narrow.columns) == MAX_UNIT_COLUMNS + 1
     assert table.columns == ["unit", *(row[0] for row in narrow.rows)]
@@ -74,7 +75,9 @@ def result_of(n_units):
 
 @pytest.mark.parametrize(("n_units", "n_left"), [(24, 0), (26, 2), (200, 176)])
 @pytest.mark.parametrize("out", [Path("out"), None])
-def test_a_terminal_shows_the_units_of_the_highest_apr_and_counts_the_rest(n_units, n_left, out):
+def test_a_terminal_shows_the_units_of_the_highest_apr_and_counts_the_rest(
+    n_units, n_left, out
+):
     text = answer_text(evaluation_parts(result_of(n_units), out), is_verbose=True)
     units = set(re.findall(r"unit/\d+", text))
     assert units == {f"unit/{index}" for index in range(n_units - 24, n_units)}
@@ -94,13 +97,17 @@ def test_a_plan_counts_units_at_each_place_where_labels_would_hide_all(small_set
             id=f"more {index}",
             site_id="",
             pose=Pose(
-                position_m=np.array([-127.0, 5.0, 6.0]), yaw_deg=90.0 * index, pitch_deg=-20.0
+                position_m=np.array([-127.0, 5.0, 6.0]),
+                yaw_deg=90.0 * index,
+                pitch_deg=-20.0,
             ),
             sensor=layout.units[0].sensor,
         )
         for index in range(4)
     ]
-    drawn = labels_of(plot_plan(small_setting, Layout(name="many", units=(*layout.units, *pole))))
+    drawn = labels_of(
+        plot_plan(small_setting, Layout(name="many", units=(*layout.units, *pole)))
+    )
     assert {"1\N{MULTIPLICATION SIGN}", "4\N{MULTIPLICATION SIGN}"} <= drawn
     assert not any(text.startswith("#") for text in drawn)
 
@@ -116,7 +123,9 @@ def test_units_that_look_the_same_way_from_one_pole_share_a_label(
         CandidatePose(
             id=unit_id,
             site_id="",
-            pose=Pose(position_m=unit.pose.position_m, yaw_deg=yaw_deg, pitch_deg=-20.0),
+            pose=Pose(
+                position_m=unit.pose.position_m, yaw_deg=yaw_deg, pitch_deg=-20.0
+            ),
             sensor=unit.sensor,
         )
         for unit_id, yaw_deg in (("a", 10.0), ("b", 10.0 + turn_deg))

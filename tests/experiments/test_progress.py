@@ -77,7 +77,13 @@ spin(1, 1)
 def test_each_stage_is_one_line_where_there_is_no_terminal(capsys):
     progress = StageProgress()
     progress.start(quiet=False)
-    for stage, done in (("read", 0), ("solve", 0), ("solve", 1), ("solve", 2), ("write", 0)):
+    for stage, done in (
+        ("read", 0),
+        ("solve", 0),
+        ("solve", 1),
+        ("solve", 2),
+        ("write", 0),
+    ):
         progress(stage, done, 2)
     assert capsys.readouterr() == ("", "read ...\nsolve ...\nwrite ...\n")
 
@@ -137,7 +143,9 @@ def test_signals_end_the_block_and_leave_the_handlers_as_they_were(signum):
     with pytest.raises(Interrupted) as caught, ending_on_signals(StageProgress()):
         signal.raise_signal(signum)
     assert caught.value.signum == signum
-    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [
+        signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)
+    ] == before
 
 
 def test_a_second_signal_does_not_disturb_the_tidying_up():
@@ -198,11 +206,14 @@ def test_signals_are_left_alone_outside_the_main_thread():
     ("prepare", "work"), [THREADS, SOLVER, KERNEL], ids=["threads", "solver", "kernel"]
 )
 def test_what_does_not_listen_is_ended(prepare, work, tmp_path):
-    script = tmp_path / "stuck.py"  # a file: machine code is kept by the file that it comes from
+    script = (
+        tmp_path / "stuck.py"
+    )  # a file: machine code is kept by the file that it comes from
     script.write_text(STUCK.format(prepare=prepare, work=work))
     process = subprocess.Popen(
         [sys.executable, str(script)],
-        env=os.environ | {"PYTHONPATH": str(Path.cwd()), "XDG_CACHE_HOME": str(tmp_path)},
+        env=os.environ
+        | {"PYTHONPATH": str(Path.cwd()), "XDG_CACHE_HOME": str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -225,7 +236,12 @@ def test_without_a_terminal_a_long_stage_says_how_far_it_is(monkeypatch, capsys)
     for done in range(3):
         progress("junctions", done, 3)
     progress.stop()
-    lines = ["junctions ...", "junctions: 0 of 3", "junctions: 1 of 3", "junctions: 2 of 3"]
+    lines = [
+        "junctions ...",
+        "junctions: 0 of 3",
+        "junctions: 1 of 3",
+        "junctions: 2 of 3",
+    ]
     assert capsys.readouterr().err.splitlines() == lines
     monkeypatch.setattr(progress_module, "LINE_EVERY_S", 60.0)
     progress = StageProgress()

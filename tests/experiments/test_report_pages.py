@@ -37,7 +37,11 @@ def browser():
 def addresses(small_setting, whole_placement, tmp_path_factory):
     """Reports of every kind, by name: files."""
     folder = tmp_path_factory.mktemp("reports")
-    common = {"compute": Compute(workers=2), "command": "place-rsus", "progress": StageProgress()}
+    common = {
+        "compute": Compute(workers=2),
+        "command": "place-rsus",
+        "progress": StageProgress(),
+    }
     units = load_carlancap_layout().units
     few = Layout(name="few", units=units[1:4])
     turned = replace(units[0].pose, yaw_deg=units[0].pose.yaw_deg + 180.0)
@@ -47,11 +51,14 @@ def addresses(small_setting, whole_placement, tmp_path_factory):
         question = Question()
         with blank_pictures():
             run_evaluation(question, layout=away, out=folder / "missed", **common)
-            asked, out = Question(samples=3), folder / "comparison"
+            asked = Question(samples=3)
+            out = folder / "comparison"
             run_comparison(asked, layouts=[few, away], out=out, **common)
     name = EVIL.replace("\u2028", "")
     setting = with_evil_names(small_setting)
-    layout = build_layout(200, name=name, ids=[f"{name}{index}" for index in range(200)])
+    layout = build_layout(
+        200, name=name, ids=[f"{name}{index}" for index in range(200)]
+    )
     evaluation = build_evaluation(setting, layout, share=0.05)
     result = build_result(name, layout_records(layout), runs=len(setting.runs))
     (folder / "many").mkdir()
@@ -67,7 +74,9 @@ def address(request, addresses):
 
 
 def texts(page, selector):
-    return [" ".join(text.split()) for text in page.locator(selector).all_text_contents()]
+    return [
+        " ".join(text.split()) for text in page.locator(selector).all_text_contents()
+    ]
 
 
 def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
@@ -77,12 +86,18 @@ def test_every_kind_is_small_and_tells_what_it_is_about(browser, addresses):
         with open_page(browser, path.as_uri()) as page:
             headings[kind] = texts(page, "h2")
             assert page.is_visible("#player-plan svg")
-    assert {"Why these poses", "What each unit buys", "Time and distance to spare"} <= set(
-        headings["placement"]
+    assert {
+        "Why these poses",
+        "What each unit buys",
+        "Time and distance to spare",
+    } <= set(headings["placement"])
+    assert {"Side by side", "If the world is not as planned"} <= set(
+        headings["comparison"]
     )
-    assert {"Side by side", "If the world is not as planned"} <= set(headings["comparison"])
     for kind in ("missed", "many"):
-        assert {"If a unit or a pole fails", "Time and distance to spare"} <= set(headings[kind])
+        assert {"If a unit or a pole fails", "Time and distance to spare"} <= set(
+            headings[kind]
+        )
         assert "Why these poses" not in headings[kind]
 
 
@@ -105,15 +120,19 @@ def test_on_a_phone_letters_are_large_contents_lead_everywhere_and_nothing_scrol
 def check_nothing_scrolls_sideways_even_if_all_is_unfolded(page):
     for _ in range(2):
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
-        page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-    # What is wider than the screen moves in a box of its own, which the tab key reaches. The
-    # page marks the boxes once it has laid them out: a busy machine takes a while.
+        page.evaluate(
+            "document.querySelectorAll('details').forEach((d) => { d.open = true; })"
+        )
+    # What is wider than the screen moves in a box of its own, which the tab key
+    # reaches. The page marks the boxes once it has laid them out: a busy machine takes
+    # a while.
     boxes = "[...document.querySelectorAll('.scroll')]"
     wide = f"{boxes}.filter((box) => box.scrollWidth > box.clientWidth + 1)"
     assert page.evaluate(f"{wide}.length") > 0
     page.wait_for_function(f"{wide}.every((box) => box.tabIndex === 0)", timeout=10_000)
     assert page.evaluate(
-        f"{wide}.every((box) => getComputedStyle(box).overflowX === 'auto' && box.ariaLabel)"
+        f"{wide}.every((box) => getComputedStyle(box).overflowX === 'auto' &&"
+        " box.ariaLabel)"
     )
 
 
@@ -152,9 +171,14 @@ def check_contents_lead_to_every_section(page):
         link.click()
         target = page.locator(f"{link.get_attribute('href')}")
         top = target.bounding_box()["y"]
-        at_end = page.evaluate("innerHeight + scrollY >= document.body.scrollHeight - 2")
+        at_end = page.evaluate(
+            "innerHeight + scrollY >= document.body.scrollHeight - 2"
+        )
         assert -1.0 <= top < 60.0 or (at_end and 0.0 <= top < 900.0)
-    assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
+    assert (
+        page.evaluate("getComputedStyle(document.documentElement).scrollBehavior")
+        == "auto"
+    )
 
 
 def test_a_link_to_a_folded_section_opens_it(browser, addresses):
@@ -164,7 +188,9 @@ def test_a_link_to_a_folded_section_opens_it(browser, addresses):
         assert page.locator("details.part:not([open])").count() > 4
 
 
-def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(browser, addresses):
+def test_the_first_screen_needs_no_script_and_is_on_the_first_screen(
+    browser, addresses
+):
     path = addresses["placement"]
     with open_page(browser, path.as_uri(), java_script_enabled=False) as page:
         lowest = page.locator(".overview").bounding_box()
@@ -267,10 +293,14 @@ CONTRASTS = """() => {
 
 def test_all_text_stands_out_from_what_is_behind_it(browser, addresses):
     with open_page(browser, addresses["placement"].as_uri()) as page:
-        page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+        page.evaluate(
+            "document.querySelectorAll('details').forEach((d) => { d.open = true; })"
+        )
         contrasts = page.evaluate(CONTRASTS)
     assert any("sort-head" in key for key in contrasts)
-    assert {key: ratio for key, ratio in contrasts.items() if ratio < LEAST_CONTRAST} == {}
+    assert {
+        key: ratio for key, ratio in contrasts.items() if ratio < LEAST_CONTRAST
+    } == {}
 
 
 def test_the_keyboard_enlarges_a_figure_and_comes_back(browser, addresses):
@@ -280,7 +310,9 @@ def test_the_keyboard_enlarges_a_figure_and_comes_back(browser, addresses):
         style = "getComputedStyle(document.activeElement)"
         page.keyboard.press("Shift+Tab")
         page.keyboard.press("Tab")
-        assert page.evaluate(f"{style}.outlineStyle") == "solid"  # one sees where one is
+        assert (
+            page.evaluate(f"{style}.outlineStyle") == "solid"
+        )  # one sees where one is
         page.keyboard.press("Enter")
         image = page.locator("dialog[open] img")
         assert image.bounding_box()["width"] == int(image.get_attribute("width")) > 1000
@@ -303,10 +335,14 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
     path = tmp_path / "report.pdf"
     address = addresses["placement"].as_uri()
     with open_page(browser, address, java_script_enabled=has_scripts) as page:
-        missing = set() if has_scripts else {"Watch a run"}
+        if has_scripts:
+            missing = set()
+        else:
+            missing = {"Watch a run"}
         headings = set(texts(page, "h2")) - missing
         page.evaluate(
-            "document.querySelectorAll('details.part').forEach((d) => { d.open = true; })"
+            "document.querySelectorAll('details.part').forEach((d) => { d.open ="
+            " true; })"
         )
         page.pdf(path=path, prefer_css_page_size=True)
         if has_scripts:  # the screen is as it was
@@ -325,7 +361,9 @@ def test_paper_has_every_section_and_what_was_folded_but_not_what_is_long(
         assert unwanted not in words
 
 
-def test_a_table_that_runs_over_a_page_has_its_heads_on_each(browser, addresses, tmp_path):
+def test_a_table_that_runs_over_a_page_has_its_heads_on_each(
+    browser, addresses, tmp_path
+):
     reader = shutil.which("pdftotext")
     if reader is None:
         pytest.skip("pdftotext is not installed")
@@ -336,5 +374,9 @@ def test_a_table_that_runs_over_a_page_has_its_heads_on_each(browser, addresses,
     printed = subprocess.run(
         [reader, "-layout", str(path), "-"], check=True, capture_output=True, text=True
     ).stdout
-    heads = [line for line in printed.splitlines() if line.split()[:3] == ["mark", "id", "site"]]
+    heads = [
+        line
+        for line in printed.splitlines()
+        if line.split()[:3] == ["mark", "id", "site"]
+    ]
     assert len(heads) >= 3

@@ -79,7 +79,10 @@ def test_a_setting_is_sent_to_the_second_process_once(small_setting):
     with side_process(True) as side:
         side.share(small_setting)
         side.share(small_setting)
-        tasks = [side.begin(f"{number}", _runs_of, small_setting, number) for number in range(3)]
+        tasks = [
+            side.begin(f"{number}", _runs_of, small_setting, number)
+            for number in range(3)
+        ]
         while not all(task._future.done() for task in tasks):
             time.sleep(0.01)
         found = [task.result() for task in tasks]

@@ -28,7 +28,8 @@ ZERO_M = 371.25
 
 def hillside(scene):
     """A scene whose ground rises by 8 % to the east and 3 % to the north, 0 in the middle."""
-    east, north = np.arange(-227.0, -26.0, 5.0), np.arange(-100.0, 101.0, 5.0)
+    east = np.arange(-227.0, -26.0, 5.0)
+    north = np.arange(-100.0, 101.0, 5.0)
     height_m = 0.08 * (east[None, :] + 127.0) + 0.03 * north[:, None]
     vertices, triangles = Terrain(east_m=east, north_m=north, height_m=height_m).mesh()
     names = [thing.class_name for thing in scene.instances]
@@ -36,9 +37,14 @@ def hillside(scene):
     return replace(
         scene,
         vertices_m=np.concatenate([vertices, scene.vertices_m]),
-        triangles=np.concatenate([triangles, scene.triangles[is_solid] + len(vertices)]),
+        triangles=np.concatenate(
+            [triangles, scene.triangles[is_solid] + len(vertices)]
+        ),
         triangle_instance=np.concatenate(
-            [np.full(len(triangles), names.index(GROUND)), scene.triangle_instance[is_solid]]
+            [
+                np.full(len(triangles), names.index(GROUND)),
+                scene.triangle_instance[is_solid],
+            ]
         ),
         zero_height_m=ZERO_M,
     )
@@ -75,12 +81,20 @@ def test_heights_are_those_above_the_ground_below(hill, layout):
 
 def test_a_unit_may_hang_below_the_height_of_the_middle_but_not_in_the_ground(hill):
     (unit,) = build_layout(1).units
-    low = replace(unit, pose=Pose(position_m=np.array([-200.0, -30.0, -1.0]), yaw_deg=0.0))
+    low = replace(
+        unit, pose=Pose(position_m=np.array([-200.0, -30.0, -1.0]), yaw_deg=0.0)
+    )
     check_layout(Layout(name="low", units=(low,)), hill)
-    with pytest.raises(InputError, match=r"unit 1.z_m: got -1\.0; expected a height above the ro"):
+    with pytest.raises(
+        InputError, match=r"unit 1.z_m: got -1\.0; expected a height above the ro"
+    ):
         check_layout(Layout(name="low", units=(low,)), load_study_scene())
-    buried = replace(unit, pose=Pose(position_m=np.array([-60.0, 0.0, 5.0]), yaw_deg=0.0))
-    with pytest.raises(InputError, match=r"unit 1.z_m: got -0\.36\d*; expected a height above"):
+    buried = replace(
+        unit, pose=Pose(position_m=np.array([-60.0, 0.0, 5.0]), yaw_deg=0.0)
+    )
+    with pytest.raises(
+        InputError, match=r"unit 1.z_m: got -0\.36\d*; expected a height above"
+    ):
         check_layout(Layout(name="buried", units=(buried,)), hill)
 
 
@@ -91,7 +105,9 @@ def test_a_scene_keeps_how_high_it_lies(hill, tmp_path):
     assert load_scene(str(tmp_path)).zero_height_m is None
 
 
-def test_tables_and_maps_have_heights_above_the_ground_and_those_of_the_map(hill, layout):
+def test_tables_and_maps_have_heights_above_the_ground_and_those_of_the_map(
+    hill, layout
+):
     z_m = [unit.pose.position_m[2] for unit in layout.units]
     table = pd.DataFrame(placed_records(layout, hill))
     assert table["height_m"].to_numpy() == pytest.approx(6.0, abs=1e-3)
@@ -117,7 +133,9 @@ def test_globes_are_told_heights_above_the_ground(hill, layout):
 def test_messages_count_from_the_ground_below_the_station(hill, layout):
     stations = json.loads(to_cpm(layout, hill))["stations"]
     for station in stations:
-        (sensor,) = station["messages"][0]["payload"]["cpmContainers"][1]["containerData"]
+        (sensor,) = station["messages"][0]["payload"]["cpmContainers"][1][
+            "containerData"
+        ]
         offset = sensor["perceptionRegionShape"]["radial"]["shapeReferencePoint"]
         assert offset["zCoordinate"] == pytest.approx(600, abs=1)
 
@@ -125,16 +143,18 @@ def test_messages_count_from_the_ground_below_the_station(hill, layout):
 ON_ELLIPSOID = "+proj=utm +zone=32 +datum=WGS84 +units=m +vunits=m +no_defs"
 
 
-def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(hill, layout):
+def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(
+    hill, layout
+):
     """The ground rises by 8 % to the east and by 3 % to the north of 371.25 m."""
     measured = replace(hill, source_crs=ON_ELLIPSOID)
     stations = json.loads(to_cpm(layout, measured))["stations"]
     feet_m = {unit.id: unit.pose.position_m[:2] for unit in layout.units}
     for station in stations:
         east_m, north_m = np.mean([feet_m[name] for name in station["units"]], axis=0)
-        altitude = station["messages"][0]["payload"]["managementContainer"]["referencePosition"][
-            "altitude"
-        ]
+        altitude = station["messages"][0]["payload"]["managementContainer"][
+            "referencePosition"
+        ]["altitude"]
         expected_m = ZERO_M + 0.08 * (east_m + 127.0) + 0.03 * north_m
         assert altitude["altitudeValue"] == pytest.approx(100.0 * expected_m, abs=1.0)
         assert altitude["altitudeConfidence"] == "unavailable"
@@ -153,7 +173,9 @@ def test_messages_have_an_altitude_where_the_map_counts_from_the_ellipsoid(hill,
 )
 def test_messages_without_a_known_altitude_say_so(hill, layout, changes, value):
     (station, *_) = json.loads(to_cpm(layout, replace(hill, **changes)))["stations"]
-    place = station["messages"][0]["payload"]["managementContainer"]["referencePosition"]
+    place = station["messages"][0]["payload"]["managementContainer"][
+        "referencePosition"
+    ]
     assert place["altitude"]["altitudeValue"] == value
 
 

@@ -14,8 +14,12 @@ from limited_reading import Process
 
 from geometry.scene_files import SCENE_FILE, THINGS_FILE
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
-NOISE = np.random.default_rng(1).bytes(600_000)  # beside it the rest looks honest: 1 to 180
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="limits of memory are Linux's"
+)
+NOISE = np.random.default_rng(1).bytes(
+    600_000
+)  # beside it the rest looks honest: 1 to 180
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +41,9 @@ def zeros(n_bytes: int, head: bytes = b"") -> Callable[[zipfile.ZipFile, str], N
     return write
 
 
-def pack(path: Path, members: dict[str, Callable[[zipfile.ZipFile, str], None] | bytes]) -> Path:
+def pack(
+    path: Path, members: dict[str, Callable[[zipfile.ZipFile, str], None] | bytes]
+) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, content in members.items():
             if isinstance(content, bytes):
@@ -49,10 +55,16 @@ def pack(path: Path, members: dict[str, Callable[[zipfile.ZipFile, str], None] |
 
 def glb(n_bytes: int) -> bytes:
     """The head of a mesh file with so many bytes of data."""
-    text = json.dumps({"asset": {"version": "2.0"}, "buffers": [{"byteLength": n_bytes}]}).encode()
+    text = json.dumps(
+        {"asset": {"version": "2.0"}, "buffers": [{"byteLength": n_bytes}]}
+    ).encode()
     text += b" " * (-len(text) % 4)
     whole = 12 + 8 + len(text) + 8 + n_bytes
-    head = struct.pack("<4sII", b"glTF", 2, whole) + struct.pack("<I4s", len(text), b"JSON") + text
+    head = (
+        struct.pack("<4sII", b"glTF", 2, whole)
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+    )
     return head + struct.pack("<I4s", n_bytes, b"BIN\0")
 
 
@@ -85,7 +97,9 @@ def shifted_roofs(path: Path) -> Path:
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.01] * 3, [390_000.0, 5_819_000.0, 35.0]
     las = laspy.LasData(header)
-    x, y = (axis.ravel() for axis in np.meshgrid(0.25 * np.arange(60), 0.25 * np.arange(60)))
+    x, y = (
+        axis.ravel() for axis in np.meshgrid(0.25 * np.arange(60), 0.25 * np.arange(60))
+    )
     roof = np.column_stack([x, y, np.full(len(x), 6000.0)])
     ground = np.column_stack([x * 2.0 - 8.0, y * 2.0 - 8.0, np.zeros(len(x))])
     las.x, las.y, las.z = (np.concatenate([roof, ground]) + header.offsets).T
@@ -99,11 +113,18 @@ def shifted_roofs(path: Path) -> Path:
     [
         (scene_of_toml, "a.zip", "scenes", "more than 20,000,000 bytes"),
         (scene_of_mesh, "a.zip", "scenes", "more than 300,000,000 bytes"),
-        (instance, "a.npz", "placement problems", "the budget of everything that is packed"),
+        (
+            instance,
+            "a.npz",
+            "placement problems",
+            "the budget of everything that is packed",
+        ),
         (shifted_roofs, "a.laz", "things", "walls of 86,403,600 voxels"),
     ],
 )
-def test_what_unpacks_to_gigabytes_is_refused(process, tmp_path, make, name, reader, message):
+def test_what_unpacks_to_gigabytes_is_refused(
+    process, tmp_path, make, name, reader, message
+):
     path = make(tmp_path / name)
     assert path.stat().st_size < 8_000_000
     answer = process.ask(reader, path)

@@ -126,22 +126,29 @@ def test_private_ground_that_lies_nowhere(tmp_path, vertex):
     polygon = {"type": "Polygon", "coordinates": [ring]}
     feature = {"type": "Feature", "properties": {}, "geometry": polygon}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    assert "coordinates that cannot be" in refusal(load_private_ground, path, load_scene())
+    assert "coordinates that cannot be" in refusal(
+        load_private_ground, path, load_scene()
+    )
 
 
 def test_point_clouds_whose_roofs_are_kilometres_high():
     columns = np.arange(1, 40, dtype=np.int64)
-    cells = np.stack([columns, columns, np.full(39, voxels.MAX_VOXELS_PER_AXIS)], axis=1)
+    cells = np.stack(
+        [columns, columns, np.full(39, voxels.MAX_VOXELS_PER_AXIS)], axis=1
+    )
     message = refusal(voxels.columns_to, np.sort(voxels.to_keys(cells)), 1, "roofs.las")
-    assert message.startswith("roofs.las: got walls of 40,894,386 voxels; expected at most ")
+    assert message.startswith(
+        "roofs.las: got walls of 40,894,386 voxels; expected at most "
+    )
 
 
 def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
     path = tmp_path / "instance.npz"
     np.savez_compressed(path, kind="x", packed=np.zeros(2_000_000, dtype=np.uint8))
     monkeypatch.setattr("geometry.untrusted_files.MAX_UNPACKED_BYTES", 1_000_000)
-    assert "bytes or more when unpacked; expected at most 1,000,000, the budget" in refusal(
-        load_problem, path
+    assert (
+        "bytes or more when unpacked; expected at most 1,000,000, the budget"
+        in refusal(load_problem, path)
     )
 
 
@@ -166,7 +173,9 @@ READERS = {
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
-@pytest.mark.parametrize("suffix", [".toml", ".json", ".zip", ".osm", ".geojson", ".xodr", ".las"])
+@pytest.mark.parametrize(
+    "suffix", [".toml", ".json", ".zip", ".osm", ".geojson", ".xodr", ".las"]
+)
 @pytest.mark.parametrize("reader", READERS)
 def test_a_pipe_keeps_nobody_waiting(tmp_path, reader, suffix):
     path = tmp_path / f"pipe{suffix}"
@@ -183,7 +192,9 @@ def test_a_pipe_in_a_recording_keeps_nobody_waiting(tmp_path):
 
 
 def test_names_of_any_length_and_with_line_breaks_stay_one_line():
-    error = InputError("scene.toml: " + "x" * 10_000 + "\n", "a\nb", "a name\nof one line")
+    error = InputError(
+        "scene.toml: " + "x" * 10_000 + "\n", "a\nb", "a name\nof one line"
+    )
     assert "\n" not in str(error)
     assert len(str(error)) < 700
 
@@ -213,9 +224,10 @@ def test_an_unexpected_error_is_one_line_and_a_file(crash, tmp_path):
     code, told = crash("--budget", "3")
     (kept,) = tmp_path.glob("place-rsus-error-*.txt")
     assert code == 70
-    assert told == (
-        "place-rsus: unexpected error in stage 'start': ZeroDivisionError: a fault of ours; "
-        f"nothing was written. Please report it, with {kept}\n"
+    assert (
+        told
+        == "place-rsus: unexpected error in stage 'start': ZeroDivisionError: a fault"
+        f" of ours; nothing was written. Please report it, with {kept}\n"
     )
     assert "Traceback" in kept.read_text()
 

@@ -23,7 +23,9 @@ from readers import READERS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("geometry", "scenarios", "placement", "experiments")
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="limits of memory are Linux's"
+)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,9 @@ def complaint(answer: dict[str, str]) -> str:
     """What is wrong with an answer; empty: it is as it should be."""
     if answer["outcome"] == "failed":
         return answer["text"]
-    if answer["outcome"] == "refused" and ("\n" in answer["text"] or len(answer["text"]) > 3000):
+    if answer["outcome"] == "refused" and (
+        "\n" in answer["text"] or len(answer["text"]) > 3000
+    ):
         return f"no line for people: {answer['text'][:3000]}"
     return ""
 
@@ -51,7 +55,11 @@ def seconds(request: pytest.FixtureRequest) -> float:
 
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused(
-    name: str, process: Process, seconds: float, request: pytest.FixtureRequest, tmp_path: Path
+    name: str,
+    process: Process,
+    seconds: float,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
 ) -> None:
     seeds = READERS[name].seeds()
     for kind, (entry, files) in seeds.items():
@@ -61,7 +69,8 @@ def test_damaged_files_are_read_or_refused(
     rng = random.Random(f"{seed} {name}")
     kept = Path(request.config.getoption("--fuzz-keep") or tmp_path / "kept")
     found: dict[str, str] = {}
-    n_tried, end_s = 0, time.monotonic() + seconds * READERS[name].share
+    n_tried = 0
+    end_s = time.monotonic() + seconds * READERS[name].share
     while time.monotonic() < end_s or n_tried < len(seeds):
         kind = list(seeds)[n_tried % len(seeds)]
         n_tried += 1
@@ -76,7 +85,9 @@ def test_damaged_files_are_read_or_refused(
             found[last] = f"{kind}: {changed}\n{words}"
             digest = hashlib.sha256(spoilt[changed]).hexdigest()[:12]
             put(kept / name.replace(" ", "-") / digest, spoilt, entry)
-    assert not found, f"{n_tried} files tried, kept in {kept}:\n\n" + "\n\n".join(found.values())
+    assert not found, f"{n_tried} files tried, kept in {kept}:\n\n" + "\n\n".join(
+        found.values()
+    )
 
 
 TEXTS = (
@@ -101,7 +112,10 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
 
     @given(data=st.data())
     @settings(
-        max_examples=15, database=None, suppress_health_check=list(HealthCheck), derandomize=True
+        max_examples=15,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+        derandomize=True,
     )
     def read(data: st.DataObject) -> None:
         entry, files = seeds[data.draw(st.sampled_from(sorted(seeds)))]
@@ -125,10 +139,14 @@ NO_USERS_FILES = {
     "geometry.untrusted_files.open_parquet": "within readers of results",
     "experiments.city.inputs.load_city": "maps, by read_map",
     "experiments.city.inputs.load_existing": "layouts, by load_layout",
-    "experiments.perception_lab.training.crops.load_crops": "written by the training itself",
+    "experiments.perception_lab.training.crops.load_crops": (
+        "written by the training itself"
+    ),
     "geometry.actors.read_actors": "facts of the package",
     "geometry.scene_files.pack_scene": "writes",
-    "placement.detectors.network.load_onnx_model": "a network is a program: SECURITY.md",
+    "placement.detectors.network.load_onnx_model": (
+        "a network is a program: SECURITY.md"
+    ),
     "geometry.untrusted_files.unpacked": "tests/geometry/test_archives.py",
     "geometry.untrusted_files.check_gltf": "within read_mesh and load_scene",
     "geometry.untrusted_files.check_pbf": "within read_elements",
@@ -146,7 +164,9 @@ _VERBS = (
 
 def _takes_a_path(function: ast.FunctionDef) -> bool:
     arguments = [*function.args.args, *function.args.kwonlyargs][:1]
-    return any("Path" in ast.unparse(one.annotation) for one in arguments if one.annotation)
+    return any(
+        "Path" in ast.unparse(one.annotation) for one in arguments if one.annotation
+    )
 
 
 def test_every_reader_is_registered() -> None:
@@ -181,5 +201,8 @@ def test_every_registered_reader_exists() -> None:
         for name in reader.covers:
             module, _, function = name.rpartition(".")
             path = ROOT / module.replace(".", "/")
-            path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            if path.is_dir():
+                path = path / "__init__.py"
+            else:
+                path = path.with_suffix(".py")
             assert function in _functions_of(path), name

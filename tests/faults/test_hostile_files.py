@@ -49,18 +49,48 @@ def _change_toml(folder: Path, key: str, value: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("centreline_m", "[[1e9, 0.0], [9.0, 1.0]]", r"centreline_m\[0\]: got \[1\S+, 0.0\]; "),
-        ("centreline_m", "[[9.0, 0.0], [-1e200, 1.0]]", rf"centreline_m\[1\]: .* expected {FAR}"),
+        (
+            "centreline_m",
+            "[[1e9, 0.0], [9.0, 1.0]]",
+            r"centreline_m\[0\]: got \[1\S+, 0.0\]; ",
+        ),
+        (
+            "centreline_m",
+            "[[9.0, 0.0], [-1e200, 1.0]]",
+            rf"centreline_m\[1\]: .* expected {FAR}",
+        ),
         ("width_m", "1e-300", r"width_m: got 1e-300; expected 0\.5 to 30 metres"),
         ("width_m", "30.5", r"width_m: got 30\.5; expected 0\.5 to 30 metres"),
-        ("position_m", "[0.0, 1e9, 0.0]", rf"position_m: got \[0.0, 1\S+, 0.0\]; expected {FAR}"),
-        ("ends_m", "[[1.0, 2.0], [1e9, 2.0]]", rf"crosswalks_m\[0\]\[1\]: .* expected {FAR}"),
-        ("ends_m", "[[-150, 10], [150, 10]]", "got 300 metres from end to end; expected at most"),
-        ("outline_m", "[[0, 0], [1e9, 0], [0, 9]]", rf"outline_m\[1\]: .* expected {FAR}"),
-        ("height_range_m", "[2.0, 1e9]", "expected .*low, high.* 0 < low <= high <= 10,000"),
+        (
+            "position_m",
+            "[0.0, 1e9, 0.0]",
+            rf"position_m: got \[0.0, 1\S+, 0.0\]; expected {FAR}",
+        ),
+        (
+            "ends_m",
+            "[[1.0, 2.0], [1e9, 2.0]]",
+            rf"crosswalks_m\[0\]\[1\]: .* expected {FAR}",
+        ),
+        (
+            "ends_m",
+            "[[-150, 10], [150, 10]]",
+            "got 300 metres from end to end; expected at most",
+        ),
+        (
+            "outline_m",
+            "[[0, 0], [1e9, 0], [0, 9]]",
+            rf"outline_m\[1\]: .* expected {FAR}",
+        ),
+        (
+            "height_range_m",
+            "[2.0, 1e9]",
+            "expected .*low, high.* 0 < low <= high <= 10,000",
+        ),
     ],
 )
-def test_a_scene_with_a_size_that_no_junction_has_is_refused(folder, key, value, message):
+def test_a_scene_with_a_size_that_no_junction_has_is_refused(
+    folder, key, value, message
+):
     _change_toml(folder, key, value)
     with pytest.raises(InputError, match=message) as refused:
         load_scene_folder(folder)
@@ -70,7 +100,9 @@ def test_a_scene_with_a_size_that_no_junction_has_is_refused(folder, key, value,
 def test_a_lane_with_too_many_points_is_refused(folder):
     points = [[0.001 * index, 0.0] for index in range(10_001)]
     _change_toml(folder, "centreline_m", str(points))
-    with pytest.raises(InputError, match="centreline_m: got 10,001 of them; expected at most 10,"):
+    with pytest.raises(
+        InputError, match="centreline_m: got 10,001 of them; expected at most 10,"
+    ):
         load_scene_folder(folder)
 
 
@@ -78,7 +110,9 @@ def test_a_scene_with_too_many_crosswalks_is_refused(folder):
     path = folder / SCENE_FILE
     more = "\n[[crosswalks]]\nends_m = [[-3.5, 10.0], [3.5, 10.0]]\n" * 501
     path.write_text(path.read_text() + more)
-    with pytest.raises(InputError, match=r"crosswalks_m: got .* of them; expected at most 500"):
+    with pytest.raises(
+        InputError, match=r"crosswalks_m: got .* of them; expected at most 500"
+    ):
         load_scene_folder(folder)
 
 
@@ -86,7 +120,9 @@ def test_lanes_that_go_to_and_fro_without_end_are_refused():
     scene = load_study_scene()
     there_and_back_m = np.array([[-9_000.0, 0.0], [9_000.0, 0.0]] * 40)
     lane = dataclasses.replace(scene.lanes[0], centreline_m=there_and_back_m)
-    with pytest.raises(InputError, match="lanes: got 1,422,000 metres of them; expected at most"):
+    with pytest.raises(
+        InputError, match="lanes: got 1,422,000 metres of them; expected at most"
+    ):
         dataclasses.replace(scene, lanes=(lane,))
 
 
@@ -108,7 +144,9 @@ def test_a_scenes_mesh_with_data_in_another_file_is_refused(folder, kind, name):
     os.mkfifo(folder / "fifo")
     (folder / "other.bin").write_bytes(bytes(1000))
     _add_to_glb(folder / THINGS_FILE, {kind: [{"byteLength": 984, "uri": name}]})
-    with pytest.raises(InputError, match=rf"{kind}\[0\]\.uri: got .* all data in the file itself"):
+    with pytest.raises(
+        InputError, match=rf"{kind}\[0\]\.uri: got .* all data in the file itself"
+    ):
         load_scene_folder(folder)
 
 
@@ -133,7 +171,9 @@ def test_a_gltf_opens_plain_files_of_its_folder_alone(tmp_path, name, message):
     (tmp_path / "link").symlink_to("/dev/zero")
     (tmp_path / "folder").mkdir()
     path = tmp_path / "house.gltf"
-    path.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": name}]}))
+    path.write_text(
+        json.dumps({"asset": {"version": "2.0"}, "buffers": [{"uri": name}]})
+    )
     with pytest.raises(InputError, match=message):
         read_mesh(path)
 
@@ -154,10 +194,12 @@ def test_all_buffers_of_a_gltf_have_the_size_of_one_mesh(tmp_path, monkeypatch):
         ("a.obj", "mtllib fifo\nusemtl x\nv 0 0 0\nv 5 0 0\nv 0 5 0\nf 1 2 3\n"),
         (
             "a.ply",
-            "ply\nformat ascii 1.0\ncomment TextureFile fifo\nelement vertex 3\n"
-            "property float x\nproperty float y\nproperty float z\nelement face 1\n"
-            "property list uchar int vertex_indices\nend_header\n"
-            "0 0 0\n5 0 0\n0 5 0\n3 0 1 2\n",
+            (
+                "ply\nformat ascii 1.0\ncomment TextureFile fifo\nelement vertex 3\n"
+                "property float x\nproperty float y\nproperty float z\nelement face 1\n"
+                "property list uchar int vertex_indices\nend_header\n"
+                "0 0 0\n5 0 0\n0 5 0\n3 0 1 2\n"
+            ),
         ),
     ],
 )
@@ -176,24 +218,35 @@ def test_a_packed_point_cloud_out_of_too_few_bytes_is_not_unpacked(tmp_path):
     cloud.z = np.zeros(400_000)
     cloud.write(path)
     assert path.stat().st_size < 50_000
-    with pytest.raises(InputError, match="at most 200 times as many"), open_points(path):
+    with (
+        pytest.raises(InputError, match="at most 200 times as many"),
+        open_points(path),
+    ):
         pass
 
 
 @pytest.mark.parametrize("hidden", ["\u00ad", "\u200b", "\u2060", "\u00a0", "\u202e"])
-def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(tmp_path, hidden):
+def test_a_character_that_nobody_sees_in_a_sites_id_is_refused_at_reading(
+    tmp_path, hidden
+):
     path = tmp_path / "poles.csv"
     path.write_text(f"id,x,y\nLP{hidden}12,1,2\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"):
+    with pytest.raises(
+        InputError, match=r"poles\.csv: line 2: id: got .*; expected printable"
+    ):
         read_sites(path, crs="")
 
 
-def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading(tmp_path):
+def test_a_character_that_nobody_sees_in_a_site_of_geojson_is_refused_at_reading(
+    tmp_path,
+):
     path = tmp_path / "poles.geojson"
     point = {"type": "Point", "coordinates": [10.0, 48.0]}
     feature = {"type": "Feature", "geometry": point, "properties": {"id": "a\u00adb"}}
     path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-    with pytest.raises(InputError, match=r"poles\.geojson: .*: id: got .*; expected printable"):
+    with pytest.raises(
+        InputError, match=r"poles\.geojson: .*: id: got .*; expected printable"
+    ):
         read_sites(path, crs="EPSG:32632")
 
 
@@ -211,7 +264,9 @@ def test_names_of_a_map_lose_what_nobody_sees():
 @pytest.mark.parametrize("key", ["name", "id", "kind"])
 def test_a_character_that_nobody_sees_in_a_scenes_ids_is_refused(folder, key):
     _change_toml(folder, key, '"a\u200bb"')
-    with pytest.raises(InputError, match=rf"scene\.toml: .*{key}: got .*; expected printable text"):
+    with pytest.raises(
+        InputError, match=rf"scene\.toml: .*{key}: got .*; expected printable text"
+    ):
         load_scene_folder(folder)
 
 
@@ -226,7 +281,10 @@ def test_a_fault_while_results_are_written_keeps_its_own_words(tmp_path):
     with pytest.raises(InputError) as refused:
         _fail_while_writing(tmp_path / "out", fault)
     kept = tmp_path / "out.unfinished"
-    words = "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is kept in"
+    words = (
+        "lane 3.width_m: got 0.0; expected 0.5 to 30 metres; what was computed is"
+        " kept in"
+    )
     assert str(refused.value) == f"{words} {kept}"
 
 
@@ -272,7 +330,9 @@ def test_each_hostile_scene_is_answered_in_one_line(path, tmp_path):
 
 @pytest.mark.skipif(not HOSTILE.is_dir(), reason="the hostile files are not here")
 def test_the_hostile_lists_and_clouds_are_refused_at_reading():
-    with pytest.raises(InputError, match=r"line 2: id: got .*; expected printable text"):
+    with pytest.raises(
+        InputError, match=r"line 2: id: got .*; expected printable text"
+    ):
         read_sites(HOSTILE / "poles_nbsp.csv", crs="EPSG:32633")
     packed = open_points(HOSTILE / "grid20M.laz")
     with pytest.raises(InputError, match="at most 200 times as many"), packed:

@@ -22,7 +22,9 @@ from geometry.maps.gis_files import read_features
 from geometry.scene import Site
 from geometry.untrusted_files import open_parquet
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of Unix")
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "mkfifo"), reason="pipes and devices of Unix"
+)
 
 
 def make_pipe(path: Path) -> None:
@@ -73,12 +75,16 @@ def test_nothing_but_a_regular_file_is_written_over(tmp_path, monkeypatch, make)
     path = Path("a.json")
     make(path)
     before = identity(path)
-    with pytest.raises(FileExistsError, match=f"{KINDS[make]}, no regular file: 'a.json'"):
+    with pytest.raises(
+        FileExistsError, match=f"{KINDS[make]}, no regular file: 'a.json'"
+    ):
         write_atomically(path, b"ours")
     with pytest.raises(InputError) as caught:
         check_target(path)
-    assert str(caught.value) == (
-        f"a.json: got {KINDS[make]}; expected a regular file's name, or one that is free"
+    assert (
+        str(caught.value)
+        == f"a.json: got {KINDS[make]}; expected a regular file's name, or one that is"
+        " free"
     )
     assert identity(path) == before
     assert not Path("nowhere").exists()
@@ -92,7 +98,9 @@ def test_devices_are_not_written_over(name):
     assert stat.S_ISCHR(os.lstat(name).st_mode)
 
 
-@pytest.mark.parametrize("make", [make_pipe, make_socket, make_dangling, make_loop, Path.mkdir])
+@pytest.mark.parametrize(
+    "make", [make_pipe, make_socket, make_dangling, make_loop, Path.mkdir]
+)
 def test_nothing_but_a_regular_file_is_read(tmp_path, monkeypatch, make):
     monkeypatch.chdir(tmp_path)
     make(Path("a.json"))
@@ -111,7 +119,10 @@ def test_the_program_keeps_devices(option, capsys):
     with pytest.raises(SystemExit) as ended:
         program.main([*option.split(), "/dev/full"])
     assert ended.value.code == 2
-    assert "--out: got /dev/full: a device, no regular file; expected" in capsys.readouterr().err
+    assert (
+        "--out: got /dev/full: a device, no regular file; expected"
+        in capsys.readouterr().err
+    )
     assert stat.S_ISCHR(os.lstat("/dev/full").st_mode)
 
 
@@ -123,7 +134,9 @@ def test_a_parquet_file_of_ten_million_rows(tmp_path):
     pd.DataFrame({"a": np.zeros(10_000_000)}).to_parquet(path)
     assert path.stat().st_size < 50_000
     with (
-        pytest.raises(InputError, match=r"80,0\d\d,\d{3} bytes or more out of .* 200 times"),
+        pytest.raises(
+            InputError, match=r"80,0\d\d,\d{3} bytes or more out of .* 200 times"
+        ),
         open_parquet(path, max_bytes=10**6, expected="a table"),
     ):
         pass
@@ -140,8 +153,10 @@ def test_a_long_text_that_is_repeated_stays_one(tmp_path):
 @pytest.mark.parametrize(
     "made",
     [
-        "CREATE VIEW roofs AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x FROM c) "
-        "SELECT x FROM c",
+        (
+            "CREATE VIEW roofs AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x"
+            " FROM c) SELECT x FROM c"
+        ),
         "CREATE TABLE roofs (a, b AS (zeroblob(1000000000)))",
         "CREATE VIRTUAL TABLE roofs USING fts5(a)",
     ],
@@ -151,19 +166,24 @@ def test_geopackages_that_compute_what_they_hold(tmp_path, made):
     with sqlite3.connect(path) as database:
         database.execute(made)
     database.close()
-    with pytest.raises(InputError, match="got roofs, a view or a table with computed columns"):
+    with pytest.raises(
+        InputError, match="got roofs, a view or a table with computed columns"
+    ):
         read_features(path)
 
 
 def test_a_pipe_in_place_of_a_shapefile_s_table(tmp_path):
     (tmp_path / "a.shp").write_bytes(b"\0\0\x27\x0a" + bytes(96))
     os.mkfifo(tmp_path / "a.dbf")
-    with pytest.raises(InputError, match=r"a\.dbf: got a pipe; expected a regular file"):
+    with pytest.raises(
+        InputError, match=r"a\.dbf: got a pipe; expected a regular file"
+    ):
         read_features(tmp_path / "a.shp")
 
 
 @pytest.mark.parametrize(
-    "text", ["+init=/tmp/pipe:1", "+proj=longlat +nadgrids=@/dev/zero", "../x", "/dev/zero:1"]
+    "text",
+    ["+init=/tmp/pipe:1", "+proj=longlat +nadgrids=@/dev/zero", "../x", "/dev/zero:1"],
 )
 def test_reference_systems_name_no_files(text):
     from pyproj.exceptions import CRSError
@@ -179,12 +199,26 @@ def test_sensors_and_sites_have_bounds(camera):
     from dataclasses import replace
 
     lidar = next(iter(load_lidars().values()))
-    pole = {"id": "a", "position_m": [0, 0, 0], "kind": "lamp post", "height_range_m": [3, 8]}
+    pole = {
+        "id": "a",
+        "position_m": [0, 0, 0],
+        "kind": "lamp post",
+        "height_range_m": [3, 8],
+    }
     for make, message in (
-        (lambda: replace(camera, width_px=10**9), "1000000000 times .* at most 100,000,000"),
-        (lambda: replace(lidar, points_per_second=1e12), "at most 10,000,000 points per frame"),
+        (
+            lambda: replace(camera, width_px=10**9),
+            "1000000000 times .* at most 100,000,000",
+        ),
+        (
+            lambda: replace(lidar, points_per_second=1e12),
+            "at most 10,000,000 points per frame",
+        ),
         (lambda: Site(**pole, capacity_units=10**30), "a whole number, 1 to 1,000"),
-        (lambda: Site(**pole, capacity_units=1, cost_eur=1e308), "euros, 0 to 1,000,000,000"),
+        (
+            lambda: Site(**pole, capacity_units=1, cost_eur=1e308),
+            "euros, 0 to 1,000,000,000",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             make()
@@ -205,23 +239,53 @@ def refusal(capsys, *arguments: str) -> str:
     ("arguments", "message"),
     [
         ("--least cost", "--least: got it without --target; expected both"),
-        ("--uncertainty none", "--uncertainty: got it without --samples; expected both"),
+        (
+            "--uncertainty none",
+            "--uncertainty: got it without --samples; expected both",
+        ),
         ("--uncertainty none --samples 0", "--uncertainty: got it without --samples"),
         ("--traffic sumo", "--traffic: got it without --samples; expected both"),
         ("--risk worst", "--risk: got it without --samples; expected both"),
-        ("--no-look-share 0.1", "--no-look-share: got it without --no-look; expected both"),
+        (
+            "--no-look-share 0.1",
+            "--no-look-share: got it without --no-look; expected both",
+        ),
         ("--force", "--force: got it without --speeds; expected both"),
         (
             "--junction a",
-            "--junction: got it with the study's junction; expected --scene FILE, a map with roads",
+            (
+                "--junction: got it with the study's junction; expected --scene FILE, a"
+                " map with roads"
+            ),
         ),
-        ("--sensors a --within carlancap-12", "--sensors: got it beside --within; expected one"),
-        ("--forbid-site=", "--forbid-site: got nothing; expected a value, or no --forbid-site"),
-        ("--vut-sensors camera,camera", "--vut-sensors: got 'camera,camera'; expected names with"),
-        ("--force-site a,,b", "--force-site: got 'a,,b'; expected names with commas between"),
-        ("--deceleration 1e-300", "--deceleration: got 1e-300; expected a number, 1 to 15"),
-        ("--brake-build-up 1e308", "--brake-build-up: got 1e+308; expected a number, 0 to 2"),
-        ("--site-capacity 1000000000000000000000", "expected units per site, 1 to 1,000"),
+        (
+            "--sensors a --within carlancap-12",
+            "--sensors: got it beside --within; expected one",
+        ),
+        (
+            "--forbid-site=",
+            "--forbid-site: got nothing; expected a value, or no --forbid-site",
+        ),
+        (
+            "--vut-sensors camera,camera",
+            "--vut-sensors: got 'camera,camera'; expected names with",
+        ),
+        (
+            "--force-site a,,b",
+            "--force-site: got 'a,,b'; expected names with commas between",
+        ),
+        (
+            "--deceleration 1e-300",
+            "--deceleration: got 1e-300; expected a number, 1 to 15",
+        ),
+        (
+            "--brake-build-up 1e308",
+            "--brake-build-up: got 1e+308; expected a number, 0 to 2",
+        ),
+        (
+            "--site-capacity 1000000000000000000000",
+            "expected units per site, 1 to 1,000",
+        ),
         (
             "--yaw-step 1e-9",
             "--yaw-step: got '1e-9'; expected degrees that divide 360 evenly, at lea",
@@ -245,7 +309,9 @@ def test_an_unknown_reference_system_of_private_ground(tmp_path, capsys):
         )
     )
     told = refusal(capsys, "--budget", "3", "--quiet", "--no-look", str(path))
-    assert told.endswith("crs: got 'EPSG:nonsense'; expected one that pyproj knows, or none")
+    assert told.endswith(
+        "crs: got 'EPSG:nonsense'; expected one that pyproj knows, or none"
+    )
 
 
 def test_too_little_memory_is_one_line(monkeypatch, capsys):
@@ -253,13 +319,16 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
         raise MemoryError
 
     monkeypatch.setattr("experiments.main.cli.invoke", fail)
-    assert refusal(capsys, "--budget", "3").startswith("memory: got too little in stage 'start'")
+    assert refusal(capsys, "--budget", "3").startswith(
+        "memory: got too little in stage 'start'"
+    )
 
 
 def test_too_little_address_space_is_told_before(monkeypatch, capsys):
     monkeypatch.setattr("resource.getrlimit", lambda _: (10**9, 10**9))
-    assert refusal(capsys, "--budget", "3") == (
-        "ulimit -v: got 1,000,000 kB; expected 2,000,000 or no limit"
+    assert (
+        refusal(capsys, "--budget", "3")
+        == "ulimit -v: got 1,000,000 kB; expected 2,000,000 or no limit"
     )
 
 

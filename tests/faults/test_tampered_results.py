@@ -1,7 +1,8 @@
 """Results that somebody has changed: ``verify`` finds it, or names it, and ``--deep`` finds it.
 
-After every change the list of hashes is made anew, and with it what else the change would give
-away, so that the files agree as well as whoever changed them could make them agree.
+After every change the list of hashes is made anew, and with it what else the change
+would give away, so that the files agree as well as whoever changed them could make them
+agree.
 """
 
 import base64
@@ -42,7 +43,11 @@ from placement.compute import Compute
 from placement.layout import load_layout
 from placement.question import Question
 from placement.verification.certificates import instance_of
-from placement.verification.instances import StoredProblem, load_stored_problem, save_problem
+from placement.verification.instances import (
+    StoredProblem,
+    load_stored_problem,
+    save_problem,
+)
 
 ASKED = Question(budget=2, give_up=0.0, time_limit_s=60.0)
 Change = Callable[[Path], None]
@@ -85,7 +90,9 @@ def deep(made_anew, monkeypatch):
     def write(folder: Path, *given: object) -> None:
         shutil.copytree(files, folder, dirs_exist_ok=True)
 
-    monkeypatch.setattr(anew, "answer_placement", lambda *given, **more: nullcontext(answered))
+    monkeypatch.setattr(
+        anew, "answer_placement", lambda *given, **more: nullcontext(answered)
+    )
     monkeypatch.setattr(anew, "write_files", write)
 
 
@@ -146,7 +153,9 @@ def everywhere(**values: object) -> Change:
 
     def change(folder: Path) -> None:
         edit(folder / "layout.json", lambda d: d["layout"][0].update(values))
-        edit(folder / "certificate.json", lambda d: d["layout"][0]["unit"].update(values))
+        edit(
+            folder / "certificate.json", lambda d: d["layout"][0]["unit"].update(values)
+        )
         edit(folder / "summary.json", lambda d: d["layout"][0].update(values))
         shown = load_layout(folder / "layout.json")
         scene = load_study_scene()
@@ -182,7 +191,9 @@ def mounts(**values: Callable[[Any, int], Any]) -> Change:
 
     def change(stored: StoredProblem, row: int) -> StoredProblem:
         assert stored.mounts is not None
-        changed = {name: new(getattr(stored.mounts, name), row) for name, new in values.items()}
+        changed = {
+            name: new(getattr(stored.mounts, name), row) for name, new in values.items()
+        }
         return stored._replace(mounts=replace(stored.mounts, **changed))
 
     return instance(change)
@@ -202,7 +213,9 @@ def limits(**values: Callable[[Any, int], Any]) -> Change:
     def change(stored: StoredProblem, row: int) -> StoredProblem:
         old = stored.problem.limits
         changed = {name: new(getattr(old, name), row) for name, new in values.items()}
-        return stored._replace(problem=replace(stored.problem, limits=replace(old, **changed)))
+        return stored._replace(
+            problem=replace(stored.problem, limits=replace(old, **changed))
+        )
 
     return instance(change)
 
@@ -249,7 +262,9 @@ def replaced(name: str, old: str, new: str) -> Change:
 
 
 def appended(name: str, text: str) -> Change:
-    return lambda folder: (folder / name).write_text((folder / name).read_text() + text) and None
+    return lambda folder: (
+        (folder / name).write_text((folder / name).read_text() + text) and None
+    )
 
 
 def missing(name: str) -> Change:
@@ -274,10 +289,13 @@ def row_of_equal_value(folder: Path) -> None:
     other = (row + 1) % document["instance"]["n_poses"]
 
     def change(stored: StoredProblem, first: int) -> StoredProblem:
-        table, problem = stored.problem.table, stored.problem
+        table = stored.problem.table
+        problem = stored.problem
         packed = table.packed.copy()
         packed[other] = packed[row]
-        return stored._replace(problem=replace(problem, table=replace(table, packed=packed)))
+        return stored._replace(
+            problem=replace(problem, table=replace(table, packed=packed))
+        )
 
     instance(change)(folder)
     name = load_stored_problem(folder / "instance.npz").problem.table.pose_ids[other]
@@ -295,7 +313,9 @@ def another_bit(stored: StoredProblem, row: int) -> StoredProblem:
     unused = next(index for index in range(table.n_poses) if index != row)
     packed = table.packed.copy()
     packed[unused, 0] ^= np.uint8(1)
-    return stored._replace(problem=replace(stored.problem, table=replace(table, packed=packed)))
+    return stored._replace(
+        problem=replace(stored.problem, table=replace(table, packed=packed))
+    )
 
 
 def all_of_all(folder: Path) -> None:
@@ -359,7 +379,9 @@ def all_of_one(folder: Path) -> None:
     name = json.loads((folder / "summary.json").read_text())["name"]
 
     def turn(table: pd.DataFrame) -> None:
-        table.loc[(table["layout"] == name) & (table["party"] == "vut"), "is_avoided"] = True
+        table.loc[
+            (table["layout"] == name) & (table["party"] == "vut"), "is_avoided"
+        ] = True
 
     runs(turn)(folder)
     ratios = pd.read_csv(folder / "apr.csv", keep_default_na=False, dtype=str)
@@ -378,7 +400,12 @@ def all_of_one(folder: Path) -> None:
 
 
 MINE = {
-    **{"kind": "camera", "width_px": 1920, "height_px": 1080, "horizontal_fov_deg": 110.0},
+    **{
+        "kind": "camera",
+        "width_px": 1920,
+        "height_px": 1080,
+        "horizontal_fov_deg": 110.0,
+    },
     **{"frame_rate_hz": 10.0, "near_m": 0.5, "price_eur": 1500.0},
 }
 
@@ -388,8 +415,8 @@ def own_model(**values: object) -> Change:
     return layout(lambda d: d.update(sensors={"carla-ncap-rgb": MINE | values}))
 
 
-# What was changed; how the name of a check begins that must fail, or behind a question mark words
-# that must be among what is said not to be checked.
+# What was changed; how the name of a check begins that must fail, or behind a question
+# mark words that must be among what is said not to be checked.
 FOUND: dict[str, tuple[Change, str]] = {
     # The layout alone.
     "another yaw": (unit(yaw_deg=12.0), "layout file"),
@@ -399,12 +426,18 @@ FOUND: dict[str, tuple[Change, str]] = {
     "another site": (unit(site="mast-w"), "layout file"),
     "another name of a unit": (unit(id="U9"), "layout file"),
     "another latency": (unit(latency_s=0.5), "layout file"),
-    "more pixels under the same name": (own_model(width_px=3840, height_px=2160), "unit "),
+    "more pixels under the same name": (
+        own_model(width_px=3840, height_px=2160),
+        "unit ",
+    ),
     "a wider lens under the same name": (own_model(horizontal_fov_deg=120.0), "unit "),
     "a cheaper camera under the same name": (own_model(price_eur=1.0), "unit "),
     "another scene": (layout(lambda d: d.update(scene="elsewhere")), "scene"),
     "no scene": (layout(lambda d: d.pop("scene")), "scene"),
-    "another name of the layout": (layout(lambda d: d.update(name="x")), "summary.json: name"),
+    "another name of the layout": (
+        layout(lambda d: d.update(name="x")),
+        "summary.json: name",
+    ),
     "a unit less": (layout(lambda d: d["layout"].pop()), "layout file"),
     "units in another order": (layout(lambda d: d["layout"].reverse()), "layout file"),
     # The layout wherever it is shown.
@@ -422,19 +455,52 @@ FOUND: dict[str, tuple[Change, str]] = {
         certificate(lambda d: d["layout"][0].update(pose="a")),
         "pose names",
     ),
-    "a better value": (both(lambda d: d["stages"][2].update(objective=9.0)), "smallest_margin_s"),
-    "a lower bound": (both(lambda d: d["stages"][3].update(bound=0.1)), "mean_margin_s: bound"),
-    "another gap": (both(lambda d: d["stages"][3].update(gap=0.5)), "mean_margin_s: gap"),
-    "not proven": (certificate(lambda d: d["stages"][3].update(is_proven=False)), "mean_margin_s"),
+    "a better value": (
+        both(lambda d: d["stages"][2].update(objective=9.0)),
+        "smallest_margin_s",
+    ),
+    "a lower bound": (
+        both(lambda d: d["stages"][3].update(bound=0.1)),
+        "mean_margin_s: bound",
+    ),
+    "another gap": (
+        both(lambda d: d["stages"][3].update(gap=0.5)),
+        "mean_margin_s: gap",
+    ),
+    "not proven": (
+        certificate(lambda d: d["stages"][3].update(is_proven=False)),
+        "mean_margin_s",
+    ),
     "proof incomplete": (certificate(lambda d: d.update(is_proven=False)), "proof"),
     "a stage less": (both(lambda d: d["stages"].pop()), "stages"),
-    "another solver": (certificate(lambda d: d.update(solver="x")), "summary.json: solver"),
-    "another version": (certificate(lambda d: d["versions"].update(numpy="9")), "summary.json: v"),
-    "seconds of a stage": (certificate(lambda d: d["stages"][0].update(seconds=9.9)), "summary"),
-    "seconds of a step": (certificate(lambda d: d["seconds"].update(optimise=9.9)), "?and seconds"),
-    "other words": (certificate(lambda d: d["model"]["in_words"].update(apr="x")), "model in"),
-    "another budget": (certificate(lambda d: d["model"]["limits"].update(budget_units=9)), "model"),
-    "another rule": (certificate(lambda d: d["model"]["rule"].update(latency_s=9.0)), "model"),
+    "another solver": (
+        certificate(lambda d: d.update(solver="x")),
+        "summary.json: solver",
+    ),
+    "another version": (
+        certificate(lambda d: d["versions"].update(numpy="9")),
+        "summary.json: v",
+    ),
+    "seconds of a stage": (
+        certificate(lambda d: d["stages"][0].update(seconds=9.9)),
+        "summary",
+    ),
+    "seconds of a step": (
+        certificate(lambda d: d["seconds"].update(optimise=9.9)),
+        "?and seconds",
+    ),
+    "other words": (
+        certificate(lambda d: d["model"]["in_words"].update(apr="x")),
+        "model in",
+    ),
+    "another budget": (
+        certificate(lambda d: d["model"]["limits"].update(budget_units=9)),
+        "model",
+    ),
+    "another rule": (
+        certificate(lambda d: d["model"]["rule"].update(latency_s=9.0)),
+        "model",
+    ),
     "another goal": (certificate(lambda d: d["model"].update(goal="fewest")), "model"),
     "more poses before presolve": (
         certificate(lambda d: d["presolve"].update(n_poses=[9999, 1])),
@@ -448,8 +514,14 @@ FOUND: dict[str, tuple[Change, str]] = {
         certificate(lambda d: d["instance"].update(n_runs=9)),
         "instance sizes",
     ),
-    "another hash": (certificate(lambda d: d["instance"].update(sha256="0" * 64)), "instance"),
-    "another solver, twice": (both(lambda d: d.update(solver="x")), "?solver, presolved sizes"),
+    "another hash": (
+        certificate(lambda d: d["instance"].update(sha256="0" * 64)),
+        "instance",
+    ),
+    "another solver, twice": (
+        both(lambda d: d.update(solver="x")),
+        "?solver, presolved sizes",
+    ),
     "other versions, twice": (
         both(lambda d: d["versions"].update(numpy="9")),
         "?versions of programs",
@@ -474,7 +546,10 @@ FOUND: dict[str, tuple[Change, str]] = {
         mounts(sensors=lambda m, row: (replace(m[0], price_eur=1.0), *m[1:])),
         "prices of sensors",
     ),
-    "another scene's hash": (mounts(scene_sha256=lambda m, row: "0" * 64), "scene as it stands"),
+    "another scene's hash": (
+        mounts(scene_sha256=lambda m, row: "0" * 64),
+        "scene as it stands",
+    ),
     "another scene's name": (mounts(scene_name=lambda m, row: "elsewhere"), "scene"),
     "poses of another site": (
         limits(site_index=lambda m, row: at(row, (m[row] + 1) % (m.max() + 1))(m)),
@@ -482,12 +557,19 @@ FOUND: dict[str, tuple[Change, str]] = {
     ),
     "another price": (limits(unit_cost_eur=at_row(1.0)), "prices of sensors"),
     "other weights": (
-        axis(weight=lambda w: np.arange(1.0, len(w) + 1.0) / np.arange(1.0, len(w) + 1.0).sum()),
+        axis(
+            weight=lambda w: (
+                np.arange(1.0, len(w) + 1.0) / np.arange(1.0, len(w) + 1.0).sum()
+            )
+        ),
         "runs.parquet",
     ),
     "another last brake time": (axis(last_brake_time_s=at(0, -9.0)), "runs.parquet"),
     "another speed": (axis(vut_speed_kmh=at(0, 9.0)), "runs.parquet"),
-    "a bit of the table": (instance(another_bit), "?whether the detection table is right"),
+    "a bit of the table": (
+        instance(another_bit),
+        "?whether the detection table is right",
+    ),
     # The summary.
     "another APR": (summary(lambda d: d.update(apr=0.5)), "summary.json: apr"),
     "another ratio": (
@@ -502,9 +584,18 @@ FOUND: dict[str, tuple[Change, str]] = {
         summary(lambda d: d["evaluation"]["vut"]["by_position"].update({"0": 0.123})),
         "summary.json: ratios",
     ),
-    "more candidates": (summary(lambda d: d.update(candidates=9)), "summary.json: candidates"),
-    "another budget, in the summary": (summary(lambda d: d.update(budget=9)), "summary.json: b"),
-    "money spent": (summary(lambda d: d.update(spent_eur=1.0)), "summary.json: spent_eur"),
+    "more candidates": (
+        summary(lambda d: d.update(candidates=9)),
+        "summary.json: candidates",
+    ),
+    "another budget, in the summary": (
+        summary(lambda d: d.update(budget=9)),
+        "summary.json: b",
+    ),
+    "money spent": (
+        summary(lambda d: d.update(spent_eur=1.0)),
+        "summary.json: spent_eur",
+    ),
     "what explains it": (
         summary(lambda d: d["explained"].update(runs_without_weight=7)),
         "?explained",
@@ -514,7 +605,10 @@ FOUND: dict[str, tuple[Change, str]] = {
     "a ratio": (replaced("apr.csv", ",1.0,", ",0.5,"), "apr.csv"),
     "a row of ratios less": (without_row_of("apr.csv"), "tables"),
     "no ratios": (missing("apr.csv"), "tables"),
-    "an outcome": (runs(lambda t: t.__setitem__("is_avoided", ~t["is_avoided"])), "apr.csv"),
+    "an outcome": (
+        runs(lambda t: t.__setitem__("is_avoided", ~t["is_avoided"])),
+        "apr.csv",
+    ),
     "weights of runs": (runs(lambda t: t.__setitem__("weight", 1.0)), "runs.parquet"),
     "no runs": (missing("runs.parquet"), "tables"),
     "outcomes and all that follows": (all_of_one, "?outcomes in runs.parquet"),
@@ -522,15 +616,21 @@ FOUND: dict[str, tuple[Change, str]] = {
     "layout.csv": (replaced("layout.csv", "-20", "-21"), "layout.csv"),
     "layout.geojson": (replaced("layout.geojson", "-20", "-21"), "layout.geojson"),
     "no layout.csv": (missing("layout.csv"), "?layout.csv: not there"),
-    "bill of materials": (appended("bill_of_materials.csv", "x\n"), "?bill_of_materials.csv"),
+    "bill of materials": (
+        appended("bill_of_materials.csv", "x\n"),
+        "?bill_of_materials.csv",
+    ),
     "report.html": (appended("report.html", "<p>x"), "?report.html"),
     "no report.html": (missing("report.html"), "?report.html: not there"),
-    "another file": (lambda folder: (folder / "a.txt").write_text("x") and None, "?what a.txt"),
+    "another file": (
+        lambda folder: (folder / "a.txt").write_text("x") and None,
+        "?what a.txt",
+    ),
 }
 
 
-# What the files agree about, so that ``verify`` alone cannot know: how the name of a check of
-# ``--deep`` begins that must fail.
+# What the files agree about, so that ``verify`` alone cannot know: how the name of a
+# check of ``--deep`` begins that must fail.
 DEEP: dict[str, tuple[Change, str]] = {
     "all runs avoided, everywhere": (all_of_all, "anew: runs.parquet"),
     "outcomes and all that follows": (all_of_one, "anew: runs.parquet"),
@@ -543,24 +643,45 @@ DEEP: dict[str, tuple[Change, str]] = {
         runs(lambda t: t.__setitem__("detected_share", 1.0)),
         "anew: runs.parquet",
     ),
-    "impact speeds": (runs(lambda t: t.__setitem__("impact_speed_kmh", 1.0)), "anew: runs.parquet"),
+    "impact speeds": (
+        runs(lambda t: t.__setitem__("impact_speed_kmh", 1.0)),
+        "anew: runs.parquet",
+    ),
     # The instance.
-    "a bit of a pose that is not used": (instance(another_bit), "anew: certificate.json"),
-    "another solver, twice": (both(lambda d: d.update(solver="x")), "anew: certificate.json"),
+    "a bit of a pose that is not used": (
+        instance(another_bit),
+        "anew: certificate.json",
+    ),
+    "another solver, twice": (
+        both(lambda d: d.update(solver="x")),
+        "anew: certificate.json",
+    ),
     # The bill.
-    "a price in the bill": (replaced("bill_of_materials.csv", "1500", "1"), "anew: bill"),
+    "a price in the bill": (
+        replaced("bill_of_materials.csv", "1500", "1"),
+        "anew: bill",
+    ),
     "a line of the bill less": (without_row_of("bill_of_materials.csv"), "anew: bill"),
     "a line of the bill more": (appended("bill_of_materials.csv", "x\n"), "anew: bill"),
     "no bill": (missing("bill_of_materials.csv"), "anew: bill"),
-    "costs of sites": (summary(lambda d: d.update(sites_eur=1.0)), "anew: summary.json"),
+    "costs of sites": (
+        summary(lambda d: d.update(sites_eur=1.0)),
+        "anew: summary.json",
+    ),
     "costs of sites that are assumed": (
         summary(lambda d: d.update(assumed_prices=["none"])),
         "anew: summary.json",
     ),
     # Numbers of the summary that no other file has.
     "a highest APR": (summary(highest), "anew: summary.json"),
-    "errors of mounting": (summary(lambda d: d.update(mounting=None)), "anew: summary.json"),
-    "the next unit": (summary(lambda d: d.update(next_unit=None)), "anew: summary.json"),
+    "errors of mounting": (
+        summary(lambda d: d.update(mounting=None)),
+        "anew: summary.json",
+    ),
+    "the next unit": (
+        summary(lambda d: d.update(next_unit=None)),
+        "anew: summary.json",
+    ),
     "random layouts": (
         summary(lambda d: d["baselines"].update(random=None)),
         "anew: summary.json",
@@ -574,7 +695,10 @@ DEEP: dict[str, tuple[Change, str]] = {
         summary(lambda d: d["explained"].update(runs_without_weight=7)),
         "anew: summary.json",
     ),
-    "by road user": (summary(lambda d: d.update(road_users=None)), "anew: summary.json"),
+    "by road user": (
+        summary(lambda d: d.update(road_users=None)),
+        "anew: summary.json",
+    ),
     "how many disagree": (
         summary(lambda d: d.update(surrogate_disagreement=0.9)),
         "anew: summary.json",
@@ -583,11 +707,20 @@ DEEP: dict[str, tuple[Change, str]] = {
         summary(lambda d: d.update(driven=["everything"])),
         "anew: summary.json",
     ),
-    "another detector": (summary(lambda d: d.update(detector="x")), "anew: summary.json"),
-    "another weather": (summary(lambda d: d.update(weathers=["fog"])), "anew: summary.json"),
+    "another detector": (
+        summary(lambda d: d.update(detector="x")),
+        "anew: summary.json",
+    ),
+    "another weather": (
+        summary(lambda d: d.update(weathers=["fog"])),
+        "anew: summary.json",
+    ),
     # What people read.
     "a word in the report": (appended("report.html", "<p>x"), "anew: report.html"),
-    "a number in the report": (replaced("report.html", " %", "9 %"), "anew: report.html"),
+    "a number in the report": (
+        replaced("report.html", " %", "9 %"),
+        "anew: report.html",
+    ),
     "a picture in the report": (another_picture, "anew: report.html"),
     "no report": (missing("report.html"), "anew: report.html"),
     "an empty report": (
@@ -598,19 +731,31 @@ DEEP: dict[str, tuple[Change, str]] = {
     "no plan": (missing("plan.png"), "anew: plan.png"),
     "no layout.csv": (missing("layout.csv"), "anew: layout.csv"),
     "no layout.geojson": (missing("layout.geojson"), "anew: layout.geojson"),
-    "another file": (lambda folder: (folder / "a.txt").write_text("x") and None, "anew: a.txt"),
+    "another file": (
+        lambda folder: (folder / "a.txt").write_text("x") and None,
+        "anew: a.txt",
+    ),
     "a recommendation": (
-        lambda folder: shutil.copy(folder / "layout.json", folder / "recommended.json") and None,
+        lambda folder: (
+            shutil.copy(folder / "layout.json", folder / "recommended.json") and None
+        ),
         "anew: recommended.json",
     ),
 }
 
-# What ``verify`` refuses to read at all: how its one line begins behind the name of the file.
+# What ``verify`` refuses to read at all: how its one line begins behind the name of the
+# file.
 REFUSED: dict[str, tuple[Change, str]] = {
-    "no list of hashes": (missing(MANIFEST), "got no SHA256SUMS; expected a folder of results"),
+    "no list of hashes": (
+        missing(MANIFEST),
+        "got no SHA256SUMS; expected a folder of results",
+    ),
     "a certificate with stages twice": (
         twice("certificate.json", "stages"),
-        'certificate.json: got the key "stages" twice; expected every key of an object once',
+        (
+            'certificate.json: got the key "stages" twice; expected every key of an'
+            " object once"
+        ),
     ),
     "a summary with stages twice": (
         twice("summary.json", "stages"),
@@ -624,7 +769,10 @@ REFUSED: dict[str, tuple[Change, str]] = {
         lambda folder: (folder / "instance.npz").write_bytes(b"PK") and None,
         "instance.npz: got ",
     ),
-    "no certificate": (missing("certificate.json"), "certificate.json: got No such file"),
+    "no certificate": (
+        missing("certificate.json"),
+        "certificate.json: got No such file",
+    ),
     "no instance": (missing("instance.npz"), "instance.npz: got No such file"),
     "no layout": (missing("layout.json"), "layout.json: got No such file"),
 }
@@ -643,7 +791,9 @@ def test_what_cannot_be_read_in_one_way_only_is_refused(results, name):
 def test_a_file_that_is_listed_twice_is_refused(results):
     lines = (results / MANIFEST).read_text()
     (results / MANIFEST).write_text(lines + f"{'0' * 64}  report.html\n")
-    with pytest.raises(InputError, match=re.escape("got 'report.html'; expected every")):
+    with pytest.raises(
+        InputError, match=re.escape("got 'report.html'; expected every")
+    ):
         verified(results)
 
 
@@ -652,7 +802,9 @@ def test_what_the_files_agree_about_is_found_when_it_is_made_anew(results, deep,
     change, expected = DEEP[name]
     change(results)
     write_manifest(results)
-    assert any(one.startswith(expected) for one in deeply_failed(results)), deeply_failed(results)
+    assert any(one.startswith(expected) for one in deeply_failed(results)), (
+        deeply_failed(results)
+    )
 
 
 def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep):
@@ -667,7 +819,10 @@ def test_what_nobody_has_changed_is_the_same_when_it_is_made_anew(results, deep)
 
 @pytest.mark.parametrize("name", ["report.html", "runs.parquet", "certificate.json"])
 def test_without_new_hashes_whatever_is_changed_is_found_by_its_hash(results, name):
-    change = flipped(name) if name != "certificate.json" else appended(name, "\n")
+    if name != "certificate.json":
+        change = flipped(name)
+    else:
+        change = appended(name, "\n")
     change(results)
     assert f"file {name}" in failed(verified(results))
 
@@ -702,7 +857,10 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
     n_changed = 0
     for holder, key in leaves(document):
         before = holder[key]
-        holder[key] = "other" if before != "other" else None
+        if before != "other":
+            holder[key] = "other"
+        else:
+            holder[key] = None
         changed = json.dumps(document)
         holder[key] = before
         assert anew.differences(json.loads(changed), document) != [], key
@@ -712,7 +870,10 @@ def test_every_value_of_a_summary_is_compared_with_the_one_made_anew(written):
 
 def leaves(node: Any) -> Iterator[tuple[Any, Any]]:
     """Every value in a document that holds no others, by what holds it and its key there."""
-    items = node.items() if isinstance(node, dict) else enumerate(node)
+    if isinstance(node, dict):
+        items = node.items()
+    else:
+        items = enumerate(node)
     for key, value in items:
         if key in ("seconds", "versions"):
             continue
@@ -727,7 +888,9 @@ def test_numbers_are_equal_up_to_rounding_and_texts_exactly():
     assert anew.differences({"a": [1.0, 2]}, {"a": [1.0, 3]}) == ["a[1]"]
     assert anew.differences({"a": 1.0}, {"a": 1.0, "b": None}) == ["b"]
     assert anew.differences({"a": {"seconds": 1.0}}, {"a": {"seconds": 2.0}}) == []
-    assert anew.told(["a", "b", "c", "d"]) == "made anew it differs in a, b, c and 1 more"
+    assert (
+        anew.told(["a", "b", "c", "d"]) == "made anew it differs in a, b, c and 1 more"
+    )
 
 
 def test_another_layout_is_told_and_nothing_else_compared(results, deep):
@@ -760,12 +923,16 @@ def test_what_was_changed_is_found_or_named(results, name):
     assert found.is_verified == (not failed(found))
     if expected.startswith("?"):
         assert failed(found) == []
-        assert any(expected[1:] in line for line in found.not_checked), found.not_checked
+        assert any(expected[1:] in line for line in found.not_checked), (
+            found.not_checked
+        )
     else:
         assert any(name.startswith(expected) for name in failed(found)), failed(found)
 
 
-@pytest.mark.parametrize("name", ["report.html", "bill_of_materials.csv", "layout.geojson"])
+@pytest.mark.parametrize(
+    "name", ["report.html", "bill_of_materials.csv", "layout.geojson"]
+)
 def test_whoever_forgets_the_list_of_hashes_is_found_out(results, name):
     (results / name).write_text("x")
     (results / "more.txt").write_text("x")
@@ -792,14 +959,17 @@ def test_an_instance_of_the_first_version_says_what_it_cannot_show(results):
     found = verified(results)
     assert failed(found) == []
     assert any(
-        line.startswith("positions, directions and sensor models") for line in found.not_checked
+        line.startswith("positions, directions and sensor models")
+        for line in found.not_checked
     )
     assert "layout.csv" in {check.name for check in found.checks}
 
 
 def test_another_scene_is_told_and_the_one_it_was_made_in_is_taken(results, tmp_path):
     (tmp_path / "scene").mkdir()
-    save_scene(tmp_path / "scene", load_study_scene())  # rounded to millimetres: another one
+    save_scene(
+        tmp_path / "scene", load_study_scene()
+    )  # rounded to millimetres: another one
     assert failed(verified(results, str(tmp_path / "scene"))) == ["scene as it stands"]
     assert failed(verified(results, "town05")) == []
 
@@ -816,7 +986,9 @@ def compared(tmp_path_factory):
     with small_world(build_small_setting()) as patch:
         patch.setattr(placement, "write_report", lambda *given, **options: None)
         patch.setattr(evaluation, "compare_layout", lambda *given, **options: None)
-        patch.setattr(evaluation, "begin_job", partial(_begin_small_job, build_small_setting()))
+        patch.setattr(
+            evaluation, "begin_job", partial(_begin_small_job, build_small_setting())
+        )
         evaluation.run_comparison(
             Question(),
             layouts=layouts,
@@ -836,9 +1008,16 @@ def test_a_comparison_is_verified_as_far_as_its_files_tell(compared, tmp_path):
     found = verified(compared)
     assert failed(found) == []
     assert "summary.json: ratios" in {check.name for check in found.checks}
-    assert any(line.startswith("detections, confirmations") for line in found.not_checked)
+    assert any(
+        line.startswith("detections, confirmations") for line in found.not_checked
+    )
     results = Path(shutil.copytree(compared, tmp_path / "results"))
-    edit(results / "summary.json", lambda d: d["evaluation"]["rsu_all"].update(all=0.123))
-    assert set(failed(verified(results))) == {"file summary.json", "summary.json: ratios"}
+    edit(
+        results / "summary.json", lambda d: d["evaluation"]["rsu_all"].update(all=0.123)
+    )
+    assert set(failed(verified(results))) == {
+        "file summary.json",
+        "summary.json: ratios",
+    }
     with pytest.raises(InputError, match="expected a placement: run the command again"):
         verified_deeply(results)

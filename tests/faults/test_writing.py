@@ -134,7 +134,9 @@ def test_without_room_the_old_stays_and_what_is_wrong_is_said(folder, n_bytes, c
     assert message.endswith(os.strerror(errno.EFBIG))
     assert assert_whole(folder) == "1\n" * 20_000
     assert sorted(path.name for path in folder.iterdir()) == ["cache", "latest"]
-    assert "kept" not in str(caught.value)  # of a summary that is cut off nobody has anything
+    assert "kept" not in str(
+        caught.value
+    )  # of a summary that is cut off nobody has anything
 
 
 def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
@@ -142,7 +144,10 @@ def test_a_full_disk_is_said_and_the_old_stays(tmp_path, caplog):
     folder.mkdir()
     options = ["-t", "tmpfs", "-o", "size=600k", "tmpfs", str(folder)]
     mount = shutil.which("mount")
-    if mount is None or subprocess.run([mount, *options], capture_output=True).returncode:
+    if (
+        mount is None
+        or subprocess.run([mount, *options], capture_output=True).returncode
+    ):
         pytest.skip("no small disk can be made here")
     try:
         write_table(folder, 1)
@@ -182,7 +187,9 @@ def test_a_folder_without_rights_is_refused_before_anything_is_computed(caplog):
             path.chmod(0o555)
         with as_nobody():
             for out in (folder / "latest", folder / "new"):
-                with pytest.raises(InputError, match="Permission denied; expected a folder that"):
+                with pytest.raises(
+                    InputError, match="Permission denied; expected a folder that"
+                ):
                     check_result_folder(out)
             write_table(folder, 2)
             with pytest.raises(InputError, match="Permission denied"):
@@ -200,7 +207,9 @@ def test_a_failure_while_files_are_put_in_place_leaves_the_old(folder, monkeypat
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr("experiments.results.folders._exchange", fail)
-    with pytest.raises(InputError, match=r"what was computed is kept in .*latest\.unfinished$"):
+    with pytest.raises(
+        InputError, match=r"what was computed is kept in .*latest\.unfinished$"
+    ):
         write_results(folder, 2)
     assert assert_whole(folder) == "1\n" * 20_000
     assert (folder / "latest.unfinished" / MARKER).read_text() == "2\n" * 20_000

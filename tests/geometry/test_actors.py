@@ -25,7 +25,9 @@ DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())
 WHEELED = [name for name in NAMES if load_actors()[name].wheelbase_m > 0.0]
 MOVING = [name for name in NAMES if name not in WHEELED]
-SHAPES = [(name, index) for name in NAMES for index in range(len(load_actors()[name].shapes))]
+SHAPES = [
+    (name, index) for name in NAMES for index in range(len(load_actors()[name].shapes))
+]
 
 
 def _mesh(shape) -> trimesh.Trimesh:
@@ -37,7 +39,11 @@ def _depth_m(shape, axis: int, *, side: int = -1, step_m: float = 0.01) -> np.nd
     across = np.arange(-2.5, 2.5, step_m) + 0.5 * step_m
     up = np.arange(0.0, 2.0, step_m) + 0.5 * step_m
     origins = np.zeros((len(up), len(across), 3), dtype=np.float32)
-    origins[..., 1 - axis], origins[..., 2], origins[..., axis] = across, up[:, None], 5.0 * side
+    origins[..., 1 - axis], origins[..., 2], origins[..., axis] = (
+        across,
+        up[:, None],
+        5.0 * side,
+    )
     vectors = np.zeros_like(origins)
     vectors[..., axis] = -10.0 * side
     caster = build_caster(shape.vertices_m, shape.triangles, library="embree")
@@ -51,7 +57,8 @@ def _silhouette_m2(shape, axis: int) -> float:
 
 def _assert_same_but_for_edges(depth_m, other_m):
     """Small triangles are merged with a tolerance of 2 mm; at the outline it decides on a hit."""
-    is_hit, is_other = np.isfinite(depth_m), np.isfinite(other_m)
+    is_hit = np.isfinite(depth_m)
+    is_other = np.isfinite(other_m)
     assert (is_hit != is_other).sum() < 0.02 * is_hit.sum()
     both = is_hit & is_other
     assert (np.abs(depth_m[both] - other_m[both]) > 5e-3).mean() < 0.04
@@ -81,7 +88,10 @@ def test_every_shape_stands_on_the_road(name, index):
 @pytest.mark.parametrize(
     ("name", "size_m"),
     [
-        ("vut", (4.892, 1.836, 1.510)),  # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
+        (
+            "vut",
+            (4.892, 1.836, 1.510),
+        ),  # CarlaNCAP study: half extents 2.446, 0.918, 0.755 m
         ("parked-car-small", (4.316, 1.79, 1.48)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("parked-car-large", (4.418, 1.82, 1.533)),  # Euro NCAP AEB/LSS VRU v4.5.1
         ("adult", (0.6, 0.5, 1.8)),  # ISO 19206-2
@@ -107,7 +117,9 @@ def test_boxes_are_those_of_their_sources(name, size_m):
         ("motorcyclist", 0.0),
     ],
 )
-def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(name, ahead_m):
+def test_reference_points_are_as_far_behind_the_box_front_as_the_protocol_says(
+    name, ahead_m
+):
     assert load_actors()[name].reference_ahead_m == pytest.approx(ahead_m)
 
 
@@ -141,15 +153,19 @@ def test_axles_are_under_the_box_and_wheels_stand_below_them():
         actor = load_actors()[name]
         (shape,) = actor.shapes
         ahead = shape.vertices_m[shape.vertices_m[:, 2] < 0.01, 0]
-        front, rear = ahead[ahead > 0.0], ahead[ahead < 0.0]
+        front = ahead[ahead > 0.0]
+        rear = ahead[ahead < 0.0]
         assert front.mean() == pytest.approx(actor.front_axle_ahead_m, abs=0.02)
-        assert rear.mean() == pytest.approx(actor.front_axle_ahead_m - actor.wheelbase_m, abs=0.02)
+        assert rear.mean() == pytest.approx(
+            actor.front_axle_ahead_m - actor.wheelbase_m, abs=0.02
+        )
     assert load_actors()["vut"].wheelbase_m == 2.85
 
 
 @pytest.mark.parametrize(
     ("name", "wheelbase_m", "front_m", "rear_m"),
-    # Euro NCAP, targets.gvt and targets.motorcycle: from the rear axle to both ends of the box
+    # Euro NCAP, targets.gvt and targets.motorcycle: from the rear axle to both ends of
+    # the box
     [("car", 2.475, 3.3395, 0.6835), ("motorcyclist", 1.41, 1.713, 0.367)],
 )
 def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
@@ -164,7 +180,8 @@ def test_axles_of_targets_are_as_far_from_the_box_ends_as_the_source_says(
 
 @pytest.mark.parametrize(
     ("name", "low_m3", "high_m3"),
-    # A small car fills half of its box or more; a motorcycle of 0.2 t and a rider of 80 kg.
+    # A small car fills half of its box or more; a motorcycle of 0.2 t and a rider of 80
+    # kg.
     [("car", 5.0, 7.0), ("motorcyclist", 0.25, 0.45)],
 )
 def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
@@ -175,7 +192,9 @@ def test_bodies_have_the_volume_of_such_bodies(name, low_m3, high_m3):
 def test_the_rider_sits_on_the_motorcycle_and_the_motorcycle_is_as_high_as_its_box():
     (shape,) = load_actors()["motorcyclist"].shapes
     vertices = shape.vertices_m
-    wide = vertices[np.abs(vertices[:, 1]) > 0.345]  # mirrors and the ends of the handlebar
+    wide = vertices[
+        np.abs(vertices[:, 1]) > 0.345
+    ]  # mirrors and the ends of the handlebar
     assert wide[:, 2].max() == pytest.approx(1.06, abs=0.01)
     head = vertices[vertices[:, 2] > 1.45]
     assert np.abs(head[:, :2]).max() < 0.25  # above the tank, not beside it
@@ -200,7 +219,9 @@ def test_walkers_cover_less_than_their_box_but_more_than_a_quarter_of_it(name):
 
 
 @pytest.mark.parametrize(("name", "spread"), [("adult", 1.7), ("child", 2.0)])
-def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_later(name, spread):
+def test_walkers_stand_together_at_rest_and_are_widest_a_quarter_of_a_cycle_later(
+    name, spread
+):
     widths_m = np.array([_width_m(shape, 0) for shape in load_actors()[name].shapes])
     assert np.argmin(widths_m) % 4 == 0
     assert np.argmax(widths_m) % 4 == 2
@@ -213,7 +234,9 @@ def test_half_a_cycle_later_the_body_is_its_own_mirror_image(name):
     shapes = load_actors()[name].shapes
     half = len(shapes) // 2
     for now, later in zip(shapes, shapes[half:] + shapes[:half], strict=True):
-        _assert_same_but_for_edges(_depth_m(now, 1, side=-1), _depth_m(later, 1, side=1))
+        _assert_same_but_for_edges(
+            _depth_m(now, 1, side=-1), _depth_m(later, 1, side=1)
+        )
 
 
 # Gait
@@ -274,8 +297,9 @@ def test_arrays_of_a_shape_are_read_only(actors):
 def test_unknown_body_lists_the_known_ones():
     with pytest.raises(InputError) as caught:
         pick_actor("unicorn", "cases.toml: X.vru_actor")
-    assert str(caught.value) == (
-        f"cases.toml: X.vru_actor: got 'unicorn'; expected one of {', '.join(sorted(NAMES))}"
+    assert (
+        str(caught.value) == "cases.toml: X.vru_actor: got 'unicorn'; expected one of"
+        f" {', '.join(sorted(NAMES))}"
     )
 
 
@@ -290,21 +314,34 @@ def test_a_body_without_extent_is_refused(actors, field, value):
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("adult", {"shapes": ()}, "actor adult.shapes: got none; expected at least one shape"),
+        (
+            "adult",
+            {"shapes": ()},
+            "actor adult.shapes: got none; expected at least one shape",
+        ),
         (
             "adult",
             {"cycle_m": 0.0},
-            "actor adult.cycle_m: got 0.0; expected > 0 metres for several shapes, 0 for one",
+            (
+                "actor adult.cycle_m: got 0.0; expected > 0 metres for several shapes,"
+                " 0 for one"
+            ),
         ),
         (
             "vut",
             {"cycle_m": 2.0},
-            "actor vut.cycle_m: got 2.0; expected > 0 metres for several shapes, 0 for one",
+            (
+                "actor vut.cycle_m: got 2.0; expected > 0 metres for several shapes, 0"
+                " for one"
+            ),
         ),
         (
             "adult",
             {"cycle_m": float("inf")},
-            "actor adult.cycle_m: got inf; expected > 0 metres for several shapes, 0 for one",
+            (
+                "actor adult.cycle_m: got inf; expected > 0 metres for several shapes,"
+                " 0 for one"
+            ),
         ),
     ],
 )
@@ -322,7 +359,12 @@ def test_the_key_of_a_placed_body_is_its_content(actors):
     assert place().key == place().key
     assert place(x_m=0.0).key == place(x_m=-0.0).key
     assert hash(place().key) == hash(place().key)
-    others = {place(x_m=1.1).key, place(yaw_deg=1.0).key, place("parked-van").key, place().key}
+    others = {
+        place(x_m=1.1).key,
+        place(yaw_deg=1.0).key,
+        place("parked-van").key,
+        place().key,
+    }
     assert len(others) == 4
 
 
@@ -330,10 +372,19 @@ def test_an_actor_may_be_made_by_hand():
     box = trimesh.creation.box((1.0, 1.0, 2.0))
     shape = Shape(vertices_m=box.vertices + [0.0, 0.0, 1.0], triangles=box.faces)
     actor = Actor(
-        name="box", class_name="vehicle", length_m=1.0, width_m=1.0, height_m=2.0, shapes=(shape,)
+        name="box",
+        class_name="vehicle",
+        length_m=1.0,
+        width_m=1.0,
+        height_m=2.0,
+        shapes=(shape,),
     )
     assert actor.shapes[0].triangles.dtype == np.int32
-    assert (actor.cycle_m, actor.reference_ahead_m, actor.wheelbase_m) == (0.0, 0.0, 0.0)
+    assert (actor.cycle_m, actor.reference_ahead_m, actor.wheelbase_m) == (
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 # Shapes on disk
@@ -354,8 +405,9 @@ def test_shapes_of_another_description_are_refused():
     table["adult"]["height_m"] = 1.81
     with pytest.raises(InputError) as caught:
         read_actors(table, DATA / "actors.npz")
-    assert str(caught.value) == (
-        f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
+    assert (
+        str(caught.value)
+        == f"{DATA / 'actors.npz'}: got shapes of another actors.toml; "
         "expected shapes built from it: python -m geometry.body_shapes"
     )
 
@@ -363,7 +415,7 @@ def test_shapes_of_another_description_are_refused():
 def test_missing_shapes_say_how_to_build_them(tmp_path):
     with pytest.raises(InputError) as caught:
         read_actors({}, tmp_path / "actors.npz")
-    assert str(caught.value) == (
-        f"{tmp_path / 'actors.npz'}: got no such file; "
+    assert (
+        str(caught.value) == f"{tmp_path / 'actors.npz'}: got no such file; "
         "expected shapes built from it: python -m geometry.body_shapes"
     )

@@ -26,7 +26,10 @@ def names_in(tmp_path):
 
 
 def test_the_one_file_is_there_with_its_neighbours_and_then_gone(tmp_path):
-    path = pack(tmp_path, [("a/b/roads.SHP", "shp"), ("a/b/roads.dbf", "dbf"), ("readme.txt", "")])
+    path = pack(
+        tmp_path,
+        [("a/b/roads.SHP", "shp"), ("a/b/roads.dbf", "dbf"), ("readme.txt", "")],
+    )
     with unpacked(path, SUFFIXES) as member:
         assert member.read_text() == "shp"
         assert (member.parent / "roads.dbf").read_text() == "dbf"
@@ -89,7 +92,9 @@ def test_links_are_refused(tmp_path):
 
 def test_large_archives_are_refused_before_they_are_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(untrusted_files, "MAX_UNPACKED_BYTES", 1000)
-    path = pack(tmp_path, [("a.shp", b"x" * 600), ("b.dbf", b"x" * 600)], zipfile.ZIP_STORED)
+    path = pack(
+        tmp_path, [("a.shp", b"x" * 600), ("b.dbf", b"x" * 600)], zipfile.ZIP_STORED
+    )
     with pytest.raises(InputError, match="at most 1,000"), unpacked(path, SUFFIXES):
         pass
 
@@ -110,14 +115,19 @@ def test_what_is_no_archive_is_refused(tmp_path, data):
     path.write_bytes(data)
     with pytest.raises(InputError, match="zip"), unpacked(path, SUFFIXES):
         pass
-    with pytest.raises(InputError, match="readable"), unpacked(tmp_path / "none.zip", SUFFIXES):
+    with (
+        pytest.raises(InputError, match="readable"),
+        unpacked(tmp_path / "none.zip", SUFFIXES),
+    ):
         pass
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_archives_are_opened_or_refused(tmp_path, data):
-    sound = pack(tmp_path, [("a/b.shp", "shape" * 50), ("a/b.dbf", "table" * 50)]).read_bytes()
+    sound = pack(
+        tmp_path, [("a/b.shp", "shape" * 50), ("a/b.dbf", "table" * 50)]
+    ).read_bytes()
     path = tmp_path / "maps.zip"
     path.write_bytes(data.draw(damaged(sound)))
     try:

@@ -70,16 +70,23 @@ def test_a_missing_folder_is_an_error(tmp_path):
         write_atomically(tmp_path / "no" / "a.bin", lambda file: None)
 
 
-@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+@pytest.mark.parametrize(
+    ("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)]
+)
 def test_a_file_is_as_readable_as_any_other_new_one(tmp_path, mask, mode):
     before = os.umask(mask)
     try:
         write_atomically(tmp_path / "a.bin", lambda file: file.write(b"new"))
         (tmp_path / "b.bin").touch()
-        found = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("a.bin", "b.bin")]
+        found = [
+            stat.S_IMODE((tmp_path / name).stat().st_mode)
+            for name in ("a.bin", "b.bin")
+        ]
         assert os.umask(mask) == mask
     finally:
         os.umask(before)
     assert found == [mode, mode]
-    write_atomically(tmp_path / "c.bin", lambda file: file.write(b"new"), is_private=True)
+    write_atomically(
+        tmp_path / "c.bin", lambda file: file.write(b"new"), is_private=True
+    )
     assert stat.S_IMODE((tmp_path / "c.bin").stat().st_mode) == 0o600

@@ -35,10 +35,14 @@ def _entry(**changes):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_building_again_gives_the_shapes_on_disk(library, name):
-    built, kept = build_shapes(TABLE[name], name), load_actors()[name].shapes
+    built = build_shapes(TABLE[name], name)
+    kept = load_actors()[name].shapes
     assert len(built) == len(kept)
     for one, other in zip(built, kept, strict=True):
-        meshes = [trimesh.Trimesh(s.vertices_m, s.triangles, process=False) for s in (one, other)]
+        meshes = [
+            trimesh.Trimesh(s.vertices_m, s.triangles, process=False)
+            for s in (one, other)
+        ]
         assert np.allclose(meshes[0].bounds, meshes[1].bounds, atol=1e-6)
         # Not vertex by vertex: the last bits may differ from one processor to the next.
         assert meshes[0].volume == pytest.approx(meshes[1].volume, rel=1e-4)
@@ -51,7 +55,9 @@ def test_what_is_saved_is_what_is_read(library, tmp_path):
     actors = read_actors(table, tmp_path / "actors.npz")
     assert list(actors) == ["vut", "child"]
     for name, actor in actors.items():
-        for one, other in zip(actor.shapes, build_shapes(TABLE[name], name), strict=True):
+        for one, other in zip(
+            actor.shapes, build_shapes(TABLE[name], name), strict=True
+        ):
             assert np.array_equal(one.vertices_m, other.vertices_m)
             assert np.array_equal(one.triangles, other.triangles)
 
@@ -65,11 +71,17 @@ def test_parts_that_overlap_become_one_closed_mesh(library):
 
 
 def test_a_part_that_is_cut_away_leaves_less(library):
-    hole = {"cut": True, "wheel": {"centre": [0.15, 0.0, 1.65], "radius": 0.1, "width": 2.0}}
+    hole = {
+        "cut": True,
+        "wheel": {"centre": [0.15, 0.0, 1.65], "radius": 0.1, "width": 2.0},
+    }
     plain, drilled = (
-        build_shapes(_entry(parts=[*_entry()["parts"], *more]), "test")[0] for more in ([], [hole])
+        build_shapes(_entry(parts=[*_entry()["parts"], *more]), "test")[0]
+        for more in ([], [hole])
     )
-    volumes = [trimesh.Trimesh(s.vertices_m, s.triangles).volume for s in (plain, drilled)]
+    volumes = [
+        trimesh.Trimesh(s.vertices_m, s.triangles).volume for s in (plain, drilled)
+    ]
     assert volumes[0] - volumes[1] == pytest.approx(np.pi * 0.1**2 * 0.88, rel=0.1)
     # Right through: a ray along the hole meets nothing.
     assert trimesh.Trimesh(drilled.vertices_m, drilled.triangles).euler_number == 0
@@ -91,14 +103,19 @@ def test_pedalling_feet_stay_on_their_pedals():
 def test_a_turn_of_the_crank_goes_forwards_over_the_top():
     entry = TABLE["cyclist"]
     turns = body_shapes._take_turns(entry, "cyclist")
-    heights, ahead = [], []
+    heights = []
+    ahead = []
     for index in range(8):
-        rotation, _ = body_shapes._bone_frames(entry, turns, index, "cyclist")["crank", -1.0]
+        rotation, _ = body_shapes._bone_frames(entry, turns, index, "cyclist")[
+            "crank", -1.0
+        ]
         x, _, z = rotation @ [0.0, 0.0, -1.0]
         ahead.append(x)
         heights.append(z)
     angle = np.unwrap(np.arctan2(heights, ahead))
-    assert np.diff(angle) == pytest.approx(-np.pi / 4.0)  # clockwise, seen from the right
+    assert np.diff(angle) == pytest.approx(
+        -np.pi / 4.0
+    )  # clockwise, seen from the right
 
 
 def test_a_bone_hangs_on_the_bone_before_it_and_the_left_follows_the_right():
@@ -110,20 +127,30 @@ def test_a_bone_hangs_on_the_bone_before_it_and_the_left_follows_the_right():
     }
     turns = {"a": np.array([90.0, 0, 0, 0, -90, 0, 0, 0]), "b": np.zeros(8)}
     frames = body_shapes._bone_frames(entry, turns, 0, "test")
-    assert frames["lower", -1.0][1] == pytest.approx([0.5, -0.1, 1.0])  # raised forwards
-    assert frames["lower", 1.0][1] == pytest.approx([-0.5, 0.1, 1.0])  # half a cycle behind
+    assert frames["lower", -1.0][1] == pytest.approx(
+        [0.5, -0.1, 1.0]
+    )  # raised forwards
+    assert frames["lower", 1.0][1] == pytest.approx(
+        [-0.5, 0.1, 1.0]
+    )  # half a cycle behind
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"length_m": 1.2}, "ball: got 1.200 x ahead to fit the box; expected outlines near"),
+        (
+            {"length_m": 1.2},
+            "ball: got 1.200 x ahead to fit the box; expected outlines near",
+        ),
         ({"parts": []}, "ball: got 0 pieces; expected parts that touch"),
         (
             {"parts": [*_entry()["parts"], {"spheres": [[0, 0, 5.0, 0.5]]}]},
             "ball: got 2 pieces; expected parts that touch",
         ),
-        ({"parts": [{"cube": 1}]}, "ball.parts[0]: got ['cube']; expected spheres, ring or wheel"),
+        (
+            {"parts": [{"cube": 1}]},
+            "ball.parts[0]: got ['cube']; expected spheres, ring or wheel",
+        ),
         (
             {"parts": [{"on": "tail", "spheres": [[0, 0, 0, 1]]}]},
             "ball.parts[0].on: got 'tail'; expected one of body",
@@ -148,8 +175,10 @@ def test_legs_that_are_too_short_for_the_pedals_are_refused():
     pedalling = {**TABLE["cyclist"]["pedalling"], "shin_m": 0.3}
     with pytest.raises(InputError) as caught:
         build_shapes({**TABLE["cyclist"], "pedalling": pedalling}, "cyclist")
-    assert str(caught.value) == (
-        "cyclist.pedalling: got a foot that does not reach its pedal; expected longer legs"
+    assert (
+        str(caught.value)
+        == "cyclist.pedalling: got a foot that does not reach its pedal; expected"
+        " longer legs"
     )
 
 

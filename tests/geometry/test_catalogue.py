@@ -20,13 +20,18 @@ from placement.packing import from_bytes, to_bytes
 
 @pytest.mark.parametrize(
     ("name", "horizontal_fov_deg"),
-    # CarlaNCAP study: 110 deg in the table of sensors, 90 deg in the text and the released code.
+    # CarlaNCAP study: 110 deg in the table of sensors, 90 deg in the text and the
+    # released code.
     [("carla-ncap-rgb", 110.0), ("carla-ncap-rgb-90", 90.0)],
 )
 def test_the_studys_camera_is_in_the_catalogue(name, horizontal_fov_deg):
     camera = pick_camera(name, "test")
     assert camera.name == name
-    assert (camera.width_px, camera.height_px, camera.frame_rate_hz) == (1920, 1080, 10.0)
+    assert (camera.width_px, camera.height_px, camera.frame_rate_hz) == (
+        1920,
+        1080,
+        10.0,
+    )
     assert camera.horizontal_fov_deg == horizontal_fov_deg
 
 
@@ -63,7 +68,13 @@ def test_only_a_varifocal_camera_has_a_range_of_fields_of_view():
         (60, "f.toml: a.fov_range_deg: got 60; expected [low, high] in degrees"),
         ([30], "f.toml: a.fov_range_deg: got [30]; expected [low, high] in degrees"),
         (["x", 60], "f.toml: a.fov_range_deg[0]: got 'x'; expected a finite number"),
-        ([60, 30], "a.fov_range_deg: got [60.0, 30.0]; expected [low, high] in degrees, 0 < low <"),
+        (
+            [60, 30],
+            (
+                "a.fov_range_deg: got [60.0, 30.0]; expected [low, high] in degrees, 0"
+                " < low <"
+            ),
+        ),
     ],
 )
 def test_a_range_that_cannot_be_is_refused(value, message):
@@ -114,7 +125,8 @@ def test_catalogues_that_cannot_be_are_refused(tmp_path, text, message):
 
 
 def test_real_cameras_have_the_angles_of_their_calibration():
-    # fx of the calibrations in tum-traffic-dataset-dev-kit; half the width in pixels over it.
+    # fx of the calibrations in tum-traffic-dataset-dev-kit; half the width in pixels
+    # over it.
     for name, focal_px in (
         ("basler-aca1920-50gc-8mm", 1400.31),
         ("basler-aca1920-50gc-16mm", 2788.86),
@@ -128,14 +140,15 @@ def test_real_cameras_have_the_angles_of_their_calibration():
 def test_a_lens_that_distorts_is_refused_and_not_passed_over(field, tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(
-        "[cameras.a]\nwidth_px = 9\nheight_px = 9\nhorizontal_fov_deg = 50.0\nnear_m = 0.5\n"
-        f"frame_rate_hz = 10.0\nprice_eur = 1.0\n{field} = 0.1\n"
+        "[cameras.a]\nwidth_px = 9\nheight_px = 9\nhorizontal_fov_deg = 50.0\nnear_m ="
+        f" 0.5\nframe_rate_hz = 10.0\nprice_eur = 1.0\n{field} = 0.1\n"
     )
     with pytest.raises(InputError) as caught:
         load_catalogue(path)
-    assert str(caught.value) == (
-        f"{path}: cameras.a.{field}: got 0.1; expected no such field here, but lens = {{model = "
-        '"brown-conrady", k1 = ..}'
+    assert (
+        str(caught.value)
+        == f"{path}: cameras.a.{field}: got 0.1; expected no such field here, but lens"
+        ' = {model = "brown-conrady", k1 = ..}'
     )
 
 
@@ -145,20 +158,26 @@ LENS = {"model": "fisheye", "k1": -0.02, "k2": 0.003}
 def test_a_camera_with_a_lens_is_read_and_written_again(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(
-        OWN + 'lens = {model = "brown-conrady", k1 = -0.1, p1 = 0.001}\nroll_deg = 2.0\n'
+        OWN
+        + 'lens = {model = "brown-conrady", k1 = -0.1, p1 = 0.001}\nroll_deg = 2.0\n'
     )
     (camera,) = load_catalogue(path).values()
     assert camera.lens == BrownConrady(k1=-0.1, p1=0.001)
     assert not camera.is_pinhole
     record = own_sensor_record(camera)
     assert record["lens"] == {"model": "brown-conrady", "k1": -0.1, "p1": 0.001}
-    assert read_sensor("mine", json.loads(json.dumps(record)), "camera", "a layout") == camera
+    assert (
+        read_sensor("mine", json.loads(json.dumps(record)), "camera", "a layout")
+        == camera
+    )
     assert from_bytes(to_bytes(camera), CameraModel) == camera
     assert Fingerprints().of(camera) != Fingerprints().of(replace(camera, lens=None))
 
 
 def test_a_field_of_view_is_what_a_fisheye_shows():
-    camera = read_sensor("a", {**ENTRY, "lens": {"model": "fisheye"}}, "camera", "f.toml")
+    camera = read_sensor(
+        "a", {**ENTRY, "lens": {"model": "fisheye"}}, "camera", "f.toml"
+    )
     # Equidistant: half a width is the focal length times half of the angle.
     assert camera.focal_length_px == pytest.approx(960.0 / np.radians(30.0))
     assert camera.vertical_fov_deg == pytest.approx(60.0 * 1080 / 1920)
@@ -167,9 +186,14 @@ def test_a_field_of_view_is_what_a_fisheye_shows():
     assert read_sensor("a", wide, "camera", "f").focal_length_px == pytest.approx(
         960 / np.radians(95)
     )
-    zero = read_sensor("a", {**ENTRY, "lens": {"model": "tsai", "kappa": 0.0}}, "camera", "f.toml")
+    zero = read_sensor(
+        "a", {**ENTRY, "lens": {"model": "tsai", "kappa": 0.0}}, "camera", "f.toml"
+    )
     assert zero.is_pinhole
-    assert zero.focal_length_px == read_sensor("a", ENTRY, "camera", "f.toml").focal_length_px
+    assert (
+        zero.focal_length_px
+        == read_sensor("a", ENTRY, "camera", "f.toml").focal_length_px
+    )
 
 
 @pytest.mark.parametrize(
@@ -177,27 +201,47 @@ def test_a_field_of_view_is_what_a_fisheye_shows():
     [
         (
             {"lens": {"model": "pinhole"}},
-            "f.toml: a.lens.model: got 'pinhole'; expected one of brown-conrady, tsai, fisheye",
+            (
+                "f.toml: a.lens.model: got 'pinhole'; expected one of brown-conrady,"
+                " tsai, fisheye"
+            ),
         ),
-        ({"lens": LENS | {"k9": 1}}, "f.toml: a.lens: got 'k9'; expected one of k1, k2, k3, k4"),
+        (
+            {"lens": LENS | {"k9": 1}},
+            "f.toml: a.lens: got 'k9'; expected one of k1, k2, k3, k4",
+        ),
         ({"lens": {"k1": 1.0}}, "f.toml: a.lens.model: got nothing; expected a value"),
         ({"lens": 3}, "f.toml: a.lens: got 3; expected a table"),
-        ({"lens": {"model": "tsai"}}, "f.toml: a.lens.kappa: got nothing; expected a value"),
-        ({"lens": LENS | {"k1": "x"}}, "f.toml: a.lens.k1: got 'x'; expected a finite number"),
+        (
+            {"lens": {"model": "tsai"}},
+            "f.toml: a.lens.kappa: got nothing; expected a value",
+        ),
+        (
+            {"lens": LENS | {"k1": "x"}},
+            "f.toml: a.lens.k1: got 'x'; expected a finite number",
+        ),
         (
             {"lens": {"model": "fisheye", "k1": -1.5}},
-            "a.horizontal_fov_deg: got 60.0; expected 0 < degrees < 54.019: farther out its lens "
-            "shows nothing",
+            (
+                "a.horizontal_fov_deg: got 60.0; expected 0 < degrees < 54.019: farther"
+                " out its lens shows nothing"
+            ),
         ),
         (
             {"lens": LENS, "fov_range_deg": [30, 400]},
-            "a.fov_range_deg: got [30.0, 400.0]; expected [low, high] in degrees, 0 < low",
+            (
+                "a.fov_range_deg: got [30.0, 400.0]; expected [low, high] in degrees, 0"
+                " < low"
+            ),
         ),
         (
             {"principal_point": [0.5, 3]},
             "a.principal_point: got (0.5, 3.0); expected [x, y] in",
         ),
-        ({"principal_point": 3}, "f.toml: a.principal_point: got 3; expected [x, y] in"),
+        (
+            {"principal_point": 3},
+            "f.toml: a.principal_point: got 3; expected [x, y] in",
+        ),
         ({"pixel_aspect": 0.0}, "a.pixel_aspect: got 0.0; expected 0.5 .. 2"),
         ({"roll_deg": 200.0}, "a.roll_deg: got 200.0; expected -180 .. 180"),
     ],

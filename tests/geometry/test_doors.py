@@ -11,12 +11,37 @@ DOOR = "geometry/files.py"
 CALLS = {
     *("open", "read_text", "read_bytes", "write_text", "write_bytes"),
     *("rename", "symlink_to", "hardlink_to", "copyfile", "copy2", "copytree"),
-    *("ZipFile", "ParquetFile", "InferenceSession", "read_dataframe", "write_dataframe"),
-    *("list_layers", "read_info", "read_parquet", "read_csv", "read_file", "genfromtxt", "loadtxt"),
-    *("memmap", "fromfile", "savetxt", "to_parquet", "FileProcessor", "savefig", "urlopen"),
+    *(
+        "ZipFile",
+        "ParquetFile",
+        "InferenceSession",
+        "read_dataframe",
+        "write_dataframe",
+    ),
+    *(
+        "list_layers",
+        "read_info",
+        "read_parquet",
+        "read_csv",
+        "read_file",
+        "genfromtxt",
+        "loadtxt",
+    ),
+    *(
+        "memmap",
+        "fromfile",
+        "savetxt",
+        "to_parquet",
+        "FileProcessor",
+        "savefig",
+        "urlopen",
+    ),
 }
 METHODS = {"read_text", "read_bytes", "rename"}  # as functions they are the door's own
-CALLS_OF = {"np": {"load", "save", "savez", "savez_compressed"}, "os": {"replace", "link"}}
+CALLS_OF = {
+    "np": {"load", "save", "savez", "savez_compressed"},
+    "os": {"replace", "link"},
+}
 EXCEPTIONS = {
     # Opened by the door before; what follows is inside the open file.
     "geometry/scene_files.py": {"ZipFile", "open"},
@@ -79,8 +104,11 @@ def opened(text: str) -> set[str]:
         if isinstance(node.func, ast.Name) and node.func.id in CALLS - METHODS:
             found.add(node.func.id)
         elif isinstance(node.func, ast.Attribute):
-            name, owner = node.func.attr, getattr(node.func.value, "id", "")
-            is_path_replace = name == "replace" and len(node.args) == 1 and not node.keywords
+            name = node.func.attr
+            owner = getattr(node.func.value, "id", "")
+            is_path_replace = (
+                name == "replace" and len(node.args) == 1 and not node.keywords
+            )
             if name in CALLS_OF.get(owner, CALLS) or is_path_replace:
                 found.add(name)
     return found
@@ -105,12 +133,21 @@ def test_nothing_else_opens_a_file():
 
 
 @pytest.mark.parametrize(
-    "line", ["open(name)", "path.read_text()", "np.load(path)", "a.replace(b)", "os.replace(a, b)"]
+    "line",
+    [
+        "open(name)",
+        "path.read_text()",
+        "np.load(path)",
+        "a.replace(b)",
+        "os.replace(a, b)",
+    ],
 )
 def test_what_is_found(line):
     assert opened(line)
 
 
-@pytest.mark.parametrize("line", ["text.replace('a', 'b')", "replace(value, a=1)", "table.copy()"])
+@pytest.mark.parametrize(
+    "line", ["text.replace('a', 'b')", "replace(value, a=1)", "table.copy()"]
+)
 def test_what_is_not_meant(line):
     assert not opened(line)

@@ -4,9 +4,12 @@ from geometry.errors import InputError, Unquoted
 
 
 def test_input_error_reads_where_got_expected():
-    error = InputError("town05.toml: sites[2].height_range_m", [8.0, 5.0], "[low, high]")
-    assert str(error) == (
-        "town05.toml: sites[2].height_range_m: got [8.0, 5.0]; expected [low, high]"
+    error = InputError(
+        "town05.toml: sites[2].height_range_m", [8.0, 5.0], "[low, high]"
+    )
+    assert (
+        str(error)
+        == "town05.toml: sites[2].height_range_m: got [8.0, 5.0]; expected [low, high]"
     )
     assert (error.where, error.got, error.expected) == (
         "town05.toml: sites[2].height_range_m",
@@ -17,9 +20,13 @@ def test_input_error_reads_where_got_expected():
 
 def test_words_about_a_value_stand_without_quotes():
     assert (
-        str(InputError("x", Unquoted("nothing"), "a value")) == "x: got nothing; expected a value"
+        str(InputError("x", Unquoted("nothing"), "a value"))
+        == "x: got nothing; expected a value"
     )
-    assert str(InputError("x", "nothing", "a value")) == "x: got 'nothing'; expected a value"
+    assert (
+        str(InputError("x", "nothing", "a value"))
+        == "x: got 'nothing'; expected a value"
+    )
 
 
 def test_input_error_is_a_value_error():

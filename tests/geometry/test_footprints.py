@@ -37,7 +37,9 @@ def test_corners_go_counter_clockwise_around_the_declared_area(rectangle):
 
 
 def test_first_corner_is_front_left():
-    corners = footprint_corners([10.0, 20.0], 90.0, length_m=4.0, width_m=2.0)  # heads north
+    corners = footprint_corners(
+        [10.0, 20.0], 90.0, length_m=4.0, width_m=2.0
+    )  # heads north
     assert corners == pytest.approx(
         np.array([[9.0, 22.0], [9.0, 18.0], [11.0, 18.0], [11.0, 22.0]]), abs=1e-12
     )
@@ -51,7 +53,9 @@ def test_separation_is_symmetric(a, b):
 
 
 @given(rectangles(), rectangles(), angles_deg, coordinates_m, coordinates_m)
-def test_separation_does_not_change_when_both_move_together(a, b, turn_deg, east_m, north_m):
+def test_separation_does_not_change_when_both_move_together(
+    a, b, turn_deg, east_m, north_m
+):
     turn = np.radians(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     moved = [_corners(r) @ rotation.T + [east_m, north_m] for r in (a, b)]
@@ -86,7 +90,9 @@ def test_separation_of_rectangles_apart_is_between_the_distance_and_its_half(a, 
     numbers(0.2, 6.0),
     numbers(0.2, 6.0),
 )
-def test_separation_of_parallel_rectangles_is_the_larger_gap(a, ahead_m, left_m, length_m, width_m):
+def test_separation_of_parallel_rectangles_is_the_larger_gap(
+    a, ahead_m, left_m, length_m, width_m
+):
     yaw = np.radians(a.yaw_deg)
     rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     b = Rectangle(
@@ -96,19 +102,26 @@ def test_separation_of_parallel_rectangles_is_the_larger_gap(a, ahead_m, left_m,
         width_m=width_m,
     )
     expected = max(
-        abs(ahead_m) - 0.5 * (a.length_m + length_m), abs(left_m) - 0.5 * (a.width_m + width_m)
+        abs(ahead_m) - 0.5 * (a.length_m + length_m),
+        abs(left_m) - 0.5 * (a.width_m + width_m),
     )
-    assert footprint_separation(_corners(a), _corners(b)) == pytest.approx(expected, abs=1e-9)
+    assert footprint_separation(_corners(a), _corners(b)) == pytest.approx(
+        expected, abs=1e-9
+    )
 
 
 def test_separation_of_a_corner_that_faces_a_side():
     square = footprint_corners([0.0, 0.0], 0.0, length_m=2.0, width_m=2.0)
     diamond = footprint_corners([5.0, 0.0], 45.0, length_m=2.0, width_m=2.0)
-    assert footprint_separation(square, diamond) == pytest.approx(5.0 - 1.0 - np.sqrt(2.0))
+    assert footprint_separation(square, diamond) == pytest.approx(
+        5.0 - 1.0 - np.sqrt(2.0)
+    )
 
 
 def test_separation_broadcasts_over_leading_axes():
-    a = footprint_corners(np.zeros((4, 1, 2)), np.zeros((4, 1)), length_m=2.0, width_m=2.0)
+    a = footprint_corners(
+        np.zeros((4, 1, 2)), np.zeros((4, 1)), length_m=2.0, width_m=2.0
+    )
     east = np.stack([np.arange(5.0), np.zeros(5)], axis=-1)
     b = footprint_corners(east, np.zeros(5), length_m=2.0, width_m=2.0)
     separation = footprint_separation(a, b)
@@ -118,7 +131,10 @@ def test_separation_broadcasts_over_leading_axes():
 
 def _sizes(a: Rectangle, b: Rectangle) -> FootprintSizes:
     return FootprintSizes(
-        length_a_m=a.length_m, width_a_m=a.width_m, length_b_m=b.length_m, width_b_m=b.width_m
+        length_a_m=a.length_m,
+        width_a_m=a.width_m,
+        length_b_m=b.length_m,
+        width_b_m=b.width_m,
     )
 
 
@@ -139,7 +155,8 @@ def test_a_gap_is_what_lies_between_the_corners_along_a_normal(a, b):
         gaps, [a.yaw_deg, a.yaw_deg + 90.0, b.yaw_deg, b.yaw_deg + 90.0], strict=True
     ):
         normal = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
-        on_a, on_b = _corners(a) @ normal, _corners(b) @ normal
+        on_a = _corners(a) @ normal
+        on_b = _corners(b) @ normal
         expected = max(on_b.min() - on_a.max(), on_a.min() - on_b.max())
         assert gap == pytest.approx(expected, abs=1e-9)
 

@@ -39,8 +39,14 @@ def test_carla_is_left_handed_and_the_world_is_not():
 @given(angles_deg, pitches_deg)
 def test_a_direction_in_carla_is_the_same_direction_in_the_world(yaw_deg, pitch_deg):
     yaw, pitch = np.radians([yaw_deg, pitch_deg])
-    ahead_carla = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)]
-    pose = from_carla_pose(position_m=[1.0, 2.0, 3.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    ahead_carla = [
+        np.cos(pitch) * np.cos(yaw),
+        np.cos(pitch) * np.sin(yaw),
+        np.sin(pitch),
+    ]
+    pose = from_carla_pose(
+        position_m=[1.0, 2.0, 3.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
     ahead = body_rotation(pose.yaw_deg, pose.pitch_deg)[:, 0]
     assert ahead == pytest.approx(from_carla_points(ahead_carla), abs=1e-12)
 
@@ -49,7 +55,9 @@ def test_a_car_that_drives_south_in_carla_drives_to_minus_north():
     pose = from_carla_pose(position_m=[-131.8, -58.2, 0.0], yaw_deg=90.0, pitch_deg=0.0)
     assert pose.position_m.tolist() == [-131.8, 58.2, 0.0]
     assert pose.yaw_deg == -90.0
-    assert body_rotation(pose.yaw_deg)[:, 0] == pytest.approx([0.0, -1.0, 0.0], abs=1e-15)
+    assert body_rotation(pose.yaw_deg)[:, 0] == pytest.approx(
+        [0.0, -1.0, 0.0], abs=1e-15
+    )
 
 
 def test_pitch_is_kept():
@@ -64,10 +72,12 @@ def test_town05_origin_is_8_east_49_north():
 
 
 def test_to_geographic_agrees_with_the_radii_of_the_wgs84_ellipsoid():
-    a, f = 6378137.0, 1.0 / 298.257223563
+    a = 6378137.0
+    f = 1.0 / 298.257223563
     e2 = f * (2.0 - f)
     w = np.sqrt(1.0 - e2 * np.sin(np.radians(49.0)) ** 2)
-    meridian_m, normal_m = a * (1.0 - e2) / w**3, a / w
+    meridian_m = a * (1.0 - e2) / w**3
+    normal_m = a / w
     north, east = to_geographic([[0.0, 10.0, 5.0], [10.0, 0.0, 5.0]], TOWN05_CRS)
     assert north == pytest.approx([8.0, 49.0 + np.degrees(10.0 / meridian_m)], abs=1e-9)
     east_deg = np.degrees(10.0 / (normal_m * np.cos(np.radians(49.0))))

@@ -38,8 +38,12 @@ def test_iou_is_symmetric_and_one_only_for_equal_boxes_with_area(a, b):
 
 
 @given(
-    st.tuples(numbers(-500, 500), numbers(-500, 500), numbers(0.5, 500), numbers(0.5, 500)),
-    st.tuples(numbers(-500, 500), numbers(-500, 500), numbers(0.5, 500), numbers(0.5, 500)),
+    st.tuples(
+        numbers(-500, 500), numbers(-500, 500), numbers(0.5, 500), numbers(0.5, 500)
+    ),
+    st.tuples(
+        numbers(-500, 500), numbers(-500, 500), numbers(0.5, 500), numbers(0.5, 500)
+    ),
     numbers(-100.0, 100.0),
     numbers(0.1, 10.0),
 )
@@ -52,10 +56,14 @@ def test_iou_does_not_change_when_the_image_is_shifted_and_scaled(a, b, shift, s
 @given(boxes_px(), boxes_px())
 def test_iou_of_a_part_with_the_whole_is_its_share_of_the_area(whole, other):
     part = clip_boxes(other, width_px=SIZE_PX, height_px=SIZE_PX)
-    part = np.concatenate([np.maximum(part[:2], whole[:2]), np.minimum(part[2:], whole[2:])])
+    part = np.concatenate(
+        [np.maximum(part[:2], whole[:2]), np.minimum(part[2:], whole[2:])]
+    )
     n_part = (_pixels(whole) & _pixels(other)).sum()
     n_whole = _pixels(whole).sum()
-    assert iou(part, whole) == pytest.approx(n_part / n_whole if n_whole else 0.0, abs=1e-15)
+    assert iou(part, whole) == pytest.approx(
+        n_part / n_whole if n_whole else 0.0, abs=1e-15
+    )
 
 
 def test_iou_broadcasts_and_is_zero_for_empty_or_touching_boxes():
@@ -83,7 +91,9 @@ def test_clipping_twice_is_clipping_once(box):
 @given(
     st.integers(1, 7).flatmap(
         lambda columns: st.lists(
-            st.lists(st.booleans(), min_size=columns, max_size=columns), min_size=1, max_size=7
+            st.lists(st.booleans(), min_size=columns, max_size=columns),
+            min_size=1,
+            max_size=7,
         )
     ),
 )
@@ -102,4 +112,7 @@ def test_mask_box_is_the_smallest_box_around_the_set_pixels(mask):
 
 
 def test_box_height_is_the_vertical_extent():
-    assert box_height_px([[1.0, 2.0, 30.0, 44.5], [0.0, 0.0, 0.0, 0.0]]).tolist() == [42.5, 0.0]
+    assert box_height_px([[1.0, 2.0, 30.0, 44.5], [0.0, 0.0, 0.0, 0.0]]).tolist() == [
+        42.5,
+        0.0,
+    ]

@@ -9,7 +9,9 @@ from geometry.errors import InputError
 from geometry.files import parse_json
 
 PRODUCT = ("geometry", "scenarios", "placement", "experiments")
-READS_JSON = re.compile(r"\bjson\.loads?\(|msgspec\.json\.(?:decode|Decoder)\(|JSONDecoder\(")
+READS_JSON = re.compile(
+    r"\bjson\.loads?\(|msgspec\.json\.(?:decode|Decoder)\(|JSONDecoder\("
+)
 # What these read is text that this program, or one that it has begun, has just written.
 OWN_TEXT = {
     "geometry/files.py",  # the one place
@@ -38,12 +40,18 @@ def test_an_object_with_a_key_twice_is_refused(text, key):
     for document in (text, text.encode()):
         with pytest.raises(InputError) as caught:
             parse_json(document, "here.json", "anything")
-        expected = f'here.json: got the key "{key}" twice; expected every key of an object once'
+        expected = (
+            f'here.json: got the key "{key}" twice; expected every key of an object'
+            " once"
+        )
         assert str(caught.value) == expected
 
 
 def test_a_key_may_stand_in_several_objects():
-    assert parse_json('[{"a": 1}, {"a": {"a": 2}}]', "here", "") == [{"a": 1}, {"a": {"a": 2}}]
+    assert parse_json('[{"a": 1}, {"a": {"a": 2}}]', "here", "") == [
+        {"a": 1},
+        {"a": {"a": 2}},
+    ]
 
 
 def test_a_long_key_that_stands_there_twice_is_shown_in_one_short_line():
@@ -54,7 +62,9 @@ def test_a_long_key_that_stands_there_twice_is_shown_in_one_short_line():
     assert len(str(caught.value)) < 300
 
 
-@pytest.mark.parametrize("content", [b"\xff", b"", b"{", b"[1,]", b"[" * 100_000, b"1" * 10_000])
+@pytest.mark.parametrize(
+    "content", [b"\xff", b"", b"{", b"[1,]", b"[" * 100_000, b"1" * 10_000]
+)
 def test_what_is_no_json_is_refused_in_one_line(content):
     with pytest.raises(InputError) as caught:
         parse_json(content, "here", "something flat")

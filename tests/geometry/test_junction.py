@@ -2,7 +2,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from junctions import ARMS, LANE_M, MOUTH_M, SQUARE_M, build_scene, lanes_of, protocol_scene, turned
+from junctions import (
+    ARMS,
+    LANE_M,
+    MOUTH_M,
+    SQUARE_M,
+    build_scene,
+    lanes_of,
+    protocol_scene,
+    turned,
+)
 
 from geometry.errors import InputError
 from geometry.junction import (
@@ -38,7 +47,9 @@ def test_a_crosswalk_of_the_scene_is_taken_by_the_arm_that_it_crosses():
 
 
 @pytest.mark.parametrize("angle_deg", [-30.0, 15.0, 40.0, 90.0, 200.0])
-def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(angle_deg):
+def test_lanes_are_ordered_from_the_kerb_to_the_axis_however_the_junction_lies(
+    angle_deg,
+):
     lanes = [
         lane
         for arm, bearing in ARMS.items()
@@ -55,8 +66,11 @@ def test_the_studys_junction_has_two_driving_lanes_each_way_and_parking_lanes_no
     assert sorted(arms) == ["east", "north", "south", "west"]
     for name, arm in arms.items():
         assert len(arm.entry_lanes) == len(arm.exit_lanes) == 2
-        assert arm.lanes_in[0].kind == ("parking" if name in ("north", "south") else "driving")
-    # Pieces of one lane are put together: 13 m in the junction's own road, 51 m behind it.
+        assert arm.lanes_in[0].kind == (
+            "parking" if name in ("north", "south") else "driving"
+        )
+    # Pieces of one lane are put together: 13 m in the junction's own road, 51 m behind
+    # it.
     assert lane_length_m(arms["north"].entry_lanes[0]) == pytest.approx(64.2, abs=0.1)
     # The lines on which the study's generator lets pedestrians walk.
     assert arms["east"].crosswalk.point_m[0] == -114.93057617
@@ -65,8 +79,12 @@ def test_the_studys_junction_has_two_driving_lanes_each_way_and_parking_lanes_no
 
 def test_arms_that_share_a_point_of_the_compass_are_told_apart_by_eight():
     bearings = {"east": 0.0, "north-east": 44.0, "west": 180.0}
-    lanes = [lane for arm, bearing in bearings.items() for lane in lanes_of(arm, bearing)]
-    octagon = MOUTH_M * np.array([turned([1.0, 0.0], angle) for angle in range(0, 360, 4)])
+    lanes = [
+        lane for arm, bearing in bearings.items() for lane in lanes_of(arm, bearing)
+    ]
+    octagon = MOUTH_M * np.array(
+        [turned([1.0, 0.0], angle) for angle in range(0, 360, 4)]
+    )
     junction = build_junction(build_scene(lanes, outline_m=octagon))
     assert list(junction.arms) == ["east", "north-east", "west"]
 
@@ -82,8 +100,12 @@ def test_a_one_way_arm_has_lanes_of_one_kind_only():
 
 
 def test_lanes_that_do_not_reach_the_outline_are_told():
-    lane = Lane(id="far", kind="driving", width_m=3.5, centreline_m=[[100.0, 0.0], [50.0, 0.0]])
-    with pytest.raises(InputError, match=r"protocol: lanes: got 1; expected lanes that begin"):
+    lane = Lane(
+        id="far", kind="driving", width_m=3.5, centreline_m=[[100.0, 0.0], [50.0, 0.0]]
+    )
+    with pytest.raises(
+        InputError, match=r"protocol: lanes: got 1; expected lanes that begin"
+    ):
         build_junction(build_scene([lane]))
 
 
@@ -91,9 +113,14 @@ def test_a_bent_lane_tells_how_far_it_leaves_its_line():
     centreline = [[60.0, 6.0], [40.0, 0.0], [10.0, 0.0]]
     lane = Lane(id="bent", kind="driving", width_m=LANE_M, centreline_m=centreline)
     near, off_near_m = lane_line(lane, is_in=True, length_m=30.0)
-    assert (near.yaw_deg, off_near_m) == (pytest.approx(180.0), pytest.approx(0.0, abs=1e-12))
+    assert (near.yaw_deg, off_near_m) == (
+        pytest.approx(180.0),
+        pytest.approx(0.0, abs=1e-12),
+    )
     _, off_m = lane_line(lane, is_in=True, length_m=100.0)
-    chord = np.array([50.0, 6.0])  # from mouth to begin; the bend lies 30 m out on the axis
+    chord = np.array(
+        [50.0, 6.0]
+    )  # from mouth to begin; the bend lies 30 m out on the axis
     assert off_m == pytest.approx(30.0 * chord[1] / np.hypot(*chord))
 
 
@@ -106,10 +133,15 @@ def test_lines_cross_where_both_are():
     assert a.at(2.0, 1.0) == pytest.approx([2.0, 2.0])
 
 
-@pytest.mark.parametrize("angles_deg", [(0, 72, 144, 216, 288), (5, 40, 80, 180, 260, 300)])
+@pytest.mark.parametrize(
+    "angles_deg", [(0, 72, 144, 216, 288), (5, 40, 80, 180, 260, 300)]
+)
 def test_any_number_of_arms_at_any_angle_have_names_of_their_own(angles_deg):
     outline = 25.0 * np.array(
-        [[np.cos(angle), np.sin(angle)] for angle in np.linspace(0, 2 * np.pi, 72, endpoint=False)]
+        [
+            [np.cos(angle), np.sin(angle)]
+            for angle in np.linspace(0, 2 * np.pi, 72, endpoint=False)
+        ]
     )
     lanes = []
     for angle in angles_deg:
@@ -158,5 +190,8 @@ def test_where_traffic_keeps_left_the_kerb_is_on_the_left():
     )
     junction = build_junction(replace(scene, lanes=lanes, keeps_left=True))
     for name, arm in junction.arms.items():
-        assert [lane.id for lane in arm.entry_lanes] == [f"{name}-out-0", f"{name}-out-1"]
+        assert [lane.id for lane in arm.entry_lanes] == [
+            f"{name}-out-0",
+            f"{name}-out-1",
+        ]
         assert [lane.id for lane in arm.exit_lanes] == [f"{name}-in-0", f"{name}-in-1"]

@@ -75,7 +75,10 @@ for line in sys.stdin:
 @pytest.fixture(scope="module")
 def starter():
     with subprocess.Popen(
-        [sys.executable, "-c", _STARTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", _STARTER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as process:
 
         def ask(**asked):
@@ -127,7 +130,9 @@ def _end(wait):
 COMPILING = ["compiling for this machine, once: some seconds"]
 
 
-def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(start, tmp_path):
+def test_code_is_compiled_once_and_said_so_also_by_two_processes_at_once(
+    start, tmp_path
+):
     folder = tmp_path / "compiled"
     both = [start(folder), start(folder)]
     for wait in both:
@@ -180,30 +185,46 @@ def test_code_is_compiled_anew_when_kernels_beside_it_change(start, tmp_path):
     twice, total = _MODULE.split("@kernel\ndef total")
     (tmp_path / "doubling_kernels.py").write_text(twice)
     (tmp_path / "summing.py").write_text(
-        f"from geometry.kernels import kernel\nfrom doubling_kernels import twice\n\n"
+        "from geometry.kernels import kernel\nfrom doubling_kernels import twice\n\n"
         f"@kernel\ndef total{total}"
     )
-    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [0, 1]
+    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [
+        0,
+        1,
+    ]
     (tmp_path / "doubling_kernels.py").write_text(twice.replace("x + x", "2.0 * x"))
-    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [0, 1]
+    assert [_end(start(tmp_path / "cache", modules=tmp_path))[0] for _ in range(2)] == [
+        0,
+        1,
+    ]
 
 
-def test_where_no_folder_can_be_made_a_private_temporary_one_has_the_code(start, tmp_path):
+def test_where_no_folder_can_be_made_a_private_temporary_one_has_the_code(
+    start, tmp_path
+):
     (tmp_path / "file").touch()
     folder = tmp_path / "file" / "below"
     temporary = f"import tempfile; tempfile.tempdir = {str(tmp_path)!r}\n"
     instead = tmp_path / f"place-rsus-{os.getuid()}"
-    told = f"compiled code is cached in {instead}: {folder} cannot be made (Not a directory)"
+    told = (
+        f"compiled code is cached in {instead}: {folder} cannot be made (Not a"
+        " directory)"
+    )
     assert _end(start(folder, before=temporary)) == (0, [told, *COMPILING])
     assert _end(start(folder, before=temporary)) == (1, [told])
 
 
-def test_code_of_a_folder_into_which_others_may_write_is_not_run(start, compiled, tmp_path):
+def test_code_of_a_folder_into_which_others_may_write_is_not_run(
+    start, compiled, tmp_path
+):
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     temporary = f"import tempfile; tempfile.tempdir = {str(tmp_path)!r}\n"
     instead = tmp_path / f"place-rsus-{os.getuid()}"
     folder.chmod(0o777)
-    told = f"compiled code is cached in {instead}: {folder} can be written to by other users"
+    told = (
+        f"compiled code is cached in {instead}: {folder} can be written to by other"
+        " users"
+    )
     assert _end(start(folder, before=temporary)) == (0, [told, *COMPILING])
     folder.chmod(0o700)
     assert _end(start(folder)) == (1, [])
@@ -219,7 +240,9 @@ def test_code_that_others_may_write_is_not_run(start, compiled, tmp_path):
     assert _end(start(folder)) == (1, [])
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away")
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away"
+)
 def test_code_of_another_user_is_not_run(start, compiled, tmp_path):
     folder = Path(shutil.copytree(compiled, tmp_path / "compiled"))
     (file,) = folder.glob("*.kernel")
@@ -240,10 +263,15 @@ geometry.kernels.write_atomically = full
 """
     hits, told = _end(start(folder, before=fill))
     assert hits == 0
-    assert told == [*COMPILING, f"machine code not cached: {folder}: No space left on device"]
+    assert told == [
+        *COMPILING,
+        f"machine code not cached: {folder}: No space left on device",
+    ]
 
 
-def test_a_folder_that_goes_while_the_program_runs_costs_no_more_than_time(start, tmp_path):
+def test_a_folder_that_goes_while_the_program_runs_costs_no_more_than_time(
+    start, tmp_path
+):
     folder = tmp_path / "compiled"
     gone = f"""
 import shutil, geometry.kernels, summing
@@ -257,7 +285,9 @@ open({str(folder)!r}, "w").close()
     assert told[1:] == COMPILING
 
 
-def test_numba_that_cannot_write_what_it_compiled_costs_no_more_than_time(start, tmp_path):
+def test_numba_that_cannot_write_what_it_compiled_costs_no_more_than_time(
+    start, tmp_path
+):
     folder = tmp_path / "compiled"
     lose = """
 import shutil, geometry.kernels
@@ -294,8 +324,11 @@ def test_folders_of_programs_that_were_killed_are_removed(start, compiled, tmp_p
     assert (left.exists(), young.exists()) == (False, True)
 
 
-def test_literal_numbers_in_calls_of_kernels_make_no_versions_of_their_own(start, tmp_path):
-    (tmp_path / "adding.py").write_text("""
+def test_literal_numbers_in_calls_of_kernels_make_no_versions_of_their_own(
+    start, tmp_path
+):
+    (tmp_path / "adding.py").write_text(
+        """
 from geometry.kernels import kernel
 
 @kernel
@@ -305,7 +338,8 @@ def add(x, n):
 @kernel
 def total(x, n):
     return add(x, 1) + add(x, 2) + add(x, n)
-""")
+"""
+    )
     count = """
 import sys
 from numba.core import event

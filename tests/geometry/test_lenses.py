@@ -18,9 +18,17 @@ from geometry.lenses import (
     project_distorted,
 )
 from geometry.poses import camera_rotation
-from geometry.sensors import is_shown, picture_rays, pixel_grid, project_points, shown_points
+from geometry.sensors import (
+    is_shown,
+    picture_rays,
+    pixel_grid,
+    project_points,
+    shown_points,
+)
 
-TERMS = st.tuples(*[numbers(-0.4, 0.4)] * 2, *[numbers(-0.02, 0.02)] * 2, numbers(-0.2, 0.2))
+TERMS = st.tuples(
+    *[numbers(-0.4, 0.4)] * 2, *[numbers(-0.02, 0.02)] * 2, numbers(-0.2, 0.2)
+)
 LENSES = st.one_of(
     TERMS.map(lambda k: BrownConrady(k1=k[0], k2=k[1], p1=k[2], p2=k[3], k3=k[4])),
     numbers(-0.4, 0.4).map(lambda kappa: TsaiRadial(kappa=kappa)),
@@ -47,14 +55,20 @@ def calibrated(pose, camera, lens):
 def test_a_lens_without_distortion_is_the_pinhole(pose, camera, lens):
     points = POINTS * 5.0 + pose.position_m
     ours = project_distorted(points, calibrated(pose, camera, lens))
-    assert ours == pytest.approx(project_points(points, pose, camera), rel=1e-9, nan_ok=True)
+    assert ours == pytest.approx(
+        project_points(points, pose, camera), rel=1e-9, nan_ok=True
+    )
 
 
 @given(
-    st.tuples(*[numbers(-0.2, 0.2)] * 2, *[numbers(-0.01, 0.01)] * 2, numbers(-0.05, 0.05)),
+    st.tuples(
+        *[numbers(-0.2, 0.2)] * 2, *[numbers(-0.01, 0.01)] * 2, numbers(-0.05, 0.05)
+    ),
     st.tuples(numbers(-3.0, 3.0), numbers(-3.0, 3.0), numbers(-3.0, 3.0)),
 )
-def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(terms, turn):
+def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(
+    terms, turn
+):
     rotation, _ = cv2.Rodrigues(np.array(turn))
     k = np.array([[900.0, 0, 640], [0, 880.0, 360], [0, 0, 1]])
     camera = CalibratedCamera(
@@ -66,13 +80,17 @@ def test_brown_conrady_agrees_with_opencv_wherever_the_lens_keeps_the_order(term
         cy_px=360.0,
         R_camera_world=rotation,
         position_m=np.array([1.0, 2.0, 3.0]),
-        lens=BrownConrady(**dict(zip(("k1", "k2", "p1", "p2", "k3"), terms, strict=True))),
+        lens=BrownConrady(
+            **dict(zip(("k1", "k2", "p1", "p2", "k3"), terms, strict=True))
+        ),
     )
     ours = project_distorted(POINTS, camera)
     shown = np.isfinite(ours[:, 0])
     assume(shown.any())
     offset = -rotation @ camera.position_m
-    theirs, _ = cv2.projectPoints(POINTS[shown], np.array(turn), offset, k, np.array(terms))
+    theirs, _ = cv2.projectPoints(
+        POINTS[shown], np.array(turn), offset, k, np.array(terms)
+    )
     assert ours[shown, :2] == pytest.approx(theirs[:, 0], rel=1e-8, abs=1e-6)
 
 
@@ -85,7 +103,8 @@ def test_points_that_the_polynomial_would_fold_back_are_not_shown():
 
 @given(numbers(-0.3, 0.5), numbers(-0.8, 0.8), numbers(-0.8, 0.8))
 def test_tsais_lens_and_its_inverse_cancel(kappa, x, y):
-    lens, points = TsaiRadial(kappa=kappa), np.array([[x, y]])
+    lens = TsaiRadial(kappa=kappa)
+    points = np.array([[x, y]])
     shown = lens.distort(points)
     if np.isfinite(shown).all():
         assert lens.undistort(shown) == pytest.approx(points, abs=1e-8)
@@ -109,7 +128,9 @@ def test_a_ground_point_projects_to_its_pixel(kappa):
     pixels = np.array([[10.0, 500.0], [400.0, 300.0], [760.0, 20.0], [324.0, -2000.0]])
     points = ground_points(pixels, camera)
     assert points[:3, 2] == pytest.approx(0.0, abs=1e-9)
-    assert project_distorted(points[:3], camera)[:, :2] == pytest.approx(pixels[:3], abs=1e-6)
+    assert project_distorted(points[:3], camera)[:, :2] == pytest.approx(
+        pixels[:3], abs=1e-6
+    )
     assert np.isnan(points[3]).all()  # above the horizon
 
 
@@ -162,9 +183,14 @@ def test_to_distort_what_is_undistorted_changes_nothing_over_the_picture(lens, s
     rays = lens.undistort(shown)
     lit = np.isfinite(rays).all(axis=1)
     assert np.abs(lens.distort(rays[lit]) - shown[lit]).max(initial=0.0) < 1e-9
-    # And all the picture has rays up to where the edge of what the lens shows comes nearest.
+    # And all the picture has rays up to where the edge of what the lens shows comes
+    # nearest.
     turn = np.linspace(0.0, 2.0 * np.pi, 720)
-    edge = min(lens.reach, 14.0) * (1.0 - 1e-9) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    edge = (
+        min(lens.reach, 14.0)
+        * (1.0 - 1e-9)
+        * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    )
     nearest = np.hypot(*lens.distort(edge).T).min()
     assert lit[np.hypot(*shown.T) < 0.98 * nearest].all()
 
@@ -172,7 +198,8 @@ def test_to_distort_what_is_undistorted_changes_nothing_over_the_picture(lens, s
 @given(LENSES, st.integers(0, 2**32 - 1))
 def test_to_undistort_what_is_distorted_finds_the_ray_again(lens, seed):
     rng = np.random.default_rng(seed)
-    radius, turn = 0.98 * min(lens.reach, 3.0) * rng.random(200), rng.uniform(0.0, 7.0, 200)
+    radius = 0.98 * min(lens.reach, 3.0) * rng.random(200)
+    turn = rng.uniform(0.0, 7.0, 200)
     rays = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
     shown = lens.distort(rays)
     assert np.isfinite(shown).all()
@@ -190,7 +217,9 @@ def test_large_terms_show_the_whole_picture_and_endless_ones_are_refused():
     assert lens.angle_of(lens.shown_at(0.9)) == pytest.approx(0.9)
     wide = replace(pick_camera("carla-ncap-rgb", "name"), lens=lens)
     assert np.isfinite(pixel_grid(replace(wide, width_px=64, height_px=36))).all()
-    with pytest.raises(InputError, match=r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"):
+    with pytest.raises(
+        InputError, match=r"carla-ncap-rgb.lens: got .*1e\+300.*; expected terms"
+    ):
         replace(wide, lens=BrownConrady(k1=1e300))
 
 
@@ -200,8 +229,16 @@ def test_the_angle_of_what_a_lens_shows_is_the_one_it_shows(lens, share):
     assert lens.angle_of(lens.shown_at(angle)) == pytest.approx(angle, abs=1e-8)
 
 
-@given(cameras(), LENSES, numbers(0.1, 0.95), numbers(-30.0, 30.0), st.integers(0, 2**32 - 1))
-def test_every_point_of_a_picture_is_where_its_ray_is_projected(camera, lens, share, roll, seed):
+@given(
+    cameras(),
+    LENSES,
+    numbers(0.1, 0.95),
+    numbers(-30.0, 30.0),
+    st.integers(0, 2**32 - 1),
+)
+def test_every_point_of_a_picture_is_where_its_ray_is_projected(
+    camera, lens, share, roll, seed
+):
     most_deg = min(2.0 * np.degrees(lens.widest_rad), 150.0)
     camera = replace(
         camera,
@@ -217,7 +254,9 @@ def test_every_point_of_a_picture_is_where_its_ray_is_projected(camera, lens, sh
     lit = np.isfinite(rays).all(axis=1)
     assert is_shown(rays[lit], camera).all()
     again = shown_points(rays[lit], camera)
-    assert np.abs((again - pixels[lit]) / camera.focal_length_px).max(initial=0.0) < 1e-9
+    assert (
+        np.abs((again - pixels[lit]) / camera.focal_length_px).max(initial=0.0) < 1e-9
+    )
     # Half a width from the middle is half of the field of view.
     edge_px = camera.middle_px[0] + 0.5 * camera.width_px
     middle = picture_rays([edge_px], [camera.middle_px[1]], camera)

@@ -39,7 +39,9 @@ def lidars(draw) -> LidarModel:
 
 def angles_deg(directions):
     azimuth = np.degrees(np.arctan2(directions[..., 1], directions[..., 0]))
-    elevation = np.degrees(np.arctan2(directions[..., 2], np.hypot(*directions[..., :2].T).T))
+    elevation = np.degrees(
+        np.arctan2(directions[..., 2], np.hypot(*directions[..., :2].T).T)
+    )
     return azimuth, elevation
 
 
@@ -57,11 +59,17 @@ def test_the_studys_lidar_is_that_of_its_table_of_sensors():
 
 def test_the_ring_is_that_of_its_data_sheet():
     # Ouster, OS1, first edition; 1024 of its columns.
-    assert (RING.horizontal_fov_deg, RING.vertical_fov_deg, RING.n_lines) == (360.0, 45.0, 128)
+    assert (RING.horizontal_fov_deg, RING.vertical_fov_deg, RING.n_lines) == (
+        360.0,
+        45.0,
+        128,
+    )
     assert (RING.n_columns, RING.frame_rate_hz) == (1024, 10.0)
     assert (RING.reference_range_m, RING.reference_reflectivity) == (40.0, 0.1)
     # Its two ranges agree with the LiDAR equation: 120 m on 80 %.
-    assert probability_at(120.0, RING, reflectivity=0.8) == pytest.approx(0.76, abs=0.01)
+    assert probability_at(120.0, RING, reflectivity=0.8) == pytest.approx(
+        0.76, abs=0.01
+    )
 
 
 @given(lidars())
@@ -83,12 +91,16 @@ def test_beams_are_unit_vectors_in_the_middle_of_equal_cells(lidar):
     ):
         step = fov_deg / count
         expected = -0.5 * fov_deg + step * (np.arange(count) + 0.5)
-        np.testing.assert_allclose(angles, np.broadcast_to(expected, angles.shape), atol=1e-9)
+        np.testing.assert_allclose(
+            angles, np.broadcast_to(expected, angles.shape), atol=1e-9
+        )
 
 
 def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
     directions = beam_directions(STUDY)
-    assert directions[0, 0] @ [0.0, 1.0, 0.0] < 0.0 < directions[0, -1] @ [0.0, 1.0, 0.0]
+    assert (
+        directions[0, 0] @ [0.0, 1.0, 0.0] < 0.0 < directions[0, -1] @ [0.0, 1.0, 0.0]
+    )
     assert directions[0, 0, 2] < 0.0 < directions[-1, 0, 2]
     assert (directions[..., 0] > 0.0).all()
 
@@ -96,13 +108,13 @@ def test_beams_go_from_the_lowest_line_up_and_from_right_to_left():
 @given(lidars())
 def test_the_diagonal_cone_touches_the_field_of_view_and_holds_every_beam(lidar):
     """It touches where x is least on the border: at a corner, or behind at the ends of a line."""
-    half_width, half_height = (
-        math.radians(0.5 * lidar.horizontal_fov_deg),
-        math.radians(0.5 * lidar.vertical_fov_deg),
-    )
+    half_width = math.radians(0.5 * lidar.horizontal_fov_deg)
+    half_height = math.radians(0.5 * lidar.vertical_fov_deg)
     elevations = np.linspace(-half_height, half_height, 201)
     limit = math.cos(math.radians(0.5 * lidar.diagonal_fov_deg))
-    assert limit == pytest.approx((np.cos(elevations) * math.cos(half_width)).min(), abs=1e-9)
+    assert limit == pytest.approx(
+        (np.cos(elevations) * math.cos(half_width)).min(), abs=1e-9
+    )
     assert (beam_directions(lidar)[..., 0] >= limit - 1e-9).all()
 
 
@@ -119,8 +131,11 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
     ring = dataclasses.replace(lidar, horizontal_fov_deg=360.0)
     beams = beam_directions(ring)
     turn = 2.0 * math.pi * n_columns / ring.n_columns
-    cosine, sine = math.cos(turn), math.sin(turn)
-    turned = beams @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    cosine = math.cos(turn)
+    sine = math.sin(turn)
+    turned = beams @ np.array(
+        [[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]
+    )
     np.testing.assert_allclose(turned, np.roll(beams, -n_columns, axis=1), atol=1e-12)
     azimuth = np.sort(angles_deg(beams[:1])[0][0])
     steps = np.diff(np.append(azimuth, azimuth[0] + 360.0))
@@ -129,10 +144,8 @@ def test_a_ring_turned_by_whole_columns_has_the_same_beams(lidar, n_columns):
 
 @given(lidars())
 def test_the_density_of_beams_sums_up_to_their_number(lidar):
-    half_width, half_height = (
-        math.radians(0.5 * lidar.horizontal_fov_deg),
-        math.radians(0.5 * lidar.vertical_fov_deg),
-    )
+    half_width = math.radians(0.5 * lidar.horizontal_fov_deg)
+    half_height = math.radians(0.5 * lidar.vertical_fov_deg)
     per_azimuth, _ = quad(
         lambda e: float(beams_per_steradian(lidar, math.degrees(e))) * math.cos(e),
         -half_height,
@@ -151,12 +164,22 @@ def test_beams_on_a_pedestrian_ahead_are_its_solid_angle_times_the_density():
 
 
 def test_the_reference_target_comes_back_with_the_reference_probability():
-    assert probability_at(STUDY.reference_range_m) == pytest.approx(STUDY.reference_probability)
+    assert probability_at(STUDY.reference_range_m) == pytest.approx(
+        STUDY.reference_probability
+    )
     assert STUDY.reference_probability == 0.9
 
 
-@given(numbers(10.0, 240.0), numbers(0.01, 1.0), numbers(0.05, 1.0), numbers(0.0, 0.02), lidars())
-def test_the_log_odds_follow_the_lidar_equation(distance, reflectivity, cosine, extinction, lidar):
+@given(
+    numbers(10.0, 240.0),
+    numbers(0.01, 1.0),
+    numbers(0.05, 1.0),
+    numbers(0.0, 0.02),
+    lidars(),
+)
+def test_the_log_odds_follow_the_lidar_equation(
+    distance, reflectivity, cosine, extinction, lidar
+):
     probability = return_probability(
         lidar,
         distance,
@@ -164,10 +187,15 @@ def test_the_log_odds_follow_the_lidar_equation(distance, reflectivity, cosine, 
         incidence_cos=cosine,
         extinction_per_m=extinction,
     )
-    signal = reflectivity * cosine / distance**2 * math.exp(-2.0 * extinction * distance)
+    signal = (
+        reflectivity * cosine / distance**2 * math.exp(-2.0 * extinction * distance)
+    )
     reference = lidar.reference_reflectivity / lidar.reference_range_m**2
     odds = math.log(9.0) + math.log(signal / reference) / lidar.threshold_width
-    expected = 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
+    if odds > -700.0:
+        expected = 1.0 / (1.0 + math.exp(-odds))
+    else:
+        expected = 0.0
     assert probability == pytest.approx(expected, rel=1e-9, abs=1e-300)
 
 
@@ -177,9 +205,13 @@ def test_four_times_the_reflectivity_reaches_twice_as_far():
 
 
 @given(numbers(0.0, 0.05), numbers(0.01, 1.0))
-def test_probability_falls_with_distance_and_ends_at_the_range(extinction, reflectivity):
+def test_probability_falls_with_distance_and_ends_at_the_range(
+    extinction, reflectivity
+):
     distance = np.linspace(STUDY.near_m, STUDY.range_m, 500)
-    probability = probability_at(distance, reflectivity=reflectivity, extinction_per_m=extinction)
+    probability = probability_at(
+        distance, reflectivity=reflectivity, extinction_per_m=extinction
+    )
     assert (np.diff(probability) <= 0.0).all()
     assert ((probability >= 0.0) & (probability <= 1.0)).all()
     outside = [0.0, STUDY.near_m - 1e-9, STUDY.range_m + 1e-9, math.inf]
@@ -218,9 +250,18 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
             {"horizontal_fov_deg": 360.1},
             "horizontal_fov_deg: got 360.1; expected 0 < degrees <= 360",
         ),
-        ({"horizontal_fov_deg": 0.0}, "horizontal_fov_deg: got 0.0; expected 0 < degrees <= 360"),
-        ({"vertical_fov_deg": 180.0}, "vertical_fov_deg: got 180.0; expected 0 < degrees < 180"),
-        ({"vertical_fov_deg": math.nan}, "vertical_fov_deg: got nan; expected 0 < degrees < 180"),
+        (
+            {"horizontal_fov_deg": 0.0},
+            "horizontal_fov_deg: got 0.0; expected 0 < degrees <= 360",
+        ),
+        (
+            {"vertical_fov_deg": 180.0},
+            "vertical_fov_deg: got 180.0; expected 0 < degrees < 180",
+        ),
+        (
+            {"vertical_fov_deg": math.nan},
+            "vertical_fov_deg: got nan; expected 0 < degrees < 180",
+        ),
         ({"n_lines": 0}, "n_lines: got 0; expected a whole number of lines, > 0"),
         ({"n_lines": 2.0}, "n_lines: got 2.0; expected a whole number of lines, > 0"),
         ({"n_lines": True}, "n_lines: got True; expected a whole number of lines, > 0"),
@@ -230,10 +271,19 @@ def test_detection_asks_for_points_of_every_class_of_road_user():
         ({"frame_rate_hz": 0.0}, "frame_rate_hz: got 0.0; expected a positive number"),
         (
             {"frame_rate_hz": 5.0},
-            "frame_rate_hz: got 5.0; expected at least 10: so often all units are taken to look",
+            (
+                "frame_rate_hz: got 5.0; expected at least 10: so often all units are"
+                " taken to look"
+            ),
         ),
-        ({"range_noise_m": -0.1}, "range_noise_m: got -0.1; expected a number, at least 0"),
-        ({"price_eur": math.nan}, "price_eur: got nan; expected euros, 0 to 1,000,000,000"),
+        (
+            {"range_noise_m": -0.1},
+            "range_noise_m: got -0.1; expected a number, at least 0",
+        ),
+        (
+            {"price_eur": math.nan},
+            "price_eur: got nan; expected euros, 0 to 1,000,000,000",
+        ),
         (
             {"reference_reflectivity": 1.5},
             "reference_reflectivity: got 1.5; expected 0 < share <= 1",
@@ -265,7 +315,10 @@ def test_lidar_model_says_what_is_wrong(change, message):
             {"min_points": 2.5, "reflectivity": 0.1},
             "min_points: got 2.5; expected a whole number of points, > 0",
         ),
-        ({"min_points": 3, "reflectivity": 2.0}, "reflectivity: got 2.0; expected 0 < share <= 1"),
+        (
+            {"min_points": 3, "reflectivity": 2.0},
+            "reflectivity: got 2.0; expected 0 < share <= 1",
+        ),
         ({"min_points": 3}, "reflectivity: got nothing; expected a value"),
     ],
 )

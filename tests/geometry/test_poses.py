@@ -16,7 +16,10 @@ from geometry.poses import (
 
 @given(angles_deg, angles_deg)
 def test_rotations_are_orthonormal_and_right_handed(yaw_deg, pitch_deg):
-    for rotation in (body_rotation(yaw_deg, pitch_deg), camera_rotation(yaw_deg, pitch_deg)):
+    for rotation in (
+        body_rotation(yaw_deg, pitch_deg),
+        camera_rotation(yaw_deg, pitch_deg),
+    ):
         assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
         assert np.linalg.det(rotation) == pytest.approx(1.0, abs=1e-12)
 
@@ -54,7 +57,9 @@ def test_camera_axes_are_right_down_ahead():
 @given(poses(), points_m, points_m)
 def test_to_world_keeps_distances_and_puts_the_origin_at_the_pose(pose, a, b):
     world = to_world(np.stack([a, b, np.zeros(3)]), pose)
-    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(np.linalg.norm(a - b), abs=1e-9)
+    assert np.linalg.norm(world[0] - world[1]) == pytest.approx(
+        np.linalg.norm(a - b), abs=1e-9
+    )
     assert np.array_equal(world[2], pose.position_m)
 
 

@@ -17,22 +17,33 @@ from geometry.files import (
     ("mode", "is_shared"),
     [(0o700, False), (0o755, False), (0o707, True), (0o777, True), (0o1777, True)],
 )
-def test_who_else_may_write_is_told_by_the_rights_of_a_folder(tmp_path, mode, is_shared):
+def test_who_else_may_write_is_told_by_the_rights_of_a_folder(
+    tmp_path, mode, is_shared
+):
     folder = tmp_path / "cache"
     folder.mkdir()
     folder.chmod(mode)
     assert writable_by_others(folder) is is_shared
     inside = folder / "own"
-    inside.mkdir(mode=0o700)  # others may put another in its place, but where that is forbidden
+    inside.mkdir(
+        mode=0o700
+    )  # others may put another in its place, but where that is forbidden
     assert writable_by_others(inside) is (is_shared and not mode & 0o1000)
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
 @pytest.mark.parametrize(
     ("group", "members", "is_shared"),
-    [("ann", [], False), ("ann", ["ann"], False), ("ann", ["bob"], True), ("staff", [], True)],
+    [
+        ("ann", [], False),
+        ("ann", ["ann"], False),
+        ("ann", ["bob"], True),
+        ("staff", [], True),
+    ],
 )
-def test_a_users_own_group_is_nobody_else(tmp_path, monkeypatch, group, members, is_shared):
+def test_a_users_own_group_is_nobody_else(
+    tmp_path, monkeypatch, group, members, is_shared
+):
     import grp
     import pwd
     from types import SimpleNamespace
@@ -63,7 +74,9 @@ def test_a_folder_behind_links_is_judged_by_all_that_leads_there(tmp_path):
     assert writable_by_others(tmp_path / "link")
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away")
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away"
+)
 def test_files_of_another_user_are_not_believed(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"mine")
@@ -84,7 +97,9 @@ def test_a_relative_cache_home_does_not_count(monkeypatch, tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no such rights")
-def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(tmp_path, monkeypatch):
+def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     find = private_temporary_folder.__wrapped__
     first = find()

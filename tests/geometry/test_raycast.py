@@ -23,7 +23,9 @@ def open3d():
         pytest.skip(problem)
 
 
-@pytest.fixture(scope="module", params=[pytest.param("open3d", marks=pytest.mark.system), "embree"])
+@pytest.fixture(
+    scope="module", params=[pytest.param("open3d", marks=pytest.mark.system), "embree"]
+)
 def library(request):
     if request.param == "open3d":
         request.getfixturevalue("open3d")
@@ -38,14 +40,18 @@ def _wall(library, x_m=10.0):
 
 def _random_rays(rng, n, reach_m):
     origins = rng.uniform(-reach_m, reach_m, (n, 3)).astype(np.float32)
-    return origins, (rng.uniform(-reach_m, reach_m, (n, 3)) - origins).astype(np.float32)
+    return origins, (rng.uniform(-reach_m, reach_m, (n, 3)) - origins).astype(
+        np.float32
+    )
 
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rays_against_a_box_are_those_of_the_slab_formula(library, seed):
     origins, vectors = _random_rays(np.random.default_rng(seed), 500, 8.0)
     caster = build_caster(BOX.vertices, BOX.faces, library=library)
-    entry, leave = slab_hits(origins.astype(float), vectors.astype(float), -BOX_M, BOX_M)
+    entry, leave = slab_hits(
+        origins.astype(float), vectors.astype(float), -BOX_M, BOX_M
+    )
     margin = 1e-3  # rays along an edge or from the surface may go either way
     is_inside = (entry < -margin) & (leave > margin)
     is_hit = (entry > margin) & (leave > entry + margin)
@@ -68,17 +74,24 @@ def test_a_segment_ends_where_it_ends(library, side):
     origins = np.array([[10.0 - 10.0 * side, 0.3, 0.2]] * 3, dtype=np.float32)
     ways = np.array([[9.999 * side, 0, 0], [10.001 * side, 0, 0], [-9.0 * side, 0, 0]])
     blocked = caster.is_blocked(origins, ways.astype(np.float32))
-    assert blocked.tolist() == [False, True, False]  # just before, just after, away from it
+    assert blocked.tolist() == [
+        False,
+        True,
+        False,
+    ]  # just before, just after, away from it
 
 
 def test_the_nearest_of_several_triangles_is_hit_at_its_share_of_the_vector(library):
     walls = [
-        np.array([[x, -5, -5], [x, 5, -5], [x, 5, 5], [x, -5, 5]], dtype=float) for x in (9, 3, 6)
+        np.array([[x, -5, -5], [x, 5, -5], [x, 5, 5], [x, -5, 5]], dtype=float)
+        for x in (9, 3, 6)
     ]
     faces = np.concatenate([[[i, i + 1, i + 2], [i, i + 2, i + 3]] for i in (0, 4, 8)])
     caster = build_caster(np.concatenate(walls), faces, library=library)
     origins = np.array([[0, 0.1, 0.2]] * 3 + [[4, 0.1, 0.2]], dtype=np.float32)
-    vectors = np.array([[1, 0, 0], [12, 0, 0], [-1, 0, 0], [0.5, 0, 0]], dtype=np.float32)
+    vectors = np.array(
+        [[1, 0, 0], [12, 0, 0], [-1, 0, 0], [0.5, 0, 0]], dtype=np.float32
+    )
     assert caster.first_triangle(origins, vectors)[0] == pytest.approx(
         [3.0, 0.25, np.inf, 4.0], rel=1e-6
     )
@@ -92,11 +105,17 @@ def test_open3d_and_embreex_agree_on_any_triangles_and_rays(seed):
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
     triangles = rng.integers(0, 90, (60, 3))
     origins, vectors = _random_rays(rng, 4000, 60.0)
-    one, other = (build_caster(vertices, triangles, library=name) for name in raycast.CASTERS)
-    assert np.array_equal(one.is_blocked(origins, vectors), other.is_blocked(origins, vectors))
+    one, other = (
+        build_caster(vertices, triangles, library=name) for name in raycast.CASTERS
+    )
+    assert np.array_equal(
+        one.is_blocked(origins, vectors), other.is_blocked(origins, vectors)
+    )
     hits = one.first_triangle(origins, vectors)[0]
     assert np.isfinite(hits).any()
-    np.testing.assert_allclose(hits, other.first_triangle(origins, vectors)[0], rtol=1e-5)
+    np.testing.assert_allclose(
+        hits, other.first_triangle(origins, vectors)[0], rtol=1e-5
+    )
 
 
 @pytest.mark.system
@@ -107,20 +126,25 @@ def test_open3d_and_embreex_name_the_same_first_triangle(seed):
     vertices = rng.uniform(-50.0, 50.0, (90, 3))
     triangles = rng.integers(0, 90, (60, 3))
     origins, vectors = _random_rays(rng, 4000, 60.0)
-    casters = [build_caster(vertices, triangles, library=name) for name in raycast.CASTERS]
+    casters = [
+        build_caster(vertices, triangles, library=name) for name in raycast.CASTERS
+    ]
     (one_share, one), (other_share, other) = (
         caster.first_triangle(origins, vectors) for caster in casters
     )
     np.testing.assert_allclose(one_share, other_share, rtol=1e-5)
     assert (one >= 0).any()
-    # Where two triangles cross or share an edge, either may come first: both are met there.
+    # Where two triangles cross or share an edge, either may come first: both are met
+    # there.
     where = np.flatnonzero(one != other)
     for named in (one[where], other[where]):
         corner, second, third = vertices[triangles[named]].transpose(1, 0, 2)
         normal = np.cross(second - corner, third - corner)
         ahead = np.einsum("ij,ij->i", corner - origins[where], normal)
         speed = np.einsum("ij,ij->i", vectors[where], normal)
-        np.testing.assert_allclose(ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1)
+        np.testing.assert_allclose(
+            ahead, one_share[where] * speed, rtol=1e-3, atol=1e-1
+        )
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -152,11 +176,15 @@ def test_blocked_means_that_the_first_hit_comes_before_the_end(library, seed):
     origins, vectors = _random_rays(rng, 2000, 60.0)
     share = caster.first_triangle(origins, vectors)[0]
     is_clear = np.abs(share - 1.0) > 1e-5
-    assert np.array_equal(caster.is_blocked(origins, vectors)[is_clear], (share <= 1.0)[is_clear])
+    assert np.array_equal(
+        caster.is_blocked(origins, vectors)[is_clear], (share <= 1.0)[is_clear]
+    )
 
 
 def test_nothing_is_hit_where_nothing_is(library):
-    caster = build_caster(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), library=library)
+    caster = build_caster(
+        np.zeros((0, 3)), np.zeros((0, 3), dtype=int), library=library
+    )
     origins, vectors = _random_rays(np.random.default_rng(0), 10, 5.0)
     assert not caster.is_blocked(origins, vectors).any()
     assert np.isposinf(caster.first_triangle(origins, vectors)[0]).all()
@@ -186,10 +214,13 @@ def test_answers_have_the_declared_types_and_rays_may_be_strided(library):
 
 def test_two_threads_get_the_answers_of_one(library):
     rng = np.random.default_rng(7)
-    vertices, triangles = rng.uniform(-50, 50, (300, 3)), rng.integers(0, 300, (200, 3))
+    vertices = rng.uniform(-50, 50, (300, 3))
+    triangles = rng.integers(0, 300, (200, 3))
     batches = [_random_rays(rng, 20_000, 60.0) for _ in range(8)]
     alone = build_caster(vertices, triangles, library=library)
-    expected = [(alone.is_blocked(*rays), alone.first_triangle(*rays)[0]) for rays in batches]
+    expected = [
+        (alone.is_blocked(*rays), alone.first_triangle(*rays)[0]) for rays in batches
+    ]
     shared = build_caster(vertices, triangles, library=library)
     with ThreadPoolExecutor(2) as pool:
         blocked = list(pool.map(lambda rays: shared.is_blocked(*rays), batches))
@@ -206,8 +237,9 @@ def test_a_vertex_that_is_not_finite_is_refused(library):
     vertices[1, 1] = np.nan
     with pytest.raises(InputError) as caught:
         build_caster(vertices, [[0, 1, 2]], library=library)
-    assert str(caught.value) == (
-        "vertices_m: got a vertex that is not finite; expected finite coordinates"
+    assert (
+        str(caught.value)
+        == "vertices_m: got a vertex that is not finite; expected finite coordinates"
     )
 
 
@@ -215,7 +247,10 @@ def test_a_vertex_that_is_not_finite_is_refused(library):
 def test_a_triangle_outside_the_vertices_is_refused(library, triangle, index):
     with pytest.raises(InputError) as caught:
         build_caster(np.eye(3), [triangle], library=library)
-    assert str(caught.value) == f"triangles: got {index}; expected vertex indices from 0 to 2"
+    assert (
+        str(caught.value)
+        == f"triangles: got {index}; expected vertex indices from 0 to 2"
+    )
 
 
 @pytest.fixture
@@ -241,7 +276,9 @@ def break_open3d(monkeypatch):
     ("error", "cause", "remedy"),
     [
         (
-            OSError(f"{library}: cannot open shared object file: No such file or directory"),
+            OSError(
+                f"{library}: cannot open shared object file: No such file or directory"
+            ),
             f"{library} is missing",
             f"apt-get install {package}",
         )
@@ -265,14 +302,19 @@ def break_open3d(monkeypatch):
         ),
     ],
 )
-def test_why_open3d_cannot_load_is_told_with_the_remedy(break_open3d, error, cause, remedy):
+def test_why_open3d_cannot_load_is_told_with_the_remedy(
+    break_open3d, error, cause, remedy
+):
     break_open3d(error)
     reason = f"Open3D cannot load ({cause}); to use it: {remedy}"
     assert open3d_problem() == reason
     assert caster_name() == "embree"
     with pytest.raises(InputError) as caught:
         caster_name("open3d", where="--rays")
-    assert str(caught.value) == f"--rays: got 'open3d'; expected a library that loads: {reason}"
+    assert (
+        str(caught.value)
+        == f"--rays: got 'open3d'; expected a library that loads: {reason}"
+    )
     with pytest.raises(InputError, match="library: got 'open3d'"):
         build_caster(BOX.vertices, BOX.faces, library="open3d")
 
@@ -286,7 +328,9 @@ def test_embreex_casts_where_it_loads_and_open3d_is_not_imported(break_open3d):
 @pytest.mark.system
 @pytest.mark.usefixtures("open3d")
 def test_open3d_casts_where_embreex_cannot_load_or_it_is_asked_for(monkeypatch):
-    assert isinstance(build_caster(BOX.vertices, BOX.faces, library="open3d"), raycast.Open3dCaster)
+    assert isinstance(
+        build_caster(BOX.vertices, BOX.faces, library="open3d"), raycast.Open3dCaster
+    )
     monkeypatch.setattr(raycast, "embreex_problem", lambda: "embreex cannot load")
     assert caster_name() == "open3d"
     with pytest.raises(InputError, match="a library that loads: embreex cannot load"):
@@ -298,12 +342,15 @@ def test_where_no_library_loads_both_reasons_are_told(monkeypatch):
         monkeypatch.setattr(raycast, f"{name}_problem", lambda name=name: f"no {name}")
     with pytest.raises(InputError) as caught:
         caster_name()
-    assert str(caught.value) == (
-        "rays: got 'auto'; expected a library that loads: no embreex; no open3d"
+    assert (
+        str(caught.value)
+        == "rays: got 'auto'; expected a library that loads: no embreex; no open3d"
     )
 
 
 def test_an_unknown_library_is_refused_with_the_known_ones():
     with pytest.raises(InputError) as caught:
         caster_name("optix")
-    assert str(caught.value) == "rays: got 'optix'; expected one of auto, embree, open3d"
+    assert (
+        str(caught.value) == "rays: got 'optix'; expected one of auto, embree, open3d"
+    )

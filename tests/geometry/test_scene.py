@@ -39,7 +39,9 @@ def _scene(*bodies) -> Scene:
         triangles=np.concatenate(
             [empty[1], *(t + n for (_, _, t), n in zip(bodies, first, strict=False))]
         ),
-        triangle_instance=np.repeat(np.arange(len(bodies)), [len(t) for _, _, t in bodies]),
+        triangle_instance=np.repeat(
+            np.arange(len(bodies)), [len(t) for _, _, t in bodies]
+        ),
         instances=tuple(
             Instance(id=f"body-{index}", class_name=name)
             for index, (name, _, _) in enumerate(bodies)
@@ -53,7 +55,11 @@ def _scene(*bodies) -> Scene:
 
 def _box(size_m, pose, class_name="building"):
     mesh = trimesh.creation.box(size_m)
-    return class_name, to_world(mesh.vertices + [0, 0, 0.5 * size_m[2]], pose), mesh.faces
+    return (
+        class_name,
+        to_world(mesh.vertices + [0, 0, 0.5 * size_m[2]], pose),
+        mesh.faces,
+    )
 
 
 def _message(function, *arguments, **fields) -> str:
@@ -79,15 +85,20 @@ def _message(function, *arguments, **fields) -> str:
         *(
             (
                 {"height_range_m": pair},
-                f"site pole.height_range_m: got {pair}; "
-                "expected [low, high] in metres, 0 < low <= high",
+                (
+                    f"site pole.height_range_m: got {pair}; "
+                    "expected [low, high] in metres, 0 < low <= high"
+                ),
             )
             for pair in ([8.0, 4.0], [0.0, 4.0], [-1.0, 4.0])
         ),
         *(
             (
                 {"capacity_units": number},
-                f"site pole.capacity_units: got {number!r}; expected a whole number, 1 to 1,000",
+                (
+                    f"site pole.capacity_units: got {number!r}; expected a whole"
+                    " number, 1 to 1,000"
+                ),
             )
             for number in (0, -1, 1.0, True, "2")
         ),
@@ -105,14 +116,19 @@ def test_a_site_may_have_one_height_only():
 
 
 def test_an_unknown_class_lists_the_known_ones():
-    assert _message(Instance, id="house", class_name="hut") == (
-        f"instance house.class_name: got 'hut'; expected one of {', '.join(CLASS_NAMES)}"
+    assert (
+        _message(Instance, id="house", class_name="hut")
+        == "instance house.class_name: got 'hut'; expected one of"
+        f" {', '.join(CLASS_NAMES)}"
     )
 
 
 def test_a_lane_needs_points_of_the_plane():
-    assert _message(Lane, id="a", kind="driving", width_m=3.0, centreline_m=[[1.0, 2.0, 3.0]]) == (
-        "lane a.centreline_m: got shape (1, 3); expected shape (-1, 2)"
+    assert (
+        _message(
+            Lane, id="a", kind="driving", width_m=3.0, centreline_m=[[1.0, 2.0, 3.0]]
+        )
+        == "lane a.centreline_m: got shape (1, 3); expected shape (-1, 2)"
     )
 
 
@@ -143,7 +159,10 @@ def test_a_lane_needs_points_of_the_plane():
             {"triangle_instance": np.ones(12)},
             "junction: triangle_instance: got 1; expected indices from 0 to 0",
         ),
-        ({"sites": (Site(**SITE),) * 2}, "junction: sites: got 'pole'; expected every id once"),
+        (
+            {"sites": (Site(**SITE),) * 2},
+            "junction: sites: got 'pole'; expected every id once",
+        ),
         (
             {"instances": (Instance(id="a", class_name="wall"),) * 3},
             "junction: instances: got 'a'; expected every id once",
@@ -182,7 +201,8 @@ sizes_m = st.tuples(*[numbers(0.5, 40.0)] * 3)
 def test_a_point_lies_in_a_box_if_it_is_between_all_its_sides(
     size_m, middle_m, yaw_deg, share, class_name
 ):
-    size, half = np.array(size_m), 0.5 * np.array(size_m)
+    size = np.array(size_m)
+    half = 0.5 * np.array(size_m)
     pose = Pose(position_m=middle_m, yaw_deg=yaw_deg)
     scene = _scene(_box(size_m, pose, class_name))
     point = half * share  # relative to the middle of the box
@@ -197,7 +217,9 @@ def test_a_point_lies_in_a_box_if_it_is_between_all_its_sides(
 
 
 def test_just_beyond_each_side_is_open_air():
-    scene = _scene(_box([4.0, 6.0, 8.0], Pose(position_m=[10.0, 0.0, 0.0], yaw_deg=0.0)))
+    scene = _scene(
+        _box([4.0, 6.0, 8.0], Pose(position_m=[10.0, 0.0, 0.0], yaw_deg=0.0))
+    )
     middle = np.array([10.0, 0.0, 4.0])
     for axis, half in enumerate((2.0, 3.0, 4.0)):
         for sign in (-1.0, 1.0):
@@ -210,7 +232,8 @@ def test_just_beyond_each_side_is_open_air():
 
 def test_between_two_bodies_is_open_air_and_in_the_second_one_is_the_second():
     boxes = [
-        _box([2.0, 2.0, 2.0], Pose(position_m=[x, 0.0, 0.0], yaw_deg=30.0)) for x in (-3.0, 3.0)
+        _box([2.0, 2.0, 2.0], Pose(position_m=[x, 0.0, 0.0], yaw_deg=30.0))
+        for x in (-3.0, 3.0)
     ]
     scene = _scene(*boxes)
     assert containing_instance(scene, [0.0, 0.0, 1.0]) is None
@@ -219,7 +242,9 @@ def test_between_two_bodies_is_open_air_and_in_the_second_one_is_the_second():
 
 def test_posts_and_the_ground_hold_nothing():
     for name in ("lamp post", "traffic light", "ground"):
-        scene = _scene(_box([2.0, 2.0, 2.0], Pose(position_m=[0, 0, 0], yaw_deg=0.0), name))
+        scene = _scene(
+            _box([2.0, 2.0, 2.0], Pose(position_m=[0, 0, 0], yaw_deg=0.0), name)
+        )
         assert containing_instance(scene, [0.0, 0.0, 1.0]) is None
 
 
@@ -247,6 +272,7 @@ def test_a_parked_car_made_of_overlapping_parts_holds_what_is_in_any_of_them():
 
 def test_a_point_must_be_a_point():
     scene = _scene(_box([1.0, 1.0, 1.0], Pose(position_m=[0, 0, 0], yaw_deg=0.0)))
-    assert _message(containing_instance, scene, [1.0, 2.0]) == (
-        "position_m: got shape (2,); expected shape (3,)"
+    assert (
+        _message(containing_instance, scene, [1.0, 2.0])
+        == "position_m: got shape (2,); expected shape (3,)"
     )

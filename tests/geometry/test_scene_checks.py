@@ -13,8 +13,10 @@ from geometry.study_scene import load_study_scene
 def with_things(*things, sites=True):
     """Euro NCAP's junction with meshes (id, class, mesh) and a site in the open."""
     scene = protocol_scene(crosswalks_m=[[[14.0, -6.0], [14.0, 6.0]]])
-    vertices, triangles = [scene.vertices_m], [scene.triangles]
-    index, instances = [scene.triangle_instance], list(scene.instances)
+    vertices = [scene.vertices_m]
+    triangles = [scene.triangles]
+    index = [scene.triangle_instance]
+    instances = list(scene.instances)
     for name, class_name, mesh in things:
         triangles.append(np.asarray(mesh.faces) + sum(map(len, vertices)))
         vertices.append(np.asarray(mesh.vertices))
@@ -59,19 +61,41 @@ def without_floor(mesh):
         ([("a", "building", box(30, 30))], []),
         ([("a", "building", without_floor(box(30, 30)))], []),
         ([("a", "building", without_roof(box(30, 30)))], ["a: its surface has holes"]),
-        ([("a", "building", box(30, 30, bottom_m=1.5))], ["a: it begins more than 0.5 m above"]),
-        ([("a", "building", box(30, 2.0, bottom_m=3.0))], ["a: it begins 2 m above the ground or"]),
-        ([("a", "building", box(30, 30, bottom_m=-4.0))], ["a: it is below the road, or begins"]),
-        ([("a", "building", box(30, 2.0))], ["a: it stands on a lane or in the junction"]),
-        ([("a", "building", box(30, 30)), ("b", "building", box(33, 30))], ["a and b: they over"]),
+        (
+            [("a", "building", box(30, 30, bottom_m=1.5))],
+            ["a: it begins more than 0.5 m above"],
+        ),
+        (
+            [("a", "building", box(30, 2.0, bottom_m=3.0))],
+            ["a: it begins 2 m above the ground or"],
+        ),
+        (
+            [("a", "building", box(30, 30, bottom_m=-4.0))],
+            ["a: it is below the road, or begins"],
+        ),
+        (
+            [("a", "building", box(30, 2.0))],
+            ["a: it stands on a lane or in the junction"],
+        ),
+        (
+            [("a", "building", box(30, 30)), ("b", "building", box(33, 30))],
+            ["a and b: they over"],
+        ),
         ([("a", "building", box(30, 30)), ("b", "building", box(36, 30))], []),
         ([("a", "vegetation", box(30, 2.0, bottom_m=3.0))], []),
-        ([("a", "building", box(15, 15))], ["site pole: its mount at 4 m is inside building a"]),
+        (
+            [("a", "building", box(15, 15))],
+            ["site pole: its mount at 4 m is inside building a"],
+        ),
     ],
 )
 def test_what_may_be_wrong_is_found_and_nothing_else(things, expected):
-    findings = [f"{found.what}: {found.why}" for found in check_scene(with_things(*things))]
-    if things[0][2].bounds[0][0] == 6.0:  # the box at the site reaches into the junction, too
+    findings = [
+        f"{found.what}: {found.why}" for found in check_scene(with_things(*things))
+    ]
+    if (
+        things[0][2].bounds[0][0] == 6.0
+    ):  # the box at the site reaches into the junction, too
         findings = [line for line in findings if "lane" not in line]
     assert len(findings) == len(expected)
     for line, begin in zip(findings, expected, strict=True):
@@ -90,7 +114,10 @@ def test_no_sites_and_no_way_in_are_errors():
     assert (finding.level, finding.what) == ("error", "sites")
     scene = with_things()
     (finding,) = check_scene(replace(scene, outline_m=scene.outline_m + 100.0))
-    assert (finding.level, finding.why) == ("error", "no lane ends at the junction's outline")
+    assert (finding.level, finding.why) == (
+        "error",
+        "no lane ends at the junction's outline",
+    )
 
 
 def test_assumed_heights_are_told_with_few_names():
@@ -120,4 +147,6 @@ def test_a_lane_that_leads_over_the_opposite_carriageway_is_found():
         for one in check_scene(replace(scene, lanes=(*scene.lanes, over)))
         if "opposite directions" in one.why
     ]
-    assert [(one.level, one.what) for one in found] == [("warning", "west-out-0 and over")]
+    assert [(one.level, one.what) for one in found] == [
+        ("warning", "west-out-0 and over")
+    ]

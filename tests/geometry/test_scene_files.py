@@ -37,7 +37,11 @@ LANES = tuple(
 )
 ROADS = (
     LeadingRoad(
-        name="A Street", point_m=[20.0, 0.0], direction=[1.0, 0.0], lanes_in=1, lanes_out=2
+        name="A Street",
+        point_m=[20.0, 0.0],
+        direction=[1.0, 0.0],
+        lanes_in=1,
+        lanes_out=2,
     ),
 )
 
@@ -47,7 +51,9 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("scene")
     save_scene(
         path,
-        replace(load_study_scene(), notes=NOTES, instances=THINGS, roads=ROADS, lanes=LANES),
+        replace(
+            load_study_scene(), notes=NOTES, instances=THINGS, roads=ROADS, lanes=LANES
+        ),
         sources=["a.osm"],
     )
     return path
@@ -75,7 +81,11 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
         assert ours == pytest.approx(theirs, abs=2e-5)
         assert np.array_equal(again.triangle_instance, scene.triangle_instance)
         for one, other in zip(again.lanes, scene.lanes, strict=True):
-            assert (one.id, one.kind, one.width_m) == (other.id, other.kind, other.width_m)
+            assert (one.id, one.kind, one.width_m) == (
+                other.id,
+                other.kind,
+                other.width_m,
+            )
             assert one.speed_limit_kmh == (50.0 if one.id == LIMITED else None)
             assert one.centreline_m == pytest.approx(other.centreline_m, abs=5e-4)
         for one, other in zip(again.sites, scene.sites, strict=True):
@@ -88,14 +98,18 @@ def test_a_scene_comes_back_as_it_was(folder, tmp_path):
 def test_notes_come_back(folder):
     scene = load_scene_folder(folder)
     assert scene.notes == NOTES
-    assert [thing.id for thing in scene.instances if thing.is_height_assumed] == ["wall-ne-1"]
+    assert [thing.id for thing in scene.instances if thing.is_height_assumed] == [
+        "wall-ne-1"
+    ]
     assert [(road.name, road.lanes_in) for road in scene.roads] == [("A Street", 1)]
 
 
 def test_other_programs_see_things_upright(folder):
     meshes = trimesh.load_scene(folder / THINGS_FILE)
     low, high = meshes.bounds
-    assert high[1] - low[1] < 30.0  # y is up: the highest building, not the street's length
+    assert (
+        high[1] - low[1] < 30.0
+    )  # y is up: the highest building, not the street's length
     assert min(high[0] - low[0], high[2] - low[2]) > 100.0
 
 
@@ -108,14 +122,34 @@ def test_gltfs_frame_and_back():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('format = "place-rsus scene"', 'format = "x"', "format: got 'x'; expected 'place-rsus"),
-        ("version = 1", "version = 2", "version: got 2; expected 1; import the scene again"),
-        ("keeps_left = false", "keeps_left = 1", "keeps_left: got 1; expected true or false"),
+        (
+            'format = "place-rsus scene"',
+            'format = "x"',
+            "format: got 'x'; expected 'place-rsus",
+        ),
+        (
+            "version = 1",
+            "version = 2",
+            "version: got 2; expected 1; import the scene again",
+        ),
+        (
+            "keeps_left = false",
+            "keeps_left = 1",
+            "keeps_left: got 1; expected true or false",
+        ),
         ("+proj=tmerc", "+proj=nothing", "crs: got "),
         ('kind = "driving"', "kind = 3", r"lanes\[0\].kind: got 3"),
         ("width_m = 3.5", "width_m = nan", r"lanes\[0\].width_m: got nan"),
-        ('class = "ground"', 'class = "sea"', "class_name: got 'sea'; expected one of ground"),
-        ('id = "ground"', 'id = "gone"', r"things\[0\]: got 'gone'; expected the name of a mesh"),
+        (
+            'class = "ground"',
+            'class = "sea"',
+            "class_name: got 'sea'; expected one of ground",
+        ),
+        (
+            'id = "ground"',
+            'id = "gone"',
+            r"things\[0\]: got 'gone'; expected the name of a mesh",
+        ),
         ("[[lanes]]", "[[lanes", "expected valid TOML"),
     ],
 )
@@ -149,7 +183,9 @@ def test_what_is_no_scene_is_refused(folder, tmp_path):
 
 
 def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("geometry.scene_files._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000})
+    monkeypatch.setattr(
+        "geometry.scene_files._MAX_BYTES", {SCENE_FILE: 1000, THINGS_FILE: 1000}
+    )
     file = tmp_path / "bomb.zip"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(SCENE_FILE, "#" * 2_000_000)
@@ -164,14 +200,18 @@ def test_a_bomb_in_an_archive_is_not_unpacked(tmp_path, monkeypatch):
 def _two_crossings(folder):
     """A map: four streets that meet at the origin, three that meet 200 m east of it."""
     osm = OsmText()
-    west, east = osm.node(0.0, 0.0), osm.node(200.0, 0.0)
+    west = osm.node(0.0, 0.0)
+    east = osm.node(200.0, 0.0)
     osm.road([west, east], name="Link")
     for middle, x_m, ways in (
         (west, 0.0, ((-1, 0), (0, 1), (0, -1))),
         (east, 200.0, ((0, 1), (1, 0))),
     ):
         for along, up in ways:
-            osm.road([middle, (x_m + 100.0 * along, 100.0 * up)], name=f"{x_m:g} {along} {up}")
+            osm.road(
+                [middle, (x_m + 100.0 * along, 100.0 * up)],
+                name=f"{x_m:g} {along} {up}",
+            )
     return osm.write(folder)
 
 

@@ -14,27 +14,36 @@ from geometry.sensors import project_points, with_fov
 
 
 @given(poses(), cameras(), st.data(), numbers(0.1, 300.0))
-def test_a_point_on_a_pixel_ray_projects_to_the_centre_of_that_pixel(pose, camera, data, depth_m):
+def test_a_point_on_a_pixel_ray_projects_to_the_centre_of_that_pixel(
+    pose, camera, data, depth_m
+):
     column = data.draw(st.integers(0, camera.width_px - 1))
     row = data.draw(st.integers(0, camera.height_px - 1))
     (direction,) = pixel_rays([column], [row], pose, camera)
     (projected,) = project_points([pose.position_m + depth_m * direction], pose, camera)
-    # The point's coordinates are rounded at 300 m: the error in pixels grows with focal / depth.
-    slack_px = 1e-9 + 1e-12 * camera.focal_length_px / depth_m * (1.0 + np.abs(direction).max())
+    # The point's coordinates are rounded at 300 m: the error in pixels grows with focal
+    # / depth.
+    slack_px = 1e-9 + 1e-12 * camera.focal_length_px / depth_m * (
+        1.0 + np.abs(direction).max()
+    )
     assert projected[:2] == pytest.approx([column + 0.5, row + 0.5], abs=slack_px * 100)
     assert projected[2] == pytest.approx(depth_m, abs=1e-9)
 
 
 def test_focal_length_of_the_studys_camera(camera):
     assert camera.focal_length_px == pytest.approx(672.2, abs=0.05)
-    assert camera.focal_length_px == pytest.approx(960.0 / math.tan(math.radians(55.0)), rel=1e-15)
+    assert camera.focal_length_px == pytest.approx(
+        960.0 / math.tan(math.radians(55.0)), rel=1e-15
+    )
 
 
 @given(cameras())
 def test_vertical_and_diagonal_fov_are_those_of_the_image_edges(camera):
     half_width = math.tan(math.radians(0.5 * camera.horizontal_fov_deg))
     half_height = half_width * camera.height_px / camera.width_px
-    assert camera.vertical_fov_deg == pytest.approx(2.0 * math.degrees(math.atan(half_height)))
+    assert camera.vertical_fov_deg == pytest.approx(
+        2.0 * math.degrees(math.atan(half_height))
+    )
     assert camera.diagonal_fov_deg == pytest.approx(
         2.0 * math.degrees(math.atan(math.hypot(half_width, half_height)))
     )
@@ -73,9 +82,18 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"width_px": 0}, "cam.width_px: got 0; expected a whole number of pixels, > 0"),
-        ({"height_px": 1.5}, "cam.height_px: got 1.5; expected a whole number of pixels, > 0"),
-        ({"width_px": True}, "cam.width_px: got True; expected a whole number of pixels, > 0"),
+        (
+            {"width_px": 0},
+            "cam.width_px: got 0; expected a whole number of pixels, > 0",
+        ),
+        (
+            {"height_px": 1.5},
+            "cam.height_px: got 1.5; expected a whole number of pixels, > 0",
+        ),
+        (
+            {"width_px": True},
+            "cam.width_px: got True; expected a whole number of pixels, > 0",
+        ),
         (
             {"horizontal_fov_deg": 180.0},
             "cam.horizontal_fov_deg: got 180.0; expected 0 < degrees < 180",
@@ -84,22 +102,35 @@ def test_what_lies_behind_the_camera_has_no_pixel(camera):
             {"horizontal_fov_deg": math.nan},
             "cam.horizontal_fov_deg: got nan; expected 0 < degrees < 180",
         ),
-        ({"frame_rate_hz": 0.0}, "cam.frame_rate_hz: got 0.0; expected a positive number"),
+        (
+            {"frame_rate_hz": 0.0},
+            "cam.frame_rate_hz: got 0.0; expected a positive number",
+        ),
         (
             {"frame_rate_hz": 5.0},
-            "cam.frame_rate_hz: got 5.0; expected at least 10: so often "
-            "all units are taken to look",
+            (
+                "cam.frame_rate_hz: got 5.0; expected at least 10: so often "
+                "all units are taken to look"
+            ),
         ),
         ({"near_m": math.inf}, "cam.near_m: got inf; expected a positive number"),
-        ({"price_eur": -1.0}, "cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000"),
+        (
+            {"price_eur": -1.0},
+            "cam.price_eur: got -1.0; expected euros, 0 to 1,000,000,000",
+        ),
         (
             {"fov_range_deg": (120.0, 30.0)},
-            "cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in degrees, "
-            "0 < low < high < 180",
+            (
+                "cam.fov_range_deg: got [120.0, 30.0]; expected [low, high] in degrees,"
+                " 0 < low < high < 180"
+            ),
         ),
         (
             {"fov_range_deg": (30.0, 100.0)},
-            "cam.horizontal_fov_deg: got 110.0; expected 30 .. 100 degrees, its fov_range_deg",
+            (
+                "cam.horizontal_fov_deg: got 110.0; expected 30 .. 100 degrees, its"
+                " fov_range_deg"
+            ),
         ),
     ],
 )
@@ -125,8 +156,10 @@ def test_a_fixed_lens_has_one_field_of_view(camera):
     assert with_fov(camera, 110.0, "test") is camera
     with pytest.raises(InputError) as caught:
         with_fov(camera, 90.0, "f.json: fov_deg")
-    assert str(caught.value) == (
-        "f.json: fov_deg: got 90.0; expected 110 degrees: carla-ncap-rgb has a fixed lens"
+    assert (
+        str(caught.value)
+        == "f.json: fov_deg: got 90.0; expected 110 degrees: carla-ncap-rgb has a fixed"
+        " lens"
     )
 
 
@@ -135,6 +168,7 @@ def test_a_lens_does_not_go_beyond_its_range(camera, fov_deg):
     zoom = dataclasses.replace(camera, name="zoom", fov_range_deg=(30.0, 120.0))
     with pytest.raises(InputError) as caught:
         with_fov(zoom, fov_deg, "here")
-    assert str(caught.value) == (
-        f"here: got {fov_deg}; expected 30 .. 120 degrees, the lens of zoom"
+    assert (
+        str(caught.value)
+        == f"here: got {fov_deg}; expected 30 .. 120 degrees, the lens of zoom"
     )

@@ -13,7 +13,9 @@ from geometry.frames import from_carla_points, to_geographic
 from geometry.scene import CLASS_NAMES, containing_instance
 from geometry.study_scene import load_box_scene, load_study_scene
 
-TOWN05 = tomllib.loads((files("geometry") / "data" / "town05.toml").read_text(encoding="utf-8"))
+TOWN05 = tomllib.loads(
+    (files("geometry") / "data" / "town05.toml").read_text(encoding="utf-8")
+)
 
 # Town05's road network, as published with CARLA and Scenic. CARLA's frame.
 GOLDEN_LANES = {
@@ -31,11 +33,17 @@ def scene():
 
 
 def _vertices(scene, index):
-    return scene.vertices_m[np.unique(scene.triangles[scene.triangle_instance == index])]
+    return scene.vertices_m[
+        np.unique(scene.triangles[scene.triangle_instance == index])
+    ]
 
 
 def _of_class(scene, *names):
-    return [index for index, instance in enumerate(scene.instances) if instance.class_name in names]
+    return [
+        index
+        for index, instance in enumerate(scene.instances)
+        if instance.class_name in names
+    ]
 
 
 # The study's junction
@@ -73,14 +81,17 @@ def test_lanes_and_outline_are_the_published_ones_flipped_to_the_north(scene):
     lanes = {lane.id: lane for lane in scene.lanes}
     for name, (kind, width_m, points) in GOLDEN_LANES.items():
         assert (lanes[name].kind, lanes[name].width_m) == (kind, width_m)
-        assert lanes[name].centreline_m.tolist() == (np.array(points) * [1, -1]).tolist()
+        assert (
+            lanes[name].centreline_m.tolist() == (np.array(points) * [1, -1]).tolist()
+        )
     for index, point in GOLDEN_OUTLINE.items():
         assert scene.outline_m[index].tolist() == [point[0], -point[1]]
     # All others, from the file.
     assert len(scene.lanes) == len(TOWN05["lanes"]) == 32
     for entry in TOWN05["lanes"]:
         assert np.array_equal(
-            lanes[entry["id"]].centreline_m, np.array(entry["centreline_m"]) * [1.0, -1.0]
+            lanes[entry["id"]].centreline_m,
+            np.array(entry["centreline_m"]) * [1.0, -1.0],
         )
     assert np.array_equal(scene.outline_m, np.array(TOWN05["outline_m"]) * [1.0, -1.0])
 
@@ -102,7 +113,9 @@ def test_the_study_scene_is_made_of_closed_bodies_on_the_road(scene):
         a, b, c = np.moveaxis(scene.vertices_m[triangles], 1, 0)
         # Outward normals of a closed mesh: positive volume, and the areas cancel out.
         assert np.einsum("ij,ij->", a - a.mean(axis=0), np.cross(b - a, c - a)) > 0.0
-        assert np.cross(b - a, c - a).sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
+        assert np.cross(b - a, c - a).sum(axis=0) == pytest.approx(
+            np.zeros(3), abs=1e-6
+        )
         assert _vertices(scene, index)[:, 2].min() > -1e-9
         if instance.class_name != "traffic light":
             assert _vertices(scene, index)[:, 2].min() < 0.2
@@ -112,12 +125,15 @@ def test_buildings_have_the_stated_sizes(scene):
     indices = _of_class(scene, "building")
     assert len(indices) == len(TOWN05["buildings"])
     for index, entry in zip(indices, TOWN05["buildings"], strict=True):
-        low, high = _vertices(scene, index).min(axis=0), _vertices(scene, index).max(axis=0)
+        low = _vertices(scene, index).min(axis=0)
+        high = _vertices(scene, index).max(axis=0)
         east, north = from_carla_points(entry["position_m"])
         assert (high - low).tolist() == pytest.approx(
             [entry["length_m"], entry["width_m"], entry["height_m"]]
         )
-        assert (0.5 * (low + high)).tolist() == pytest.approx([east, north, 0.5 * high[2]])
+        assert (0.5 * (low + high)).tolist() == pytest.approx(
+            [east, north, 0.5 * high[2]]
+        )
 
 
 def test_walls_go_from_end_to_end_and_close_the_corner(scene):
@@ -139,8 +155,11 @@ def test_no_solid_body_of_the_study_scene_stands_in_another(scene):
             walls = {scene.instances[i].class_name for i in (first, second)} == {"wall"}
             if first >= second or walls:  # walls meet at corners
                 continue
-            a, b = boxes[first][:, :2], boxes[second][:, :2]
-            apart = np.maximum(a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0))
+            a = boxes[first][:, :2]
+            b = boxes[second][:, :2]
+            apart = np.maximum(
+                a.min(axis=0) - b.max(axis=0), b.min(axis=0) - a.max(axis=0)
+            )
             assert apart.max() > 0.0, (scene.instances[first], scene.instances[second])
 
 
@@ -151,9 +170,12 @@ def test_every_path_of_every_run_is_clear_of_all_that_stands(scene, runs):
         vertices = _vertices(scene, index)
         if instance.class_name == "ground" or vertices[:, 2].min() > 2.0:
             continue  # mast arms hang above all heads
-        low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+        low = vertices[:, :2].min(axis=0)
+        high = vertices[:, :2].max(axis=0)
         length_m, width_m = high - low
-        box = footprint_corners(0.5 * (low + high), 0.0, length_m=length_m, width_m=width_m)
+        box = footprint_corners(
+            0.5 * (low + high), 0.0, length_m=length_m, width_m=width_m
+        )
         for run in runs:
             for body, position, yaw in (
                 (run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
@@ -246,13 +268,19 @@ def _toml(table) -> str:
     lines = []
     for key, value in table.items():
         text = json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
-        lines.append(f"{key} = {_inline(value) if isinstance(value, dict | list) else text}")
+        lines.append(
+            f"{key} = {_inline(value) if isinstance(value, dict | list) else text}"
+        )
     return "\n".join(lines)
 
 
 def _inline(value) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{key} = {_inline(item)}" for key, item in value.items())
+            + "}"
+        )
     if isinstance(value, list):
         return "[" + ", ".join(map(_inline, value)) + "]"
     return json.dumps(value).replace("NaN", "nan").replace("Infinity", "inf")
@@ -269,7 +297,9 @@ def test_parked_rows_have_the_stated_gaps_and_begin_at_the_first_bumper(tmp_path
     by_id = {instance.id: index for index, instance in enumerate(scene.instances)}
     for row in SMALL["parked_rows"]:
         yaw = np.radians(-row["yaw_deg"])
-        ahead, left = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        ahead, left = np.array(
+            [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
+        )
         first = from_carla_points(row["first_m"])
         bodies = [
             _vertices(scene, by_id[f"{row['id']}-{number}"])[:, :2] - first
@@ -331,7 +361,8 @@ def test_a_scene_is_built_as_its_file_says(tmp_path):
     turn = np.radians(-30.0)  # clockwise in CARLA's frame
     along = house[:, :2] @ [np.cos(turn), np.sin(turn)]
     assert (along.min(), along.max()) == pytest.approx((-3.0, 3.0))
-    pole, arm = _vertices(scene, 5), _vertices(scene, 6)
+    pole = _vertices(scene, 5)
+    arm = _vertices(scene, 6)
     assert (pole[:, 2].min(), pole[:, 2].max()) == pytest.approx((0.0, 9.0))
     assert np.hypot(*(pole[:, :2] - [3.0, 4.0]).T).max() == pytest.approx(0.1)
     assert (arm[:, 1].min(), arm[:, 1].max()) == pytest.approx((0.0, 4.0))
@@ -359,7 +390,11 @@ def test_the_study_scene_is_read_once():
         ("frame", "enu", "{}: frame: got 'enu'; expected one of carla-left-handed"),
         ("ground", None, "{}: ground: got nothing; expected a value"),
         ("ground", 3, "{}: ground: got 3; expected a table"),
-        ("ground.half_size_m", 0.0, "{}: ground.half_size_m: got 0.0; expected a number > 0"),
+        (
+            "ground.half_size_m",
+            0.0,
+            "{}: ground.half_size_m: got 0.0; expected a number > 0",
+        ),
         ("outline_m", None, "{}: outline_m: got nothing; expected a value"),
         (
             "outline_m",
@@ -374,14 +409,26 @@ def test_the_study_scene_is_read_once():
         ("walls", 3, "{}: walls: got 3; expected a list"),
         ("walls", [3], "{}: walls[0]: got 3; expected a table"),
         ("walls.0.id", None, "{}: walls[0].id: got nothing; expected a value"),
-        ("walls.0.height_m", None, "{}: walls[0].height_m: got nothing; expected a value"),
-        ("walls.0.height_m", -2.0, "{}: walls[0].height_m: got -2.0; expected a number > 0"),
+        (
+            "walls.0.height_m",
+            None,
+            "{}: walls[0].height_m: got nothing; expected a value",
+        ),
+        (
+            "walls.0.height_m",
+            -2.0,
+            "{}: walls[0].height_m: got -2.0; expected a number > 0",
+        ),
         (
             "walls.0.thickness_m",
             float("nan"),
             "{}: walls[0].thickness_m: got nan; expected a finite number",
         ),
-        ("walls.0.to_m", [1.0], "{}: walls[0].to_m: got shape (1,); expected shape (2,)"),
+        (
+            "walls.0.to_m",
+            [1.0],
+            "{}: walls[0].to_m: got shape (1,); expected shape (2,)",
+        ),
         (
             "walls.0.to_m",
             [1.0, float("inf")],
@@ -408,12 +455,17 @@ def test_the_study_scene_is_read_once():
             True,
             "{}: parked_rows[0].gap_m: got True; expected a finite number",
         ),
-        ("poles.0.radius_m", -1.0, "{}: poles[0].radius_m: got -1.0; expected a number > 0"),
+        (
+            "poles.0.radius_m",
+            -1.0,
+            "{}: poles[0].radius_m: got -1.0; expected a number > 0",
+        ),
         ("poles.0.kind", None, "{}: poles[0].kind: got nothing; expected a value"),
         (
             "poles.0.kind",
             "tree",
-            "instance pole.class_name: got 'tree'; expected one of " + ", ".join(CLASS_NAMES),
+            "instance pole.class_name: got 'tree'; expected one of "
+            + ", ".join(CLASS_NAMES),
         ),
         (
             "poles.0.capacity_units",
@@ -428,8 +480,10 @@ def test_the_study_scene_is_read_once():
         (
             "poles.0.height_range_m",
             [8.0, 5.0],
-            "site pole.height_range_m: got [8.0, 5.0]; "
-            "expected [low, high] in metres, 0 < low <= high",
+            (
+                "site pole.height_range_m: got [8.0, 5.0]; "
+                "expected [low, high] in metres, 0 < low <= high"
+            ),
         ),
         (
             "poles.0.height_range_m",
@@ -441,13 +495,21 @@ def test_the_study_scene_is_read_once():
             None,
             "{}: mast_arms[0].height_m: got nothing; expected a value",
         ),
-        ("lanes.0.width_m", 0.0, "{}: lanes[0].width_m: got 0.0; expected a number > 0"),
+        (
+            "lanes.0.width_m",
+            0.0,
+            "{}: lanes[0].width_m: got 0.0; expected a number > 0",
+        ),
         (
             "lanes.0.centreline_m",
             [1.0, 2.0],
             "{}: lanes[0].centreline_m: got shape (2,); expected shape (-1, 2)",
         ),
-        ("walls.0.id", "house", "small: instances: got 'house'; expected every id once"),
+        (
+            "walls.0.id",
+            "house",
+            "small: instances: got 'house'; expected every id once",
+        ),
         ("mast_arms.0.id", "pole", "small: sites: got 'pole'; expected every id once"),
     ],
 )
@@ -470,4 +532,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
     path = tmp_path / "none.toml"
     with pytest.raises(InputError) as caught:
         load_box_scene(path)
-    assert str(caught.value) == f"{path}: got No such file or directory; expected a readable file"
+    assert (
+        str(caught.value)
+        == f"{path}: got No such file or directory; expected a readable file"
+    )

@@ -18,9 +18,14 @@ from scenarios.runs import build_runs
 
 def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
     """A scene whose ground is a terrain; all else is lifted as a whole, thing by thing."""
-    keeps = [i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"]
+    keeps = [
+        i for i, thing in enumerate(scene.instances) if thing.class_name != "ground"
+    ]
     vertices, triangles = terrain.mesh()
-    parts, faces, owner, start = [vertices], [triangles], [np.zeros(len(triangles))], len(vertices)
+    parts = [vertices]
+    faces = [triangles]
+    owner = [np.zeros(len(triangles))]
+    start = len(vertices)
     for number, index in enumerate(keeps, start=1):
         own = scene.triangles[scene.triangle_instance == index]
         used, place = np.unique(own, return_inverse=True)
@@ -40,7 +45,8 @@ def on_terrain(scene: Scene, terrain: Terrain) -> Scene:
         sites=tuple(
             replace(
                 site,
-                position_m=site.position_m + [0.0, 0.0, terrain.at(site.position_m[:2])],
+                position_m=site.position_m
+                + [0.0, 0.0, terrain.at(site.position_m[:2])],
             )
             for site in scene.sites
         ),
@@ -97,9 +103,10 @@ def test_ground_that_is_no_grid_is_refused():
     vertices[ground] += [1.0, 2.0, 3.0]
     with pytest.raises(InputError) as error:
         terrain_of(replace(scene, vertices_m=vertices))
-    assert str(error.value) == (
-        "town05: ground: got 4 nodes that are no grid; expected a plane z = 0, or heights on a "
-        "grid, as imported scenes have them"
+    assert (
+        str(error.value)
+        == "town05: ground: got 4 nodes that are no grid; expected a plane z = 0, or"
+        " heights on a grid, as imported scenes have them"
     )
 
 
@@ -115,7 +122,9 @@ def test_fit_of_points_on_a_plane_is_that_plane(a, b):
 
 
 def test_fit_of_points_on_a_line_is_that_of_the_nearest():
-    points = np.column_stack([np.arange(-50.0, 51.0), np.zeros(101), 0.1 * np.arange(-50.0, 51.0)])
+    points = np.column_stack(
+        [np.arange(-50.0, 51.0), np.zeros(101), 0.1 * np.arange(-50.0, 51.0)]
+    )
     terrain = fit_terrain(points, half_m=20.0, step_m=2.0)
     assert terrain.at([10.0, 15.0]) == pytest.approx(1.0, abs=0.06)
     beyond = fit_terrain(np.array([[30.0, 0.0, 4.0]]), half_m=20.0, step_m=2.0)
@@ -129,24 +138,35 @@ def test_a_check_on_a_slope_finds_what_does_not_stand_on_it():
     first, *others = scene.sites
     high = replace(first, position_m=first.position_m + [0.0, 0.0, 1.4])
     (found,) = [
-        one for one in check_scene(replace(scene, sites=(high, *others))) if one not in known
+        one
+        for one in check_scene(replace(scene, sites=(high, *others)))
+        if one not in known
     ]
     assert (found.level, found.what) == ("error", f"site {first.id}")
     assert found.why == "its foot is 1.4 m above the ground"
 
 
-def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(actors, rule):
+def test_runs_on_a_slope_are_those_of_the_plane_with_parked_cars_on_the_ground(
+    actors, rule
+):
     scene = load_scene()
-    slope = on_terrain(scene, grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0))
+    slope = on_terrain(
+        scene, grid(lambda east, north: 0.04 * (east - 100.0), half_m=400.0)
+    )
     cases = select_cases("CPNCO-50,CBNA").cases
     flat, sloped = (
-        build_runs(one, cases, vut=actors["vut"], rule=rule)[0] for one in (scene, slope)
+        build_runs(one, cases, vut=actors["vut"], rule=rule)[0]
+        for one in (scene, slope)
     )
     assert [run.id for run in sloped] == [run.id for run in flat]
     for one, other in zip(flat, sloped, strict=True):
         assert other.last_brake_time_s == one.last_brake_time_s
         np.testing.assert_array_equal(other.vru_position_m, one.vru_position_m)
         for body, raised in zip(one.obstruction, other.obstruction, strict=True):
-            expected = body.pose.position_m + [0.0, 0.0, 0.04 * (body.pose.position_m[0] - 100.0)]
+            expected = body.pose.position_m + [
+                0.0,
+                0.0,
+                0.04 * (body.pose.position_m[0] - 100.0),
+            ]
             np.testing.assert_allclose(raised.pose.position_m, expected, atol=1e-9)
     assert any(run.obstruction for run in sloped)

@@ -33,19 +33,23 @@ def test_load_toml_reads_what_was_written(tmp_path):
 
 def test_load_toml_names_the_file_it_cannot_read(tmp_path):
     path = tmp_path / "missing.toml"
-    assert _message(load_toml, path) == (
-        f"{path}: got No such file or directory; expected a readable file"
+    assert (
+        _message(load_toml, path)
+        == f"{path}: got No such file or directory; expected a readable file"
     )
-    assert _message(load_toml, tmp_path) == (
-        f"{tmp_path}: got Is a directory; expected a readable file"
+    assert (
+        _message(load_toml, tmp_path)
+        == f"{tmp_path}: got Is a directory; expected a readable file"
     )
 
 
 def test_load_toml_names_the_line_that_is_not_toml(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("a = 1\nb = = 2\n", encoding="utf-8")
-    assert _message(load_toml, path) == (
-        f"{path}: got Invalid value (at line 2, column 5); expected valid TOML in UTF-8"
+    assert (
+        _message(load_toml, path)
+        == f"{path}: got Invalid value (at line 2, column 5); expected valid TOML in"
+        " UTF-8"
     )
 
 
@@ -79,8 +83,9 @@ def test_take_returns_what_is_there():
 
 @pytest.mark.parametrize("function", [take, take_number, take_text, take_list])
 def test_take_names_the_missing_field(function):
-    assert _message(function, TABLE, "gone", "f.toml: x") == (
-        "f.toml: x.gone: got nothing; expected a value"
+    assert (
+        _message(function, TABLE, "gone", "f.toml: x")
+        == "f.toml: x.gone: got nothing; expected a value"
     )
 
 
@@ -117,9 +122,9 @@ class Mount:
     position_m: Point2
     height_m: Annotated[float, Meta(gt=0.0)]
     share: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
-    limits_m: Annotated[tuple[float, float], Meta(description="[low, high] in metres")] | None = (
-        None
-    )
+    limits_m: (
+        Annotated[tuple[float, float], Meta(description="[low, high] in metres")] | None
+    ) = None
     n_units: Annotated[int, Meta(ge=1)] = 1
     kind: Literal["pole", "wall"] = "pole"
     is_free: bool = True
@@ -160,11 +165,18 @@ class Mounts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     title: str = ""
 
 
-MOUNT = {"name": "a", "position_m": [1, 2.5], "height_m": 4, "source": "a field nobody reads"}
+MOUNT = {
+    "name": "a",
+    "position_m": [1, 2.5],
+    "height_m": 4,
+    "source": "a field nobody reads",
+}
 
 
 def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
-    mount = read_table({**MOUNT, "limits_m": [1, 2], "outline_m": [[0, 1]]}, Mount, "f.toml")
+    mount = read_table(
+        {**MOUNT, "limits_m": [1, 2], "outline_m": [[0, 1]]}, Mount, "f.toml"
+    )
     assert (mount.name, mount.height_m, mount.limits_m) == ("a", 4.0, (1.0, 2.0))
     assert isinstance(mount.height_m, float)
     assert mount.position_m.tolist() == [1.0, 2.5]
@@ -174,11 +186,13 @@ def test_a_table_becomes_a_value_with_arrays_of_the_stated_shape():
 
 def test_named_tables_know_their_names():
     assert read_tables({"b": MOUNT}, Mount, "f.toml")["b"].name == "b"
-    assert _message(read_tables, {"b": 3}, Mount, "f.toml") == (
-        "f.toml: b: got 3; expected a table of fields"
+    assert (
+        _message(read_tables, {"b": 3}, Mount, "f.toml")
+        == "f.toml: b: got 3; expected a table of fields"
     )
-    assert _message(read_tables, {"b": {**MOUNT, "share": 2}}, Mount, "f.toml: x") == (
-        "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
+    assert (
+        _message(read_tables, {"b": {**MOUNT, "share": 2}}, Mount, "f.toml: x")
+        == "f.toml: x.b.share: got 2; expected a number, at least 0, at most 1"
     )
 
 
@@ -191,7 +205,10 @@ def test_named_tables_know_their_names():
         ({"height_m": 0}, "height_m: got 0; expected a number > 0"),
         ({"height_m": float("nan")}, "height_m: got nan; expected a finite number"),
         ({"height_m": float("inf")}, "height_m: got inf; expected a finite number"),
-        ({"height_m": 10**400}, f"height_m: got 1{199 * '0'}..; expected a finite number"),
+        (
+            {"height_m": 10**400},
+            f"height_m: got 1{199 * '0'}..; expected a finite number",
+        ),
         ({"n_units": 2.5}, "n_units: got 2.5; expected a whole number"),
         ({"n_units": 0}, "n_units: got 0; expected a whole number, at least 1"),
         ({"limits_m": 3}, "limits_m: got 3; expected [low, high] in metres"),
@@ -204,38 +221,60 @@ def test_named_tables_know_their_names():
         ({"costs_eur": [1, "x"]}, "costs_eur[1]: got 'x'; expected a finite number"),
         ({"position_m": 3}, "position_m: got 3; expected a list"),
         ({"position_m": [1]}, "position_m: got shape (1,); expected shape (2,)"),
-        ({"position_m": ["x", 1]}, "position_m: got ['x', 1]; expected numbers of shape (2,)"),
-        ({"position_m": [1, float("nan")]}, "position_m: got [1, nan]; expected finite numbers"),
-        ({"outline_m": [[1, 2, 3]]}, "outline_m: got shape (1, 3); expected shape (-1, 2)"),
+        (
+            {"position_m": ["x", 1]},
+            "position_m: got ['x', 1]; expected numbers of shape (2,)",
+        ),
+        (
+            {"position_m": [1, float("nan")]},
+            "position_m: got [1, nan]; expected finite numbers",
+        ),
+        (
+            {"outline_m": [[1, 2, 3]]},
+            "outline_m: got shape (1, 3); expected shape (-1, 2)",
+        ),
     ],
 )
 def test_a_table_says_which_field_is_wrong_and_how(change, message):
-    assert _message(read_table, {**MOUNT, **change}, Mount, "f.toml") == f"f.toml: {message}"
+    assert (
+        _message(read_table, {**MOUNT, **change}, Mount, "f.toml")
+        == f"f.toml: {message}"
+    )
     table = {"mounts": [MOUNT, {**MOUNT, **change}]}
-    assert _message(read_table, table, Mounts, "f.toml") == f"f.toml: mounts[1].{message}"
-    assert _message(read_table, table, Mounts, "f.toml: x") == f"f.toml: x.mounts[1].{message}"
+    assert (
+        _message(read_table, table, Mounts, "f.toml") == f"f.toml: mounts[1].{message}"
+    )
+    assert (
+        _message(read_table, table, Mounts, "f.toml: x")
+        == f"f.toml: x.mounts[1].{message}"
+    )
 
 
 def test_a_table_names_missing_and_unknown_fields():
     entry = {"name": "a", "height_m": 4}
-    assert _message(read_table, entry, Mount, "f.toml") == (
-        "f.toml: position_m: got nothing; expected a value"
+    assert (
+        _message(read_table, entry, Mount, "f.toml")
+        == "f.toml: position_m: got nothing; expected a value"
     )
-    assert _message(read_table, {"mounts": [entry]}, Mounts, "f.toml") == (
-        "f.toml: mounts[0].position_m: got nothing; expected a value"
+    assert (
+        _message(read_table, {"mounts": [entry]}, Mounts, "f.toml")
+        == "f.toml: mounts[0].position_m: got nothing; expected a value"
     )
-    assert _message(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml") == (
-        "f.toml: got 'titel'; expected one of mounts, title"
+    assert (
+        _message(read_table, {"mounts": [], "titel": "x"}, Mounts, "f.toml")
+        == "f.toml: got 'titel'; expected one of mounts, title"
     )
-    assert _message(read_table, {"mounts": [3]}, Mounts, "f.toml") == (
-        "f.toml: mounts[0]: got 3; expected a table"
+    assert (
+        _message(read_table, {"mounts": [3]}, Mounts, "f.toml")
+        == "f.toml: mounts[0]: got 3; expected a table"
     )
     assert _message(read_table, 3, Mount, "f.toml") == "f.toml: got 3; expected a table"
 
 
 def test_what_a_value_checks_itself_is_said_in_its_own_words():
-    assert _message(read_table, {**MOUNT, "name": "nowhere"}, Mount, "f.toml") == (
-        "mount nowhere: got 4.0; expected another name"
+    assert (
+        _message(read_table, {**MOUNT, "name": "nowhere"}, Mount, "f.toml")
+        == "mount nowhere: got 4.0; expected another name"
     )
 
 
@@ -244,8 +283,14 @@ def test_what_a_value_checks_itself_is_said_in_its_own_words():
     [
         ({"kind": "tree"}, "thing.kind: got 'tree'; expected one of pole, wall"),
         ({"height_m": 3}, "thing.kind: got nothing; expected a value"),
-        ({"kind": "wall", "height_m": 3}, "thing.length_m: got nothing; expected a value"),
-        ({"kind": "wall", "length_m": "x"}, "thing.length_m: got 'x'; expected a finite number"),
+        (
+            {"kind": "wall", "height_m": 3},
+            "thing.length_m: got nothing; expected a value",
+        ),
+        (
+            {"kind": "wall", "length_m": "x"},
+            "thing.length_m: got 'x'; expected a finite number",
+        ),
         (
             {"kind": "wall", "length_m": 101},
             "thing: got 101.0; expected a wall that somebody would build",
@@ -254,7 +299,9 @@ def test_what_a_value_checks_itself_is_said_in_its_own_words():
     ],
 )
 def test_tables_that_one_field_tells_apart_say_what_is_wrong(thing, message):
-    assert read_table({"thing": {"kind": "pole", "height_m": 1}}, Place, "f.toml").thing == Pole(
-        height_m=1.0
+    assert read_table(
+        {"thing": {"kind": "pole", "height_m": 1}}, Place, "f.toml"
+    ).thing == Pole(height_m=1.0)
+    assert (
+        _message(read_table, {"thing": thing}, Place, "f.toml") == f"f.toml: {message}"
     )
-    assert _message(read_table, {"thing": thing}, Place, "f.toml") == f"f.toml: {message}"

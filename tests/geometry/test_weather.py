@@ -45,21 +45,30 @@ def test_the_weathers_are_those_of_the_study_and_fog():
     assert pick_weather("fog", "here") is weathers["fog"]
     with pytest.raises(InputError) as caught:
         pick_weather("snow", "--weather")
-    assert str(caught.value) == "--weather: got 'snow'; expected one of day, fog, night, rain"
+    assert (
+        str(caught.value)
+        == "--weather: got 'snow'; expected one of day, fog, night, rain"
+    )
 
 
 def test_weathers_are_what_they_are_called():
     day, night, rain, fog = load_weathers().values()
     assert (day.contrast, day.wetness, day.has_lamps) == (1.0, 0.0, False)
-    assert [w.name for w in (day, night, rain, fog) if w.rain_rate_mmph > 0.0] == ["rain"]
+    assert [w.name for w in (day, night, rain, fog) if w.rain_rate_mmph > 0.0] == [
+        "rain"
+    ]
     # WMO-No. 8: fog is a visibility of less than 1 km.
-    assert [w.name for w in (day, night, rain, fog) if w.visibility_m < 1000.0] == ["fog"]
+    assert [w.name for w in (day, night, rain, fog) if w.visibility_m < 1000.0] == [
+        "fog"
+    ]
     # CarlaNCAP, text: by day; at night with street lamps and headlights on.
     assert night.has_lamps
     assert night.sun_elevation_deg < 0.0
     assert night.sun_lux == 0.0
     assert night.sky_lux < 1.0 < rain.sky_lux
-    contrast = {w.name: w.contrast * w.transmission(60.0) for w in (day, night, rain, fog)}
+    contrast = {
+        w.name: w.contrast * w.transmission(60.0) for w in (day, night, rain, fog)
+    }
     assert contrast["day"] > contrast["rain"] > contrast["night"] > contrast["fog"]
 
 
@@ -76,7 +85,9 @@ def test_at_the_visibility_5_percent_of_the_contrast_is_left(visibility_m):
 
 
 @given(visibilities_m, st.floats(0.0, 100.0), distances_m, distances_m)
-def test_two_ways_through_the_air_take_what_each_of_them_takes(visibility_m, rain, a_m, b_m):
+def test_two_ways_through_the_air_take_what_each_of_them_takes(
+    visibility_m, rain, a_m, b_m
+):
     weather = replace(CLEAR, visibility_m=visibility_m, rain_rate_mmph=rain)
     first, second, both = weather.transmission([a_m, b_m, a_m + b_m])
     assert both == pytest.approx(first * second, rel=1e-9, abs=1e-300)
@@ -90,7 +101,8 @@ def test_ways_may_have_any_shape():
 
 
 @pytest.mark.parametrize(
-    ("rate_mmph", "db_per_km"), [(0.0, 0.0), (1.0, 1.076), (10.0, 5.0329), (100.0, 23.541)]
+    ("rate_mmph", "db_per_km"),
+    [(0.0, 0.0), (1.0, 1.076), (10.0, 5.0329), (100.0, 23.541)],
 )
 def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
     """1.076 R^0.67 dB/km, whatever the wavelength; on top of what haze takes."""
@@ -98,9 +110,9 @@ def test_rain_takes_what_itu_r_p_1814_says(rate_mmph, db_per_km):
     taken = wet.extinction_per_m - CLEAR.extinction_per_m
     assert _db_per_km(taken) == pytest.approx(db_per_km, rel=1e-4, abs=1e-12)
     for wavelength_nm in (550.0, 905.0, 1550.0):
-        by_laser = wet.lidar_extinction_per_m(wavelength_nm) - CLEAR.lidar_extinction_per_m(
+        by_laser = wet.lidar_extinction_per_m(
             wavelength_nm
-        )
+        ) - CLEAR.lidar_extinction_per_m(wavelength_nm)
         assert by_laser == pytest.approx(taken, rel=1e-9, abs=1e-15)
 
 
@@ -131,7 +143,9 @@ def _exponent(visibility_m, wavelength_nm=905.0):
     ],
 )
 @pytest.mark.parametrize("wavelength_nm", [905.0, 1550.0])
-def test_haze_takes_less_of_long_waves_by_kims_exponent(visibility_m, exponent, wavelength_nm):
+def test_haze_takes_less_of_long_waves_by_kims_exponent(
+    visibility_m, exponent, wavelength_nm
+):
     assert _exponent(visibility_m, wavelength_nm) == pytest.approx(exponent, abs=1e-9)
 
 
@@ -145,8 +159,12 @@ def test_kims_exponent_is_continuous_but_at_50_km(corner_m):
 @given(visibilities_m, st.floats(0.0, 100.0))
 def test_visible_light_is_the_reference_of_lasers(visibility_m, rate_mmph):
     weather = replace(CLEAR, visibility_m=visibility_m, rain_rate_mmph=rate_mmph)
-    assert weather.lidar_extinction_per_m(550.0) == pytest.approx(weather.extinction_per_m)
-    assert weather.lidar_extinction_per_m(905.0) <= weather.extinction_per_m * (1.0 + 1e-12)
+    assert weather.lidar_extinction_per_m(550.0) == pytest.approx(
+        weather.extinction_per_m
+    )
+    assert weather.lidar_extinction_per_m(905.0) <= weather.extinction_per_m * (
+        1.0 + 1e-12
+    )
 
 
 @given(visibilities_m, visibilities_m)
@@ -169,8 +187,14 @@ def test_fog_takes_the_same_of_a_laser_and_of_light():
     [
         ({"visibility_m": 0.0}, "visibility_m: got 0.0; expected metres, > 0"),
         ({"visibility_m": math.nan}, "visibility_m: got nan; expected metres, > 0"),
-        ({"rain_rate_mmph": -1.0}, "rain_rate_mmph: got -1.0; expected mm/h, at least 0"),
-        ({"sun_elevation_deg": 91.0}, "sun_elevation_deg: got 91.0; expected -90 .. 90 degrees"),
+        (
+            {"rain_rate_mmph": -1.0},
+            "rain_rate_mmph: got -1.0; expected mm/h, at least 0",
+        ),
+        (
+            {"sun_elevation_deg": 91.0},
+            "sun_elevation_deg: got 91.0; expected -90 .. 90 degrees",
+        ),
         ({"sun_lux": -1.0}, "sun_lux: got -1.0; expected lux, at least 0"),
         ({"sky_lux": math.nan}, "sky_lux: got nan; expected lux, at least 0"),
         ({"has_lamps": 1.0}, "has_lamps: got 1.0; expected true or false"),

@@ -46,11 +46,18 @@ def weak(setting):
         return CandidatePose(
             id=name,
             site_id=site.id,
-            pose=Pose(position_m=site.position_m + [0.0, 0.0, 5.3], yaw_deg=yaw_deg, pitch_deg=-18),
+            pose=Pose(
+                position_m=site.position_m + [0.0, 0.0, 5.3],
+                yaw_deg=yaw_deg,
+                pitch_deg=-18,
+            ),
             sensor=camera,
         )
 
-    return (unit("U1", setting.scene.sites[0], 20.0), unit("mine", setting.scene.sites[2], 235.0))
+    return (
+        unit("U1", setting.scene.sites[0], 20.0),
+        unit("mine", setting.scene.sites[2], 235.0),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +71,9 @@ def apr_of(setting):
     return apr
 
 
-def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(adviser, weak, apr_of, setting):
+def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(
+    adviser, weak, apr_of, setting
+):
     found = adviser.best_next(weak)
     assert [unit.id for unit in found.units[:2]] == ["U1", "mine"]
     assert found.units[2].id == "U2"
@@ -72,7 +81,11 @@ def test_the_best_next_unit_is_the_best_of_all_that_can_be_added(adviser, weak, 
     candidates = adviser._assembly.candidates
     capacity = {site.id: site.capacity_units for site in setting.scene.sites}
     taken = [unit.site_id for unit in weak]
-    free = [one for one in candidates if taken.count(one.site_id) < capacity.get(one.site_id, 1)]
+    free = [
+        one
+        for one in candidates
+        if taken.count(one.site_id) < capacity.get(one.site_id, 1)
+    ]
     assert found.after.apr == pytest.approx(max(apr_of([*weak, one]) for one in free))
     assert found.before.apr == pytest.approx(apr_of(weak))
     assert found.bound == found.after.apr
@@ -93,10 +106,14 @@ def test_to_complete_keeps_what_hangs_and_reaches_its_bound(adviser, weak, apr_o
     assert len(found.units) == 3
     assert found.after.apr == pytest.approx(apr_of(found.units))
     assert found.after.apr == pytest.approx(adviser.best_next(weak).after.apr)
-    assert found.n_compared == adviser.best_next(weak).n_compared  # all tried: proven at once
+    assert (
+        found.n_compared == adviser.best_next(weak).n_compared
+    )  # all tried: proven at once
 
 
-def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(adviser, apr_of):
+def test_a_unit_named_as_a_pose_of_the_grid_is_mounted_once_and_hides_no_candidate(
+    adviser, apr_of
+):
     """The study's poses are among the grid's: a mounted unit may be one of them, turned or not."""
     (unit,) = find_layout("carlancap-12").units[:1]
     assert unit.id in {one.id for one in adviser._assembly.candidates}
@@ -121,15 +138,21 @@ def test_an_answer_is_proven_by_what_is_asked_for(adviser, weak):
         Stage(name="cost_eur", objective=4040.0, bound=4040.0, gap=0.0, seconds=1.0),
         Stage(name="apr", objective=0.8, bound=0.9, gap=0.1, seconds=1.0),
     )
-    cheap = replace(found, n_compared=0, certificate=Certificate(stages=stages, solver=""))
+    cheap = replace(
+        found, n_compared=0, certificate=Certificate(stages=stages, solver="")
+    )
     assert (cheap.is_proven, cheap.is_all_proven, cheap.bound) == (True, False, 0.9)
     open_ = replace(cheap, certificate=Certificate(stages=stages[::-1], solver=""))
     assert (open_.is_proven, open_.is_all_proven) == (False, False)
-    with pytest.raises(InputError, match="units in all: got 2; expected more than the 2"):
+    with pytest.raises(
+        InputError, match="units in all: got 2; expected more than the 2"
+    ):
         adviser.complete(weak, n_units=2)
 
 
-def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(adviser, weak, apr_of):
+def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(
+    adviser, weak, apr_of
+):
     found = adviser.re_aim(weak)
     for before, after in zip(weak, found.units, strict=True):
         assert (before.id, before.site_id) == (after.id, after.site_id)
@@ -141,7 +164,9 @@ def test_re_aiming_keeps_every_place_and_is_the_best_of_all_directions(adviser, 
             CandidatePose(
                 id=unit.id,
                 site_id=unit.site_id,
-                pose=Pose(position_m=unit.pose.position_m, yaw_deg=yaw, pitch_deg=pitch),
+                pose=Pose(
+                    position_m=unit.pose.position_m, yaw_deg=yaw, pitch_deg=pitch
+                ),
                 sensor=unit.sensor,
             )
             for yaw, pitch in grid.directions_deg(unit.sensor)
@@ -159,7 +184,11 @@ def test_the_cheapest_is_as_good_and_no_dearer(adviser, setting, apr_of):
     assert apr_of(found.units) >= apr_of(units) - 1e-9
     assert found.after.cost_eur <= found.before.cost_eur
     assert found.is_proven
-    cheaper = [one for one in adviser._assembly.candidates if apr_of([one]) >= apr_of(units) - 1e-9]
+    cheaper = [
+        one
+        for one in adviser._assembly.candidates
+        if apr_of([one]) >= apr_of(units) - 1e-9
+    ]
     assert bool(cheaper) == (len(found.units) == 1)
 
 
@@ -168,7 +197,9 @@ def test_why_not_a_pole_says_what_it_can_do_beside_and_instead(adviser, weak, ap
     beside, instead = adviser.why_not(weak[:1], site)
     assert beside.units[-1].site_id == site
     at_site = [one for one in adviser._assembly.candidates if one.site_id == site]
-    assert beside.after.apr == pytest.approx(max(apr_of([weak[0], one]) for one in at_site))
+    assert beside.after.apr == pytest.approx(
+        max(apr_of([weak[0], one]) for one in at_site)
+    )
     assert [unit.site_id for unit in instead.units] == [site]
     assert instead.after.apr == pytest.approx(max(apr_of([one]) for one in at_site))
 
@@ -184,7 +215,9 @@ def test_where_nothing_hangs_there_is_nothing_to_turn_or_to_keep(adviser):
 
 def test_a_site_that_is_full_has_no_place_for_another(adviser, setting, weak):
     full = tuple(
-        CandidatePose(id=f"F{n}", site_id="corner-ne", pose=weak[0].pose, sensor=weak[0].sensor)
+        CandidatePose(
+            id=f"F{n}", site_id="corner-ne", pose=weak[0].pose, sensor=weak[0].sensor
+        )
         for n in range(setting.scene.sites[0].capacity_units)
     )
     assert setting.scene.sites[0].id == "corner-ne"

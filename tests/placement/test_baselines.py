@@ -30,7 +30,8 @@ from placement.optimiser.allowed_sets import is_allowed
 from placement.wishes import Wishes, build_limits
 
 SCENE = load_study_scene()
-AT_CORNERS = {  # by eye on the study's plan: the lamp posts at the kerbs, not the signals beside
+# by eye on the study's plan: the lamp posts at the kerbs, not the signals beside
+AT_CORNERS = {
     "east/north": "corner-ne",
     "south/east": "corner-se",
     "west/south": "corner-sw",
@@ -115,7 +116,9 @@ def test_three_arms_have_a_corner_on_the_straight_side_and_one_arm_has_none():
     arms = {name: arm for name, arm in junction.arms.items() if name != "south"}
     corners = find_corners(replace(junction, arms=arms))
     assert [*corners] == ["east/north", "west/east", "north/west"]
-    straight = corners["west/east"]  # half way along the southern kerb, below the middle
+    straight = corners[
+        "west/east"
+    ]  # half way along the southern kerb, below the middle
     assert straight == pytest.approx(middle_m(SCENE)[:2], abs=9.0)
     assert straight[1] < -7.0
     assert find_corners(replace(junction, arms={"east": arms["east"]})) == {}
@@ -141,7 +144,9 @@ def test_off_axis_is_the_angle_to_a_point(camera):
         return CandidatePose(
             id="any",
             site_id="",
-            pose=Pose(position_m=[0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg),
+            pose=Pose(
+                position_m=[0.0, 0.0, 10.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+            ),
             sensor=camera,
         )
 
@@ -159,19 +164,30 @@ def test_the_expert_looks_from_the_corner_posts_at_the_middle(candidates):
     chosen = {name: candidates[row] for name, row in corners.items()}
     assert {name: pose.site_id for name, pose in chosen.items()} == AT_CORNERS
     yaws = {name: pose.pose.yaw_deg for name, pose in chosen.items()}
-    assert yaws == {"east/north": -135, "south/east": 135, "west/south": 45, "north/west": -45}
+    assert yaws == {
+        "east/north": -135,
+        "south/east": 135,
+        "west/south": 45,
+        "north/west": -45,
+    }
     for name, pose in chosen.items():
         alike = [other for other in candidates if other.site_id == AT_CORNERS[name]]
         off_deg = off_axis_deg(alike, middle_m(SCENE))
-        assert off_axis_deg([pose], middle_m(SCENE))[0] == pytest.approx(off_deg.min(), abs=1e-6)
+        assert off_axis_deg([pose], middle_m(SCENE))[0] == pytest.approx(
+            off_deg.min(), abs=1e-6
+        )
 
 
 def test_two_corners_share_no_site_and_forbidden_ones_do_not_count(candidates):
-    taken = drawn(candidates, limits_of(candidates, forbidden_sites=("corner-ne",))).corners
+    taken = drawn(
+        candidates, limits_of(candidates, forbidden_sites=("corner-ne",))
+    ).corners
     sites = [candidates[row].site_id for row in taken.values()]
     assert sites[0] == "signal-n"  # the next nearest
     assert len({*sites}) == 4
-    few = replace(SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1")))
+    few = replace(
+        SCENE, sites=tuple(s for s in SCENE.sites if s.id in ("mast-n", "lamp-e1"))
+    )
     poses = build_candidates(few)
     taken = drawn(poses, limits_of(poses, few), few, n_units=2).corners
     assert {name: poses[row].site_id for name, row in taken.items()} == {
@@ -199,24 +215,35 @@ def proposals(**changes):
 
 
 def test_the_corner_that_prevents_most_comes_first(frame_axis, rule):
-    limits = Limits(site_index=[0, 1, 2, 3, 3], site_capacity=[1, 1, 1, 2], budget_units=2)
-    problem = problem_of(limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule)
+    limits = Limits(
+        site_index=[0, 1, 2, 3, 3], site_capacity=[1, 1, 1, 2], budget_units=2
+    )
+    problem = problem_of(
+        limits, {0: [1], 1: [], 2: [0, 1], 3: [2], 4: [0, 1, 2]}, frame_axis, rule
+    )
     found = judge_proposals(problem, proposals())
-    assert (found.corners, found.expert) == (("c", "a"), (0, 2))  # 3/4; of 1/4 the first
+    assert (found.corners, found.expert) == (
+        ("c", "a"),
+        (0, 2),
+    )  # 3/4; of 1/4 the first
     assert found.random.apr.tolist() == [apr(problem, (0, 1))] == [0.25]
 
 
 def test_random_layouts_have_a_mean_in_every_sampled_world(frame_axis, rule):
     limits = Limits(site_index=[0, 1, 2, 3], site_capacity=[1] * 4)
     problem = problem_of(limits, {0: [0, 2], 1: [1]}, frame_axis, rule)
-    problem = replace(problem, sample_index=np.array([0, 0, 1]))  # weights 1/2 and 1/4; 1/4
+    problem = replace(
+        problem, sample_index=np.array([0, 0, 1])
+    )  # weights 1/2 and 1/4; 1/4
     sets = ((0,), (1,), (2,), (0, 1))
     random = judge_proposals(problem, proposals(random=sets)).random
     assert random.apr.tolist() == [0.75, 0.25, 0.0, 1.0]
     # Of four sets two avoid the first run, two the second, two the third.
     assert random.mean_by_world == pytest.approx([0.5, 0.5])
     worst = judge_proposals(replace(problem, tail=0.25), proposals(random=sets)).random
-    assert worst.apr.tolist() == [apr(replace(problem, tail=0.25), units) for units in sets]
+    assert worst.apr.tolist() == [
+        apr(replace(problem, tail=0.25), units) for units in sets
+    ]
 
 
 def test_the_expert_has_one_camera_for_each_corner_at_most(frame_axis, rule):
@@ -238,7 +265,9 @@ def test_what_is_forced_comes_before_the_corners(frame_axis, rule):
     problem = problem_of(limits, {0: [0], 2: [0, 1]}, frame_axis, rule)
     found = judge_proposals(problem, proposals(n_units=3, forced=(5,)))
     assert (found.expert, found.corners) == ((2, 4, 5), ("c",))
-    unmet = judge_proposals(problem, proposals(n_units=3, forced=()))  # nothing known at that site
+    unmet = judge_proposals(
+        problem, proposals(n_units=3, forced=())
+    )  # nothing known at that site
     assert (unmet.expert, unmet.corners) == ((), ())
 
 
@@ -249,7 +278,9 @@ def test_the_expert_is_within_all_limits(problem, seed):
     rows = rng.permutation(n_poses)[:4].tolist()
     sites = problem.limits.site_index.tolist()
     forced = tuple(
-        sites.index(site) for site in np.flatnonzero(problem.limits.is_forced_site) if site in sites
+        sites.index(site)
+        for site in np.flatnonzero(problem.limits.is_forced_site)
+        if site in sites
     )
     corners = {f"corner {row}": row for row in rows}
     given_ = Proposals(n_units=3, random=(), forced=forced, corners=corners)
@@ -275,7 +306,8 @@ def test_of_the_poses_that_occur_the_same_sets_come_out(frame_axis, rule):
         limits.of_poses(np.array(rows)), {k: seen[row] for k, row in enumerate(rows)}, frame_axis,
         rule,
     )  # fmt: skip
-    whole, of_part = judge_proposals(problem, given_), judge_proposals(part, given_.among(rows))
+    whole = judge_proposals(problem, given_)
+    of_part = judge_proposals(part, given_.among(rows))
     assert [rows[row] for row in of_part.expert] == list(whole.expert)
     assert of_part.corners == whole.corners
     assert np.array_equal(of_part.random.apr, whole.random.apr)

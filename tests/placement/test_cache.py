@@ -59,7 +59,10 @@ def test_a_hash_tells_apart_whatever_differs():
 @pytest.mark.parametrize("name", VALUES)
 def test_a_hash_is_that_of_the_content_wherever_it_lies(name):
     value = VALUES[name]
-    again = replace(value, part=value.part.copy()) if name == "a thing" else replace(value)
+    if name == "a thing":
+        again = replace(value, part=value.part.copy())
+    else:
+        again = replace(value)
     both = Fingerprints()
     assert both.of(value, value) == Fingerprints().of(replace(again), again)
     assert both.of(value) == both.of(again)
@@ -99,7 +102,8 @@ def test_without_a_folder_nothing_is_kept_but_known():
 
 
 def test_two_processes_that_found_different_things_keep_both(tmp_path):
-    first, second = opened(tmp_path), opened(tmp_path)
+    first = opened(tmp_path)
+    second = opened(tmp_path)
     first.add({"a": ROWS["a"]})
     second.add({"b": ROWS["b"]})
     assert opened(tmp_path).arrays.keys() == {"a", "b"}
@@ -123,7 +127,9 @@ def test_what_is_known_already_is_not_written_again(tmp_path):
         lambda path: path.write_bytes(b""),
         lambda path: path.write_bytes(path.read_bytes()[:-40]),
         lambda path: np.savez(path, format="test/1", fingerprint=FINGERPRINT, **ROWS),
-        lambda path: np.savez(path, format="test/1", fingerprint="f" * 32, content="", **ROWS),
+        lambda path: np.savez(
+            path, format="test/1", fingerprint="f" * 32, content="", **ROWS
+        ),
     ],
     ids=["empty", "cut off", "without a hash", "foreign"],
 )
@@ -160,7 +166,9 @@ def test_a_folder_that_cannot_be_made_costs_a_line(tmp_path, caplog):
     notes.add(ROWS)
     assert notes.arrays.keys() == ROWS.keys()
     assert keep(in_the_way, a_thing).name == "made"
-    assert caplog.messages == [f"nothing is cached: {in_the_way} cannot be made (File exists)"]
+    assert caplog.messages == [
+        f"nothing is cached: {in_the_way} cannot be made (File exists)"
+    ]
 
 
 # Bounds
@@ -215,7 +223,9 @@ class Made:
 
 
 def keep(folder, make, *, made_from=("a", 1), packages=("scenarios",)):
-    return cached_value(folder, "things", make, kind=Pair, made_from=made_from, packages=packages)
+    return cached_value(
+        folder, "things", make, kind=Pair, made_from=made_from, packages=packages
+    )
 
 
 def test_a_value_is_made_once_and_read_back_as_it_was(tmp_path):
@@ -231,7 +241,9 @@ def test_a_value_that_is_not_worth_it_is_made_again(tmp_path):
     make = Made()
     for _ in range(2):
         cached_value(
-            *(tmp_path, "things", make),
+            tmp_path,
+            "things",
+            make,
             kind=Pair,
             made_from=(),
             is_worth_it=lambda value: False,
@@ -280,16 +292,25 @@ def test_a_value_of_another_kind_under_the_right_hash_is_made_anew(tmp_path, cap
     make = Made()
     keep(tmp_path, make)
     (path,) = tmp_path.iterdir()
-    for content in (to_bytes(7), to_bytes((1, 2)), to_bytes(Thing(name="a", part=1)), b"\xc1"):
+    for content in (
+        to_bytes(7),
+        to_bytes((1, 2)),
+        to_bytes(Thing(name="a", part=1)),
+        b"\xc1",
+    ):
         key = cache._key(content, path.stem.removeprefix("things-"))
         path.write_bytes(key + content)
         assert keep(tmp_path, make).name == "made"
-        assert caplog.messages.pop().startswith(f"cached things not used, made anew: {path}: ")
+        assert caplog.messages.pop().startswith(
+            f"cached things not used, made anew: {path}: "
+        )
         caplog.clear()
     assert make.times == 5
 
 
-@pytest.mark.parametrize("content", [b"", b"short", b"x" * 400], ids=["empty", "cut off", "other"])
+@pytest.mark.parametrize(
+    "content", [b"", b"short", b"x" * 400], ids=["empty", "cut off", "other"]
+)
 def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     make = Made()
     keep(tmp_path, make)
@@ -297,7 +318,8 @@ def test_a_damaged_value_is_told_and_made_anew(tmp_path, caplog, content):
     path.write_bytes(content)
     keep(tmp_path, make)
     assert caplog.messages == [
-        f"cached things not used, made anew: {path}: its content is not what was written"
+        f"cached things not used, made anew: {path}: its content is not what was"
+        " written"
     ]
     keep(tmp_path, make)
     assert make.times == 2
@@ -345,7 +367,9 @@ def test_only_classes_that_are_expected_are_made():
     whole = Whole(left=a_thing(), right=None, rest=(Point(x=1.0, y=2),))
     with pytest.raises(ValueError, match=r"of another kind: .*Point"):
         from_bytes(to_bytes(whole), Whole)
-    assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == (Point(x=1.0, y=2),)
+    assert from_bytes(to_bytes(whole), Whole, classes=(Point,)).rest == (
+        Point(x=1.0, y=2),
+    )
 
 
 @pytest.mark.parametrize(
@@ -359,7 +383,9 @@ def test_a_value_of_another_hint_is_an_error(hint):
 
 
 @pytest.mark.parametrize(
-    "value", [object(), [1], {"a": 1}, np.array(["a"])], ids=["object", "list", "mapping", "words"]
+    "value",
+    [object(), [1], {"a": 1}, np.array(["a"])],
+    ids=["object", "list", "mapping", "words"],
 )
 def test_a_value_that_cannot_be_cached_is_an_error_of_the_program(value):
     with pytest.raises(TypeError, match=r"cannot be cached|not of numbers"):

@@ -18,7 +18,8 @@ from placement.candidates import (
 
 CAMERAS = tuple(load_cameras().values())[:2]
 LIDARS = load_lidars()
-SECTOR, RING = LIDARS["carla-ncap-lidar"], LIDARS["ouster-os1-128"]
+SECTOR = LIDARS["carla-ncap-lidar"]
+RING = LIDARS["ouster-os1-128"]
 
 
 def _scene(*height_ranges_m) -> Scene:
@@ -57,7 +58,13 @@ def _grid(**changes) -> CandidateGrid:
 def test_every_combination_is_there_once():
     candidates = build_candidates(_scene([5, 9], [5, 9], [5, 9]), _grid())
     keys = {
-        (c.site_id, c.pose.position_m[2], c.pose.yaw_deg, c.pose.pitch_deg, c.sensor.name)
+        (
+            c.site_id,
+            c.pose.position_m[2],
+            c.pose.yaw_deg,
+            c.pose.pitch_deg,
+            c.sensor.name,
+        )
         for c in candidates
     }
     assert len(candidates) == len(keys) == 3 * 2 * 12 * 3 * len(CAMERAS)
@@ -84,7 +91,9 @@ def test_yaws_go_all_around_once(n_yaws):
     assert around == pytest.approx(step_deg, abs=1e-9)
     assert 180.0 in yaws
     assert (0.0 in yaws) == (n_yaws % 2 == 0)
-    assert [float(c.id.split("/")[2]) for c in candidates] == pytest.approx(yaws, rel=1e-5)
+    assert [float(c.id.split("/")[2]) for c in candidates] == pytest.approx(
+        yaws, rel=1e-5
+    )
     assert not any("e-" in c.id.split("/")[2] for c in candidates)
 
 
@@ -99,10 +108,14 @@ def test_what_scans_all_round_hangs_level_and_is_not_turned():
     others = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR)))]
     assert len(others) == 2 * 3 * 12 * 3
     assert others[0] == f"pole-0/6m/-150/-30/{CAMERAS[0].name}"
-    found = [c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR, RING)))]
+    found = [
+        c.id for c in build_candidates(scene, _grid(sensors=(*CAMERAS, SECTOR, RING)))
+    ]
     rings = [name for name in found if name not in others]
     assert rings == [f"pole-0/{height}m/0/0/{RING.name}" for height in (6, 8)]
-    assert [name for name in found if name in others] == others  # unchanged, in their order
+    assert [
+        name for name in found if name in others
+    ] == others  # unchanged, in their order
 
 
 def test_a_tilted_ring_is_turned():
@@ -111,7 +124,10 @@ def test_a_tilted_ring_is_turned():
     assert directions[0] == (0.0, 0.0)
     assert len(set(directions)) == len(directions) == 1 + 12 * 2
     assert {pitch for _, pitch in directions} == {-20.0, 0.0, 10.0}
-    assert [is_turn_useless(RING, pitch_deg=pitch) for pitch in (0.0, -20.0)] == [True, False]
+    assert [is_turn_useless(RING, pitch_deg=pitch) for pitch in (0.0, -20.0)] == [
+        True,
+        False,
+    ]
     assert not is_turn_useless(SECTOR, pitch_deg=0.0)
     assert not is_turn_useless(CAMERAS[0], pitch_deg=0.0)
 
@@ -128,7 +144,10 @@ def test_the_default_grid_hangs_rings_level():
         ({"heights_m": [np.inf]}, "heights_m: got [inf]; expected finite numbers"),
         ({"heights_m": 5.0}, "heights_m: got shape (); expected shape (-1,)"),
         ({"pitches_deg": []}, "pitches_deg: got none; expected at least one"),
-        ({"pitches_deg": [-91.0]}, "pitches_deg: got [-91.0]; expected -90 .. 90 degrees"),
+        (
+            {"pitches_deg": [-91.0]},
+            "pitches_deg: got [-91.0]; expected -90 .. 90 degrees",
+        ),
         ({"ring_pitches_deg": []}, "ring_pitches_deg: got none; expected at least one"),
         (
             {"ring_pitches_deg": [100.0]},
@@ -136,7 +155,10 @@ def test_the_default_grid_hangs_rings_level():
         ),
         ({"pitches_deg": [np.nan]}, "pitches_deg: got [nan]; expected finite numbers"),
         ({"yaw_step_deg": 0.0}, "yaw_step_deg: got 0.0; expected 0 < degrees <= 360"),
-        ({"yaw_step_deg": 361.0}, "yaw_step_deg: got 361.0; expected 0 < degrees <= 360"),
+        (
+            {"yaw_step_deg": 361.0},
+            "yaw_step_deg: got 361.0; expected 0 < degrees <= 360",
+        ),
         ({"yaw_step_deg": np.nan}, "yaw_step_deg: got nan; expected finite numbers"),
         (
             {"yaw_step_deg": 50.0},
@@ -160,7 +182,11 @@ def test_heights_are_brought_into_the_sites_range_and_count_once():
     heights = {
         f"pole-{index}": sorted(
             # The foot of the pole is at 0.5 m.
-            {float(c.pose.position_m[2] - 0.5) for c in candidates if c.site_id == f"pole-{index}"}
+            {
+                float(c.pose.position_m[2] - 0.5)
+                for c in candidates
+                if c.site_id == f"pole-{index}"
+            }
         )
         for index in range(4)
     }
@@ -197,11 +223,16 @@ def test_poses_by_name_come_last():
 
 def test_a_repeated_id_is_named():
     with pytest.raises(InputError) as caught:
-        build_candidates(_scene([5, 9]), _grid(), extra=(_extra("RSU0"), _extra("RSU0")))
+        build_candidates(
+            _scene([5, 9]), _grid(), extra=(_extra("RSU0"), _extra("RSU0"))
+        )
     assert str(caught.value) == "candidates: got 'RSU0'; expected every id once"
 
 
 def test_a_scene_without_sites_is_refused():
     with pytest.raises(InputError) as caught:
         build_candidates(_scene(), _grid())
-    assert str(caught.value) == "junction: sites: got none; expected at least one mount site"
+    assert (
+        str(caught.value)
+        == "junction: sites: got none; expected at least one mount site"
+    )

@@ -15,7 +15,9 @@ def test_the_libraries_that_can_be_asked_for_are_those_that_cast_rays():
 def test_an_unknown_library_for_rays_is_refused_with_the_known_ones():
     with pytest.raises(InputError) as caught:
         compute.Compute(rays="optix")
-    assert str(caught.value) == "rays: got 'optix'; expected one of auto, embree, open3d"
+    assert (
+        str(caught.value) == "rays: got 'optix'; expected one of auto, embree, open3d"
+    )
 
 
 def test_a_copy_for_another_process_tells_nobody():

@@ -45,7 +45,9 @@ def test_the_lowest_bit_comes_first(frame_axis):
 
 def test_a_table_of_the_wrong_size_is_refused(frame_axis):
     with pytest.raises(InputError) as caught:
-        DetectionTable(pose_ids=("p", "q"), axis=frame_axis, packed=np.zeros((2, 1), np.uint8))
+        DetectionTable(
+            pose_ids=("p", "q"), axis=frame_axis, packed=np.zeros((2, 1), np.uint8)
+        )
     assert str(caught.value) == "packed: got shape (2, 1); expected shape (2, 2)"
 
 

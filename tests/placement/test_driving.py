@@ -56,10 +56,16 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     assert at_zero == [run.id for run in study.runs if run.approach == "west"]
     others = set(setting.axis.positions) - {"0"}
     assert others == {"-15", "-30", "+0", "+15", "+30", "+45"}
-    assert {refusal.position for refusal in setting.refusals} == {"-15", "-30", "-45", "+0"}
-    # Every case counts by what of it is driven, and in it every place; with the study's set every
-    # run counts the same.
-    cases, weight = np.array(setting.axis.cases), setting.axis.weight
+    assert {refusal.position for refusal in setting.refusals} == {
+        "-15",
+        "-30",
+        "-45",
+        "+0",
+    }
+    # Every case counts by what of it is driven, and in it every place; with the study's
+    # set every run counts the same.
+    cases = np.array(setting.axis.cases)
+    weight = setting.axis.weight
     shares = {name: weight[cases == name].sum() for name in set(cases)}
     refused = {refusal.case.name for refusal in setting.refusals}
     whole = [share for name, share in shares.items() if name not in refused]
@@ -68,16 +74,22 @@ def test_by_default_the_studys_cases_are_driven_along_the_arms_too(study):
     assert min(shares[name] for name in refused) < whole[0]
     there = weight[(cases == "CPLA-50") & (np.array(setting.axis.positions) == "+15")]
     assert there == pytest.approx([there[0]] * 3)
-    plain = build_setting(Question(cases="study", approaches="west"), load_study_scene())
+    plain = build_setting(
+        Question(cases="study", approaches="west"), load_study_scene()
+    )
     assert plain.axis.weight == pytest.approx([1 / 60] * 60)
 
 
 def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
     free = t_junction()
-    slow = replace(free, lanes=tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes))
+    slow = replace(
+        free, lanes=tuple(replace(lane, speed_limit_kmh=30.0) for lane in free.lanes)
+    )
 
     def speeds(scene, asked):
-        drives = drive(Question(cases="CPNA-25,CPLA-25", speeds=asked, along_arms="0"), scene)
+        drives = drive(
+            Question(cases="CPNA-25,CPLA-25", speeds=asked, along_arms="0"), scene
+        )
         return sorted({run.vut_speed_kmh for run in drives.runs}), drives
 
     bounded, drives = speeds(slow, "")
@@ -93,7 +105,8 @@ def test_a_map_bounds_the_speeds_unless_others_are_asked_for():
 
 def test_runs_of_an_earlier_call_are_those_that_would_be_laid(tmp_path, monkeypatch):
     question = Question(cases="CPNC-50,CPLA-50,CBTAfs-100", approaches="west")
-    scene, compute = load_study_scene(), Compute(cache_folder=tmp_path)
+    scene = load_study_scene()
+    compute = Compute(cache_folder=tmp_path)
     laid = build_setting(question, scene, compute=compute)
     monkeypatch.setattr(placement.setting, "build_runs", pytest.fail)
     kept = build_setting(question, scene, compute=compute)
@@ -118,21 +131,26 @@ def test_how_far_along_the_arms_is_chosen():
     runs = drive(question, load_study_scene()).runs
     assert {run.position for run in runs} == {"0", "-20", "+0", "+20"}
     assert len({run.id for run in runs}) == len(runs)
-    bound = drive(replace(question, cases="CBNA", along_arms="20"), load_study_scene()).runs
+    bound = drive(
+        replace(question, cases="CBNA", along_arms="20"), load_study_scene()
+    ).runs
     assert {run.position for run in bound} == {"0"}
     nowhere = replace(question, cases="CPNA-25,CPLA-50", along_arms="400")
     with pytest.raises(InputError) as caught:
         build_setting(nowhere, load_study_scene())
-    assert str(caught.value) == (
-        "cases: got CPNA-25, which no approach carries; expected a case that can be driven at "
-        "town05 (from the north: the mapped lane does not reach so far)"
+    assert (
+        str(caught.value)
+        == "cases: got CPNA-25, which no approach carries; expected a case that can be"
+        " driven at town05 (from the north: the mapped lane does not reach so far)"
     )
 
 
 def test_the_rule_is_the_studys_but_for_what_the_question_changes():
     assert build_rule(Question(cases="study")) == load_aeb_rule()
     rule = build_rule(
-        Question(deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1)
+        Question(
+            deceleration_mps2=5.0, build_up_s=0.3, latency_s=0.0, n_confirmations=1
+        )
     )
     assert (rule.deceleration_mps2, rule.build_up_s) == (5.0, 0.3)
     assert (rule.latency_s, rule.n_confirmations) == (0.0, 1)
@@ -197,34 +215,76 @@ def test_forced_speeds_are_warned_about(caplog):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"approaches": "up"}, "approaches: got 'up'; expected one or more of east, north"),
+        (
+            {"approaches": "up"},
+            "approaches: got 'up'; expected one or more of east, north",
+        ),
         (
             {"weather": "snow"},
             "weather: got 'snow'; expected one or more of day, night, rain, fog",
         ),
-        ({"weather": ","}, "weather: got ','; expected names with commas between, each once"),
+        (
+            {"weather": ","},
+            "weather: got ','; expected names with commas between, each once",
+        ),
         (
             {"cases": "CPXX"},
             "cases: got 'CPXX'; expected one of default, study, protocol-4.5.1, ",
         ),
-        ({"along_arms": "-15"}, "along_arms: got '-15'; expected metres along the arm, 0 to 500"),
-        ({"along_arms": "0,15,15"}, "along_arms: got '0,15,15'; expected every distance once"),
+        (
+            {"along_arms": "-15"},
+            "along_arms: got '-15'; expected metres along the arm, 0 to 500",
+        ),
+        (
+            {"along_arms": "0,15,15"},
+            "along_arms: got '0,15,15'; expected every distance once",
+        ),
         ({"along_arms": ","}, "along_arms: got ''; expected metres along the arm"),
         (
             {"detector": "best"},
-            "detector: got 'best'; expected geometric, response, pole-2015, car-2019, cnn-table, ",
+            (
+                "detector: got 'best'; expected geometric, response, pole-2015,"
+                " car-2019, cnn-table, "
+            ),
         ),
-        ({"vut_sensors": "radar"}, "vut_sensors: got 'radar'; expected one or more of camera"),
-        ({"vut_sensors": ""}, "vut_sensors: got ''; expected one or more of camera, lidar"),
-        ({"packet_loss": 1.5}, "question: packet_loss: got 1.5; expected a share of lost "),
-        ({"vam_rate": -0.5}, "question: vam_rate: got -0.5; expected a share of equipped "),
-        ({"speeds": "130"}, "speeds: got 130; expected 10 to 60 km/h as the protocol drives"),
-        ({"weights": "none"}, "weights: got 'none'; expected run, case, fhwa-crash-types, "),
-        ({"deceleration_mps2": 0.0}, "question: deceleration_mps2: got 0.0; expected m/s^2, "),
-        ({"deceleration_mps2": 0.5}, "deceleration_mps2: got 0.5; expected a number, 1 to 15"),
+        (
+            {"vut_sensors": "radar"},
+            "vut_sensors: got 'radar'; expected one or more of camera",
+        ),
+        (
+            {"vut_sensors": ""},
+            "vut_sensors: got ''; expected one or more of camera, lidar",
+        ),
+        (
+            {"packet_loss": 1.5},
+            "question: packet_loss: got 1.5; expected a share of lost ",
+        ),
+        (
+            {"vam_rate": -0.5},
+            "question: vam_rate: got -0.5; expected a share of equipped ",
+        ),
+        (
+            {"speeds": "130"},
+            "speeds: got 130; expected 10 to 60 km/h as the protocol drives",
+        ),
+        (
+            {"weights": "none"},
+            "weights: got 'none'; expected run, case, fhwa-crash-types, ",
+        ),
+        (
+            {"deceleration_mps2": 0.0},
+            "question: deceleration_mps2: got 0.0; expected m/s^2, ",
+        ),
+        (
+            {"deceleration_mps2": 0.5},
+            "deceleration_mps2: got 0.5; expected a number, 1 to 15",
+        ),
         (
             {"track_memory_s": 0.05},
-            "track_memory_s: got 0.05; expected seconds, at least 0.1 (from one frame to the next)",
+            (
+                "track_memory_s: got 0.05; expected seconds, at least 0.1 (from one"
+                " frame to the next)"
+            ),
         ),
     ],
 )
@@ -239,9 +299,11 @@ def test_a_case_that_no_approach_carries_is_told_with_a_reason():
     lanes = [*lanes_of("east", 0.0), *lanes_of("west", 180.0)]
     with pytest.raises(InputError) as caught:
         build_setting(Question(cases="CPTAns-50"), build_scene(lanes))
-    assert str(caught.value) == (
-        "cases: got CPTAns-50, which no approach carries; expected a case that can be driven at "
-        "protocol (from the east, west: no lane leads out of the junction on the near side)"
+    assert (
+        str(caught.value)
+        == "cases: got CPTAns-50, which no approach carries; expected a case that can"
+        " be driven at protocol (from the east, west: no lane leads out of the"
+        " junction on the near side)"
     )
 
 
@@ -253,7 +315,9 @@ def test_what_some_approaches_do_not_carry_is_kept_with_its_reason():
 
 
 def test_the_list_has_a_row_per_case_and_approach():
-    rows = list_rows(drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction()))
+    rows = list_rows(
+        drive(Question(cases="CPTAfs-50,CPNA-25", along_arms="0"), t_junction())
+    )
     assert [(row.case, row.approach) for row in rows] == [
         ("CPTAfs-50", "east"),
         ("CPTAfs-50", "south"),
@@ -274,7 +338,9 @@ def test_the_list_has_a_row_per_case_and_approach():
 
 
 def test_the_list_says_where_along_the_arms():
-    question = Question(cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100")
+    question = Question(
+        cases="CPNA-25,CBNA", approaches="north", along_arms="0,15,60,100"
+    )
     rows = list_rows(drive(question, load_study_scene()))
     assert [(row.case, row.position, row.n_runs) for row in rows] == [
         ("CPNA-25", "-100", 0),
@@ -290,40 +356,58 @@ def test_the_list_says_where_along_the_arms():
     text = scenario_table(rows)
     assert max(map(len, text.splitlines())) <= 80
     assert "CPNA-25  north  10-60  6 of 8    29" in text
-    assert "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not" in text
+    assert (
+        "CPNA-25 from north (at -100, +100) not driven: the mapped lane does not"
+        in text
+    )
     assert text.endswith("38 runs of 2 cases")
 
 
 def test_speeds_that_a_case_does_not_have_are_listed_as_not_driven():
     drives = drive(
-        Question(cases="CPTAns-50,CPNA-25", speeds="40", along_arms="0"), load_study_scene()
+        Question(cases="CPTAns-50,CPNA-25", speeds="40", along_arms="0"),
+        load_study_scene(),
     )
     row = list_rows(drives)[-1]
     assert row.case == "CPTAns-50"
     assert row.reason == "none of the speeds asked for (40) is one of this case"
     text = scenario_table(list_rows(drives))
-    assert "south not driven: none of the speeds asked for (40)" in " ".join(text.split())
+    assert "south not driven: none of the speeds asked for (40)" in " ".join(
+        text.split()
+    )
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("4 runs of 2 cases")
 
 
 def test_one_run_must_be_named():
-    with pytest.raises(InputError, match=r"CPNA: got 2 runs \(CPNA-25/east/40, CPNA-75/east/40\)"):
-        drive_one(Question(cases="CPNA", approaches="east", speeds="40"), load_study_scene())
+    with pytest.raises(
+        InputError, match=r"CPNA: got 2 runs \(CPNA-25/east/40, CPNA-75/east/40\)"
+    ):
+        drive_one(
+            Question(cases="CPNA", approaches="east", speeds="40"), load_study_scene()
+        )
     with pytest.raises(InputError) as caught:
-        drive_one(Question(cases="CPTAfs-50", approaches="west", speeds="10"), t_junction())
-    assert str(caught.value) == (
-        "CPTAfs-50 from the west: got no lane leads out of the junction on the far side; "
-        "expected a case that this approach carries"
+        drive_one(
+            Question(cases="CPTAfs-50", approaches="west", speeds="10"), t_junction()
+        )
+    assert (
+        str(caught.value)
+        == "CPTAfs-50 from the west: got no lane leads out of the junction on the far"
+        " side; expected a case that this approach carries"
     )
 
 
 def test_one_run_at_a_position_drives_the_speed_asked_for():
-    scene, question = load_study_scene(), Question(cases="CPLA-50", approaches="east", speeds="33")
+    scene = load_study_scene()
+    question = Question(cases="CPLA-50", approaches="east", speeds="33")
     question = replace(question, force=True)
     run = drive_one(question, scene, position="-15")
     assert (run.id, run.position) == ("CPLA-50/east-15/33", "-15")
-    with pytest.raises(InputError, match="position: got '-15'; expected 0: CBNA is bound to"):
+    with pytest.raises(
+        InputError, match="position: got '-15'; expected 0: CBNA is bound to"
+    ):
         drive_one(replace(question, cases="CBNA"), scene, position="-15")
-    with pytest.raises(InputError, match="position: got 'far'; expected 0, or metres before it"):
+    with pytest.raises(
+        InputError, match="position: got 'far'; expected 0, or metres before it"
+    ):
         drive_one(question, scene, position="far")

@@ -58,9 +58,9 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
         closing_speed_kmh=np.array([0.0, 8.0, 15.0]),
     )
     assert mean_impact_speed_kmh(verdict, frame_axis) == 7.0
-    assert mean_impact_speed_kmh(verdict, frame_axis, np.array([True, True, False])) == (
-        pytest.approx(2.0 / 0.75)
-    )
+    assert mean_impact_speed_kmh(
+        verdict, frame_axis, np.array([True, True, False])
+    ) == (pytest.approx(2.0 / 0.75))
     assert math.isnan(mean_impact_speed_kmh(_verdict([True] * 3), frame_axis))
     levels = Levels(
         score="made up",
@@ -75,17 +75,23 @@ def test_the_mean_speed_at_contact_counts_avoided_runs_as_zero(frame_axis):
 
 @given(frame_axes(), st.data())
 def test_apr_of_all_is_the_weighted_mean_over_cases_and_never_above_one(axis, data):
-    avoided = data.draw(st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs))
+    avoided = data.draw(
+        st.lists(st.booleans(), min_size=axis.n_runs, max_size=axis.n_runs)
+    )
     verdict = _verdict(avoided)
     total = apr(verdict, axis)
     assert 0.0 <= total <= 1.0
     share = {
-        case: sum(w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case)
+        case: sum(
+            w for w, name in zip(axis.weight, axis.cases, strict=True) if name == case
+        )
         for case in axis.cases
     }
     by_case = apr_by_case(verdict, axis)
     assert list(by_case) == list(dict.fromkeys(axis.cases))
-    assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(total)
+    assert sum(share[case] * value for case, value in by_case.items()) == pytest.approx(
+        total
+    )
     assert apr(_verdict([True] * axis.n_runs), axis) == pytest.approx(1.0)
     assert apr(_verdict([False] * axis.n_runs), axis) == 0.0
 
@@ -97,7 +103,9 @@ def test_detected_share_counts_frames_of_the_chosen_runs(frame_axis):
     for index, expected in enumerate([2.0 / 3.0, 0.8, 0.0]):
         mask = np.arange(3) == index
         assert detected_share(verdict, frame_axis, mask) == pytest.approx(expected)
-    assert detected_share(verdict, frame_axis, np.array([True, False, True])) == pytest.approx(0.4)
+    assert detected_share(
+        verdict, frame_axis, np.array([True, False, True])
+    ) == pytest.approx(0.4)
 
 
 def test_a_verdict_cannot_be_changed(frame_axis):
@@ -114,7 +122,8 @@ def test_an_evaluation_shows_its_aprs(frame_axis):
         pose=Pose(position_m=[0, 0, 7], yaw_deg=0.0),
         sensor=load_cameras()["carla-ncap-rgb"],
     )
-    blind, sighted = _verdict([False, True, False]), _verdict([True, True, True])
+    blind = _verdict([False, True, False])
+    sighted = _verdict([True, True, True])
     evaluation = Evaluation(
         layout=Layout(name="mine", units=(unit,)),
         axis=frame_axis,
@@ -124,7 +133,8 @@ def test_an_evaluation_shows_its_aprs(frame_axis):
         vut_and_rsus=sighted,
     )
     assert (
-        repr(evaluation) == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
+        repr(evaluation)
+        == "Evaluation('mine': APR 1.0000 with 1 units, 0.2500 by the VUT alone)"
     )
 
 
@@ -142,7 +152,8 @@ def test_an_evaluation_shows_its_aprs(frame_axis):
 def test_one_unit_fails_and_the_rest_still_has_to_confirm(
     frame_axis, rule, frames_of_units, expected
 ):
-    # Any three frames in a row avoid run 0 (weight 1/2) and run 1 (1/4); nothing avoids run 2.
+    # Any three frames in a row avoid run 0 (weight 1/2) and run 1 (1/4); nothing avoids
+    # run 2.
     assert _one_failed_of(frame_axis, rule, frames_of_units) == expected
 
 
@@ -168,7 +179,9 @@ def _one_failed_of(frame_axis, rule, frames_of_units, latencies_s=None):
         layout=Layout(
             name="mine",
             units=tuple(
-                CandidatePose(id=name, site_id="", pose=pose, sensor=camera, latency_s=latency_s)
+                CandidatePose(
+                    id=name, site_id="", pose=pose, sensor=camera, latency_s=latency_s
+                )
                 for name, latency_s in zip(
                     verdicts, latencies_s or [None] * len(verdicts), strict=True
                 )

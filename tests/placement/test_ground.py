@@ -39,8 +39,15 @@ def test_points_stand_for_square_metres():
 
 def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
     scene = protocol_scene()
-    ground = build_private_ground([("garden", box(20, -5, 30, 5)), ("yard", box(-30, -5, -20, 5))])
-    poses = [unit(0, 0, 0.0), unit(0, 0, 180.0), unit(0, 0, 90.0), unit(0, 0, 0.0, pitch_deg=80.0)]
+    ground = build_private_ground(
+        [("garden", box(20, -5, 30, 5)), ("yard", box(-30, -5, -20, 5))]
+    )
+    poses = [
+        unit(0, 0, 0.0),
+        unit(0, 0, 180.0),
+        unit(0, 0, 90.0),
+        unit(0, 0, 0.0, pitch_deg=80.0),
+    ]
     share = private_shares(scene, poses, ground)
     assert share.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
     lidar = unit(0, 0, 0.0, sensor=load_lidars()["carla-ncap-lidar"])
@@ -49,8 +56,11 @@ def test_a_camera_sees_what_is_in_its_picture_and_nothing_behind_it():
 
 def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
     ground = build_private_ground([("garden", box(20, 10, 30, 40))])
-    # The right edge of the picture, 45 degrees right of north-east, is the x axis turned up to ..
-    share = private_shares(protocol_scene(), [unit(0, 0, 0.0), unit(0, 0, 45.0)], ground)
+    # The right edge of the picture, 45 degrees right of north-east, is the x axis
+    # turned up to ..
+    share = private_shares(
+        protocol_scene(), [unit(0, 0, 0.0), unit(0, 0, 45.0)], ground
+    )
     points = ground.points_m
     expected = (points[:, 1] < points[:, 0]).mean()  # left edge: 45 degrees from east
     assert share[0, 0] == pytest.approx(expected, abs=0.02)
@@ -60,9 +70,15 @@ def test_half_of_an_area_at_the_edge_of_the_picture_counts_half():
 def test_walls_hide():
     ground = build_private_ground([("garden", box(20, -5, 30, 5))])
     wall = ("wall", 15.0, 0.0, 0.5, 60.0, 8.0)
-    assert private_shares(protocol_scene(boxes=[wall]), [unit(0, 0, 0.0)], ground)[0, 0] == 0.0
+    assert (
+        private_shares(protocol_scene(boxes=[wall]), [unit(0, 0, 0.0)], ground)[0, 0]
+        == 0.0
+    )
     low = ("hedge", 15.0, 0.0, 0.5, 60.0, 1.0)
-    assert private_shares(protocol_scene(boxes=[low]), [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
+    assert (
+        private_shares(protocol_scene(boxes=[low]), [unit(0, 0, 0.0)], ground)[0, 0]
+        == 1.0
+    )
     moved = replace(protocol_scene(boxes=[low]), sites=())
     assert private_shares(moved, [], ground).shape == (0, 1)
 
@@ -76,7 +92,8 @@ def test_areas_that_cannot_be_are_refused():
 
 def test_areas_of_another_place_are_refused():
     told = (
-        r"school_yard.geojson.*: got an area [0-9,]+ km away from the junction; expected areas with"
+        r"school_yard.geojson.*: got an area [0-9,]+ km away from the junction;"
+        r" expected areas with"
     )
     with pytest.raises(InputError, match=told):
         load_private_ground(YARD, load_study_scene())
@@ -88,4 +105,8 @@ def test_the_pole_that_carries_a_camera_hides_nothing():
     scene = protocol_scene(boxes=[pole])
     assert private_shares(scene, [unit(0, 0, 0.0)], ground)[0, 0] == 1.0
     thin = ("post", 5.0, 0.0, 0.2, 0.2, 9.0)
-    assert 0.5 < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0] < 1.0
+    assert (
+        0.5
+        < private_shares(protocol_scene(boxes=[thin]), [unit(0, 0, 0.0)], ground)[0, 0]
+        < 1.0
+    )

@@ -14,7 +14,9 @@ CAMERA = load_cameras()["carla-ncap-rgb-90"]
 
 
 def unit(*, yaw_deg=0.0, pitch_deg=0.0, sensor=CAMERA, x=-30.0):
-    pose = Pose(position_m=np.array([x, 0.0, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    pose = Pose(
+        position_m=np.array([x, 0.0, 6.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
     return CandidatePose(id="a", site_id="", pose=pose, sensor=sensor)
 
 
@@ -27,7 +29,9 @@ def at(coverage, x, y):
 def test_density_is_focal_length_over_depth():
     coverage = find_ground_coverage(protocol_scene(), [unit()])
     density, east_m = at(coverage, 20.0, 0.5)
-    assert density == pytest.approx(960.0 / (east_m + 30.0))  # f = 1920 / 2 / tan 45 deg
+    assert density == pytest.approx(
+        960.0 / (east_m + 30.0)
+    )  # f = 1920 / 2 / tan 45 deg
     assert at(coverage, -40.0, 0.5)[0] == 0.0  # behind
     down = find_ground_coverage(protocol_scene(), [unit(pitch_deg=-90.0)])
     assert at(down, -30.0, 0.5)[0] == pytest.approx(960.0 / (6.0 - LOOK_AT_M))
@@ -57,7 +61,8 @@ def test_more_cameras_see_no_less_and_lidars_take_no_pictures():
 def test_roads_are_lanes_and_the_junction():
     coverage = find_ground_coverage(protocol_scene(), [])
     n_cells = coverage.is_road.sum()
-    # A square of 23 m, and four arms of 7 m up to 45 m: 529 + 4 x 7 x 33.5 square metres.
+    # A square of 23 m, and four arms of 7 m up to 45 m: 529 + 4 x 7 x 33.5 square
+    # metres.
     assert n_cells == pytest.approx(529 + 4 * 7 * 33.5, rel=0.05)
     moved = replace(protocol_scene(), lanes=())
     assert find_ground_coverage(moved, []).is_road.sum() == pytest.approx(529, rel=0.1)

@@ -40,14 +40,26 @@ def budgets(draw, max_parts: int = 4) -> LatencyBudget:
 def test_the_default_is_the_latency_of_the_study():
     budget = load_latency_budget()
     assert budget.name == DEFAULT_LATENCY_BUDGET == "study"
-    assert budget.best_s == budget.mean_s == budget.worst_s == load_aeb_rule().latency_s == 0.025
+    assert (
+        budget.best_s
+        == budget.mean_s
+        == budget.worst_s
+        == load_aeb_rule().latency_s
+        == 0.025
+    )
     assert [part.is_assumption for part in budget.parts] == [False]
 
 
 @pytest.mark.parametrize(("name", "period_s"), [("cpm-100ms", 0.1), ("cpm-50ms", 0.05)])
 def test_a_message_waits_for_up_to_one_period(name, period_s):
     parts = {part.name: part for part in load_latency_budget(name).parts}
-    assert list(parts) == ["exposure", "detector", "CPM generation", "radio", "decision"]
+    assert list(parts) == [
+        "exposure",
+        "detector",
+        "CPM generation",
+        "radio",
+        "decision",
+    ]
     wait = parts.pop("CPM generation")
     assert (wait.low_s, wait.high_s, wait.is_assumption) == (0.0, period_s, False)
     assert "TS 103 324" in wait.source
@@ -78,7 +90,9 @@ def test_draws_stay_within_and_have_mean_and_variance_of_the_sum():
     assert drawn.shape == (200_000,)
     assert budget.best_s <= drawn.min() < drawn.max() <= budget.worst_s
     variance = sum((part.high_s - part.low_s) ** 2 / 12.0 for part in budget.parts)
-    assert drawn.mean() == pytest.approx(budget.mean_s, abs=5.0 * math.sqrt(variance / 200_000))
+    assert drawn.mean() == pytest.approx(
+        budget.mean_s, abs=5.0 * math.sqrt(variance / 200_000)
+    )
     assert drawn.var() == pytest.approx(variance, rel=0.02)
 
 
@@ -112,8 +126,14 @@ def write_budget(tmp_path):
     """Writes a budget of one part with some fields replaced, or removed (...)."""
 
     def write(text=None, **fields):
-        part = {key: value for key, value in (PART | fields).items() if value is not ...}
-        lines = ["[mine]", "[[mine.parts]]", *(f"{key} = {value}" for key, value in part.items())]
+        part = {
+            key: value for key, value in (PART | fields).items() if value is not ...
+        }
+        lines = [
+            "[mine]",
+            "[[mine.parts]]",
+            *(f"{key} = {value}" for key, value in part.items()),
+        ]
         path = tmp_path / "mine.toml"
         path.write_text("\n".join(lines) if text is None else text, encoding="utf-8")
         return path
@@ -125,10 +145,24 @@ def test_a_file_of_ones_own_is_read(write_budget):
     budget = load_latency_budget(str(write_budget()))
     assert budget.name == "mine"
     assert budget.parts == (
-        LatencyPart(name="radio", low_s=0.001, high_s=0.01, source="a sheet", is_assumption=False),
+        LatencyPart(
+            name="radio",
+            low_s=0.001,
+            high_s=0.01,
+            source="a sheet",
+            is_assumption=False,
+        ),
     )
     fixed = load_latency_budget(
-        str(write_budget(low_s=..., high_s=..., fixed_s="0.02", source=..., assumption="'a guess'"))
+        str(
+            write_budget(
+                low_s=...,
+                high_s=...,
+                fixed_s="0.02",
+                source=...,
+                assumption="'a guess'",
+            )
+        )
     )
     assert (fixed.parts[0].low_s, fixed.parts[0].high_s) == (0.02, 0.02)
     assert (fixed.parts[0].is_assumption, fixed.parts[0].source) == (True, "a guess")
@@ -142,28 +176,42 @@ def test_a_file_of_ones_own_is_read(write_budget):
         ({"high_s": "inf"}, "mine.parts[0].high_s: got inf; expected a finite number"),
         ({"high_s": "'1'"}, "mine.radio.high_s: got '1'; expected 0 to 10 seconds"),
         ({"high_s": "25"}, "mine.radio.high_s: got 25; expected 0 to 10 seconds"),
-        ({"low_s": "0.02"}, "mine.radio.high_s: got 0.01; expected at least low_s, 0.02"),
+        (
+            {"low_s": "0.02"},
+            "mine.radio.high_s: got 0.01; expected at least low_s, 0.02",
+        ),
         ({"high_s": ...}, "mine.radio.high_s: got nothing; expected a value"),
         (
             {"low_s": ..., "high_s": ...},
             "mine.radio: got no time; expected fixed_s, or low_s and high_s",
         ),
-        ({"fixed_s": "0.1"}, "mine.radio.low_s: got it beside fixed_s; expected one of them"),
+        (
+            {"fixed_s": "0.1"},
+            "mine.radio.low_s: got it beside fixed_s; expected one of them",
+        ),
         (
             {"low_s": ..., "high_s": ..., "fixed_s": "-1"},
             "mine.radio.fixed_s: got -1; expected 0 to 10 seconds",
         ),
-        ({"source": ...}, "mine.radio: got neither; expected either source or assumption"),
+        (
+            {"source": ...},
+            "mine.radio: got neither; expected either source or assumption",
+        ),
         (
             {"assumption": "'x'"},
-            "mine.radio: got source and assumption; expected either source or assumption",
+            (
+                "mine.radio: got source and assumption; expected either source or"
+                " assumption"
+            ),
         ),
         ({"source": "3"}, "mine.radio.source: got 3; expected text"),
         ({"source": "' '"}, "mine.radio.source: got ' '; expected text"),
         (
             {"mean_s": "0.1"},
-            "mine.radio: got 'mean_s'; expected one of name, fixed_s, low_s, high_s, source, "
-            "assumption",
+            (
+                "mine.radio: got 'mean_s'; expected one of name, fixed_s, low_s,"
+                " high_s, source, assumption"
+            ),
         ),
         ({"name": ...}, "mine.parts[0].name: got nothing; expected a value"),
         ({"name": '"a\\u0007"'}, "mine.name: got 'a\\x07'; expected printable text"),
@@ -178,7 +226,9 @@ def test_a_file_of_ones_own_is_read(write_budget):
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told_by_file_part_and_field(write_budget, fields, message):
+def test_what_is_wrong_with_a_file_is_told_by_file_part_and_field(
+    write_budget, fields, message
+):
     path = write_budget(**fields)
     with pytest.raises(InputError) as caught:
         load_latency_budget(str(path))
@@ -195,14 +245,17 @@ def test_parts_have_names_of_their_own(write_budget):
 
 def test_a_file_has_one_budget(write_budget):
     both = "".join(
-        f"[[{name}.parts]]\nname = 'x'\nfixed_s = 0.1\nsource = 'x'\n" for name in ("one", "two")
+        f"[[{name}.parts]]\nname = 'x'\nfixed_s = 0.1\nsource = 'x'\n"
+        for name in ("one", "two")
     )
     for text, got in (("", "no budget"), (both, "one, two")):
         path = write_budget(text)
         with pytest.raises(InputError) as caught:
             load_latency_budget(str(path))
-        assert str(caught.value) == (
-            f"{path}: got {got}; expected one budget: a table such as [mine] with parts"
+        assert (
+            str(caught.value)
+            == f"{path}: got {got}; expected one budget: a table such as [mine] with"
+            " parts"
         )
 
 
@@ -211,10 +264,15 @@ def test_a_file_has_one_budget(write_budget):
     [
         (
             "wifi",
-            "--budget: got 'wifi'; expected study, cpm-100ms, cpm-50ms, or a .toml file with a "
-            "latency budget",
+            (
+                "--budget: got 'wifi'; expected study, cpm-100ms, cpm-50ms, or a .toml"
+                " file with a latency budget"
+            ),
         ),
-        ("gone.toml", "gone.toml: got No such file or directory; expected a readable file"),
+        (
+            "gone.toml",
+            "gone.toml: got No such file or directory; expected a readable file",
+        ),
     ],
 )
 def test_a_budget_that_is_not_there_is_told(name, message):

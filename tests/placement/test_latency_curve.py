@@ -41,11 +41,16 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
     pose = Pose(position_m=[0, 0, 7], yaw_deg=0.0)
     camera = load_cameras()["carla-ncap-rgb"]
     poses = tuple(
-        CandidatePose(id=f"U{index}", site_id="", pose=pose, sensor=camera, latency_s=latency_s)
+        CandidatePose(
+            id=f"U{index}", site_id="", pose=pose, sensor=camera, latency_s=latency_s
+        )
         for index, latency_s in enumerate(own)
     )
     nobody = _verdict(np.zeros(axis.n_frames), axis.n_runs)
-    others = {} if vam is None else {"vam": _verdict(vam, axis.n_runs), "all_sources": nobody}
+    if vam is None:
+        others = {}
+    else:
+        others = {"vam": _verdict(vam, axis.n_runs), "all_sources": nobody}
     return Evaluation(
         layout=Layout(name="any", units=poses),
         axis=axis,
@@ -60,14 +65,19 @@ def _evaluation(axis, vut, units, own_latencies_s=None, vam=None) -> Evaluation:
     )
 
 
-def _apr_by_hand(axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0) -> float:
+def _apr_by_hand(
+    axis, parties, n_confirmations, memory_s=math.inf, latency_s=0.0
+) -> float:
     """Every window of every run, one by one: is it known, and alive, at the last moment?"""
     avoided = 0.0
     for run in range(axis.n_runs):
         frames = range(axis.run_start[run], axis.run_start[run + 1])
         last_brake_s = axis.last_brake_time_s[run]
         known = [
-            min((axis.time_s[f] + late for seen, late in parties if seen[f]), default=math.inf)
+            min(
+                (axis.time_s[f] + late for seen, late in parties if seen[f]),
+                default=math.inf,
+            )
             <= last_brake_s + TOLERANCE_S
             for f in frames
         ]
@@ -107,7 +117,10 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
     axis, vut, units, own_s = case
     last = axis.last_brake_time_s.repeat(np.diff(axis.run_start))
     for each_s in (latency_s, vut_latency_s, *own_s):  # no ties but exact ones
-        slack = np.abs(last - axis.time_s - each_s) if each_s is not None else np.ones(1)
+        if each_s is not None:
+            slack = np.abs(last - axis.time_s - each_s)
+        else:
+            slack = np.ones(1)
         assume(not ((slack > 0.1 * TOLERANCE_S) & (slack < 10.0 * TOLERANCE_S)).any())
     age = np.abs(last - axis.time_s - latency_s - memory_s)
     assume(not ((age > 0.1 * TOLERANCE_S) & (age < 10.0 * TOLERANCE_S)).any())
@@ -135,7 +148,9 @@ def test_every_party_is_judged_as_if_evaluated_with_that_latency(
             axis,
             rule=replace(rule, latency_s=latency_s),
         )
-        assert float(weight_share(onsets.is_in_time, axis.weight)) == pytest.approx(expected), name
+        assert float(weight_share(onsets.is_in_time, axis.weight)) == pytest.approx(
+            expected
+        ), name
         assert curves[name].tolist() == [pytest.approx(expected)], name
 
 
@@ -178,7 +193,8 @@ def test_a_run_may_be_avoided_with_a_longer_latency_alone():
 def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
     axis = replace(frame_axis, last_brake_time_s=np.array([0.05, 0.1, -np.inf]))
     frames = np.array([1] * 8 + [0, 0])
-    both, ends_s = _evaluation(axis, frames, [frames, frames], [0.04, 0.2]), [0.0, 5.0]
+    both = _evaluation(axis, frames, [frames, frames], [0.04, 0.2])
+    ends_s = [0.0, 5.0]
     curves = apr_by_latency(both, RULE, ends_s)
     assert curves["U0"].tolist() == [0.75, 0.75]
     assert curves["U1"].tolist() == [0.25, 0.25]
@@ -192,7 +208,9 @@ def test_a_unit_with_its_own_latency_keeps_it(frame_axis):
 @pytest.mark.parametrize("latency_s", [-0.1, math.nan, math.inf])
 def test_a_latency_of_the_vut_that_cannot_be_is_told(frame_axis, latency_s):
     evaluation = _evaluation(frame_axis, np.zeros(10), [np.zeros(10)])
-    with pytest.raises(InputError, match=r"vut_latency_s: got .*; expected seconds, at least 0"):
+    with pytest.raises(
+        InputError, match=r"vut_latency_s: got .*; expected seconds, at least 0"
+    ):
         apr_by_latency(evaluation, RULE, [0.0], vut_latency_s=latency_s)
 
 
@@ -225,7 +243,9 @@ def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
             ]
         ),
     )
-    memory_rule = replace(RULE, n_confirmations=n_confirmations, track_memory_s=memory_s)
+    memory_rule = replace(
+        RULE, n_confirmations=n_confirmations, track_memory_s=memory_s
+    )
     evaluation = replace(_evaluation(axis, vut, units, own_s), levels=levels)
     delays = [latency_s if value is None else value for value in own_s]
     moments = np.concatenate([levels.deadline_s, last])
@@ -243,7 +263,9 @@ def test_a_score_by_latency_is_that_of_the_onsets_with_that_latency(
     curves = apr_by_latency(evaluation, memory_rule, [latency_s])
     for name, party in parties.items():
         onsets = find_onsets(
-            earliest_arrival_s([(np.array(seen, dtype=bool), late) for seen, late in party], axis),
+            earliest_arrival_s(
+                [(np.array(seen, dtype=bool), late) for seen, late in party], axis
+            ),
             axis,
             rule=replace(memory_rule, latency_s=latency_s),
         )

@@ -98,14 +98,19 @@ def _zoomed(sensor, share):
 
 @given(_layouts(), numbers(0.0, 1.0))
 def test_a_lens_that_is_set_comes_back_from_its_records(layout, share):
-    units = tuple(replace(unit, sensor=_zoomed(unit.sensor, share)) for unit in layout.units)
+    units = tuple(
+        replace(unit, sensor=_zoomed(unit.sensor, share)) for unit in layout.units
+    )
     layout = replace(layout, units=units)
     records = json.loads(json.dumps(layout_records(layout), allow_nan=False))
     back = layout_from_records(layout.name, records, "f.json")
     assert [unit.sensor for unit in back.units] == [unit.sensor for unit in units]
     for record, unit in zip(records, units, strict=True):
         model = load_cameras().get(unit.sensor.name)
-        is_set = model is not None and model.horizontal_fov_deg != unit.sensor.horizontal_fov_deg
+        is_set = (
+            model is not None
+            and model.horizontal_fov_deg != unit.sensor.horizontal_fov_deg
+        )
         assert ("fov_deg" in record) == is_set
 
 
@@ -123,8 +128,10 @@ def test_a_lens_as_in_the_catalogue_may_be_told_or_not():
 def test_a_lidar_has_no_field_of_view_to_set():
     records = _changed(lidar="carla-ncap-lidar", fov_deg=40.0)
     del records[1]["camera"]
-    assert _message(layout_from_records, "l", records, "f.json") == (
-        "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have lenses"
+    assert (
+        _message(layout_from_records, "l", records, "f.json")
+        == "f.json: layout[1].fov_deg: got 40.0; expected nothing: only cameras have"
+        " lenses"
     )
 
 
@@ -153,16 +160,21 @@ def test_a_layout_is_read_from_a_file(tmp_path):
     assert [unit.id for unit in layout.units] == ["A", "B"]
     assert layout.units[0].pose.position_m.tolist() == [1.0, -2.0, 7.5]
     assert [unit.site_id for unit in layout.units] == ["pole-1", ""]
-    path.write_text(json.dumps({"name": "ours", "layout": GOOD, "more": 1}), encoding="utf-8")
+    path.write_text(
+        json.dumps({"name": "ours", "layout": GOOD, "more": 1}), encoding="utf-8"
+    )
     assert load_layout(path).name == "ours"
 
 
-@pytest.mark.parametrize("key", ["id", "camera", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg"])
+@pytest.mark.parametrize(
+    "key", ["id", "camera", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg"]
+)
 def test_a_missing_field_is_named(key):
     records = _changed()
     del records[1][key]
-    assert _message(layout_from_records, "l", records, "f.json") == (
-        f"f.json: layout[1].{key}: got nothing; expected a value"
+    assert (
+        _message(layout_from_records, "l", records, "f.json")
+        == f"f.json: layout[1].{key}: got nothing; expected a value"
     )
 
 
@@ -174,45 +186,71 @@ def test_a_missing_field_is_named(key):
         ({"z_m": "7"}, "layout[1].z_m: got '7'; expected a finite number"),
         ({"yaw_deg": True}, "layout[1].yaw_deg: got True; expected a finite number"),
         ({"x_m": None}, "layout[1].x_m: got None; expected a finite number"),
-        ({"x_m": 10**400}, f"layout[1].x_m: got 1{199 * '0'}..; expected a finite number"),
-        ({"pitch_deg": -90.5}, "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees"),
+        (
+            {"x_m": 10**400},
+            f"layout[1].x_m: got 1{199 * '0'}..; expected a finite number",
+        ),
+        (
+            {"pitch_deg": -90.5},
+            "layout[1].pitch_deg: got -90.5; expected -90 .. 90 degrees",
+        ),
         ({"pitch_deg": 91}, "layout[1].pitch_deg: got 91; expected -90 .. 90 degrees"),
         ({"id": 3}, "layout[1].id: got 3; expected text"),
         ({"id": ""}, "layout[1].id: got ''; expected text"),
         ({"camera": ["x"]}, "layout[1].camera: got ['x']; expected text"),
         ({"site": 7}, "layout[1].site: got 7; expected text"),
-        ({"lidar": "carla-ncap-lidar"}, "layout[1]: got camera and lidar; expected one of them"),
+        (
+            {"lidar": "carla-ncap-lidar"},
+            "layout[1]: got camera and lidar; expected one of them",
+        ),
         (
             {"fov_deg": 60.0},
-            "layout[1].fov_deg: got 60.0; expected 90 degrees: carla-ncap-rgb-90 has a fixed lens",
+            (
+                "layout[1].fov_deg: got 60.0; expected 90 degrees: carla-ncap-rgb-90"
+                " has a fixed lens"
+            ),
         ),
         (
             {"camera": "varifocal-1080p", "fov_deg": 120},
-            "layout[1].fov_deg: got 120.0; expected 26.2 .. 89.6 degrees, the lens of "
-            "varifocal-1080p",
+            (
+                "layout[1].fov_deg: got 120.0; expected 26.2 .. 89.6 degrees, the lens"
+                " of varifocal-1080p"
+            ),
         ),
-        ({"fov_deg": "wide"}, "layout[1].fov_deg: got 'wide'; expected a finite number"),
-        ({"latency_s": -0.1}, "layout[1].latency_s: got -0.1; expected seconds, at least 0"),
-        ({"latency_s": "0.1"}, "layout[1].latency_s: got '0.1'; expected seconds, at least 0"),
+        (
+            {"fov_deg": "wide"},
+            "layout[1].fov_deg: got 'wide'; expected a finite number",
+        ),
+        (
+            {"latency_s": -0.1},
+            "layout[1].latency_s: got -0.1; expected seconds, at least 0",
+        ),
+        (
+            {"latency_s": "0.1"},
+            "layout[1].latency_s: got '0.1'; expected seconds, at least 0",
+        ),
     ],
 )
 def test_a_field_of_the_wrong_kind_is_named(changes, message):
-    assert _message(layout_from_records, "l", _changed(**changes), "f.json") == (
-        f"f.json: {message}"
+    assert (
+        _message(layout_from_records, "l", _changed(**changes), "f.json")
+        == f"f.json: {message}"
     )
 
 
 def test_a_unit_that_is_no_object_is_named():
-    assert _message(layout_from_records, "l", [5], "f.json") == (
-        "f.json: layout[0]: got 5; expected an object with the fields of a unit"
+    assert (
+        _message(layout_from_records, "l", [5], "f.json")
+        == "f.json: layout[0]: got 5; expected an object with the fields of a unit"
     )
 
 
 def test_an_unknown_camera_lists_the_known_ones():
     known = ", ".join(sorted(load_cameras()))
     records = _changed(camera="periscope")
-    assert _message(layout_from_records, "l", records, "f.json") == (
-        f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
+    assert (
+        _message(layout_from_records, "l", records, "f.json")
+        == f"f.json: layout[1].camera: got 'periscope'; expected one of {known}"
     )
 
 
@@ -235,16 +273,18 @@ def test_a_lidar_is_written_and_read_as_one_and_is_no_camera():
 
 
 def test_a_repeated_id_is_named():
-    assert _message(layout_from_records, "l", _changed(id="A"), "f.json") == (
-        "layout l: id: got 'A'; expected every id once"
+    assert (
+        _message(layout_from_records, "l", _changed(id="A"), "f.json")
+        == "layout l: id: got 'A'; expected every id once"
     )
 
 
 @pytest.mark.parametrize("name", RESERVED_IDS)
 def test_a_unit_is_not_called_like_another_sensing_party(name):
-    assert _message(layout_from_records, "l", _changed(id=name), "f.json") == (
-        f"layout l: id: got '{name}'; expected another name: vut, rsu_all, vut_and_rsus, vam, "
-        "all_sources mean other sensing parties"
+    assert (
+        _message(layout_from_records, "l", _changed(id=name), "f.json")
+        == f"layout l: id: got '{name}'; expected another name: vut, rsu_all,"
+        " vut_and_rsus, vam, all_sources mean other sensing parties"
     )
 
 
@@ -256,17 +296,30 @@ def test_names_and_ids_can_be_printed(text):
 
 
 def test_a_layout_without_units_is_refused():
-    assert _message(layout_from_records, "l", [], "f.json") == (
-        "layout l: got no unit; expected at least one unit"
+    assert (
+        _message(layout_from_records, "l", [], "f.json")
+        == "layout l: got no unit; expected at least one unit"
     )
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"{", "got Expecting property name enclosed in double quotes: line 1 column 2 (char 1); "),
+        (
+            b"{",
+            (
+                "got Expecting property name enclosed in double quotes: line 1 column 2"
+                " (char 1); "
+            ),
+        ),
         (b"not JSON", "got Expecting value: line 1 column 1 (char 0); "),
-        (b"\xff", "got 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte; "),
+        (
+            b"\xff",
+            (
+                "got 'utf-8' codec can't decode byte 0xff in position 0: invalid start"
+                " byte; "
+            ),
+        ),
     ],
 )
 def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
@@ -278,19 +331,25 @@ def test_a_file_that_is_not_json_is_named(tmp_path, content, message):
 def test_a_file_nested_too_deep_is_named(tmp_path):
     path = tmp_path / "a.json"
     path.write_text("[" * 100_000, encoding="utf-8")
-    assert _message(load_layout, path) == f"{path}: got JSON nested too deep; expected a layout"
+    assert (
+        _message(load_layout, path)
+        == f"{path}: got JSON nested too deep; expected a layout"
+    )
 
 
 @pytest.mark.parametrize("content", ["[]", "{}", '{"layout": {}}', "null"])
 def test_a_file_without_a_list_of_units_is_named(tmp_path, content):
     path = tmp_path / "a.json"
     path.write_text(content, encoding="utf-8")
-    assert _message(load_layout, path) == (
-        f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
+    assert (
+        _message(load_layout, path)
+        == f"{path}: got no list 'layout'; expected an object {{\"layout\": [units]}}"
     )
 
 
-@pytest.mark.parametrize("schema", ["place-rsus/layout/2", "place-rsus/scene/1", 1, None])
+@pytest.mark.parametrize(
+    "schema", ["place-rsus/layout/2", "place-rsus/scene/1", 1, None]
+)
 def test_a_file_of_another_version_is_refused_and_not_guessed_at(tmp_path, schema):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"schema": schema, "layout": GOOD}))
@@ -309,16 +368,18 @@ def test_layouts_are_read_from_layout_files_and_from_results(tmp_path, schema):
 
 def test_a_missing_file_is_named(tmp_path):
     path = tmp_path / "gone.json"
-    assert _message(load_layout, path) == (
-        f"{path}: got No such file or directory; expected a readable file"
+    assert (
+        _message(load_layout, path)
+        == f"{path}: got No such file or directory; expected a readable file"
     )
 
 
 def test_a_field_error_names_the_file(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"layout": _changed(x_m=math.nan)}), encoding="utf-8")
-    assert _message(load_layout, path) == (
-        f"{path}: layout[1].x_m: got nan; expected a finite number"
+    assert (
+        _message(load_layout, path)
+        == f"{path}: layout[1].x_m: got nan; expected a finite number"
     )
 
 

@@ -35,13 +35,17 @@ def row(scene):
     return f"C1;{scene.sites[0].id};{degrees};6,5;135;20;carla-ncap-rgb;2019\n"
 
 
-def test_a_list_in_degrees_with_bearings_and_decimal_commas(tmp_path, scene, row, caplog):
+def test_a_list_in_degrees_with_bearings_and_decimal_commas(
+    tmp_path, scene, row, caplog
+):
     path = tmp_path / "cameras.csv"
     path.write_text(HEAD + row, encoding="utf-8")
     with caplog.at_level(logging.WARNING):
         (unit,) = load_layout(path, scene=scene).units
     assert (unit.id, unit.site_id) == ("C1", scene.sites[0].id)
-    assert unit.pose.position_m == pytest.approx([*scene.sites[0].position_m[:2], 6.5], abs=0.01)
+    assert unit.pose.position_m == pytest.approx(
+        [*scene.sites[0].position_m[:2], 6.5], abs=0.01
+    )
     assert (unit.pose.yaw_deg, unit.pose.pitch_deg) == (-45.0, -20.0)
     assert [one.message for one in caplog.records] == [
         f"{path}: columns that are not known, and not read: Baujahr"
@@ -54,13 +58,20 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     models = tmp_path / "mine.toml"
     model = load_cameras()["carla-ncap-rgb"]
     models.write_text(
-        "[cameras.mine]\nsource = 'mine'\nprice_eur = 9\nwidth_px = 640\nheight_px = 480\n"
-        "near_m = 0.1\n"
-        f"horizontal_fov_deg = 70.0\nframe_rate_hz = {model.frame_rate_hz}\n"
+        "[cameras.mine]\nsource = 'mine'\nprice_eur = 9\nwidth_px = 640\nheight_px ="
+        " 480\nnear_m = 0.1\nhorizontal_fov_deg = 70.0\nframe_rate_hz ="
+        f" {model.frame_rate_hz}\n"
     )
     path = tmp_path / "kept.json"
     units = [
-        {"id": f"C{i}", "site": site.id, "height": 6, "bearing": 0, "tilt": 5, "model": "mine"}
+        {
+            "id": f"C{i}",
+            "site": site.id,
+            "height": 6,
+            "bearing": 0,
+            "tilt": 5,
+            "model": "mine",
+        }
         for i, site in enumerate(scene.sites[:2])
     ]
     path.write_text(json.dumps({"layout": units}))
@@ -68,10 +79,12 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     assert [unit.pose.yaw_deg for unit in layout.units] == [90.0, 90.0]
     assert {unit.sensor.width_px for unit in layout.units} == {640}
     feet = [site.position_m[:2] for site in scene.sites[:2]]
-    assert np.array([unit.pose.position_m[:2] for unit in layout.units]) == pytest.approx(
-        np.array(feet)
+    assert np.array(
+        [unit.pose.position_m[:2] for unit in layout.units]
+    ) == pytest.approx(np.array(feet))
+    plan = assemble_without_runs(
+        Question(budget=1, keep=str(path), sensors=str(models)), scene
     )
-    plan = assemble_without_runs(Question(budget=1, keep=str(path), sensors=str(models)), scene)
     assert plan.wishes.existing == ("C0", "C1")
 
 
@@ -80,7 +93,11 @@ def test_json_by_hand_stands_at_its_site_and_takes_models_of_a_file(tmp_path, sc
     [
         ("carla-ncap-rgb", "cam-9", r"line 2: model: got 'cam-9'; expected one of"),
         ("C1;", ";", r"line 2: id: got nothing"),
-        ("135;", ";", r"line 2: yaw: got nothing; expected a number, or bearing in its place"),
+        (
+            "135;",
+            ";",
+            r"line 2: yaw: got nothing; expected a number, or bearing in its place",
+        ),
         (";6,5;", ";high;", r"line 2: height: got 'high'"),
         ("C1;", "C1;nowhere", r"line 2: site: got 'nowhere"),
     ],

@@ -22,7 +22,13 @@ from placement.detectors import load_detector, load_planning_detector
 from placement.evaluation import score
 from placement.evaluator import evaluate_layout
 from placement.latency import apr_by_latency
-from placement.optimiser import Effort, UnmetError, apr, placement_value, solve_placement
+from placement.optimiser import (
+    Effort,
+    UnmetError,
+    apr,
+    placement_value,
+    solve_placement,
+)
 from placement.optimiser.front import pareto_front
 from placement.pipeline import Assembly, assemble, place
 from placement.question import Question
@@ -66,7 +72,11 @@ def scored(draw):
         ]
     run_index, below, gain, deadline = map(np.array, zip(*rows, strict=True))
     levels = Levels(
-        score="made up", run_index=run_index, below_kmh=below, gain=gain, deadline_s=deadline
+        score="made up",
+        run_index=run_index,
+        below_kmh=below,
+        gain=gain,
+        deadline_s=deadline,
     )
     table = level_table(problem.table, levels, problem.rule)
     seen = problem.seen_by_vut
@@ -77,12 +87,17 @@ def scored(draw):
 
 def looped_score(problem, levels, chosen) -> float:
     """Score of a set of poses, frame by frame and run by run."""
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     detected = problem.detected(list(chosen)).astype(bool)
-    eyes = [detected.any(axis=0)] if problem.fusion == "any" else list(detected)
+    if problem.fusion == "any":
+        eyes = [detected.any(axis=0)]
+    else:
+        eyes = list(detected)
     total = 0.0
     for run in range(axis.n_runs):
-        frames, last_s = axis.frames_of(run), float(axis.last_brake_time_s[run])
+        frames = axis.frames_of(run)
+        last_s = float(axis.last_brake_time_s[run])
         times = axis.time_s[frames].tolist()
         onset_s = math.inf
         for eye in eyes if len(detected) else []:
@@ -140,7 +155,9 @@ def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
     stage = solution.certificate.stages[0]
     assert (stage.name, stage.gap) == ("apr", 0.0)
     assert stage.objective == pytest.approx(best, abs=1e-9)
-    assert looped_score(problem, levels, solution.pose_index) == pytest.approx(best, abs=1e-9)
+    assert looped_score(problem, levels, solution.pose_index) == pytest.approx(
+        best, abs=1e-9
+    )
     front = pareto_front(by_levels, max_units=by_levels.limits.budget_units)
     assert front.is_proven
     for point in front.points:
@@ -156,7 +173,8 @@ def test_the_optimiser_finds_and_proves_the_best_score_of_all_layouts(case):
 def test_margins_of_levels_are_those_to_the_last_moment(case):
     problem, levels, by_levels = case
     everything = list(range(problem.table.n_poses))
-    value, plain = placement_value(by_levels, everything), placement_value(problem, everything)
+    value = placement_value(by_levels, everything)
+    plain = placement_value(problem, everything)
     assume(plain.apr > 0.0 and (levels.gain[levels.first] > 0.0).all())
     assert value.smallest_margin_s <= plain.smallest_margin_s + TOLERANCE_S
 
@@ -179,7 +197,9 @@ def test_one_level_for_each_run_changes_nothing(problem, seed):
     assert np.array_equal(table.packed, problem.table.packed)
 
 
-def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(frame_axis, rule):
+def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(
+    frame_axis, rule
+):
     levels = Levels(
         score="made up",
         run_index=np.array([0, 0, *range(1, frame_axis.n_runs)]),
@@ -187,12 +207,16 @@ def test_a_level_has_its_runs_name_weight_and_frames_up_to_its_deadline(frame_ax
         gain=np.array([0.5, 0.5, *[1.0] * (frame_axis.n_runs - 1)]),
         deadline_s=np.array([-np.inf, 0.0, *frame_axis.last_brake_time_s[1:]]),
     )
-    table = pack_table(("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool))
+    table = pack_table(
+        ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
+    )
     axis = level_table(table, levels, rule).axis
     first = frame_axis.run_ids[0]
     assert axis.run_ids[:2] == (first, f"{first}<20")
     assert axis.weight[:2] == pytest.approx([0.5 * frame_axis.weight[0]] * 2)
-    in_time = (frame_axis.time_s[frame_axis.frames_of(0)] + rule.latency_s <= 1e-9).sum()
+    in_time = (
+        frame_axis.time_s[frame_axis.frames_of(0)] + rule.latency_s <= 1e-9
+    ).sum()
     assert np.diff(axis.run_start)[1] == in_time
 
 
@@ -226,7 +250,8 @@ def test_a_citys_front_of_a_junction_has_the_best_score_for_any_number_of_units(
 
 @pytest.fixture(scope="module")
 def setting(crossing_setting):
-    runs, rule = crossing_setting.runs, crossing_setting.rule
+    runs = crossing_setting.runs
+    rule = crossing_setting.rule
     levels = build_levels(runs, "rating-2026", rule)
     assert len(levels.gain) > 1.5 * len(runs)
     return replace(crossing_setting, levels=levels)
@@ -236,10 +261,16 @@ def setting(crossing_setting):
 def crossing_setting(runs, rule):
     scene = load_study_scene()
     ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
-    few = tuple(run for run in runs if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)])
+    few = tuple(
+        run
+        for run in runs
+        if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)]
+    )
     names = ("corner-ne", "mast-w")
     return Setting(
-        scene=replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
+        scene=replace(
+            scene, sites=tuple(site for site in scene.sites if site.id in names)
+        ),
         runs=few,
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=replace(rule, track_memory_s=0.5),
@@ -257,17 +288,27 @@ def assembly(setting, camera):
         sensors=(camera,),
     )
     candidates = build_candidates(setting.scene, grid)
-    return Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=2))
+    return Assembly(
+        setting=setting, candidates=candidates, wishes=Wishes(budget_units=2)
+    )
 
 
-def test_a_placement_by_score_is_the_best_of_all_layouts_in_plain_loops(assembly, setting):
+def test_a_placement_by_score_is_the_best_of_all_layouts_in_plain_loops(
+    assembly, setting
+):
     found = place(assembly)
-    base = build_problem(setting, assembly.candidates, assembly.table, wishes=assembly.wishes)
-    scores = {chosen: looped_score(base, setting.levels, chosen) for chosen in all_sets(base)}
+    base = build_problem(
+        setting, assembly.candidates, assembly.table, wishes=assembly.wishes
+    )
+    scores = {
+        chosen: looped_score(base, setting.levels, chosen) for chosen in all_sets(base)
+    }
     assert len({round(value, 9) for value in scores.values()}) > 5
     assert found.certificate.is_proven
     stage = found.certificate.stages[0]
-    assert stage.objective == stage.bound == pytest.approx(max(scores.values()), abs=1e-9)
+    assert (
+        stage.objective == stage.bound == pytest.approx(max(scores.values()), abs=1e-9)
+    )
     assert scores[found.pose_index] == pytest.approx(max(scores.values()), abs=1e-9)
     # As they are, the same units avoid what the base table says.
     assert found.nominal.table.axis.run_ids == setting.axis.run_ids
@@ -308,7 +349,9 @@ def test_the_certificate_of_a_score_holds_and_says_so(assembly, tmp_path):
     assert not verify_certificate(problem, stored, shown).passed
 
 
-def test_the_evaluator_scores_by_bodies_what_the_table_scores_by_onsets(assembly, setting):
+def test_the_evaluator_scores_by_bodies_what_the_table_scores_by_onsets(
+    assembly, setting
+):
     found = place(assembly)
     evaluation = evaluate_layout(found.layout, setting)
     assert evaluation.levels is setting.levels
@@ -330,16 +373,26 @@ def test_sampled_worlds_and_refinement_do_not_know_scores(field, value):
     question = Question(budget=1, score="rating-2026", **{field: value})
     with pytest.raises(InputError) as error:
         assemble(question)
-    assert str(error.value) == f"score: got 'rating-2026'; expected avoided beside `{field}`"
+    assert (
+        str(error.value)
+        == f"score: got 'rating-2026'; expected avoided beside `{field}`"
+    )
 
 
 def test_a_question_with_a_score_has_levels_and_one_without_has_none(tmp_path):
-    words = {"cases": "CPNCO-50", "approaches": "north", "speeds": "50,60", "along_arms": "0"}
+    words = {
+        "cases": "CPNCO-50",
+        "approaches": "north",
+        "speeds": "50,60",
+        "along_arms": "0",
+    }
     compute = Compute(cache_folder=tmp_path)
     plain = build_setting(Question(**words), compute=compute)
     scored = build_setting(Question(**words, score="rating-2026"), compute=compute)
     again = build_setting(Question(**words, score="rating-2026"), compute=compute)
     assert plain.levels is None
-    assert scored.levels.below_kmh.tolist() == [0.0, 10.0, 20.0, 30.0] * len(scored.runs)
+    assert scored.levels.below_kmh.tolist() == [0.0, 10.0, 20.0, 30.0] * len(
+        scored.runs
+    )
     assert np.array_equal(scored.levels.deadline_s, again.levels.deadline_s)
     assert np.array_equal(plain.axis.weight, scored.axis.weight)

@@ -31,10 +31,14 @@ def test_solvers_and_rays_are_loaded_when_first_used():
 
 @pytest.fixture(scope="module")
 def found():
-    setting = placement.build_setting(placement.Question(cases="CPNC-50", approaches="north"))
+    setting = placement.build_setting(
+        placement.Question(cases="CPNC-50", approaches="north")
+    )
     few = placement.build_candidates(setting.scene)[::97]
     found = placement.place(
-        placement.Assembly(setting=setting, candidates=few, wishes=placement.Wishes(budget_units=2))
+        placement.Assembly(
+            setting=setting, candidates=few, wishes=placement.Wishes(budget_units=2)
+        )
     )
     return setting, found, placement.evaluate_layout(found.layout, setting)
 
@@ -54,7 +58,8 @@ def test_a_placement_prints_its_units_and_its_proof(found):
 def test_a_layout_is_a_table(found):
     frame = found[1].layout.to_frame()
     np.testing.assert_array_equal(
-        frame[["x_m", "y_m", "z_m"]], [unit.pose.position_m for unit in found[1].layout.units]
+        frame[["x_m", "y_m", "z_m"]],
+        [unit.pose.position_m for unit in found[1].layout.units],
     )
 
 
@@ -69,5 +74,7 @@ def test_an_evaluation_prints_the_apr_of_every_party(found):
         *(unit.id for unit in best.layout.units),
     ]
     assert frame.loc["all runs", "vut"] == placement.apr(judged.vut, judged.axis)
-    assert str(judged).splitlines()[0] == f"{best.layout.name}: accident prevention ratio"
+    assert (
+        str(judged).splitlines()[0] == f"{best.layout.name}: accident prevention ratio"
+    )
     assert "<table" in judged._repr_html_()

@@ -30,13 +30,24 @@ def table(setting):
     return LiveTable(setting)
 
 
-def unit(setting, *, site=0, height_m=6.0, yaw_deg=0.0, pitch_deg=-15.0, sensor=None, name="U1"):
+def unit(
+    setting,
+    *,
+    site=0,
+    height_m=6.0,
+    yaw_deg=0.0,
+    pitch_deg=-15.0,
+    sensor=None,
+    name="U1",
+):
     mount = setting.scene.sites[site]
     return CandidatePose(
         id=name,
         site_id=mount.id,
         pose=Pose(
-            position_m=mount.position_m + [0.0, 0.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+            position_m=mount.position_m + [0.0, 0.0, height_m],
+            yaw_deg=yaw_deg,
+            pitch_deg=pitch_deg,
         ),
         sensor=sensor or load_cameras()["carla-ncap-rgb"],
     )
@@ -44,7 +55,11 @@ def unit(setting, *, site=0, height_m=6.0, yaw_deg=0.0, pitch_deg=-15.0, sensor=
 
 def built(setting, units):
     return build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        units,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     ).detected(slice(None))
 
 
@@ -64,8 +79,16 @@ def zoomed(fov_deg):
 def test_rows_are_those_of_the_detection_table(
     setting, table, site, height_m, yaw_deg, pitch_deg, fov_deg
 ):
-    sensor = None if fov_deg is None else zoomed(fov_deg)
-    where = {"site": site, "height_m": height_m, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg}
+    if fov_deg is None:
+        sensor = None
+    else:
+        sensor = zoomed(fov_deg)
+    where = {
+        "site": site,
+        "height_m": height_m,
+        "yaw_deg": yaw_deg,
+        "pitch_deg": pitch_deg,
+    }
     units = [unit(setting, **where, sensor=sensor)]
     assert (table.detected(units) == built(setting, units)).all()
 
@@ -85,7 +108,9 @@ def test_a_lidar_and_cameras_at_one_mount_see_what_each_sees_alone(setting):
 def test_a_turn_casts_no_ray_and_a_lift_does(setting):
     fresh = LiveTable(setting)
     fresh.detected([unit(setting)])
-    fresh.detected([unit(setting, yaw_deg=33.0, pitch_deg=-20.0), unit(setting, yaw_deg=34.0)])
+    fresh.detected(
+        [unit(setting, yaw_deg=33.0, pitch_deg=-20.0), unit(setting, yaw_deg=34.0)]
+    )
     assert fresh.n_casts == 1
     fresh.detected([unit(setting, height_m=6.5)])
     assert fresh.n_casts == 2
@@ -94,22 +119,35 @@ def test_a_turn_casts_no_ray_and_a_lift_does(setting):
 def test_what_is_given_up_is_found_again_the_same(setting, monkeypatch):
     monkeypatch.setattr(live, "MAX_ROWS", 1)
     few = LiveTable(setting, max_mounts=1)
-    units = [unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(3)]
-    first, again = few.detected(units), few.detected(units)
+    units = [
+        unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(3)
+    ]
+    first = few.detected(units)
+    again = few.detected(units)
     assert few.n_casts == 5  # one row is still known
     assert (first == again).all()
     assert (first == built(setting, units)).all()
 
 
 def test_a_verdict_by_the_table_is_what_the_optimiser_reads(setting, table):
-    units = [unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(2)]
+    units = [
+        unit(setting, site=site, yaw_deg=210.0, name=f"U{site}") for site in range(2)
+    ]
     detected = table.detected(units)
     verdict = table_verdict(units, detected, setting)
     rows = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        units,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
-    limits = Limits(site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2)
-    problem = PlacementProblem(table=rows, limits=limits, fusion="any", rule=setting.rule)
+    limits = Limits(
+        site_index=np.arange(2), site_capacity=np.ones(2, dtype=int), budget_units=2
+    )
+    problem = PlacementProblem(
+        table=rows, limits=limits, fusion="any", rule=setting.rule
+    )
     assert (verdict.is_avoided == (run_margins_s(problem, [0, 1]) > -np.inf)).all()
     assert verdict.is_avoided.any()
 

@@ -44,16 +44,22 @@ def test_the_message_says_what_is_needed_and_how_to_shrink_it(monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: 2**30)
     with pytest.raises(InputError) as caught:
         check_memory(5772, 18_311, n_worlds=64)
-    assert str(caught.value) == (
-        "memory: got 5,772 poses x 18,311 frames in 64 sampled worlds, which need 7.5 GiB, where "
-        "there are 1.0 GiB; expected a smaller question: fewer `samples`, fewer `cases`, `speeds`, "
-        "`approaches` or `weather`, fewer `sensors`, or only the poles of `within`"
+    assert (
+        str(caught.value)
+        == "memory: got 5,772 poses x 18,311 frames in 64 sampled worlds, which need"
+        " 7.5 GiB, where there are 1.0 GiB; expected a smaller question: fewer"
+        " `samples`, fewer `cases`, `speeds`, `approaches` or `weather`, fewer"
+        " `sensors`, or only the poles of `within`"
     )
-    with pytest.raises(InputError, match=r"^memory: got 99,999 poses x 99,999 frames, which need"):
+    with pytest.raises(
+        InputError, match=r"^memory: got 99,999 poses x 99,999 frames, which need"
+    ):
         check_memory(99_999, 99_999)
 
 
-@pytest.mark.parametrize(("text", "is_less"), [("12345678", True), ("max", False), ("", False)])
+@pytest.mark.parametrize(
+    ("text", "is_less"), [("12345678", True), ("max", False), ("", False)]
+)
 def test_the_limit_of_a_container_counts(monkeypatch, tmp_path, text, is_less):
     file = tmp_path / "memory.max"
     file.write_text(text)

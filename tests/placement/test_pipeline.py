@@ -34,10 +34,16 @@ def setting(runs, rule):
     """Two sites of the study's junction, four of its cases and approaches at two speeds."""
     scene = load_study_scene()
     ways = ("CBNA/east", "CBNA/north", "CPNC-50/east", "CPNC-50/south")
-    few = tuple(run for run in runs if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)])
+    few = tuple(
+        run
+        for run in runs
+        if run.id in [f"{way}/{v}" for way in ways for v in (40, 60)]
+    )
     names = ("corner-ne", "mast-w")
     return Setting(
-        scene=replace(scene, sites=tuple(site for site in scene.sites if site.id in names)),
+        scene=replace(
+            scene, sites=tuple(site for site in scene.sites if site.id in names)
+        ),
         runs=few,
         axis=build_frame_axis(few, weight_per_run(few)),
         rule=rule,
@@ -81,17 +87,21 @@ def placement(asked):
 
 def _best(problem):
     """Brute force over all layouts of any size."""
-    best, best_units = None, ()
+    best = None
+    best_units = ()
     for n_units in range(1, problem.limits.max_units + 1):
         for units in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, units):
                 value = placement_value(problem, units)
                 if best is None or is_better(value, best):
-                    best, best_units = value, units
+                    best = value
+                    best_units = units
     return best, best_units
 
 
-def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(placement, setting, candidates):
+def test_the_best_layout_is_proven_feasible_and_that_of_brute_force(
+    placement, setting, candidates
+):
     assert len(candidates) == 12
     assert placement.certificate.is_proven
     assert is_feasible(placement.problem, placement.pose_index)
@@ -114,13 +124,18 @@ def test_the_certificate_is_about_the_layout(placement):
         assert stage.bound >= stage.objective - 1e-9
 
 
-def test_the_layout_names_the_candidates_that_were_chosen(placement, setting, candidates):
+def test_the_layout_names_the_candidates_that_were_chosen(
+    placement, setting, candidates
+):
     layout = placement.layout
     assert layout.name == "best-2"
     assert [unit.id for unit in layout.units] == ["U1", "U2"]
     for unit, index in zip(layout.units, placement.pose_index, strict=True):
         assert unit.pose is candidates[index].pose
-        assert (unit.site_id, unit.sensor) == (candidates[index].site_id, candidates[index].sensor)
+        assert (unit.site_id, unit.sensor) == (
+            candidates[index].site_id,
+            candidates[index].sensor,
+        )
     check_layout(layout, setting.scene)
     assert placement.problem.table.pose_ids == tuple(c.id for c in candidates)
     assert repr(placement) == f"Placement({layout!r}, proven)"
@@ -131,9 +146,13 @@ def test_the_layout_names_the_candidates_that_were_chosen(placement, setting, ca
 def test_the_greedy_layout_is_as_large_and_never_better(placement, candidates):
     assert placement.greedy.name == "greedy-2"
     index = solve_greedy(placement.problem)
-    assert [unit.pose for unit in placement.greedy.units] == [candidates[i].pose for i in index]
+    assert [unit.pose for unit in placement.greedy.units] == [
+        candidates[i].pose for i in index
+    ]
     greedy = placement_value(placement.problem, index)
-    assert not is_better(greedy, placement_value(placement.problem, placement.pose_index))
+    assert not is_better(
+        greedy, placement_value(placement.problem, placement.pose_index)
+    )
 
 
 def test_one_unit_must_confirm_alone_with_single_fusion(asked, placement):
@@ -187,7 +206,8 @@ def _stages(calls):
 
 
 def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path):
-    first, second = [], []
+    first = []
+    second = []
     for calls in (first, second):
         found = place(
             asked(
@@ -198,7 +218,9 @@ def test_a_second_call_takes_the_table_from_the_cache(asked, placement, tmp_path
                 ),
             )
         )
-        assert np.array_equal(found.problem.table.packed, placement.problem.table.packed)
+        assert np.array_equal(
+            found.problem.table.packed, placement.problem.table.packed
+        )
         assert found.pose_index == placement.pose_index
     assert _stages(first)[0] == "detection table"
     assert ("detection table", 2, 2) in first  # two mount positions
@@ -225,7 +247,8 @@ def test_a_proven_answer_is_solved_once_for_the_same_table_wishes_and_effort(
         compute = Compute(cache_folder=tmp_path)
         return place(asked(budget_units=budget, effort=effort, compute=compute))
 
-    first, again = ask(2), ask(2)
+    first = ask(2)
+    again = ask(2)
     assert len(solved) == 1
     assert again.certificate == first.certificate
     assert again.pose_index == first.pose_index
@@ -270,7 +293,9 @@ def test_other_inputs_do_not_get_the_cached_table(setting, candidates, tmp_path)
     assert stages == ["detection table", "detection table", "detection table (cached)"]
 
 
-def test_a_damaged_cached_table_is_made_anew_and_replaced(asked, placement, tmp_path, caplog):
+def test_a_damaged_cached_table_is_made_anew_and_replaced(
+    asked, placement, tmp_path, caplog
+):
     for _ in range(2):
         found = place(asked(budget_units=1, compute=Compute(cache_folder=tmp_path)))
         (path,) = tmp_path.glob("table-*")
@@ -291,7 +316,9 @@ def test_a_cache_folder_that_cannot_be_is_no_error(asked, placement, tmp_path, c
 # Poses of no site
 
 
-def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates, camera):
+def test_poses_of_no_site_stand_alone_on_sites_of_their_own(
+    setting, candidates, camera
+):
     def extra(name, site_id):
         return CandidatePose(
             id=name,
@@ -307,7 +334,9 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
         extra("kite", ""),
         candidates[6],
     )
-    problem = Assembly(setting=setting, candidates=poses, wishes=Wishes(budget_units=2)).problem
+    problem = Assembly(
+        setting=setting, candidates=poses, wishes=Wishes(budget_units=2)
+    ).problem
     capacity = problem.limits.site_capacity[problem.limits.site_index]
     assert capacity.tolist() == [1, 2, 2, 1, 1, 2]
     sites = problem.limits.site_index.tolist()
@@ -319,42 +348,60 @@ def test_poses_of_no_site_stand_alone_on_sites_of_their_own(setting, candidates,
 
 def test_poses_by_name_keep_their_names(setting, candidates, camera):
     named = replace(candidates[0], id="RSU1")
-    found = place(Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1)))
+    found = place(
+        Assembly(setting=setting, candidates=[named], wishes=Wishes(budget_units=1))
+    )
     assert [unit.id for unit in found.layout.units] == ["RSU1"]
 
 
-def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(candidates):
+def test_a_unit_kept_from_an_earlier_result_keeps_its_name_and_no_other_gets_it(
+    candidates,
+):
     kept = replace(candidates[0], id="U2")
     layout = pick_layout([*candidates[1:4], kept], (0, 1, 2, 3), "more")
     assert [unit.id for unit in layout.units] == ["U1", "U3", "U4", "U2"]
 
 
 def test_without_candidates_nothing_is_placed(setting):
-    with pytest.raises(InputError, match=r"^candidates: got none; expected at least one pose$"):
+    with pytest.raises(
+        InputError, match=r"^candidates: got none; expected at least one pose$"
+    ):
         place(Assembly(setting=setting, candidates=[], wishes=Wishes(budget_units=1)))
 
 
 def test_more_units_than_the_candidates_allow_are_refused(setting, candidates):
     with pytest.raises(InputError) as caught:
-        place(Assembly(setting=setting, candidates=candidates[:1], wishes=Wishes(budget_units=2)))
-    assert str(caught.value) == (
-        "budget: got 2; expected at most 1: candidates and their sites allow no more"
+        place(
+            Assembly(
+                setting=setting,
+                candidates=candidates[:1],
+                wishes=Wishes(budget_units=2),
+            )
+        )
+    assert (
+        str(caught.value)
+        == "budget: got 2; expected at most 1: candidates and their sites allow no more"
     )
 
 
 def test_wishes_that_contradict_each_other_are_named_with_ways_out(asked):
     with pytest.raises(InputError) as caught:
         place(asked(budget_units=1, target=1.0, survive=1))
-    assert str(caught.value) == (
-        "`target` 1 and `budget` 1: got demands that no layout meets together; "
+    assert (
+        str(caught.value)
+        == "`target` 1 and `budget` 1: got demands that no layout meets together; "
         "expected one of them to give way: `target` 0 or `budget` 3"
     )
     told: list[str] = []
     compute = Compute(progress=lambda *stage: told.append(stage[0]))
     with pytest.raises(InputError) as caught:
-        place(asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute))
-    assert str(caught.value) == (
-        "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout meets together; "
-        "expected one of them to give way: `budget` 2 or `force_site` without corner-ne"
+        place(
+            asked(budget_units=1, forced_sites=("corner-ne", "mast-w"), compute=compute)
+        )
+    assert (
+        str(caught.value)
+        == "`budget` 1 and `force_site` corner-ne,mast-w: got demands that no layout"
+        " meets together; expected one of them to give way: `budget` 2 or"
+        " `force_site` without corner-ne"
     )
     assert told[-1] == "what has to give way"

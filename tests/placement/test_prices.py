@@ -40,18 +40,27 @@ def test_a_site_costs_what_it_says_else_what_its_kind_takes():
 def test_what_is_assumed_is_told_for_each_kind():
     sites = [site("lamp post"), site("lamp post"), site("kerb"), site("pole", 10.0)]
     assert assumed_prices(load_prices(), sites) == (
-        "No price is known for 2 sites of the kind lamp post: 3,560 EUR each are assumed (mounting "
-        "900, power at hand 400, data link 2,260).",
-        "No price is known for 1 site of the kind kerb: 7,060 EUR each are assumed (new pole "
-        "2,400, mounting 900, new power 1,500, data link 2,260).",
-        "Sources are in prices.toml; a site cost in the question, or cost_eur in the scene, takes "
-        "their place.",
+        (
+            "No price is known for 2 sites of the kind lamp post: 3,560 EUR each are"
+            " assumed (mounting 900, power at hand 400, data link 2,260)."
+        ),
+        (
+            "No price is known for 1 site of the kind kerb: 7,060 EUR each are assumed"
+            " (new pole 2,400, mounting 900, new power 1,500, data link 2,260)."
+        ),
+        (
+            "Sources are in prices.toml; a site cost in the question, or cost_eur in"
+            " the scene, takes their place."
+        ),
     )
     assert assumed_prices(load_prices(), [site("pole", 10.0)]) == ()
 
 
 def test_parts_that_are_not_in_the_table_are_refused():
-    with pytest.raises(InputError, match=r"prices.toml: kinds: got \['lift'\]; expected parts of"):
+    with pytest.raises(
+        InputError, match=r"prices.toml: kinds: got \['lift'\]; expected parts of"
+    ):
         SitePrices(
-            parts={"mounting": Part(eur=1.0, source="")}, kinds={"pole": ("mounting", "lift")}
+            parts={"mounting": Part(eur=1.0, source="")},
+            kinds={"pole": ("mounting", "lift")},
         )

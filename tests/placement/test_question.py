@@ -42,7 +42,9 @@ OTHERS = Question(
 )
 
 
-@pytest.mark.parametrize("question", [Question(), OTHERS, replace(OTHERS, track_memory_s=math.inf)])
+@pytest.mark.parametrize(
+    "question", [Question(), OTHERS, replace(OTHERS, track_memory_s=math.inf)]
+)
 def test_a_question_that_is_saved_is_the_one_that_is_loaded(path, question):
     save_question(path, question)
     assert load_question(path) == question
@@ -61,8 +63,9 @@ def test_a_file_has_what_differs_from_the_default_below_its_description(path):
     text = path.read_text(encoding="utf-8")
     assert tomllib.loads(text) == {"site_cost": 500.0, "cases": "CBNA"}
     lines = text.splitlines()
-    assert lines[lines.index("site_cost = 500.0") - 1] == (
-        "# Of each site that is used, once; default: the scene's."
+    assert (
+        lines[lines.index("site_cost = 500.0") - 1]
+        == "# Of each site that is used, once; default: the scene's."
     )
 
 
@@ -94,20 +97,38 @@ def test_the_number_of_worlds_may_be_a_word(path):
     ("text", "message"),
     [
         ("budget = 0", "budget: got 0; expected a whole number of units, at least 1"),
-        ("budget = '3'", "budget: got '3'; expected a whole number of units, at least 1"),
+        (
+            "budget = '3'",
+            "budget: got '3'; expected a whole number of units, at least 1",
+        ),
         ("fusion = 'all'", "fusion: got 'all'; expected one of any, single"),
         ("latency = nan", "latency: got nan; expected a finite number"),
         ("latency = inf", "latency: got inf; expected a finite number"),
         ("track_memory = nan", "track_memory: got nan; expected a finite number"),
         ("track_memory = -inf", "track_memory: got -inf; expected a finite number"),
-        ("track_memory = 0", "track_memory: got 0; expected seconds, more than 0, or inf"),
-        ("vam_rate = 2", "vam_rate: got 2; expected a share of equipped road users, 0 to 1"),
-        ("samples = 'often'", "samples: got 'often'; expected auto, or a number of sampled worlds"),
+        (
+            "track_memory = 0",
+            "track_memory: got 0; expected seconds, more than 0, or inf",
+        ),
+        (
+            "vam_rate = 2",
+            "vam_rate: got 2; expected a share of equipped road users, 0 to 1",
+        ),
+        (
+            "samples = 'often'",
+            "samples: got 'often'; expected auto, or a number of sampled worlds",
+        ),
         ("time_limit = 0", "time_limit: got 0; expected seconds, more than 0"),
         ("refine = 1", "refine: got 1; expected true or false"),
         ("cases = ['CBNA']", "cases: got ['CBNA']; expected text"),
-        ("budgets = 3", "got 'budgets'; expected one of budget, budget_cost, target, least, "),
-        ("latency_s = 1.0", "got 'latency_s'; expected one of budget, budget_cost, target, "),
+        (
+            "budgets = 3",
+            "got 'budgets'; expected one of budget, budget_cost, target, least, ",
+        ),
+        (
+            "latency_s = 1.0",
+            "got 'latency_s'; expected one of budget, budget_cost, target, ",
+        ),
         ("budget", "got Expected '='"),
     ],
 )
@@ -119,7 +140,9 @@ def test_what_cannot_be_is_told_with_file_and_key(path, text, message):
 
 
 def test_a_file_that_is_not_there_or_cannot_be_written_is_told(path):
-    with pytest.raises(InputError, match="No such file or directory; expected a readable file"):
+    with pytest.raises(
+        InputError, match="No such file or directory; expected a readable file"
+    ):
         load_question(path)
     with pytest.raises(InputError, match="expected a file that can be written"):
         save_question(path / "deep", Question())
@@ -128,10 +151,19 @@ def test_a_file_that_is_not_there_or_cannot_be_written_is_told(path):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"budget": 0}, "question: budget: got 0; expected a whole number of units, at least 1"),
-        ({"budget": "3"}, "question: budget: got '3'; expected a whole number of units"),
+        (
+            {"budget": 0},
+            "question: budget: got 0; expected a whole number of units, at least 1",
+        ),
+        (
+            {"budget": "3"},
+            "question: budget: got '3'; expected a whole number of units",
+        ),
         ({"fusion": "all"}, "question: fusion: got 'all'; expected one of any, single"),
-        ({"latency_s": math.nan}, "question: latency_s: got nan; expected a finite number"),
+        (
+            {"latency_s": math.nan},
+            "question: latency_s: got nan; expected a finite number",
+        ),
         ({"cases": ["CBNA"]}, "question: cases: got ['CBNA']; expected text"),
     ],
 )

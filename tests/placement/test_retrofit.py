@@ -75,7 +75,9 @@ def retrofits(draw: st.DrawFn) -> tuple[PlacementProblem, RetrofitPoses]:
         site_index=site_index,
         site_capacity=capacity,
         unit_cost_eur=np.where(is_forced, 0.0, price),
-        site_cost_eur=np.where(at_site > 0, 0.0, rng.integers(0, 3, n_sites).astype(float)),
+        site_cost_eur=np.where(
+            at_site > 0, 0.0, rng.integers(0, 3, n_sites).astype(float)
+        ),
         is_forced=is_forced,
         is_forbidden=(rng.random(n_poses) < 0.15) & ~is_forced,
         rivals=np.array(rivals, dtype=np.int64).reshape(-1, 2),
@@ -108,7 +110,9 @@ def additions_allowed(
     )
 
 
-def price_of(problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]) -> float:
+def price_of(
+    problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ...]
+) -> float:
     limits = problem.limits
     opened = {int(limits.site_index[pose]) for pose in new} - set(
         limits.site_index[: poses.n_units].tolist()
@@ -120,21 +124,31 @@ def price_of(problem: PlacementProblem, poses: RetrofitPoses, new: tuple[int, ..
 
 
 def subsets(items: list[int]) -> list[tuple[int, ...]]:
-    return list(chain.from_iterable(combinations(items, n) for n in range(len(items) + 1)))
+    return list(
+        chain.from_iterable(combinations(items, n) for n in range(len(items) + 1))
+    )
 
 
 def best_of(
     problem: PlacementProblem, options: list[tuple[tuple[int, ...], float]]
 ) -> PlacementValue:
     """Best value of sets with prices, the price in place of the cost."""
-    values = [placement_value(problem, poses)._replace(cost_eur=price) for poses, price in options]
+    values = [
+        placement_value(problem, poses)._replace(cost_eur=price)
+        for poses, price in options
+    ]
     best = values[0]
     for value in values[1:]:
-        best = value if is_better(value, best) else best
+        if is_better(value, best):
+            best = value
+        else:
+            best = best
     return best
 
 
-def check_change(problem: PlacementProblem, poses: RetrofitPoses, change: Change) -> None:
+def check_change(
+    problem: PlacementProblem, poses: RetrofitPoses, change: Change
+) -> None:
     """Whether a change says of itself what is true."""
     standing = set(range(poses.n_units))
     after = (standing - set(change.removed)) | set(change.added)
@@ -161,7 +175,9 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
             check_change(problem, poses, change)
 
     # Removals: all of them, the one that loses least first.
-    assert sorted(change.removed for change in found.removals) == [(unit,) for unit in standing]
+    assert sorted(change.removed for change in found.removals) == [
+        (unit,) for unit in standing
+    ]
     values = [change.value._replace(cost_eur=0.0) for change in found.removals]
     assert not any(is_better(value, values[0]) for value in values)
     assert all(change.price_eur == labour().remove_eur for change in found.removals)
@@ -173,7 +189,8 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
         assert poses.unit_index[aim] == unit
         assert (change.price_eur, change.n_compared) == (RE_AIM_EUR, n_aims)
         options = [
-            (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0) for row in poses.aims_of(unit)
+            (tuple(sorted({*standing} - {unit} | {int(row)})), 0.0)
+            for row in poses.aims_of(unit)
         ]
         best = best_of(problem, options)
         assert change.value[:4] == pytest.approx(best[:4], abs=1e-9)
@@ -182,13 +199,18 @@ def test_the_best_change_of_each_kind_is_that_of_brute_force(
 
     # An addition: one new unit, or none where none is better.
     new = [int(row) for row in np.flatnonzero(poses.unit_index < 0)]
-    money = np.inf if budget_eur is None else budget_eur
+    if budget_eur is None:
+        money = np.inf
+    else:
+        money = budget_eur
     additions = [
         ((*standing, *rows), price_of(problem, poses, rows))
         for rows in [(), *((row,) for row in new)]
         if additions_allowed(problem, poses, rows)
     ]
-    best = best_of(problem, [option for option in additions if option[1] <= money + 1e-6])
+    best = best_of(
+        problem, [option for option in additions if option[1] <= money + 1e-6]
+    )
     assert value_of(found.addition, found.before) == pytest.approx(best, abs=1e-8)
 
     # All together for the money.
@@ -221,9 +243,13 @@ def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
     retrofit: tuple[PlacementProblem, RetrofitPoses],
 ) -> None:
     problem, poses = retrofit
-    limits = combined_limits(problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0)
+    limits = combined_limits(
+        problem.limits, poses, re_aim_eur=RE_AIM_EUR, budget_eur=6.0
+    )
     sites = limits.site_index
-    assert (sites[: poses.n_units] == problem.limits.n_sites + np.arange(poses.n_units)).all()
+    assert (
+        sites[: poses.n_units] == problem.limits.n_sites + np.arange(poses.n_units)
+    ).all()
     assert limits.is_forced_site[problem.limits.n_sites :].all()
     assert not limits.unit_cost_eur[: poses.n_units].any()
     assert not limits.is_forbidden[poses.unit_index >= 0].any()
@@ -231,7 +257,9 @@ def test_combined_limits_have_a_pose_for_every_unit_and_room_for_what_is_left(
 
 def test_what_is_lost_gained_and_paid() -> None:
     # A sees runs 0 and 1, B run 1 alone; turned, B sees run 2; a new unit sees 2 and 3.
-    problem = avoiding_problem(["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0])
+    problem = avoiding_problem(
+        ["1100", "0100", "0010", "0011"], price_eur=[0.0, 0.0, 9.0, 5.0]
+    )
     limits = replace(problem.limits, is_forced=np.array([True, True, False, False]))
     poses = RetrofitPoses(
         candidates=tuple(map(_pose, ["A", "B", "B/aim", "new"])),
@@ -252,7 +280,9 @@ def test_what_is_lost_gained_and_paid() -> None:
     assert (found.addition.gained, found.addition.value.apr) == (("run2", "run3"), 1.0)
     assert found.combination is not None
     assert found.combination.added == (3,)  # 7 EUR for both would be too much
-    assert find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
+    assert (
+        find_retrofit(problem, poses, labour=labour(), budget_eur=4.0).addition is None
+    )
 
 
 def _layout(*units: CandidatePose) -> Layout:
@@ -269,7 +299,9 @@ def grid(camera):  # type: ignore[no-untyped-def]
     )
 
 
-def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(grid, camera) -> None:  # type: ignore[no-untyped-def]
+def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(
+    grid, camera
+) -> None:  # type: ignore[no-untyped-def]
     position = np.array([1.0, 2.0, 7.3])
     unit = CandidatePose(
         id="A",
@@ -279,7 +311,9 @@ def test_re_aims_keep_place_and_sensor_and_leave_out_where_a_unit_looks_now(grid
         latency_s=0.2,
     )
     new = replace(unit, id="new")
-    poses = build_retrofit_poses(_layout(unit, replace(unit, id="B")), grid, [new, unit])
+    poses = build_retrofit_poses(
+        _layout(unit, replace(unit, id="B")), grid, [new, unit]
+    )
     assert poses.n_units == 2
     assert [pose.id for pose in poses.candidates[:2]] == ["A", "B"]
     assert poses.candidates[-1] is new  # the unit itself is not offered once more
@@ -306,7 +340,9 @@ def test_a_level_ring_is_not_turned(grid) -> None:  # type: ignore[no-untyped-de
 def test_ids_that_clash_are_refused(grid, camera) -> None:  # type: ignore[no-untyped-def]
     unit = replace(_pose("A"), sensor=camera)
     twin = replace(unit, id="A/aim/0/-30")
-    with pytest.raises(InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"):
+    with pytest.raises(
+        InputError, match=r"layout mine: id: got 'A/aim/0/-30'; expected ids"
+    ):
         build_retrofit_poses(_layout(unit), grid, [twin])
 
 
@@ -321,13 +357,16 @@ def test_a_pose_that_joins_is_as_good_as_the_set_it_makes(
         return
     values = {pose: placement_value(problem, [*kept, pose]) for pose in each.tolist()}
     best = values[best_joining(presolve_freely(problem), kept, each)]
-    if not any(value.apr > 0.0 for value in values.values()):  # nothing tells them apart
+    if not any(
+        value.apr > 0.0 for value in values.values()
+    ):  # nothing tells them apart
         return
     assert not any(is_better(value, best) for value in values.values())
 
 
 def test_equal_poses_are_told_apart_by_price() -> None:
-    detected, each = ["1100", "0011", "0010", "0011", "0001"], np.array([1, 2, 3, 4])
+    detected = ["1100", "0011", "0010", "0011", "0001"]
+    each = np.array([1, 2, 3, 4])
     assert best_joining(presolve_freely(avoiding_problem(detected)), [0], each) == 1
     priced = avoiding_problem(detected, price_eur=[1.0, 3.0, 1.0, 2.0, 1.0])
     assert best_joining(presolve_freely(priced), [0], each) == 3

@@ -36,7 +36,9 @@ def layout():
 
 def test_the_layout_has_the_studys_12_units(layout, camera):
     assert layout.name == BASELINE_NAME
-    assert [unit.id for unit in layout.units] == [f"RSU{number}" for number in range(12)]
+    assert [unit.id for unit in layout.units] == [
+        f"RSU{number}" for number in range(12)
+    ]
     assert {unit.sensor for unit in layout.units} == {camera}
     # CarlaNCAP, table of sensors.
     assert (camera.width_px, camera.height_px) == (1920, 1080)
@@ -84,8 +86,8 @@ def test_the_setting_weighs_every_run_alike(setting):
 def test_the_published_findings_come_out(setting, layout):
     """CarlaNCAP study, daylight: RSU2 and RSU3 reach 100 % in CPNC-50, one RSU in all three cases.
 
-    The VUT alone is far from it in CPNC-50 (65.63 %): at 55 km/h it cannot brake in time. Ten
-    seconds: all 104 runs, frame by frame, in full resolution.
+    The VUT alone is far from it in CPNC-50 (65.63 %): at 55 km/h it cannot brake in
+    time. Ten seconds: all 104 runs, frame by frame, in full resolution.
     """
     corners = Layout(name="corners", units=(layout.units[2], layout.units[3]))
     evaluation = evaluate_layout(corners, setting, compute=Compute(workers=2))
@@ -98,13 +100,15 @@ def test_the_published_findings_come_out(setting, layout):
     by_vut = apr_by_case(evaluation.vut, axis)
     assert 0.6 < by_vut["CPNC-50"] < 0.9
     assert by_vut["CBLA"] == 1.0
-    cases, speed_kmh = np.array(axis.cases), axis.vut_speed_kmh
+    cases = np.array(axis.cases)
+    speed_kmh = axis.vut_speed_kmh
     fast = (cases == "CPNC-50") & (speed_kmh >= 55.0)
     assert fast.sum() == 8
     assert not evaluation.vut.is_avoided[fast].any()
-    # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last set a
-    # dimension and a threshold, the second comes out as 7.7 %.
+    # Frames in which the VUT detects: 13.97, 5.12 and 89.20 %; the first and the last
+    # set a dimension and a threshold, the second comes out as 7.7 %.
     shares = [
-        detected_share(evaluation.vut, axis, cases == case) for case in ("CPNC-50", "CBNA", "CBLA")
+        detected_share(evaluation.vut, axis, cases == case)
+        for case in ("CPNC-50", "CBNA", "CBLA")
     ]
     assert shares == pytest.approx([0.1397, 0.0512, 0.8920], abs=0.03)

@@ -16,7 +16,14 @@ from oracles import (
     stop_tau_s,
 )
 from scipy.optimize import brentq
-from strategies import KMH, angles_deg, build_encounter, coordinates_m, encounters, numbers
+from strategies import (
+    KMH,
+    angles_deg,
+    build_encounter,
+    coordinates_m,
+    encounters,
+    numbers,
+)
 
 from geometry.actors import load_actors
 from geometry.errors import InputError
@@ -68,7 +75,9 @@ def _looks_s(encounter, rule, step_s):
 def smallest_separation_m(encounter, onset_s, *, rule, time_step_s=0.001):
     """Smallest separation from each onset of braking until the VUT stands, by looking often."""
     since_onset = _looks_s(encounter, rule, time_step_s)
-    return _separation_m(encounter, np.reshape(onset_s, (-1, 1)), since_onset, rule).min(axis=1)
+    return _separation_m(
+        encounter, np.reshape(onset_s, (-1, 1)), since_onset, rule
+    ).min(axis=1)
 
 
 def _rule(**changes):
@@ -84,11 +93,9 @@ def _lost_m(time_s, build_up_s):
 
 
 def _standstill_s(v, build_up_s):
-    return (
-        math.sqrt(2.0 * v * build_up_s / A_MPS2)
-        if v < 0.5 * A_MPS2 * build_up_s
-        else v / A_MPS2 + 0.5 * build_up_s
-    )
+    if v < 0.5 * A_MPS2 * build_up_s:
+        return math.sqrt(2.0 * v * build_up_s / A_MPS2)
+    return v / A_MPS2 + 0.5 * build_up_s
 
 
 def _stop_tau_s(v, build_up_s):
@@ -102,21 +109,32 @@ def _crossing_tau_s(v, clear_s, build_up_s):
     standstill_s = _standstill_s(v, build_up_s)
     if _lost_m(standstill_s, build_up_s) <= v * clear_s:
         return _stop_tau_s(v, build_up_s)
-    t = brentq(lambda t: _lost_m(t, build_up_s) - v * clear_s, 0.0, standstill_s, xtol=1e-12)
+    t = brentq(
+        lambda t: _lost_m(t, build_up_s) - v * clear_s, 0.0, standstill_s, xtol=1e-12
+    )
     return t - clear_s
 
 
 def build_turning_encounter(
-    side, speed_kmh, *, is_same, line_m=11.25, offset_m=0.0, body="adult", vru_speed_mps=5.0 * KMH
+    side,
+    speed_kmh,
+    *,
+    is_same,
+    line_m=11.25,
+    offset_m=0.0,
+    body="adult",
+    vru_speed_mps=5.0 * KMH,
 ) -> Encounter:
     """A VUT turns, and a VRU crosses the arm into which it turns, on a line parallel to the VUT's.
 
-    Unbraked they first touch at time 0, when the VRU's middle is about where the middle of the
-    VUT's front comes to the line, `line_m` beside the VUT's way before the turn.
+    Unbraked they first touch at time 0, when the VRU's middle is about where the middle
+    of the VUT's front comes to the line, `line_m` beside the VUT's way before the turn.
     """
     actors = load_actors()
-    vut, vru = actors["vut"], actors[body]
-    turn, v = pick_turn(side, speed_kmh), speed_kmh * KMH
+    vut = actors["vut"]
+    vru = actors[body]
+    turn = pick_turn(side, speed_kmh)
+    v = speed_kmh * KMH
     path = TurnPath(
         start_m=[0.0, 0.0],
         yaw_deg=0.0,
@@ -133,8 +151,14 @@ def build_turning_encounter(
 
     meeting_m = brentq(lambda d: turn.side * front_m(d)[1] - line_m, 0.0, 60.0)
     east_m = front_m(meeting_m)[0] + offset_m
-    sense, travel_m = (1.0 if is_same else -1.0), 7.5
-    travel_s = travel_time_s(travel_m, speed_mps=vru_speed_mps, acceleration_distance_m=2.0)
+    if is_same:
+        sense = 1.0
+    else:
+        sense = -1.0
+    travel_m = 7.5
+    travel_s = travel_time_s(
+        travel_m, speed_mps=vru_speed_mps, acceleration_distance_m=2.0
+    )
 
     def starting(vut_start_s):
         return Encounter(
@@ -175,21 +199,35 @@ def turning_encounters(draw) -> Encounter:
 
 def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
     """Whether the bodies overlap: the car is dragged and braked in steps of half a millisecond."""
-    path, vut, vru = encounter.vut_motion.path, encounter.vut, encounter.vru
-    time, speed = encounter.vut_motion.start_time_s, encounter.vut_motion.speed_mps
-    driven, step_s, steps = 0.0, 5.0e-4, []
+    path = encounter.vut_motion.path
+    vut = encounter.vut
+    vru = encounter.vru
+    time = encounter.vut_motion.start_time_s
+    speed = encounter.vut_motion.speed_mps
+    driven = 0.0
+    step_s = 5.0e-4
+    steps = []
     while speed > 0.0:
         if time > onset_s:
-            share = 1.0 if build_up_s == 0.0 else min(1.0, (time - onset_s) / build_up_s)
+            if build_up_s == 0.0:
+                share = 1.0
+            else:
+                share = min(1.0, (time - onset_s) / build_up_s)
             speed = max(0.0, speed - A_MPS2 * share * step_s)
-        driven, time = driven + speed * step_s, time + step_s
+        driven = driven + speed * step_s
+        time = time + step_s
         steps.append((time, speed, driven))
     times, speeds, distances = np.array(steps).T
     points, angles_deg = path.turn.at(distances - path.straight_m)
-    vru_places, vru_yaws_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(times))
+    vru_places, vru_yaws_deg = encounter.vru_motion.path.at(
+        encounter.vru_motion.distance_m(times)
+    )
     vru_yaws_deg = np.broadcast_to(vru_yaws_deg, times.shape)
-    reach_m = 0.5 * (math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m))
-    yaw, ahead_m = 0.0, path.front_axle_ahead_m
+    reach_m = 0.5 * (
+        math.hypot(vut.length_m, vut.width_m) + math.hypot(vru.length_m, vru.width_m)
+    )
+    yaw = 0.0
+    ahead_m = path.front_axle_ahead_m
     for index, angle in enumerate(np.radians(angles_deg).tolist()):
         yaw += math.sin(angle - yaw) / path.wheelbase_m * float(speeds[index]) * step_s
         vut_at = (
@@ -201,7 +239,9 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
             continue
         overlap = overlap_area(
             rectangle_polygon(vut_at, math.degrees(yaw), vut.length_m, vut.width_m),
-            rectangle_polygon(vru_at, float(vru_yaws_deg[index]), vru.length_m, vru.width_m),
+            rectangle_polygon(
+                vru_at, float(vru_yaws_deg[index]), vru.length_m, vru.width_m
+            ),
         )
         if overlap > 1.0e-9:
             return True
@@ -211,7 +251,15 @@ def _simulated_contact_on_a_turn(encounter, onset_s, build_up_s):
 # Last brake time: closed forms
 
 
-@given(vut_speeds, vru_speeds, bodies, build_ups_s, angles_deg, coordinates_m, coordinates_m)
+@given(
+    vut_speeds,
+    vru_speeds,
+    bodies,
+    build_ups_s,
+    angles_deg,
+    coordinates_m,
+    coordinates_m,
+)
 def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_closing_speed(
     v, u, body, build_up_s, turn_deg, east_m, north_m
 ):
@@ -225,7 +273,9 @@ def test_last_brake_time_behind_one_who_goes_ahead_is_that_to_brake_away_the_clo
         origin_m=(east_m, north_m),
     )
     if build_up_s == 0.0:
-        assert _stop_tau_s(v - u, 0.0) == pytest.approx((v - u) / (2.0 * A_MPS2), rel=1e-12)
+        assert _stop_tau_s(v - u, 0.0) == pytest.approx(
+            (v - u) / (2.0 * A_MPS2), rel=1e-12
+        )
     assert _tau_s(encounter, _rule(build_up_s=build_up_s)) == pytest.approx(
         _stop_tau_s(v - u, build_up_s), abs=TOLERANCE_S
     )
@@ -285,9 +335,11 @@ def test_last_brake_time_towards_one_who_comes_closer_lets_the_vut_stand_first(
 
 
 def test_last_brake_time_of_cpnc_50_at_60_kmh_is_that_of_passing_behind(runs):
-    # The adult has left the path 0.88 s after the impact: 10 ms later than stopping would allow.
+    # The adult has left the path 0.88 s after the impact: 10 ms later than stopping
+    # would allow.
     (run,) = (run for run in runs if run.id == "CPNC-50/east/60")
-    v, u = 60.0 * KMH, 5.0 * KMH
+    v = 60.0 * KMH
+    u = 5.0 * KMH
     clear_s = (0.5 * 1.836 + 0.5 * 0.6) / u
     expected = -crossing_tau_s(v, A_MPS2, clear_s)
     assert expected == pytest.approx(-1.069, abs=1e-3)
@@ -298,14 +350,16 @@ def test_last_brake_time_of_cpnc_50_at_60_kmh_is_that_of_passing_behind(runs):
 @pytest.mark.parametrize(
     ("vut_speed_kmh", "onset_s"),
     [
-        # A look every 10 ms sees contact at this onset, one every 1 ms does not. A search in two
-        # passes once took the whole bracket for free and was 0.1 s too early.
+        # A look every 10 ms sees contact at this onset, one every 1 ms does not. A
+        # search in two passes once took the whole bracket for free and was 0.1 s too
+        # early.
         (51.3845, -0.7471333671285152),
         (58.2852, -0.8125),  # the other way round
     ],
 )
 def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, onset_s):
-    v, u = vut_speed_kmh * KMH, 15.0 * KMH
+    v = vut_speed_kmh * KMH
+    u = 15.0 * KMH
     encounter = build_encounter(
         vru=load_actors()["adult"],
         vut_speed_mps=v,
@@ -315,7 +369,10 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
         vut_drive_s=5.0 - onset_s,
     )
     touches = [
-        smallest_separation_m(encounter, onset_s, rule=RULE, time_step_s=time_step_s).item() <= 0.0
+        smallest_separation_m(
+            encounter, onset_s, rule=RULE, time_step_s=time_step_s
+        ).item()
+        <= 0.0
         for time_step_s in (0.01, 0.001)
     ]
     assert touches[0] != touches[1]
@@ -330,7 +387,9 @@ def test_last_brake_time_does_not_fall_between_two_time_steps(vut_speed_kmh, ons
 
 
 @given(st.one_of(encounters(), turning_encounters()), build_ups_s, numbers(0.0, 1.0))
-def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build_up_s, share):
+def test_braking_avoids_up_to_the_last_brake_time_and_not_after(
+    encounter, build_up_s, share
+):
     rule = _rule(build_up_s=build_up_s)
     last_s = last_brake_time_s(encounter, rule)
     start_s = encounter.vut_motion.start_time_s
@@ -343,21 +402,36 @@ def test_braking_avoids_up_to_the_last_brake_time_and_not_after(encounter, build
 
 
 @settings(max_examples=20)
-@given(st.one_of(encounters(), turning_encounters()), st.lists(numbers(-0.2, 0.2), max_size=5))
+@given(
+    st.one_of(encounters(), turning_encounters()),
+    st.lists(numbers(-0.2, 0.2), max_size=5),
+)
 def test_contacts_of_many_onsets_are_those_of_each(encounter, offsets_s):
     last_s = last_brake_time_s(encounter, RULE)
-    onsets_s = [*(last_s + offset_s for offset_s in offsets_s), last_s, -np.inf, 0.0, np.inf]
+    onsets_s = [
+        *(last_s + offset_s for offset_s in offsets_s),
+        last_s,
+        -np.inf,
+        0.0,
+        np.inf,
+    ]
     together = has_contact(encounter, onsets_s, RULE)
-    assert together.tolist() == [bool(has_contact(encounter, each, RULE)) for each in onsets_s]
+    assert together.tolist() == [
+        bool(has_contact(encounter, each, RULE)) for each in onsets_s
+    ]
 
 
 @settings(max_examples=10)
 @given(st.one_of(encounters(), turning_encounters()))
 def test_no_onset_before_the_last_brake_time_leads_to_contact(encounter):
     last_s = last_brake_time_s(encounter, RULE)
-    onsets = np.append(np.arange(encounter.vut_motion.start_time_s, last_s, 0.02), last_s)
+    onsets = np.append(
+        np.arange(encounter.vut_motion.start_time_s, last_s, 0.02), last_s
+    )
     assert (smallest_separation_m(encounter, onsets, rule=RULE) > 0.0).all()
-    assert (smallest_separation_m(encounter, [last_s + 0.002, 0.0], rule=RULE) <= 0.0).all()
+    assert (
+        smallest_separation_m(encounter, [last_s + 0.002, 0.0], rule=RULE) <= 0.0
+    ).all()
 
 
 @given(encounters(), numbers(0.0, 1.0))
@@ -371,7 +445,12 @@ def test_last_brake_time_matches_a_simulation_in_small_steps(encounter, share):
 
 @pytest.mark.parametrize(
     ("side", "speed_kmh", "is_same"),
-    [("far", 10.0, True), ("far", 15.0, False), ("far", 20.0, True), ("near", 10.0, False)],
+    [
+        ("far", 10.0, True),
+        ("far", 15.0, False),
+        ("far", 20.0, True),
+        ("near", 10.0, False),
+    ],
 )
 @pytest.mark.parametrize("build_up_s", [0.0, 0.3])
 def test_last_brake_time_on_a_turn_matches_a_simulation_in_small_steps(
@@ -443,11 +522,17 @@ def test_last_brake_time_of_a_left_turn_is_that_of_its_mirror_image(encounter):
 
 
 def test_a_walker_who_sets_off_late_and_accelerates_is_where_its_motion_says():
-    # 1 m of acceleration, and the impact within it: the VUT may come to the line a little later
-    # only, for the walker is slower than it will be.
-    v, u, acceleration_m, travel_m = 40.0 * KMH, 5.0 * KMH, 4.0, 3.0
-    vut, vru = load_actors()["vut"], load_actors()["adult"]
-    travel_s = travel_time_s(travel_m, speed_mps=u, acceleration_distance_m=acceleration_m)
+    # 1 m of acceleration, and the impact within it: the VUT may come to the line a
+    # little later only, for the walker is slower than it will be.
+    v = 40.0 * KMH
+    u = 5.0 * KMH
+    acceleration_m = 4.0
+    travel_m = 3.0
+    vut = load_actors()["vut"]
+    vru = load_actors()["adult"]
+    travel_s = travel_time_s(
+        travel_m, speed_mps=u, acceleration_distance_m=acceleration_m
+    )
     front_m = 0.5 * vut.length_m + 0.5 * vru.width_m
     encounter = Encounter(
         vut=vut,
@@ -466,8 +551,13 @@ def test_a_walker_who_sets_off_late_and_accelerates_is_where_its_motion_says():
     )
     assert first_contact_s(encounter) == pytest.approx(0.0, abs=1e-6)
     clear_m = travel_m + 0.5 * (vut.width_m + vru.length_m)
-    clear_s = travel_time_s(clear_m, speed_mps=u, acceleration_distance_m=acceleration_m) - travel_s
-    assert _tau_s(encounter) == pytest.approx(_crossing_tau_s(v, clear_s, 0.0), abs=TOLERANCE_S)
+    clear_s = (
+        travel_time_s(clear_m, speed_mps=u, acceleration_distance_m=acceleration_m)
+        - travel_s
+    )
+    assert _tau_s(encounter) == pytest.approx(
+        _crossing_tau_s(v, clear_s, 0.0), abs=TOLERANCE_S
+    )
 
 
 def test_a_start_too_close_to_avoid_anything_is_minus_infinity():
@@ -506,7 +596,9 @@ def test_a_vut_that_brakes_before_it_sets_off_stays_where_it_is():
 
 @given(detections, st.integers(1, 6))
 def test_confirmation_is_what_a_counter_of_consecutive_frames_says(detected, n):
-    assert confirmation_mask(detected, n_confirmations=n).tolist() == naive_confirmed(detected, n)
+    assert confirmation_mask(detected, n_confirmations=n).tolist() == naive_confirmed(
+        detected, n
+    )
 
 
 @given(st.lists(detections, min_size=2, max_size=4), st.integers(1, 4))
@@ -518,14 +610,20 @@ def test_confirmation_of_many_records_is_that_of_each(records, n):
     rule = _rule(n_confirmations=n, track_memory_s=0.2)
     times = live_confirmation_time_s(table, time_s, until_s=-0.1, rule=rule)
     for row, record in enumerate(table):
-        assert np.array_equal(together[row], confirmation_mask(record, n_confirmations=n))
-        assert times[row] == live_confirmation_time_s(record, time_s, until_s=-0.1, rule=rule)
+        assert np.array_equal(
+            together[row], confirmation_mask(record, n_confirmations=n)
+        )
+        assert times[row] == live_confirmation_time_s(
+            record, time_s, until_s=-0.1, rule=rule
+        )
 
 
 @given(detections, st.integers(1, 6), memories_s)
 def test_confirmation_time_is_that_of_the_first_confirmed_frame(detected, n, memory_s):
     time_s = np.arange(1 - len(detected), 1) / 10.0
-    naive = [t for t, seen in zip(time_s, naive_confirmed(detected, n), strict=True) if seen]
+    naive = [
+        t for t, seen in zip(time_s, naive_confirmed(detected, n), strict=True) if seen
+    ]
     rule = _rule(n_confirmations=n, track_memory_s=memory_s)
     assert live_confirmation_time_s(detected, time_s, until_s=math.inf, rule=rule) == (
         naive[0] if naive else math.inf
@@ -533,7 +631,9 @@ def test_confirmation_time_is_that_of_the_first_confirmed_frame(detected, n, mem
 
 
 @given(detections, st.integers(1, 4), memories_s, st.data())
-def test_one_more_detected_frame_never_delays_the_confirmation(detected, n, memory_s, data):
+def test_one_more_detected_frame_never_delays_the_confirmation(
+    detected, n, memory_s, data
+):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     until_s = data.draw(st.one_of(numbers(-1.5, 0.3), st.just(math.inf)))
     rule = _rule(n_confirmations=n, track_memory_s=memory_s)
@@ -548,7 +648,9 @@ def test_one_more_detected_frame_never_delays_the_confirmation(detected, n, memo
 
 
 @given(detections, st.integers(1, 4), memories_s, untils_s)
-def test_the_live_track_is_that_of_a_simulation_frame_by_frame(detected, n, memory_s, until_s):
+def test_the_live_track_is_that_of_a_simulation_frame_by_frame(
+    detected, n, memory_s, until_s
+):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     rule = _rule(n_confirmations=n, track_memory_s=memory_s)
     assert live_confirmation_time_s(
@@ -557,7 +659,9 @@ def test_the_live_track_is_that_of_a_simulation_frame_by_frame(detected, n, memo
 
 
 @given(detections, st.integers(1, 4), untils_s)
-def test_a_track_that_is_never_lost_is_that_of_the_first_confirmation(detected, n, until_s):
+def test_a_track_that_is_never_lost_is_that_of_the_first_confirmation(
+    detected, n, until_s
+):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     rule = _rule(n_confirmations=n)
     assert rule.track_memory_s == math.inf  # the study's reading
@@ -567,7 +671,12 @@ def test_a_track_that_is_never_lost_is_that_of_the_first_confirmation(detected, 
     assert found_s == (first_s if in_time else math.inf)
 
 
-@given(detections, st.integers(1, 4), untils_s, st.tuples(memories_s, memories_s).map(sorted))
+@given(
+    detections,
+    st.integers(1, 4),
+    untils_s,
+    st.tuples(memories_s, memories_s).map(sorted),
+)
 def test_a_longer_memory_never_loses_a_track(detected, n, until_s, both_s):
     time_s = np.arange(1 - len(detected), 1) / 10.0
     longer, shorter = (
@@ -610,9 +719,10 @@ def test_held_frames_of_runs_end_to_end_are_those_of_each(detected, memory_s, un
 def test_a_memory_shorter_than_from_frame_to_frame_is_refused(memory_s):
     with pytest.raises(InputError) as caught:
         _rule(track_memory_s=memory_s)
-    assert str(caught.value) == (
-        f"aeb.track_memory_s: got {memory_s!r}; expected seconds, at least 0.1 (from one frame to "
-        "the next), or inf"
+    assert (
+        str(caught.value)
+        == f"aeb.track_memory_s: got {memory_s!r}; expected seconds, at least 0.1 (from"
+        " one frame to the next), or inf"
     )
 
 
@@ -645,7 +755,8 @@ def test_no_confirmation_is_never_in_time_and_nothing_is_before_minus_infinity()
 def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
     v, u, body, early_s, build_up_s
 ):
-    rule, vru = _rule(build_up_s=build_up_s), load_actors()[body]
+    rule = _rule(build_up_s=build_up_s)
+    vru = load_actors()[body]
     encounter = build_encounter(
         vru=vru, vut_speed_mps=v, vru_speed_mps=u, angle_deg=90.0, touch=0.0
     )
@@ -665,12 +776,15 @@ def test_speed_at_contact_on_a_crossing_is_what_braking_leaves_at_the_line(
     assume(short_m(standstill_s) > 1e-3)
     if in_the_way_s > clear_s:
         return
-    braked = (
-        0.5 * reached_s**2 / build_up_s if reached_s < build_up_s else reached_s - 0.5 * build_up_s
-    )
+    if reached_s < build_up_s:
+        braked = 0.5 * reached_s**2 / build_up_s
+    else:
+        braked = reached_s - 0.5 * build_up_s
     assert found.time_s == pytest.approx(in_the_way_s, abs=1e-5)
     assert found.speed_mps == pytest.approx(v - A_MPS2 * braked, abs=1e-4)
-    assert found.closing_mps == pytest.approx(found.speed_mps, abs=1e-6)  # nothing drives ahead
+    assert found.closing_mps == pytest.approx(
+        found.speed_mps, abs=1e-6
+    )  # nothing drives ahead
 
 
 @given(vut_speeds, numbers(3.0, 15.0), numbers(0.01, 0.95))
@@ -679,7 +793,11 @@ def test_closing_speed_behind_a_target_ahead_is_that_of_the_frame_that_drives_wi
 ):
     u = u_kmh * KMH
     encounter = build_encounter(
-        vru=load_actors()["cyclist"], vut_speed_mps=v, vru_speed_mps=u, angle_deg=0.0, touch=0.0
+        vru=load_actors()["cyclist"],
+        vut_speed_mps=v,
+        vru_speed_mps=u,
+        angle_deg=0.0,
+        touch=0.0,
     )
     w = v - u
     early_s = share * 0.5 * w / A_MPS2
@@ -690,14 +808,23 @@ def test_closing_speed_behind_a_target_ahead_is_that_of_the_frame_that_drives_wi
 
 
 @settings(max_examples=20)
-@given(st.one_of(encounters(), turning_encounters()), st.lists(numbers(0.0, 1.0), max_size=4))
+@given(
+    st.one_of(encounters(), turning_encounters()),
+    st.lists(numbers(0.0, 1.0), max_size=4),
+)
 def test_contacts_are_those_of_a_simulation_in_small_steps(encounter, shares):
     last_s = last_brake_time_s(encounter, RULE)
-    onsets_s = np.array([last_s - 0.01, *(last_s * share for share in shares), 0.0, np.inf])
+    onsets_s = np.array(
+        [last_s - 0.01, *(last_s * share for share in shares), 0.0, np.inf]
+    )
     found = find_contacts(encounter, onsets_s, RULE)
-    assert np.array_equal(np.isfinite(found.time_s), has_contact(encounter, onsets_s, RULE))
+    assert np.array_equal(
+        np.isfinite(found.time_s), has_contact(encounter, onsets_s, RULE)
+    )
     v = encounter.vut_motion.speed_mps
-    for onset_s, time_s, speed in zip(onsets_s, found.time_s, found.speed_mps, strict=True):
+    for onset_s, time_s, speed in zip(
+        onsets_s, found.time_s, found.speed_mps, strict=True
+    ):
         if onset_s >= 0.0:
             assert (time_s, speed) == (0.0, v)
             continue

@@ -17,7 +17,12 @@ MOVEMENTS = {"left": "north", "through": "east", "right": "south"}
 
 def junction_with(turns=(), connections=()):
     """Three lanes from the west, from the kerb, with their markings; two lanes elsewhere."""
-    lanes = [lane for arm in ARMS if arm != "west" for lane in lanes_of(arm, ARMS[arm], n_lanes=2)]
+    lanes = [
+        lane
+        for arm in ARMS
+        if arm != "west"
+        for lane in lanes_of(arm, ARMS[arm], n_lanes=2)
+    ]
     lanes += lanes_of("west", 180.0, n_lanes=3)
     marked = {f"west-in-{number}": words for number, words in enumerate(turns)}
     lanes = [dataclasses.replace(lane, turns=marked.get(lane.id, ())) for lane in lanes]
@@ -25,14 +30,21 @@ def junction_with(turns=(), connections=()):
     for before, after in connections:
         line = [named[before].centreline_m[-1], named[after].centreline_m[0]]
         lanes.append(
-            Lane(id=f"{before} {after}", kind="connecting", width_m=LANE_M, centreline_m=line)
+            Lane(
+                id=f"{before} {after}",
+                kind="connecting",
+                width_m=LANE_M,
+                centreline_m=line,
+            )
         )
     return build_junction(build_scene(lanes))
 
 
 def entries(junction, movement):
     """Lanes from the west by which a movement is driven, in the order in which they are tried."""
-    found = joints(junction, junction.arms["west"], junction.arms[MOVEMENTS[movement]], movement)
+    found = joints(
+        junction, junction.arms["west"], junction.arms[MOVEMENTS[movement]], movement
+    )
     return list(dict.fromkeys(before.id for before, _, _ in found))
 
 
@@ -57,9 +69,15 @@ def test_markings_decide_who_may_go_where():
 
 def test_what_no_lane_is_marked_for_is_not_driven(actors):
     junction = junction_with([("right",), ("through",), ("through",)])
-    with pytest.raises(NoRoadError, match="by their markings no lane from the west leads to the l"):
+    with pytest.raises(
+        NoRoadError, match="by their markings no lane from the west leads to the l"
+    ):
         stage_by_protocol(
-            load_cases()["CPTAfs-50"], junction, "west", vut_speed_kmh=10.0, vut=actors["vut"]
+            load_cases()["CPTAfs-50"],
+            junction,
+            "west",
+            vut_speed_kmh=10.0,
+            vut=actors["vut"],
         )
     # A cyclist crosses in the junction's middle: there the car drives straight on.
     staging = stage_by_protocol(
@@ -75,7 +93,9 @@ def test_lanes_through_the_junction_decide_where_the_map_has_them():
     )
     assert entries(junction, "through") == ["west-in-1"]
     assert entries(junction, "left") == ["west-in-2"]
-    with pytest.raises(NoRoadError, match="by the map no lane leads from the west to the south"):
+    with pytest.raises(
+        NoRoadError, match="by the map no lane leads from the west to the south"
+    ):
         entries(junction, "right")
 
 

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from junctions import (
+    ARMS,
+    LANE_M,
+    MOUTH_M,
+    build_scene,
+    lanes_of,
+    protocol_scene,
+    turned,
+)
 from oracles import distance_to_chain_m
 
 from geometry.actors import pick_actor
@@ -27,14 +35,26 @@ def with_corner(angle_deg, *, before_m=40.0):
     mouth = np.array([-MOUTH_M, -0.5 * LANE_M])
     corner = mouth - [before_m, 0.0]
     begin = corner - turned([150.0, 0.0], angle_deg)
-    lane = Lane(id="west-in-0", kind="driving", width_m=LANE_M, centreline_m=[begin, corner, mouth])
-    others = [one for arm, at in ARMS.items() for one in lanes_of(arm, at) if one.id != lane.id]
+    lane = Lane(
+        id="west-in-0",
+        kind="driving",
+        width_m=LANE_M,
+        centreline_m=[begin, corner, mouth],
+    )
+    others = [
+        one
+        for arm, at in ARMS.items()
+        for one in lanes_of(arm, at)
+        if one.id != lane.id
+    ]
     return build_scene([*others, lane]), lane
 
 
 def driven(scene, name, speeds):
     case = dataclasses.replace(load_cases()[name], vut_speeds_kmh=speeds)
-    return build_runs(scene, [case], vut=VUT, rule=build_rule(Question()), approaches=["west"])
+    return build_runs(
+        scene, [case], vut=VUT, rule=build_rule(Question()), approaches=["west"]
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [-150.0, 25.0, 60.0])
@@ -53,7 +73,8 @@ def test_a_corner_is_driven_no_faster_than_it_can_be(angle_deg):
         turning = np.abs(np.diff(np.unwrap(np.radians(run.vut_yaw_deg)))) * 10.0
         assert turning.max() * run.vut_speed_kmh / 3.6 < 4.4
         front = run.vut_position_m + VUT.front_axle_ahead_m * np.stack(
-            [np.cos(np.radians(run.vut_yaw_deg)), np.sin(np.radians(run.vut_yaw_deg))], axis=-1
+            [np.cos(np.radians(run.vut_yaw_deg)), np.sin(np.radians(run.vut_yaw_deg))],
+            axis=-1,
         )
         mapped = front[front[:, 0] > -60.0]
         assert distance_to_chain_m(mapped, lane.centreline_m).max() < 0.7
@@ -72,7 +93,9 @@ def test_kinks_that_a_car_takes_within_its_lane_cost_no_run():
 
 @given(angle_deg=st.floats(-30.0, 30.0), free_m=st.floats(0.1, 0.6))
 def test_a_gentle_course_bends_less_and_stays_as_near_as_it_must(angle_deg, free_m):
-    chain = np.array([[0.0, 0.0], [80.0, 0.0], [80.0, 0.0] + turned([80.0, 0.0], angle_deg)])
+    chain = np.array(
+        [[0.0, 0.0], [80.0, 0.0], [80.0, 0.0] + turned([80.0, 0.0], angle_deg)]
+    )
     gentle = follow_gently([chain], [free_m], origin=1)
     inside = (gentle.points_m[:, 0] > 0.0) & (gentle.points_m[:, 0] < 145.0)
     points = gentle.points_m[inside]

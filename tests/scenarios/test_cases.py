@@ -48,11 +48,15 @@ def _changed(**changes):
         ("CBLA", "longitudinal", "cyclist", 15.0, 25.0, 8),
     ],
 )
-def test_cases_are_those_of_the_study(name, kind, actor, vru_speed_kmh, first_kmh, n_speeds):
+def test_cases_are_those_of_the_study(
+    name, kind, actor, vru_speed_kmh, first_kmh, n_speeds
+):
     case = cases.load_cases()[name]
     assert (case.name, case.kind) == (name, kind)
     assert (case.vru.name, case.vru_speed_kmh) == (actor, vru_speed_kmh)
-    assert case.vut_speeds_kmh == tuple(first_kmh + 5.0 * step for step in range(n_speeds))
+    assert case.vut_speeds_kmh == tuple(
+        first_kmh + 5.0 * step for step in range(n_speeds)
+    )
     assert case.vut_speeds_kmh[-1] == 60.0
     assert case.impact_percent == 50.0
 
@@ -74,15 +78,19 @@ def test_a_single_speed_is_allowed(monkeypatch):
     [
         (
             {"kind": "flying"},
-            "cases.toml: X.kind: got 'flying'; expected one of crossing, longitudinal, turning, "
-            "recorded",
+            (
+                "cases.toml: X.kind: got 'flying'; expected one of crossing,"
+                " longitudinal, turning, recorded"
+            ),
         ),
         ({"kind": None}, "cases.toml: X.kind: got nothing; expected a value"),
         ({"source": None}, "cases.toml: X.source: got nothing; expected a value"),
         (
             {"steady_distance_m": 3.0},
-            "cases.toml: X: got ['start_distance_m', 'steady_distance_m']; "
-            "expected one of start_distance_m, steady_distance_m, steady_time_s",
+            (
+                "cases.toml: X: got ['start_distance_m', 'steady_distance_m']; "
+                "expected one of start_distance_m, steady_distance_m, steady_time_s"
+            ),
         ),
         (
             {"vru_from": "ahead"},
@@ -98,25 +106,39 @@ def test_a_single_speed_is_allowed(monkeypatch):
         ),
         (
             {"vru_line": {"along": "river"}},
-            "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk, kerb, lane, "
-            "through",
+            (
+                "cases.toml: X.vru_line.along: got 'river'; expected one of crosswalk,"
+                " kerb, lane, through"
+            ),
         ),
         (
             {"obstruction": {"kind": "tree"}},
-            "cases.toml: X.obstruction.kind: got 'tree'; "
-            "expected one of beside-vut, beside-road, beside-vru, wall",
+            (
+                "cases.toml: X.obstruction.kind: got 'tree'; "
+                "expected one of beside-vut, beside-road, beside-vru, wall"
+            ),
         ),
-        ({"as": "Y"}, "cases.toml: X.as: got 'Y'; expected another case, not in a circle"),
-        ({"as": "X"}, "cases.toml: X.as: got 'X'; expected another case, not in a circle"),
+        (
+            {"as": "Y"},
+            "cases.toml: X.as: got 'Y'; expected another case, not in a circle",
+        ),
+        (
+            {"as": "X"},
+            "cases.toml: X.as: got 'X'; expected another case, not in a circle",
+        ),
         (
             {"vut_speed_kmh": {"min": 30.0, "max": 20.0, "step": 5.0}},
-            "cases.toml: X.vut_speed_kmh: got {'min': 30.0, 'max': 20.0, 'step': 5.0}; "
-            "expected 0 < min <= max, step > 0",
+            (
+                "cases.toml: X.vut_speed_kmh: got {'min': 30.0, 'max': 20.0, 'step':"
+                " 5.0}; expected 0 < min <= max, step > 0"
+            ),
         ),
         (
             {"vut_speed_kmh": {"min": 20.0, "max": 30.0, "step": 0.0}},
-            "cases.toml: X.vut_speed_kmh: got {'min': 20.0, 'max': 30.0, 'step': 0.0}; "
-            "expected 0 < min <= max, step > 0",
+            (
+                "cases.toml: X.vut_speed_kmh: got {'min': 20.0, 'max': 30.0, 'step':"
+                " 0.0}; expected 0 < min <= max, step > 0"
+            ),
         ),
         (
             {"vut_speed_kmh": {"min": 20.0, "max": 30.0}},
@@ -124,7 +146,10 @@ def test_a_single_speed_is_allowed(monkeypatch):
         ),
         (
             {"vut_speed_kmh": 40.0},
-            "cases.toml: X.vut_speed_kmh: got 40.0; expected a table with min, max and step",
+            (
+                "cases.toml: X.vut_speed_kmh: got 40.0; expected a table with min, max"
+                " and step"
+            ),
         ),
         (
             {"vru_speed_kmh": "fast"},
@@ -141,16 +166,26 @@ def test_cases_say_what_is_wrong(monkeypatch, changes, message):
 def test_an_unknown_body_lists_the_known_ones(monkeypatch, actors):
     with pytest.raises(InputError) as caught:
         _load(monkeypatch, _changed(vru="horse"))
-    assert str(caught.value) == (
-        f"cases.toml: X.vru: got 'horse'; expected one of {', '.join(sorted(actors))}"
+    assert (
+        str(caught.value) == "cases.toml: X.vru: got 'horse'; expected one of"
+        f" {', '.join(sorted(actors))}"
     )
 
 
 def test_a_case_like_another_says_only_what_differs(monkeypatch):
-    table = {**GOOD, "Y": {"as": "X", "impact_percent": 25.0}, "Z": {"as": "Y", "title": "last"}}
+    table = {
+        **GOOD,
+        "Y": {"as": "X", "impact_percent": 25.0},
+        "Z": {"as": "Y", "title": "last"},
+    }
     cases_by_name = _load(monkeypatch, table)
-    assert cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
-    assert (cases_by_name["Z"].title, cases_by_name["Z"].vru) == ("last", cases_by_name["X"].vru)
+    assert (
+        cases_by_name["Y"].impact_percent == cases_by_name["Z"].impact_percent == 25.0
+    )
+    assert (cases_by_name["Z"].title, cases_by_name["Z"].vru) == (
+        "last",
+        cases_by_name["X"].vru,
+    )
 
 
 @pytest.mark.parametrize(
@@ -207,7 +242,11 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     near, far, ours = cases.pick_cases(f"{path},CBLA", "cases")
     like = cases.load_cases()["CPNA-25"]
     assert (near.name, far.name, ours.name) == ("SCHOOL", "SCHOOL-FAR", "CBLA")
-    assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == ("child", 10.0, (30.0, 40.0))
+    assert (near.vru.name, near.vru_speed_kmh, near.vut_speeds_kmh) == (
+        "child",
+        10.0,
+        (30.0, 40.0),
+    )
     assert (near.impact_percent, near.vru_line) == (like.impact_percent, like.vru_line)
     assert (near.vru_side, far.vru_side) == ("near", "far")
     assert "SCHOOL" not in cases.load_cases()
@@ -218,11 +257,23 @@ def test_own_cases_are_read_from_a_file_and_may_be_like_ours(tmp_path):
     [
         ("", ": got no case; expected a table for each case"),
         ("budget = 3", ": budget: got 3; expected a table, which is a case"),
-        ('["CBLA"]\nas = "CPNA-25"', ": CBLA: got 'CBLA'; expected a name that no case or set"),
-        ('[all]\nas = "CPNA-25"', ": all: got 'all'; expected a name that no case or set"),
-        ('[X]\nas = "CPXX"', ": X.as: got 'CPXX'; expected another case, not in a circle"),
+        (
+            '["CBLA"]\nas = "CPNA-25"',
+            ": CBLA: got 'CBLA'; expected a name that no case or set",
+        ),
+        (
+            '[all]\nas = "CPNA-25"',
+            ": all: got 'all'; expected a name that no case or set",
+        ),
+        (
+            '[X]\nas = "CPXX"',
+            ": X.as: got 'CPXX'; expected another case, not in a circle",
+        ),
         ("[X]\nas = 3", ": X.as: got 3; expected another case, not in a circle"),
-        ('[X]\nas = "CBLA"\nvru = "dog"', ": X.vru: got 'dog'; expected one of adult, "),
+        (
+            '[X]\nas = "CBLA"\nvru = "dog"',
+            ": X.vru: got 'dog'; expected one of adult, ",
+        ),
     ],
 )
 def test_own_cases_that_are_wrong_are_told_with_file_and_field(tmp_path, text, message):
@@ -239,7 +290,10 @@ def test_in_all_a_case_of_2026_drives_what_that_of_2023_does_not():
     of_2023 = cases.twins(every)
     assert of_2023["CPNA-2026-25"].name == "CPNA-25"
     for case in every:
-        speeds = set(driven[case.name].vut_speeds_kmh) if case.name in driven else set()
+        if case.name in driven:
+            speeds = set(driven[case.name].vut_speeds_kmh)
+        else:
+            speeds = set()
         twin = of_2023.get(case.name)
         if case.range == "extended":
             assert not speeds

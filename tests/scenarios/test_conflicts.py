@@ -18,7 +18,8 @@ from scenarios.conflicts import cases_text, find_encounters, time_to_collision_s
 from scenarios.runs import build_runs
 from scenarios.trajectories import Track
 
-VUT, ADULT = pick_actor("vut", "vut"), pick_actor("adult", "adult")
+VUT = pick_actor("vut", "vut")
+ADULT = pick_actor("adult", "adult")
 RULE = replace(load_aeb_rule(), build_up_s=0.0)
 STEP_S = 0.04
 
@@ -39,7 +40,10 @@ def car(speed_mps=10.0, *, front_at_s=4.0, x_m=0.0, y_m=-1.75, **options):
     """Drives west to east; its front is at x at a time."""
     middle_m = x_m - 0.5 * VUT.length_m
     return track(
-        "v", "vehicle", lambda t: (middle_m + speed_mps * (t - front_at_s), y_m), **options
+        "v",
+        "vehicle",
+        lambda t: (middle_m + speed_mps * (t - front_at_s), y_m),
+        **options,
     )
 
 
@@ -90,12 +94,15 @@ def test_time_to_collision_is_what_small_steps_find(offset, closing, yaw_a, yaw_
 
 
 def test_who_is_on_collision_course_is_replayed_as_if_nothing_changed():
-    # His box is 0.6 m long: without stopping the front reaches it when he is in the middle.
+    # His box is 0.6 m long: without stopping the front reaches it when he is in the
+    # middle.
     found = find_one(car(front_at_s=4.0, x_m=0.3 - 0.25), walker(last_s=2.8))
     assert (found.moment_s, found.ttc_s) == (pytest.approx(2.8), pytest.approx(1.2))
     assert (found.vut_speed_kmh, found.vru_speed_kmh) == (36.0, 5.4)
     assert found.recorded.known_s == pytest.approx(4.0, abs=0.01)
-    encounter = found.recorded.encounter(vut=VUT, vut_speed_mps=10.0, vru=ADULT, vru_speed_mps=1.5)
+    encounter = found.recorded.encounter(
+        vut=VUT, vut_speed_mps=10.0, vru=ADULT, vru_speed_mps=1.5
+    )
     for second in (-3.0, -1.0, 0.0):
         for motion, middle_m in (
             (encounter.vut_motion, (0.05 - 0.5 * VUT.length_m + 10.0 * second, -1.75)),
@@ -131,8 +138,11 @@ def test_who_passes_near_is_replayed_without_the_time_between():
     assert find_encounters(passes, ttc_s=0.5)[0] == ()
     found = find_one(*passes, ttc_s=None, within_m=3.0)
     assert found.ttc_s > 0.0
-    encounter = found.recorded.encounter(vut=VUT, vut_speed_mps=10.0, vru=ADULT, vru_speed_mps=1.5)
-    vut, vru = encounter.vut_motion, encounter.vru_motion
+    encounter = found.recorded.encounter(
+        vut=VUT, vut_speed_mps=10.0, vru=ADULT, vru_speed_mps=1.5
+    )
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
     front = vut.path.at(vut.distance_m(0.0))[0] + [0.5 * VUT.length_m, 0.0]
     met = vru.path.at(vru.distance_m(0.0))[0]
     # The front reaches his box, which is then about in the middle of the car's way.
@@ -141,7 +151,9 @@ def test_who_passes_near_is_replayed_without_the_time_between():
     parked = car(speed_mps=0.0)
     assert find_encounters([parked, walker()], ttc_s=2.0, within_m=3.0) == ((), {})
     parallel = [car(), track("p", "pedestrian", lambda t: (1.5 * t, 1.0))]
-    assert find_encounters(parallel, ttc_s=None, within_m=5.0)[1] == {"their ways do not cross": 1}
+    assert find_encounters(parallel, ttc_s=None, within_m=5.0)[1] == {
+        "their ways do not cross": 1
+    }
 
 
 def random_tracks(rng):
@@ -149,15 +161,24 @@ def random_tracks(rng):
     tracks = []
     for number in range(7):
         is_car = number < 2
-        start, yaw, turn = rng.uniform(-15, 15, 2), rng.uniform(-3.1, 3.1), rng.uniform(-1, 1)
-        speed = rng.uniform(2.0, 9.0) if is_car else rng.uniform(0.8, 2.0)
+        start, yaw, turn = (
+            rng.uniform(-15, 15, 2),
+            rng.uniform(-3.1, 3.1),
+            rng.uniform(-1, 1),
+        )
+        if is_car:
+            speed = rng.uniform(2.0, 9.0)
+        else:
+            speed = rng.uniform(0.8, 2.0)
 
         def at(t, start=start, yaw=yaw, turn=turn, speed=speed):
             first = np.array([math.cos(yaw), math.sin(yaw)]) * speed
             then = np.array([math.cos(yaw + turn), math.sin(yaw + turn)]) * speed
             return start + first * min(t, 2.0) + then * max(t - 2.0, 0.0)
 
-        tracks.append(track(f"{number}", "vehicle" if is_car else "pedestrian", at, last_s=4.0))
+        tracks.append(
+            track(f"{number}", "vehicle" if is_car else "pedestrian", at, last_s=4.0)
+        )
     return tracks
 
 
@@ -175,8 +196,12 @@ def test_pairs_are_those_that_brute_force_finds(seed):
                 yaws = [math.degrees(math.atan2(v[1], v[0])) for v in moves]
                 boxes = [(VUT.length_m, VUT.width_m), (ADULT.length_m, ADULT.width_m)]
                 steps = np.arange(0.0, 2.02, 0.01)
-                ways = [p + v * steps[:, None] for p, v in zip(here, moves, strict=True)]
-                apart = separation_m(ways[0], yaws[0], *boxes[0], ways[1], yaws[1], *boxes[1])
+                ways = [
+                    p + v * steps[:, None] for p, v in zip(here, moves, strict=True)
+                ]
+                apart = separation_m(
+                    ways[0], yaws[0], *boxes[0], ways[1], yaws[1], *boxes[1]
+                )
                 if apart[0] <= 0.0:
                     break
                 touching = np.flatnonzero(apart <= 0.0)
@@ -207,14 +232,21 @@ def lay(cases, scene=None, **options):
 
 def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
     (case,) = load_own_cases(cases_file).values()
-    assert (case.name, case.kind, case.vut_speeds_kmh) == ("street-v-p", "recorded", (36.0,))
+    assert (case.name, case.kind, case.vut_speeds_kmh) == (
+        "street-v-p",
+        "recorded",
+        (36.0,),
+    )
     assert case.road_user == "on foot"
     (run,), refusals = lay([case], positions=())
     assert (run.id, run.approach, refusals) == ("street-v-p/west/36", "west", ())
     assert run.time_s[0] == pytest.approx(-4.0)
     assert run.time_s[-1] == 0.0
-    # The walker has 0.5 m to the car's nearer edge and 1.8 m through it: braking must stop the car.
-    assert run.last_brake_time_s == pytest.approx(-10.0 / (2.0 * RULE.deceleration_mps2), abs=0.02)
+    # The walker has 0.5 m to the car's nearer edge and 1.8 m through it: braking must
+    # stop the car.
+    assert run.last_brake_time_s == pytest.approx(
+        -10.0 / (2.0 * RULE.deceleration_mps2), abs=0.02
+    )
     names = [case.name for case in pick_cases(f"CPNA-25,{cases_file}", "cases")]
     assert names == ["CPNA-25", "street-v-p"]
     assert select_cases(str(cases_file), speeds="all").cases == (case,)
@@ -223,13 +255,17 @@ def test_a_file_of_encounters_is_a_set_of_cases(cases_file):
 def test_recorded_cases_stay_where_they_were(cases_file):
     (case,) = load_own_cases(cases_file).values()
     assert lay([case], approaches=["east"])[0] == ()
-    way = replace(case.recorded, vut=_moved(case.recorded.vut), vru=_moved(case.recorded.vru))
+    way = replace(
+        case.recorded, vut=_moved(case.recorded.vut), vru=_moved(case.recorded.vru)
+    )
     runs, (refusal, *others) = lay([replace(case, recorded=way)])
     assert (runs, others) == ((), [])
     assert refusal.reason.startswith("it was recorded ")
     apart = replace(case.recorded, vru=_moved(case.recorded.vru))
     _, (refusal,) = lay([replace(case, recorded=apart)])
-    assert refusal.reason == "at these speeds the recorded ways do not lead to an impact"
+    assert (
+        refusal.reason == "at these speeds the recorded ways do not lead to an impact"
+    )
 
 
 def _moved(way):
@@ -254,6 +290,10 @@ def test_damaged_encounters_are_refused_in_one_line(cases_file, change, message)
 
 
 def test_two_encounters_have_two_names():
-    found, _ = find_encounters([car(), walker(last_s=2.8), walker(last_s=2.8)], ttc_s=2.0)
-    with pytest.raises(InputError, match="ids: got 'a-v-p'; expected every vehicle and every"):
+    found, _ = find_encounters(
+        [car(), walker(last_s=2.8), walker(last_s=2.8)], ttc_s=2.0
+    )
+    with pytest.raises(
+        InputError, match="ids: got 'a-v-p'; expected every vehicle and every"
+    ):
         cases_text(found, name="a", source="a.csv")

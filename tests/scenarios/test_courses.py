@@ -31,7 +31,8 @@ def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
     length_m = np.hypot(*np.diff(points, axis=0).T).sum()
     stations = np.linspace(-0.62, -0.38, 50) * length_m  # away from the ends
     position, yaw_rad = course.at(stations)
-    # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes 16 / R^3.
+    # Between its points the lane is a chord, 1 / (8 R) metres inside; smoothing takes
+    # 16 / R^3.
     assert np.hypot(*position.T) == pytest.approx(
         radius_m, abs=0.125 / radius_m + 17.0 / radius_m**3
     )
@@ -42,12 +43,14 @@ def test_a_course_along_a_circle_has_its_radius_heading_and_length(radius_m):
 
 
 def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
-    # Equal boxes meet with the inner corners, on the ray between them: seen from the centre, each
-    # corner is atan(a / (R - w)) ahead of or behind its body's middle.
-    radius_m, ahead_m = 25.0, 20.0
+    # Equal boxes meet with the inner corners, on the ray between them: seen from the
+    # centre, each corner is atan(a / (R - w)) ahead of or behind its body's middle.
+    radius_m = 25.0
+    ahead_m = 20.0
     body = replace(actors["vut"], name="other")
     course = follow_lane(circle(radius_m, step_m=0.5), is_in=True)
-    fast_mps, slow_mps = 12.0, 4.0
+    fast_mps = 12.0
+    slow_mps = 4.0
 
     def motion(start_m, speed_mps):
         path = CoursePath(course=course, start_m=start_m)
@@ -65,7 +68,9 @@ def test_two_bodies_on_a_circle_touch_when_their_corners_do(actors):
 def test_a_towed_body_on_a_circle_lags_by_the_angle_of_its_wheelbase():
     radius_m = 15.0
     path = TowedPath(
-        course=follow_lane(circle(radius_m, step_m=0.25), is_in=True), start_m=0.0, **AXLES
+        course=follow_lane(circle(radius_m, step_m=0.25), is_in=True),
+        start_m=0.0,
+        **AXLES,
     )
     front, path_yaw_rad = path.course.at(-18.0)
     middle, body_deg = path.at(-18.0)
@@ -74,7 +79,9 @@ def test_a_towed_body_on_a_circle_lags_by_the_angle_of_its_wheelbase():
     assert np.hypot(*(front - middle)) == pytest.approx(AXLES["front_axle_ahead_m"])
 
 
-@pytest.mark.parametrize(("side", "speed_kmh"), [("near", 10.0), ("far", 10.0), ("far", 20.0)])
+@pytest.mark.parametrize(
+    ("side", "speed_kmh"), [("near", 10.0), ("far", 10.0), ("far", 20.0)]
+)
 def test_a_turn_between_straight_lanes_is_the_protocols(side, speed_kmh):
     turn = pick_turn(side, speed_kmh)
     out = 25.0 * np.array([[1.0, turn.side], [1.0, 5.0 * turn.side]])
@@ -104,7 +111,8 @@ def test_a_straight_lane_gives_a_straight_course():
 
 
 def test_lanes_one_after_the_other_are_one_course_with_its_origin_between_them():
-    first, second = np.array([[-40.0, 0.0], [0.0, 0.0]]), np.array([[0.0, 0.0], [30.0, 8.0]])
+    first = np.array([[-40.0, 0.0], [0.0, 0.0]])
+    second = np.array([[0.0, 0.0], [30.0, 8.0]])
     course = follow_lanes([first, second])
     assert course.at(0.0)[0] == pytest.approx([0.0, 0.0], abs=0.25)
     assert course.at(25.0)[0] @ [-8.0, 30.0] == pytest.approx(0.0, abs=2.0)
@@ -135,21 +143,27 @@ def lanes(draw):
 def test_no_path_leaves_its_lane_or_jumps(lane, is_in, body):
     course = follow_lane(lane, is_in=is_in)
     length_m = np.hypot(*np.diff(lane, axis=0).T).sum()
-    begin_m = -length_m if is_in else 0.0
+    if is_in:
+        begin_m = -length_m
+    else:
+        begin_m = 0.0
     # The towed body is aligned with the lane from its begin on; the path starts there.
-    path = (
-        CoursePath(course=course, start_m=begin_m)
-        if body == "vru"
-        else TowedPath(course=course, start_m=begin_m + 1.3, **AXLES)
-    )
+    if body == "vru":
+        path = CoursePath(course=course, start_m=begin_m)
+    else:
+        path = TowedPath(course=course, start_m=begin_m + 1.3, **AXLES)
     step_m = 0.25
     distances = np.arange(0.0, 0.99 * length_m - 2.0, step_m)
     position, yaw_deg = path.at(distances)
-    assert distance_to_chain_m(position, lane).max() <= 0.5 * LANE_M - 0.9  # of a body 1.8 m wide
+    assert (
+        distance_to_chain_m(position, lane).max() <= 0.5 * LANE_M - 0.9
+    )  # of a body 1.8 m wide
     assert np.hypot(*np.diff(position, axis=0).T).max() <= step_m + 1e-9
     turns = np.diff(np.radians(yaw_deg)) / step_m
     assert np.abs(turns).max() <= path.max_turn_rad_per_m + 1e-9
-    assert np.abs(np.diff(turns)).max() / step_m <= path.max_turn_change_rad_per_m2 + 1e-6
+    assert (
+        np.abs(np.diff(turns)).max() / step_m <= path.max_turn_change_rad_per_m2 + 1e-6
+    )
     bends = np.diff(position, n=2, axis=0) / step_m**2
     assert np.hypot(*bends.T).max() <= 3.0 * path.max_turn_rad_per_m + 1e-3
 

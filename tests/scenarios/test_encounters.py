@@ -26,7 +26,9 @@ def _later(encounter, vut_s, vru_s):
     return dataclasses.replace(
         encounter,
         **{
-            name: dataclasses.replace(motion, start_time_s=motion.start_time_s + delay_s)
+            name: dataclasses.replace(
+                motion, start_time_s=motion.start_time_s + delay_s
+            )
             for name, motion, delay_s in (
                 ("vut_motion", encounter.vut_motion, vut_s),
                 ("vru_motion", encounter.vru_motion, vru_s),
@@ -37,13 +39,18 @@ def _later(encounter, vut_s, vru_s):
 
 def _set_off_together(encounter):
     """The VRU waits at the place that it had reached when the VUT set off."""
-    vru, start_s = encounter.vru_motion, encounter.vut_motion.start_time_s
-    path = dataclasses.replace(vru.path, start_m=vru.path.at(vru.distance_m(start_s))[0])
+    vru = encounter.vru_motion
+    start_s = encounter.vut_motion.start_time_s
+    path = dataclasses.replace(
+        vru.path, start_m=vru.path.at(vru.distance_m(start_s))[0]
+    )
     motion = dataclasses.replace(vru, path=path, start_time_s=start_s)
     return dataclasses.replace(encounter, vru_motion=motion)
 
 
-together = encounters().map(_set_off_together)  # else a cyclist might ride through the waiting VUT
+together = encounters().map(
+    _set_off_together
+)  # else a cyclist might ride through the waiting VUT
 
 
 def _moving(start_m, yaw_deg, speed_mps, start_time_s=0.0):
@@ -81,11 +88,14 @@ def _turning():
 
 def test_separation_is_that_of_the_bodies_corners():
     encounter = _turning()
-    vut_distance, vru_distance = np.linspace(0.0, 30.0, 7)[:, None], np.linspace(0.0, 9.0, 5)
+    vut_distance = np.linspace(0.0, 30.0, 7)[:, None]
+    vru_distance = np.linspace(0.0, 9.0, 5)
     separation = encounter.separation_m(vut_distance, vru_distance)
     assert separation.shape == (7, 5)
     corners = [
-        footprint_corners(*motion.path.at(distance), length_m=body.length_m, width_m=body.width_m)
+        footprint_corners(
+            *motion.path.at(distance), length_m=body.length_m, width_m=body.width_m
+        )
         for body, motion, distance in (
             (encounter.vut, encounter.vut_motion, vut_distance),
             (encounter.vru, encounter.vru_motion, vru_distance),
@@ -94,10 +104,18 @@ def test_separation_is_that_of_the_bodies_corners():
     assert separation == pytest.approx(footprint_separation(*corners), abs=1e-9)
 
 
-@given(numbers(1.0, 9.0), numbers(1.0, 9.0), numbers(0.001, 0.2), st.sampled_from([0.0, 0.3]))
-def test_between_two_looks_gaps_sag_no_deeper_than_declared(middle_s, onset_s, half_s, build_up_s):
+@given(
+    numbers(1.0, 9.0),
+    numbers(1.0, 9.0),
+    numbers(0.001, 0.2),
+    st.sampled_from([0.0, 0.3]),
+)
+def test_between_two_looks_gaps_sag_no_deeper_than_declared(
+    middle_s, onset_s, half_s, build_up_s
+):
     encounter = _turning()
-    vut, vru = encounter.vut_motion, encounter.vru_motion
+    vut = encounter.vut_motion
+    vru = encounter.vru_motion
     rule = dataclasses.replace(load_aeb_rule(), build_up_s=build_up_s)
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
     half_s = min(half_s, encounter.small_m / speed)
@@ -119,8 +137,8 @@ def test_a_vut_that_sets_off_from_rest_is_refused():
     motion = dataclasses.replace(encounter.vut_motion, acceleration_distance_m=2.0)
     with pytest.raises(InputError) as caught:
         dataclasses.replace(encounter, vut_motion=motion)
-    assert str(caught.value) == (
-        "encounter.vut_motion.acceleration_distance_m: got 2.0; "
+    assert (
+        str(caught.value) == "encounter.vut_motion.acceleration_distance_m: got 2.0; "
         "expected 0: the VUT is up to speed when it sets off"
     )
 
@@ -131,7 +149,9 @@ def test_a_vut_that_sets_off_from_rest_is_refused():
 @given(together, numbers(-30.0, 30.0))
 def test_bodies_built_to_touch_at_time_0_first_touch_then(encounter, later_s):
     assert first_contact_s(encounter) == pytest.approx(0.0, abs=1e-6)
-    assert first_contact_s(_later(encounter, later_s, later_s)) == pytest.approx(later_s, abs=1e-6)
+    assert first_contact_s(_later(encounter, later_s, later_s)) == pytest.approx(
+        later_s, abs=1e-6
+    )
 
 
 @given(together, numbers(-0.3, 0.3))
@@ -154,7 +174,8 @@ def test_first_contact_is_the_first_of_many_looks(encounter, later_s):
             contact_s > time[-1]
             or (
                 encounter.separation_m(
-                    encounter.vut_motion.distance_m(nearby), encounter.vru_motion.distance_m(nearby)
+                    encounter.vut_motion.distance_m(nearby),
+                    encounter.vru_motion.distance_m(nearby),
                 )
                 <= 1e-6
             ).any()
@@ -167,15 +188,20 @@ def test_first_contact_on_a_turn_is_the_first_of_many_looks():
     separation = encounter.separation_m(
         encounter.vut_motion.distance_m(time), encounter.vru_motion.distance_m(time)
     )
-    assert first_contact_s(encounter) == pytest.approx(time[np.argmax(separation <= 0.0)], abs=1e-4)
+    assert first_contact_s(encounter) == pytest.approx(
+        time[np.argmax(separation <= 0.0)], abs=1e-4
+    )
 
 
 def test_a_short_touch_of_two_corners_is_not_overlooked():
-    # Crossing at right angles; the VRU's rear corner passes the VUT's front corner 1 micrometre
-    # inside.
+    # Crossing at right angles; the VRU's rear corner passes the VUT's front corner 1
+    # micrometre inside.
     actors = load_actors()
-    vut, vru = actors["vut"], actors["adult"]
-    v, u, depth_m = 15.0, 3.0, 1e-6
+    vut = actors["vut"]
+    vru = actors["adult"]
+    v = 15.0
+    u = 3.0
+    depth_m = 1e-6
     leaves_s = 100.0 / v
     start_m = [
         100.0 + 0.5 * vut.length_m + 0.5 * vru.width_m,
@@ -211,7 +237,8 @@ def test_bodies_that_never_touch_have_no_first_contact(yaw_deg, speed_mps):
 
 def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
     actors = load_actors()
-    vut, vru = actors["vut"], actors["adult"]
+    vut = actors["vut"]
+    vru = actors["adult"]
     length_m = 0.5 * (vut.length_m + vru.length_m)
     slow = Encounter(
         vut=vut,
@@ -220,7 +247,9 @@ def test_a_late_contact_is_found_and_one_from_the_start_is_at_the_start():
         vru_motion=_moving([length_m + 40.0, 0.0], 0.0, 2.0),
     )
     assert first_contact_s(slow) == pytest.approx(400.0, abs=1e-6)
-    at_once = dataclasses.replace(slow, vru_motion=_moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0))
+    at_once = dataclasses.replace(
+        slow, vru_motion=_moving([1.0, 0.0], 0.0, 2.0, start_time_s=-7.0)
+    )
     assert first_contact_s(at_once) == pytest.approx(-7.0, abs=1e-6)
 
 
@@ -235,8 +264,12 @@ def test_a_contact_before_the_later_one_sets_off_counts():
     )
     # The VRU walks over the line while the VUT still stands there.
     parked = dataclasses.replace(encounter.vut_motion, start_time_s=50.0)
-    path = dataclasses.replace(parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0])
-    met = dataclasses.replace(encounter, vut_motion=dataclasses.replace(parked, path=path))
+    path = dataclasses.replace(
+        parked.path, start_m=parked.path.at(80.0)[0] + [2.0, 0.0]
+    )
+    met = dataclasses.replace(
+        encounter, vut_motion=dataclasses.replace(parked, path=path)
+    )
     assert first_contact_s(met) == pytest.approx(
         -0.5 * (encounter.vut.width_m + encounter.vru.length_m) / 1.0, abs=1e-6
     )
@@ -268,9 +301,13 @@ def test_search_finds_the_leftmost_point_of_discs_however_small(discs):
             is_cut_along_first=cells.half_first_s >= cells.half_second_s,
         )
 
-    first, second = (grid.ravel() for grid in np.meshgrid(np.arange(-2.0, 13.0), np.arange(-2, 6)))
+    first, second = (
+        grid.ravel() for grid in np.meshgrid(np.arange(-2.0, 13.0), np.arange(-2, 6))
+    )
     half = np.full(first.shape, 0.5)
-    cells = Cells(first_s=first, second_s=second * 1.0, half_first_s=half, half_second_s=half)
+    cells = Cells(
+        first_s=first, second_s=second * 1.0, half_first_s=half, half_second_s=half
+    )
     safe_s, touch_s = find_first_touch(cells, measure, tolerance_s=1e-6)
     if not discs:
         assert safe_s == touch_s == np.inf

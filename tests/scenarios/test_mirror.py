@@ -21,7 +21,9 @@ def left_handed(scene):
         vertices_m=scene.vertices_m * [1.0, -1.0, 1.0],
         triangles=scene.triangles[:, ::-1],
         outline_m=scene.outline_m * flip,
-        lanes=tuple(replace(one, centreline_m=one.centreline_m * flip) for one in scene.lanes),
+        lanes=tuple(
+            replace(one, centreline_m=one.centreline_m * flip) for one in scene.lanes
+        ),
         crosswalks_m=scene.crosswalks_m * flip,
         keeps_left=True,
     )
@@ -29,7 +31,9 @@ def left_handed(scene):
 
 def drive(scene):
     # Not "all", where impact points take turns, in another order of the arms.
-    cases = select_cases("study,protocol-4.5.1,protocol-2026", speeds="20,50", force=True).cases
+    cases = select_cases(
+        "study,protocol-4.5.1,protocol-2026", speeds="20,50", force=True
+    ).cases
     return build_runs(scene, cases, vut=pick_actor("vut", "vut"), rule=load_aeb_rule())
 
 
@@ -52,7 +56,9 @@ def test_where_traffic_keeps_left_every_run_is_the_mirror_image_of_one_where_it_
             found = getattr(twin, f"{who}_position_m")
             np.testing.assert_allclose(found, position, rtol=0.0, atol=1e-6)
             turn = getattr(twin, f"{who}_yaw_deg") + getattr(run, f"{who}_yaw_deg")
-            np.testing.assert_allclose(np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6)
+            np.testing.assert_allclose(
+                np.cos(np.radians(turn)), 1.0, rtol=0.0, atol=1e-6
+            )
         for one, other in zip(run.obstruction, twin.obstruction, strict=True):
             assert other.actor is one.actor
             assert other.pose.position_m == pytest.approx(
@@ -74,7 +80,10 @@ def test_titles_say_to_which_side_the_vut_turns(is_left_handed):
     assert {run.case.name for run in runs} == {case.name for case in cases}
     for run in runs:
         turned_deg = (run.vut_yaw_deg[-1] - run.vut_yaw_deg[0] + 180.0) % 360.0 - 180.0
-        side, other = ("left", "right") if turned_deg > 5.0 else ("right", "left")
+        if turned_deg > 5.0:
+            side, other = ("left", "right")
+        else:
+            side, other = ("right", "left")
         assert abs(turned_deg) > 5.0
         assert f"turns {side}" in run.case.title
         assert other not in run.case.title

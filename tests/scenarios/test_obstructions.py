@@ -31,7 +31,9 @@ def parked(actors, rule):
         runs, refusals = build_runs(
             scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
         )
-        bodies = [body for run in runs for body in run.obstruction if "car" in body.actor.name]
+        bodies = [
+            body for run in runs for body in run.obstruction if "car" in body.actor.name
+        ]
         return bodies, [refusal.reason for refusal in refusals]
 
     return find
@@ -57,13 +59,20 @@ def test_nobody_parks_on_an_island_between_two_carriageways(parked):
     ]
 
 
-@pytest.mark.parametrize(("skew_deg", "is_island"), [(0.0, True), (50.0, True), (80.0, False)])
-def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(parked, skew_deg, is_island):
+@pytest.mark.parametrize(
+    ("skew_deg", "is_island"), [(0.0, True), (50.0, True), (80.0, False)]
+)
+def test_behind_a_corner_lies_the_road_that_crosses_and_no_island(
+    parked, skew_deg, is_island
+):
     scene = protocol_scene()
     bodies, _ = parked(scene)
-    foremost = max(body.pose.position_m[0] + 0.5 * body.actor.length_m for body in bodies)
+    foremost = max(
+        body.pose.position_m[0] + 0.5 * body.actor.length_m for body in bodies
+    )
     corner = np.array([foremost - 3.0, flank_m(bodies) - 1.0])
-    # A lane whose nearer edge begins behind the cars and leads away, to the south and west.
+    # A lane whose nearer edge begins behind the cars and leads away, to the south and
+    # west.
     away = np.radians(180.0 + skew_deg)
     ahead = np.array([np.cos(away), np.sin(away)])
     begin = corner + 0.5 * LANE_M * np.array([-ahead[1], ahead[0]])
@@ -99,7 +108,9 @@ def test_cars_park_and_people_walk_below_what_is_raised(parked, bottom_m, is_fre
     scene = protocol_scene(boxes=[("roof", -30.0, 0.0, 40.0, 40.0, 3.0)])
     is_roof = scene.vertices_m[:, 0] > -100.0
     is_roof &= np.hypot(*scene.vertices_m[:, :2].T) < 100.0
-    raised = replace(scene, vertices_m=scene.vertices_m + np.outer(is_roof, [0.0, 0.0, bottom_m]))
+    raised = replace(
+        scene, vertices_m=scene.vertices_m + np.outer(is_roof, [0.0, 0.0, bottom_m])
+    )
     bodies, refusals = parked(raised)
     assert bool(bodies) == is_free == (not refusals)
     if is_free:

@@ -26,7 +26,8 @@ from scenarios.paths import (
 )
 
 TABLE_M = 1e-6  # what the table of a turn may be off
-WHEELBASE_M, FRONT_AXLE_AHEAD_M = 2.85, 1.45
+WHEELBASE_M = 2.85
+FRONT_AXLE_AHEAD_M = 1.45
 speeds = numbers(0.5, 30.0)
 accelerations_m = st.one_of(st.just(0.0), numbers(0.1, 10.0))
 
@@ -45,10 +46,14 @@ def build_turn_path(turn: Turn, **changes) -> TurnPath:
 
 @st.composite
 def turn_paths(draw) -> TurnPath:
-    side, speed_kmh = draw(st.sampled_from([("far", 10), ("far", 15), ("far", 20), ("near", 10)]))
+    side, speed_kmh = draw(
+        st.sampled_from([("far", 10), ("far", 15), ("far", 20), ("near", 10)])
+    )
     wheelbase_m = draw(st.sampled_from([2.0, 2.85, 4.0]))
     return build_turn_path(
-        pick_turn(side, speed_kmh).turned_by(draw(st.sampled_from([60.0, 90.0, 120.0]))),
+        pick_turn(side, speed_kmh).turned_by(
+            draw(st.sampled_from([60.0, 90.0, 120.0]))
+        ),
         start_m=[draw(coordinates_m), draw(coordinates_m)],
         yaw_deg=draw(angles_deg),
         straight_m=draw(numbers(0.0, 40.0)),
@@ -71,10 +76,14 @@ def _rear_axle_m(path, distance_m):
 
 
 @given(coordinates_m, coordinates_m, angles_deg, coordinates_m)
-def test_a_straight_path_goes_the_distance_in_the_bodys_own_direction(east, north, yaw, distance):
+def test_a_straight_path_goes_the_distance_in_the_bodys_own_direction(
+    east, north, yaw, distance
+):
     path = StraightPath(start_m=[east, north], yaw_deg=yaw)
     position, heading = path.at(distance)
-    assert position - path.start_m == pytest.approx(distance * body_rotation(yaw)[:2, 0], abs=1e-9)
+    assert position - path.start_m == pytest.approx(
+        distance * body_rotation(yaw)[:2, 0], abs=1e-9
+    )
     assert np.linalg.norm(path.direction) == pytest.approx(1.0, abs=1e-15)
     assert heading == yaw
 
@@ -101,7 +110,9 @@ def test_a_start_with_a_height_is_refused():
 
 
 @given(turn_paths(), numbers(-30.0, 120.0))
-def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(path, distance_m):
+def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(
+    path, distance_m
+):
     middle, yaw_deg = path.at(distance_m)
     front_axle, path_yaw_deg = front_axle_at(path, distance_m)
     assert middle + path.front_axle_ahead_m * _unit(yaw_deg) == pytest.approx(
@@ -110,17 +121,25 @@ def test_the_front_axle_follows_the_line_and_is_ahead_of_the_middle_of_the_body(
     on_turn_m = distance_m - path.straight_m
     point, angle_deg = path.turn.at(on_turn_m)
     turn_start = path.start_m + path.straight_m * _unit(path.yaw_deg)
-    ahead, left = _unit(path.yaw_deg), _unit(path.yaw_deg + 90.0)
-    assert front_axle == pytest.approx(turn_start + point[0] * ahead + point[1] * left, abs=1e-9)
+    ahead = _unit(path.yaw_deg)
+    left = _unit(path.yaw_deg + 90.0)
+    assert front_axle == pytest.approx(
+        turn_start + point[0] * ahead + point[1] * left, abs=1e-9
+    )
     assert path_yaw_deg == pytest.approx(path.yaw_deg + angle_deg, abs=1e-9)
 
 
 @given(turn_paths(), numbers(-30.0, 120.0))
-def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(path, distance_m):
+def test_the_rear_axle_never_slips_sideways_and_rolls_by_the_cosine_of_the_lag(
+    path, distance_m
+):
     step_m = 0.05
     _, yaw_deg = path.at(distance_m)
     _, path_yaw_deg = front_axle_at(path, distance_m)
-    rolled = np.subtract(*_rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m)) / step_m
+    rolled = (
+        np.subtract(*_rear_axle_m(path, distance_m + np.array([0.5, -0.5]) * step_m))
+        / step_m
+    )
     assert rolled @ _unit(yaw_deg + 90.0) == pytest.approx(0.0, abs=1e-4)
     lag = np.radians(path_yaw_deg - yaw_deg)
     assert rolled @ _unit(yaw_deg) == pytest.approx(np.cos(lag), abs=2e-4)
@@ -133,9 +152,12 @@ def test_the_body_matches_one_dragged_in_small_steps(name):
     path = build_turn_path(load_turns()[name].turn)
     distance = np.linspace(0.0, 60.0, 60_001)
     front, path_yaw_deg = front_axle_at(path, distance)
-    tangent, steps_m = np.radians(path_yaw_deg).tolist(), np.diff(distance).tolist()
+    tangent = np.radians(path_yaw_deg).tolist()
+    steps_m = np.diff(distance).tolist()
     yaw = [0.0]
-    for here, there, step_m in zip(tangent, tangent[1:], steps_m, strict=False):  # Heun's rule
+    for here, there, step_m in zip(
+        tangent, tangent[1:], steps_m, strict=False
+    ):  # Heun's rule
         first = math.sin(here - yaw[-1]) / WHEELBASE_M
         second = math.sin(there - yaw[-1] - step_m * first) / WHEELBASE_M
         yaw.append(yaw[-1] + 0.5 * step_m * (first + second))
@@ -147,8 +169,12 @@ def test_the_body_matches_one_dragged_in_small_steps(name):
 
 
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
-def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over_radius(side):
-    turn = Turn(first_radius_m=1500.0, radius_m=9.0, clothoid_deg=5.0, arc_deg=165.0, side=side)
+def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over_radius(
+    side,
+):
+    turn = Turn(
+        first_radius_m=1500.0, radius_m=9.0, clothoid_deg=5.0, arc_deg=165.0, side=side
+    )
     path = build_turn_path(turn, wheelbase_m=0.9, front_axle_ahead_m=0.5)
     late_m = path.straight_m + turn.length_m - turn.clothoid_length_m
     _, yaw_deg = path.at(late_m)
@@ -158,7 +184,9 @@ def test_on_a_long_arc_the_lag_settles_at_the_angle_whose_sine_is_wheelbase_over
     # And the rear axle runs on a smaller circle around the same centre.
     centre = front_axle_at(path, late_m)[0] + side * 9.0 * _unit(path_yaw_deg + 90.0)
     rear = _rear_axle_m(path, late_m)
-    assert np.linalg.norm(rear - centre) == pytest.approx(np.sqrt(9.0**2 - 0.9**2), abs=TABLE_M)
+    assert np.linalg.norm(rear - centre) == pytest.approx(
+        np.sqrt(9.0**2 - 0.9**2), abs=TABLE_M
+    )
 
 
 @given(turn_paths(), numbers(0.0, 30.0))
@@ -166,10 +194,17 @@ def test_after_the_turn_the_tangent_of_half_the_lag_decays_exponentially(path, a
     end_m = path.straight_m + path.turn.length_m
     (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m), front_axle_at(path, end_m)
     at_end = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
-    (_, yaw_deg), (_, path_yaw_deg) = path.at(end_m + after_m), front_axle_at(path, end_m + after_m)
+    (_, yaw_deg), (_, path_yaw_deg) = (
+        path.at(end_m + after_m),
+        front_axle_at(path, end_m + after_m),
+    )
     later = np.tan(0.5 * np.radians(path_yaw_deg - yaw_deg))
-    assert later == pytest.approx(at_end * np.exp(-after_m / path.wheelbase_m), abs=1e-9)
-    assert path_yaw_deg == pytest.approx(path.yaw_deg + path.turn.side * path.turn.angle_deg)
+    assert later == pytest.approx(
+        at_end * np.exp(-after_m / path.wheelbase_m), abs=1e-9
+    )
+    assert path_yaw_deg == pytest.approx(
+        path.yaw_deg + path.turn.side * path.turn.angle_deg
+    )
 
 
 @given(turn_paths(), numbers(0.0, 1.0))
@@ -178,14 +213,21 @@ def test_before_the_turn_the_body_goes_straight_however_far_back(path, share):
     middle, yaw_deg = path.at(distance_m)
     ahead_m = distance_m - path.front_axle_ahead_m
     assert yaw_deg == path.yaw_deg
-    assert middle == pytest.approx(path.start_m + ahead_m * _unit(path.yaw_deg), abs=1e-9)
+    assert middle == pytest.approx(
+        path.start_m + ahead_m * _unit(path.yaw_deg), abs=1e-9
+    )
 
 
 @given(turn_paths(), numbers(-30.0, 120.0))
 def test_left_and_right_turns_of_equal_numbers_are_mirror_images(path, distance_m):
     path = dataclasses.replace(path, start_m=[0.0, 0.0], yaw_deg=0.0)
-    other = dataclasses.replace(path, turn=dataclasses.replace(path.turn, side=-path.turn.side))
-    (middle, yaw_deg), (mirrored, mirrored_deg) = path.at(distance_m), other.at(distance_m)
+    other = dataclasses.replace(
+        path, turn=dataclasses.replace(path.turn, side=-path.turn.side)
+    )
+    (middle, yaw_deg), (mirrored, mirrored_deg) = (
+        path.at(distance_m),
+        other.at(distance_m),
+    )
     assert mirrored == pytest.approx(middle * [1.0, -1.0], abs=1e-9)
     assert mirrored_deg == pytest.approx(-yaw_deg, abs=1e-9)
 
@@ -205,13 +247,18 @@ def test_paths_keep_the_bounds_that_they_declare(path):
     distance = np.arange(-2.0, path.straight_m + path.turn.length_m + 10.0, step_m)
     middle, yaw_deg = path.at(distance)
     yaw = np.radians(yaw_deg)
-    turn, slack = path.max_turn_rad_per_m, TABLE_M / step_m
-    assert (np.linalg.norm(np.diff(middle, axis=0), axis=1) <= step_m * (1.0 + slack)).all()
+    turn = path.max_turn_rad_per_m
+    slack = TABLE_M / step_m
+    assert (
+        np.linalg.norm(np.diff(middle, axis=0), axis=1) <= step_m * (1.0 + slack)
+    ).all()
     assert (np.abs(np.diff(yaw)) <= step_m * (turn + slack)).all()
     bend = np.linalg.norm(np.diff(middle, 2, axis=0), axis=1) / step_m**2
     assert (bend <= 3.0 * turn + 4.0 * TABLE_M / step_m**2).all()
     turn_change = np.abs(np.diff(yaw, 2)) / step_m**2
-    assert (turn_change <= path.max_turn_change_rad_per_m2 + 4.0 * TABLE_M / step_m**2).all()
+    assert (
+        turn_change <= path.max_turn_change_rad_per_m2 + 4.0 * TABLE_M / step_m**2
+    ).all()
 
 
 def test_a_straight_path_declares_that_it_never_turns():
@@ -251,7 +298,9 @@ def _motion(speed_mps, start_time_s=0.0, acceleration_distance_m=0.0):
 
 
 @given(speeds, numbers(-20.0, 0.0), numbers(-30.0, 10.0), numbers(0.0, 10.0))
-def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(speed, start_s, time_s, later_s):
+def test_a_motion_stands_until_its_start_and_then_keeps_its_speed(
+    speed, start_s, time_s, later_s
+):
     motion = _motion(speed, start_s)
     if time_s <= start_s:
         assert motion.distance_m(time_s) == 0.0
@@ -292,7 +341,9 @@ def test_distance_never_falls_and_never_grows_faster_than_the_speed(
 def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
     motion = _motion(speed, 0.0, acceleration_m)
     distance_m = float(motion.distance_m(time_s))
-    travel_s = travel_time_s(distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m)
+    travel_s = travel_time_s(
+        distance_m, speed_mps=speed, acceleration_distance_m=acceleration_m
+    )
     assert travel_s == pytest.approx(time_s, abs=1e-6)
     assert motion.distance_m(travel_s) == pytest.approx(distance_m, abs=1e-9)
 
@@ -310,7 +361,9 @@ def test_travel_time_inverts_the_distance(speed, acceleration_m, time_s):
         ("CPTAfs-50", 5.0, 2.0, 7.5, 8.28),
     ],
 )
-def test_travel_times_are_those_of_the_protocol(case, speed_kmh, acceleration_m, steady_m, time_s):
+def test_travel_times_are_those_of_the_protocol(
+    case, speed_kmh, acceleration_m, steady_m, time_s
+):
     travel_s = travel_time_s(
         acceleration_m + steady_m,
         speed_mps=speed_kmh * kmh,
@@ -322,9 +375,18 @@ def test_travel_times_are_those_of_the_protocol(case, speed_kmh, acceleration_m,
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"speed_mps": -1.0}, "motion.speed_mps: got -1.0; expected > 0 metres per second"),
-        ({"speed_mps": np.nan}, "motion.speed_mps: got nan; expected > 0 metres per second"),
-        ({"start_time_s": np.inf}, "motion.start_time_s: got inf; expected a finite time"),
+        (
+            {"speed_mps": -1.0},
+            "motion.speed_mps: got -1.0; expected > 0 metres per second",
+        ),
+        (
+            {"speed_mps": np.nan},
+            "motion.speed_mps: got nan; expected > 0 metres per second",
+        ),
+        (
+            {"start_time_s": np.inf},
+            "motion.start_time_s: got inf; expected a finite time",
+        ),
         (
             {"acceleration_distance_m": -0.1},
             "motion.acceleration_distance_m: got -0.1; expected metres, at least 0",
@@ -342,10 +404,19 @@ def test_a_motion_says_what_is_wrong(change, message):
     [
         (-1.0, 1.0, 0.0, "distance_m: got -1.0; expected metres, at least 0"),
         (1.0, -1.0, 0.0, "speed_mps: got -1.0; expected > 0 metres per second"),
-        (1.0, 1.0, np.inf, "acceleration_distance_m: got inf; expected metres, at least 0"),
+        (
+            1.0,
+            1.0,
+            np.inf,
+            "acceleration_distance_m: got inf; expected metres, at least 0",
+        ),
     ],
 )
-def test_a_travel_time_of_nonsense_is_refused(distance_m, speed_mps, acceleration_m, message):
+def test_a_travel_time_of_nonsense_is_refused(
+    distance_m, speed_mps, acceleration_m, message
+):
     with pytest.raises(InputError) as caught:
-        travel_time_s(distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m)
+        travel_time_s(
+            distance_m, speed_mps=speed_mps, acceleration_distance_m=acceleration_m
+        )
     assert str(caught.value) == message

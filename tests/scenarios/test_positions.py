@@ -45,7 +45,9 @@ from scenarios.staging import is_vehicle, lateral_mps2, load_way_rules
 from scenarios.weights import default_weights
 
 FREE = tuple(  # one of each kind: years and impact points are laid alike
-    {case.family: name for name, case in load_cases().items() if not is_bound(case)}.values()
+    {
+        case.family: name for name, case in load_cases().items() if not is_bound(case)
+    }.values()
 )
 CROSSWALK_M = MOUTH_M - 2.0  # from the middle of the protocol's junction
 
@@ -59,7 +61,9 @@ def vut(actors):
 def default_runs(vut, rule):
     cases = select_cases("default").cases
     positions = pick_positions("", "default")
-    return build_runs(load_study_scene(), cases, vut=vut, rule=rule, positions=positions)
+    return build_runs(
+        load_study_scene(), cases, vut=vut, rule=rule, positions=positions
+    )
 
 
 def laid(scene, name, position, vut, rule, *, speeds=(30.0,), approach="west"):
@@ -96,13 +100,17 @@ def same_frames(one, other, *, by=(0.0, 0.0), tolerance_m=0.0):
 @pytest.mark.long  # their names, quickly: tests/placement/test_driving.py
 def test_at_zero_the_runs_are_those_of_the_study_set(default_runs, vut, rule):
     at_zero = [run for run in default_runs[0] if run.position == "0"]
-    study, _ = build_runs(load_study_scene(), select_cases("study").cases, vut=vut, rule=rule)
+    study, _ = build_runs(
+        load_study_scene(), select_cases("study").cases, vut=vut, rule=rule
+    )
     assert [run.id for run in at_zero] == [run.id for run in study]
     assert len(study) == 240
     for one, other in zip(at_zero, study, strict=True):
         same_frames(one, other)
         assert one.last_brake_time_s == other.last_brake_time_s
-        assert [body.key for body in one.obstruction] == [body.key for body in other.obstruction]
+        assert [body.key for body in one.obstruction] == [
+            body.key for body in other.obstruction
+        ]
 
 
 def test_the_default_set_holds_the_cases_of_the_study():
@@ -114,13 +122,17 @@ def test_the_default_set_holds_the_cases_of_the_study():
     assert (default_weights("study"), default_weights("default")) == ("run", "case")
 
 
-def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(default_runs):
+def test_the_default_question_has_four_to_six_hundred_runs_with_an_id_each(
+    default_runs,
+):
     runs, refusals = default_runs
     assert 450 <= len(runs) <= 600
     assert len({run.id for run in runs}) == len(runs)
     assert all(len(run.time_s) > 1 and run.time_s[-1] <= 0.0 for run in runs)
     laid_at = Counter(run.position for run in runs)
-    assert set(laid_at) == {position.name for position in build_positions((0, 15, 30, 45))}
+    assert set(laid_at) == {
+        position.name for position in build_positions((0, 15, 30, 45))
+    }
     # What is not driven is told.
     cases = select_cases("default").cases
     wanted = sum(
@@ -161,19 +173,27 @@ def test_on_straight_lanes_a_run_is_that_of_zero_moved_along(
     assert there.last_brake_time_s == pytest.approx(here.last_brake_time_s, abs=1e-6)
     if here.obstruction and not is_behind:
         for one, other in zip(there.obstruction, here.obstruction, strict=True):
-            assert one.pose.position_m[:2] - other.pose.position_m[:2] == pytest.approx(by)
+            assert one.pose.position_m[:2] - other.pose.position_m[:2] == pytest.approx(
+                by
+            )
             assert one.pose.yaw_deg == pytest.approx(other.pose.yaw_deg)
 
 
 @pytest.mark.parametrize("approach", ["east", "north", "west", "south"])
 @pytest.mark.parametrize("name", ["CPNA-25", "CPFA-50", "CPLA-50", "CBLA-50"])
-def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, rule, name, approach):
+def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(
+    vut, rule, name, approach
+):
     scene = load_study_scene()
-    opposite = {"east": "west", "north": "south", "west": "east", "south": "north"}[approach]
+    opposite = {"east": "west", "north": "south", "west": "east", "south": "north"}[
+        approach
+    ]
     arm = build_junction(scene).arms[opposite]
     for metres in (0.0, 15.0):
         position = Position(is_behind=True, distance_m=metres)
-        (run,), _ = laid(scene, name, position, vut, rule, approach=approach, speeds=(60.0,))
+        (run,), _ = laid(
+            scene, name, position, vut, rule, approach=approach, speeds=(60.0,)
+        )
         beyond = arm.crosswalk.coordinates(impact_point(run))[1]
         side = np.sign(arm.crosswalk.coordinates(arm.exit_lanes[0].centreline_m[-1])[1])
         # Longitudinal: the VUT's front meets its rear there; crossing: its flank.
@@ -182,7 +202,9 @@ def test_behind_the_vut_crosses_the_junction_to_the_other_arms_crosswalk(vut, ru
             [build_junction(scene).arms[approach].entry_lanes[0].centreline_m,
              arm.exit_lanes[0].centreline_m]
         )  # fmt: skip
-        on_map = slice(np.argmin(np.hypot(*(run.vut_position_m - chain[0]).T)) + 1, None)
+        on_map = slice(
+            np.argmin(np.hypot(*(run.vut_position_m - chain[0]).T)) + 1, None
+        )
         assert distance_to_chain_m(run.vut_position_m[on_map], chain).max() < 0.7
 
 
@@ -207,8 +229,12 @@ def test_the_vut_changes_smoothly_into_a_lane_that_is_not_in_line(
         motion = run.encounter.vut_motion
         distance = np.linspace(0.0, float(motion.distance_m(0.0)), 400)
         place, yaw_deg = motion.path.at(distance)
-        # Where a car that comes towards it is too fast for the bend, both take it more gently.
-        eased_m = load_way_rules().max_ease_aside_m if is_vehicle(run.encounter.vru) else 0.0
+        # Where a car that comes towards it is too fast for the bend, both take it more
+        # gently.
+        if is_vehicle(run.encounter.vru):
+            eased_m = load_way_rules().max_ease_aside_m
+        else:
+            eased_m = 0.0
         is_before = place[:, 0] < -MOUTH_M - 3.0
         off_m = np.abs(place[is_before, 1] + 0.5 * LANE_M).max(initial=0.0)
         assert off_m < max(0.1, eased_m)
@@ -240,7 +266,9 @@ def test_before_the_junction_a_lane_that_bends_is_followed(vut, rule, metres, na
     radius_m = 60.0
     angle = np.linspace(0.0, 1.6, 60)
     # Into the junction from the west, out of a bend.
-    bend = np.stack([-MOUTH_M - radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle))], axis=1)
+    bend = np.stack(
+        [-MOUTH_M - radius_m * np.sin(angle), radius_m * (1.0 - np.cos(angle))], axis=1
+    )
     lane = Lane(
         id="west-in-0",
         kind="driving",
@@ -257,7 +285,9 @@ def test_before_the_junction_a_lane_that_bends_is_followed(vut, rule, metres, na
 
     def station(point):
         fine = np.linspace(0.0, length[-1], 20_000)
-        places = np.stack([np.interp(fine, length, lane.centreline_m[:, k]) for k in (0, 1)], 1)
+        places = np.stack(
+            [np.interp(fine, length, lane.centreline_m[:, k]) for k in (0, 1)], 1
+        )
         return fine[np.hypot(*(places - point).T).argmin()]
 
     # Of 0 the lane ends 2 m before the crosswalk.
@@ -270,15 +300,26 @@ def test_before_the_junction_a_lane_that_bends_is_followed(vut, rule, metres, na
 
 
 def test_the_lane_of_the_map_leads_through_the_junction(vut, rule):
-    lanes = [lane for arm, bearing in ARMS.items() for lane in lanes_of(arm, bearing, n_lanes=2)]
+    lanes = [
+        lane
+        for arm, bearing in ARMS.items()
+        for lane in lanes_of(arm, bearing, n_lanes=2)
+    ]
     chosen = next(lane for lane in lanes if lane.id == "east-out-1")
     entry = next(lane for lane in lanes if lane.id == "west-in-0")
     share = np.linspace(0.0, 1.0, 24)[:, None]
-    begin, end = entry.centreline_m[-1], chosen.centreline_m[0]
-    bulge = begin + share * (end - begin) + np.array([0.0, 1.0]) * np.sin(np.pi * share) ** 2
+    begin = entry.centreline_m[-1]
+    end = chosen.centreline_m[0]
+    bulge = (
+        begin
+        + share * (end - begin)
+        + np.array([0.0, 1.0]) * np.sin(np.pi * share) ** 2
+    )
     through = Lane(id="through", kind="connecting", width_m=LANE_M, centreline_m=bulge)
     position = Position(is_behind=True, distance_m=20.0)
-    (run,), _ = laid(build_scene([*lanes, through]), "CPFA-50", position, vut, rule, speeds=(35.0,))
+    (run,), _ = laid(
+        build_scene([*lanes, through]), "CPFA-50", position, vut, rule, speeds=(35.0,)
+    )
     inside = run.vut_position_m[np.abs(run.vut_position_m[:, 0]) < MOUTH_M - 4.0]
     assert distance_to_chain_m(inside, bulge).max() < 0.55  # it cuts the bends
     assert impact_point(run)[1] == pytest.approx(chosen.centreline_m[0, 1], abs=0.6)
@@ -291,7 +332,8 @@ def test_where_traffic_keeps_left_all_of_it_is_mirrored(vut, rule):
     scene = protocol_scene()
     mirror = [1.0, -1.0]
     lanes = tuple(
-        dataclasses.replace(lane, centreline_m=lane.centreline_m * mirror) for lane in scene.lanes
+        dataclasses.replace(lane, centreline_m=lane.centreline_m * mirror)
+        for lane in scene.lanes
     )
     mirrored = dataclasses.replace(
         scene, lanes=lanes, outline_m=SQUARE_M[::-1] * mirror, keeps_left=True
@@ -312,7 +354,13 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(vut, rule
     far = build_positions((0.0, 41.9, 42.1))
     case = dataclasses.replace(load_cases()["CPNA-25"], vut_speeds_kmh=(20.0,))
     runs, refusals = build_runs(
-        scene, [case], vut=vut, rule=rule, positions=far, approaches=["west"], is_spread=False
+        scene,
+        [case],
+        vut=vut,
+        rule=rule,
+        positions=far,
+        approaches=["west"],
+        is_spread=False,
     )
     # The crosswalk lies 2 m inside the mouth.
     assert [run.position for run in runs] == ["0", "-41.9", "+0", "+41.9"]
@@ -326,9 +374,15 @@ def test_positions_beyond_the_mapped_lanes_are_refused_with_the_reason(vut, rule
 
 
 def test_without_a_road_ahead_nothing_is_behind(vut, rule):
-    lanes = [lane for arm, at in ARMS.items() if arm != "east" for lane in lanes_of(arm, at)]
+    lanes = [
+        lane for arm, at in ARMS.items() if arm != "east" for lane in lanes_of(arm, at)
+    ]
     runs, (refusal,) = laid(
-        build_scene(lanes), "CPNA-25", Position(is_behind=True, distance_m=0.0), vut, rule
+        build_scene(lanes),
+        "CPNA-25",
+        Position(is_behind=True, distance_m=0.0),
+        vut,
+        rule,
     )
     assert not runs
     assert (refusal.reason, refusal.is_possible, refusal.position) == (
@@ -346,7 +400,8 @@ def test_a_change_of_lanes_that_is_too_sharp_for_the_speed_is_refused(vut, rule)
     assert [run.vut_speed_kmh for run in runs] == [10.0]
     assert refusal.speeds_kmh == (60.0,)
     assert re.fullmatch(
-        r"its lanes bend: 4 m/s\^2 to the side allow [1-5][05] km/h there", refusal.reason
+        r"its lanes bend: 4 m/s\^2 to the side allow [1-5][05] km/h there",
+        refusal.reason,
     )
     assert not refusal.is_possible
 
@@ -358,7 +413,9 @@ def test_cases_that_are_bound_to_the_junction_have_one_place():
         *("CCCs", "CMCs", "CCFt", "CMFt"),
     }
     for name in bound:
-        assert positions_of(load_cases()[name], build_positions((15.0, 30.0))) == (AT_ZERO,)
+        assert positions_of(load_cases()[name], build_positions((15.0, 30.0))) == (
+            AT_ZERO,
+        )
 
 
 # How often
@@ -371,7 +428,9 @@ def test_cases_that_are_bound_to_the_junction_have_one_place():
 def test_neighbours_take_turns_so_that_every_speed_is_driven(speeds, turn):
     position = Position(distance_m=15.0)
     driven = [
-        speed for add in range(3) for speed in spread_speeds(speeds, position, turn=turn + add)
+        speed
+        for add in range(3)
+        for speed in spread_speeds(speeds, position, turn=turn + add)
     ]
     assert sorted(driven) == speeds
     assert spread_speeds(speeds, AT_ZERO, turn=turn) == tuple(speeds)
@@ -391,7 +450,9 @@ def test_all_speeds_are_driven_about_equally_often(default_runs):
 # Names
 
 
-@given(st.sampled_from(["+", "-", ""]), st.floats(0.0, 500.0).map(lambda x: round(x, 2)))
+@given(
+    st.sampled_from(["+", "-", ""]), st.floats(0.0, 500.0).map(lambda x: round(x, 2))
+)
 def test_a_position_is_read_back_by_its_name(sign, metres):
     assume(sign or metres == 0.0)
     position = read_position(f"{sign}{metres:g}", "position")
@@ -401,20 +462,38 @@ def test_a_position_is_read_back_by_its_name(sign, metres):
 
 def test_positions_are_sorted_as_the_vut_passes_them():
     names = [position.name for position in build_positions((0, 2.5, 15, 100))]
-    assert sort_positions(names) == ["-100", "-15", "-2.5", "0", "+0", "+2.5", "+15", "+100"]
+    assert sort_positions(names) == [
+        "-100",
+        "-15",
+        "-2.5",
+        "0",
+        "+0",
+        "+2.5",
+        "+15",
+        "+100",
+    ]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("-15", "got '-15'; expected metres along the arm, 0 to 500, with commas between, such as"),
+        (
+            "-15",
+            (
+                "got '-15'; expected metres along the arm, 0 to 500, with commas"
+                " between, such as"
+            ),
+        ),
         ("nan", "got 'nan'; expected metres along"),
         ("0,,15", "got ''; expected metres along"),
         ("0,inf", "got 'inf'; expected metres along"),
         ("501", "got '501'; expected metres along the arm, 0 to 500"),
         ("-0", "got '-0'; expected metres along"),
         ("far", "got 'far'; expected metres along"),
-        ("0,15,15.0", "got '0,15,15.0'; expected every distance once, and 15 is there twice"),
+        (
+            "0,15,15.0",
+            "got '0,15,15.0'; expected every distance once, and 15 is there twice",
+        ),
         (",".join(map(str, range(10_000))), "got 10000 distances; expected at most 40"),
     ],
 )
@@ -424,7 +503,9 @@ def test_distances_that_cannot_be_are_one_line(text, message):
     assert str(caught.value).startswith(f"along_arms: {message}")
 
 
-@pytest.mark.parametrize("text", ["", "15", "+", "-", "+-3", "x", "-nan", "+501", "-15,-30"])
+@pytest.mark.parametrize(
+    "text", ["", "15", "+", "-", "+-3", "x", "-nan", "+501", "-15,-30"]
+)
 def test_what_is_no_position_is_told(text):
     with pytest.raises(InputError) as caught:
         read_position(text, "position")
@@ -438,7 +519,9 @@ def test_a_frame_axis_knows_where_each_run_is(default_runs):
     weight = np.full(len(runs), 1.0 / len(runs))
     axis = build_frame_axis(runs, weight)
     assert axis.positions == tuple(run.position for run in runs)
-    fields = {field.name: getattr(axis, field.name) for field in dataclasses.fields(axis)}
+    fields = {
+        field.name: getattr(axis, field.name) for field in dataclasses.fields(axis)
+    }
     assert FrameAxis(**{**fields, "positions": ()}).positions == ("0",) * len(runs)
     for positions in (("0",), ("15",) * len(runs), ("-015",) * len(runs)):
         with pytest.raises(InputError, match="positions: got"):
@@ -458,7 +541,9 @@ def test_lanes_end_where_the_scene_says():
 def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(
     vut, rule, aside_m, turned_deg
 ):
-    assume(abs(aside_m) > 0.6 and abs(aside_m - 3.5) > 0.6)  # 3.5 m: into the lane out of the west
+    assume(
+        abs(aside_m) > 0.6 and abs(aside_m - 3.5) > 0.6
+    )  # 3.5 m: into the lane out of the west
     scene, exit_lane = _scene_with_exit(aside_m, turned_deg)
     position = Position(is_behind=True, distance_m=5.0)
     runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(50.0,))
@@ -467,7 +552,8 @@ def test_a_fast_vut_eases_into_a_lane_that_is_not_in_line_and_stays_in_both(
     for run in runs:
         motion = run.encounter.vut_motion
         place, _ = motion.path.at(np.linspace(0.0, float(motion.distance_m(0.0)), 400))
-        before, after = place[place[:, 0] < -MOUTH_M], place[place[:, 0] > MOUTH_M + 1.0]
+        before = place[place[:, 0] < -MOUTH_M]
+        after = place[place[:, 0] > MOUTH_M + 1.0]
         assert len(before)
         assert np.abs(before[:, 1] + 0.5 * LANE_M).max() < 0.55
         if len(after):
@@ -501,36 +587,50 @@ def test_a_bend_of_a_lane_is_driven_no_faster_than_it_can_be(vut, rule, corner_d
     scene = dataclasses.replace(scene, lanes=lanes)
     position = Position(is_behind=True, distance_m=30.0)
     runs, refusals = laid(scene, "CPFA-50", position, vut, rule, speeds=(20.0, 60.0))
-    assert [run.vut_speed_kmh for run in runs] == ([20.0, 60.0] if corner_deg < 15.0 else [20.0])
-    assert all(lateral_mps2(run.encounter.vut_motion, run.encounter.vut) <= 4.0 for run in runs)
+    assert [run.vut_speed_kmh for run in runs] == (
+        [20.0, 60.0] if corner_deg < 15.0 else [20.0]
+    )
+    assert all(
+        lateral_mps2(run.encounter.vut_motion, run.encounter.vut) <= 4.0 for run in runs
+    )
     assert all(one.reason.startswith("its lanes bend") for one in refusals)
 
 
 def test_behind_a_lane_that_only_turns_the_next_one_leads_straight_on(vut, rule):
-    lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at, n_lanes=3, arm_m=70.0)]
+    lanes = [
+        lane
+        for arm, at in ARMS.items()
+        for lane in lanes_of(arm, at, n_lanes=3, arm_m=70.0)
+    ]
     lanes = [lane for lane in lanes if lane.id not in ("east-out-0", "east-out-1")]
     scene = build_scene(lanes)
     position = Position(is_behind=True, distance_m=15.0)
     (run,), _ = laid(scene, "CPFA-50", position, vut, rule, speeds=(100.0,))
     assert isinstance(run.encounter.vut_motion.path, StraightPath)
-    assert run.vut_position_m[0, 1] == pytest.approx(-0.5 * LANE_M)  # the lane at the axis
+    assert run.vut_position_m[0, 1] == pytest.approx(
+        -0.5 * LANE_M
+    )  # the lane at the axis
 
 
 def test_an_arm_far_aside_does_not_lie_ahead(vut, rule):
     lanes = [lane for arm, at in ARMS.items() for lane in lanes_of(arm, at)]
     moved = [
-        dataclasses.replace(lane, centreline_m=lane.centreline_m + [0.0, 26.0])
-        if lane.id.startswith("east")
-        else lane
+        (
+            dataclasses.replace(lane, centreline_m=lane.centreline_m + [0.0, 26.0])
+            if lane.id.startswith("east")
+            else lane
+        )
         for lane in lanes
     ]
     outline = np.array([[-11.5, -11.5], [11.5, -11.5], [11.5, 30.0], [-11.5, 30.0]])
     north = [turned([[0.0, 0.0]], 0.0)[0] + [0.0, 18.5]]
     scene = build_scene(
         [
-            dataclasses.replace(lane, centreline_m=lane.centreline_m + north[0])
-            if lane.id.startswith("north")
-            else lane
+            (
+                dataclasses.replace(lane, centreline_m=lane.centreline_m + north[0])
+                if lane.id.startswith("north")
+                else lane
+            )
             for lane in moved
         ],
         outline_m=outline,
@@ -552,19 +652,27 @@ ACROSS_M = 12.0  # of that one
 
 def _followed_scene():
     """The protocol's junction; 15 m to the west lies another one, and the road goes on."""
-    lanes = [lane for arm, at in ARMS.items() if arm != "west" for lane in lanes_of(arm, at)]
+    lanes = [
+        lane for arm, at in ARMS.items() if arm != "west" for lane in lanes_of(arm, at)
+    ]
     near = lanes_of("west", 180.0, arm_m=NEXT_M)
     pieces = []
     for lane in near:
         tip = lane.centreline_m[0 if lane.id == "west-in-0" else -1]
-        beyond, far = tip - [ACROSS_M, 0.0], tip - [ACROSS_M + 200.0, 0.0]
+        beyond = tip - [ACROSS_M, 0.0]
+        far = tip - [ACROSS_M + 200.0, 0.0]
         is_in = lane.id == "west-in-0"
         for name, kind, line in (
             ("through", "connecting", [beyond, tip] if is_in else [tip, beyond]),
             ("far", "driving", [far, beyond] if is_in else [beyond, far]),
         ):
             pieces.append(
-                Lane(id=f"{lane.id}-{name}", kind=kind, width_m=LANE_M, centreline_m=np.array(line))
+                Lane(
+                    id=f"{lane.id}-{name}",
+                    kind=kind,
+                    width_m=LANE_M,
+                    centreline_m=np.array(line),
+                )
             )
     return build_scene([*lanes, *near, *pieces])
 
@@ -572,7 +680,10 @@ def _followed_scene():
 def test_a_lane_is_followed_straight_on_through_another_junction(vut, rule):
     scene = _followed_scene()
     arm = build_junction(scene).arms["west"]
-    assert [round(lane_length_m(lane)) for lane in (*arm.lanes_in, *arm.lanes_out)] == [227, 227]
+    assert [round(lane_length_m(lane)) for lane in (*arm.lanes_in, *arm.lanes_out)] == [
+        227,
+        227,
+    ]
     for name in ("CPNA-25", "CBLA-50", "CPLA-50"):
         position = Position(distance_m=NEXT_M + ACROSS_M + 10.0)
         (run,), _ = laid(scene, name, position, vut, rule)
@@ -609,7 +720,10 @@ def test_where_the_map_ends_a_vru_sets_off_beyond_if_a_lane_is_assumed_there(vut
         centreline_m=np.array([begin - [60.0, 0.0], begin]),
     )
     position = Position(distance_m=15.0)
-    for scene, is_driven in ((build_scene(lanes), False), (build_scene([*lanes, assumed]), True)):
+    for scene, is_driven in (
+        (build_scene(lanes), False),
+        (build_scene([*lanes, assumed]), True),
+    ):
         runs, refusals = laid(scene, "CBLA-50", position, vut, rule)
         assert (bool(runs), bool(refusals)) == (is_driven, not is_driven)
         if runs:
@@ -631,11 +745,16 @@ def test_a_row_of_parked_cars_does_not_mind_a_bend_ahead_of_it(vut, rule):
     corner = np.array([[-260.0, -1.75], [-20.0, -1.75], [-20.0, 12.0], [-11.5, 12.0]])
     lane = Lane(id="west-in-0", kind="driving", width_m=LANE_M, centreline_m=corner)
     others = [
-        lane for arm, at in ARMS.items() if arm in ("east", "north") for lane in lanes_of(arm, at)
+        lane
+        for arm, at in ARMS.items()
+        if arm in ("east", "north")
+        for lane in lanes_of(arm, at)
     ]
     scene = build_scene(
         [*others, lane],
-        outline_m=np.array([[-11.5, -11.5], [11.5, -11.5], [11.5, 14.0], [-11.5, 14.0]]),
+        outline_m=np.array(
+            [[-11.5, -11.5], [11.5, -11.5], [11.5, 14.0], [-11.5, 14.0]]
+        ),
     )
     runs, refusals = laid(scene, "CPNCO-50", Position(distance_m=60.0), vut, rule)
     assert runs, refusals
@@ -663,7 +782,9 @@ def test_cars_park_on_spaces_that_a_wide_lane_has_beside_who_drives(vut, rule):
 
 @pytest.mark.parametrize("n_points", [2, 3, 5])
 @pytest.mark.parametrize("position", [AT_ZERO, Position(distance_m=15.0)])
-def test_impact_points_take_turns_and_every_speed_is_driven_with_one(n_points, position):
+def test_impact_points_take_turns_and_every_speed_is_driven_with_one(
+    n_points, position
+):
     speeds = tuple(10.0 * number for number in range(1, 7))
     driven = {speed: set() for speed in speeds}
     for turn in range(3 * n_points):

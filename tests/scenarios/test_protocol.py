@@ -19,7 +19,9 @@ from scenarios.protocol import stage_by_protocol
 from scenarios.staging import CannotCarryError, impact_offset_m
 
 GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "euroncap_vru.toml").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "golden" / "euroncap_vru.toml").read_text(
+        encoding="utf-8"
+    )
 )
 JUNCTION = build_junction(protocol_scene())
 LINE_X_M = -9.5  # where the western arm is crossed: origin of the path frame
@@ -35,7 +37,9 @@ def golf(actors):
 def stage(name, golf, *, speed_kmh=None, approach="west", junction=JUNCTION):
     case = load_cases()[name]
     speed_kmh = speed_kmh or case.vut_speeds_kmh[0]
-    return stage_by_protocol(case, junction, approach, vut_speed_kmh=speed_kmh, vut=golf)
+    return stage_by_protocol(
+        case, junction, approach, vut_speed_kmh=speed_kmh, vut=golf
+    )
 
 
 def at(motion, time_s):
@@ -56,10 +60,15 @@ def front_of(encounter):
 @pytest.mark.parametrize("speed_kmh", [10.0, 35.0, 60.0])
 def test_crossing_bodies_meet_where_the_protocol_says(golf, name, speed_kmh):
     golden = GOLDEN["crossing"][name]
-    origin = np.array([LINE_X_M, LANE_Y_M]) if golden["frame"] == "path" else np.zeros(2)
+    if golden["frame"] == "path":
+        origin = np.array([LINE_X_M, LANE_Y_M])
+    else:
+        origin = np.zeros(2)
     encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
     vru, vru_yaw_deg = at(encounter.vru_motion, 0.0)
-    assert front_of(encounter) - origin == pytest.approx(golden["vut_front_m"], abs=1e-5)
+    assert front_of(encounter) - origin == pytest.approx(
+        golden["vut_front_m"], abs=1e-5
+    )
     assert vru - origin == pytest.approx(golden["vru_middle_m"], abs=1e-5)
     assert vru_yaw_deg == pytest.approx(golden["vru_yaw_deg"])
     assert encounter.vut_motion.speed_mps == pytest.approx(speed_kmh / 3.6)
@@ -82,19 +91,28 @@ def test_crossing_bicycles_start_where_the_files_say_and_keep_their_speed_over_t
     assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-3)
     acceleration = motion.speed_mps**2 / (2.0 * motion.acceleration_distance_m)
     assert acceleration == pytest.approx(golden["acceleration_mps2"], abs=5e-4)
-    up_to_speed_s = motion.start_time_s + 2.0 * motion.acceleration_distance_m / motion.speed_mps
+    up_to_speed_s = (
+        motion.start_time_s + 2.0 * motion.acceleration_distance_m / motion.speed_mps
+    )
     assert -up_to_speed_s == pytest.approx(golden["steady_time_s"], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", [n for n, g in GOLDEN["crossing"].items() if "bodies" in g])
+@pytest.mark.parametrize(
+    "name", [n for n, g in GOLDEN["crossing"].items() if "bodies" in g]
+)
 def test_obstructions_stand_at_the_protocols_gaps(golf, name):
     golden = GOLDEN["crossing"][name]
-    origin = np.array([LINE_X_M, LANE_Y_M]) if golden["frame"] == "path" else np.zeros(2)
+    if golden["frame"] == "path":
+        origin = np.array([LINE_X_M, LANE_Y_M])
+    else:
+        origin = np.zeros(2)
     parked = {body.actor.name: body for body in stage(name, golf).obstruction}
     assert parked.keys() == golden["bodies"].keys()
     for actor_name, box in golden["bodies"].items():
         body = parked[actor_name]
-        size = np.abs(turned([body.actor.length_m, body.actor.width_m], body.pose.yaw_deg))
+        size = np.abs(
+            turned([body.actor.length_m, body.actor.width_m], body.pose.yaw_deg)
+        )
         size = size[[0, 1]]
         middle = body.pose.position_m[:2] - origin
         for axis, limits in enumerate((box["x_m"], box["y_m"])):
@@ -109,7 +127,9 @@ def test_obstructions_stand_at_the_protocols_gaps(golf, name):
 def test_whoever_is_ahead_sets_off_at_the_protocols_trigger_gap(golf, name):
     golden = GOLDEN["longitudinal"][name]
     assert list(load_cases()[name].vut_speeds_kmh) == golden["vut_speeds_kmh"]
-    for speed_kmh, gap_m in zip(golden["vut_speeds_kmh"], golden["trigger_gap_m"], strict=True):
+    for speed_kmh, gap_m in zip(
+        golden["vut_speeds_kmh"], golden["trigger_gap_m"], strict=True
+    ):
         encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
         start_s = encounter.vru_motion.start_time_s
         assert -start_s == pytest.approx(golden["time_start_to_impact_s"], abs=1e-6)
@@ -129,11 +149,15 @@ def test_turns_lead_over_the_pedestrians_line_where_the_protocol_says(golf, name
         encounter = stage(name, golf, speed_kmh=speed_kmh).encounter
         motion = encounter.vru_motion
         assert motion.path.start_m == pytest.approx(golden["vru_start_m"], abs=1e-6)
-        assert off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"]) == pytest.approx(0.0, abs=1e-9)
+        assert off_deg(motion.path.yaw_deg, golden["vru_yaw_deg"]) == pytest.approx(
+            0.0, abs=1e-9
+        )
         path = encounter.vut_motion.path
         begin, _ = front_axle_at(path, path.straight_m)
         assert begin == pytest.approx(golden["curve_start_m"][index], abs=2e-4)
-        line, _ = front_axle_at(path, path.straight_m + golden["path_after_curve_start_m"][index])
+        line, _ = front_axle_at(
+            path, path.straight_m + golden["path_after_curve_start_m"][index]
+        )
         assert line == pytest.approx(golden["line_crossing_m"][index], abs=2e-4)
 
 
@@ -145,8 +169,13 @@ def test_bicycles_beside_a_turning_vut_ride_on_the_protocols_line(golf, name):
     assert off_deg(motion.path.yaw_deg, golden_deg) == pytest.approx(0.0, abs=1e-9)
     steady_m = motion.distance_m(0.0) - motion.acceleration_distance_m
     # A corner may touch a moment before the foremost point does.
-    tolerance_m = 0.4 if name.endswith("side") else 0.02
-    assert steady_m == pytest.approx(GOLDEN["cbta"]["steady_distance_m"], abs=tolerance_m)
+    if name.endswith("side"):
+        tolerance_m = 0.4
+    else:
+        tolerance_m = 0.02
+    assert steady_m == pytest.approx(
+        GOLDEN["cbta"]["steady_distance_m"], abs=tolerance_m
+    )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +196,10 @@ def test_every_case_meets_the_front_at_its_share_of_the_width(golf, name):
         point = vru
     left_m = (point - vut) @ turned([0.0, 1.0], yaw_deg)
     # Where a corner touches a moment early, the point is still that moment's way off.
-    tolerance_m = 1e-5 if case.kind != "turning" else 0.02
+    if case.kind != "turning":
+        tolerance_m = 1e-5
+    else:
+        tolerance_m = 0.02
     assert left_m == pytest.approx(impact_offset_m(case, golf), abs=tolerance_m)
 
 
@@ -178,8 +210,12 @@ def test_side_impacts_meet_the_side_at_their_share_of_the_length(golf, name):
     vru, vru_yaw_deg = at(encounter.vru_motion, 0.0)
     nose = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
     ahead_m, left_m = turned(nose - vut, -yaw_deg)
-    side = 1.0 if name == "CBTAfs-side" else -1.0
-    # The VUT is still turning: a corner of the bicycle's box touches before its foremost point.
+    if name == "CBTAfs-side":
+        side = 1.0
+    else:
+        side = -1.0
+    # The VUT is still turning: a corner of the bicycle's box touches before its
+    # foremost point.
     assert side * left_m - 0.5 * golf.width_m == pytest.approx(0.125, abs=0.125)
     assert ahead_m == pytest.approx(0.25 * golf.length_m, abs=0.2)
 
@@ -196,8 +232,12 @@ def test_every_approach_of_a_symmetric_junction_gives_the_same_run_turned(golf, 
         ):
             times_s = np.linspace(-6.0, 0.0, 7)
             position, yaw_deg = motion.path.at(motion.distance_m(times_s))
-            other_position, other_yaw_deg = turned_motion.path.at(turned_motion.distance_m(times_s))
-            assert turned(position, angle_deg) == pytest.approx(other_position, abs=1e-6)
+            other_position, other_yaw_deg = turned_motion.path.at(
+                turned_motion.distance_m(times_s)
+            )
+            assert turned(position, angle_deg) == pytest.approx(
+                other_position, abs=1e-6
+            )
             assert np.abs(off_deg(yaw_deg + angle_deg, other_yaw_deg)).max() < 1e-6
 
 
@@ -210,37 +250,50 @@ def refusal(name, golf, lanes, approach="west", **scene_fields):
 
 def arms_without(*names):
     return [
-        lane for arm, bearing in ARMS.items() if arm not in names for lane in lanes_of(arm, bearing)
+        lane
+        for arm, bearing in ARMS.items()
+        if arm not in names
+        for lane in lanes_of(arm, bearing)
     ]
 
 
 def test_a_junction_without_the_arm_that_a_case_needs_cannot_carry_it(golf):
-    no_left, no_right = arms_without("north"), arms_without("south")
-    assert refusal("CPTAfs-50", golf, no_left) == (
-        "no lane leads out of the junction on the far side"
+    no_left = arms_without("north")
+    no_right = arms_without("south")
+    assert (
+        refusal("CPTAfs-50", golf, no_left)
+        == "no lane leads out of the junction on the far side"
     )
-    assert refusal("CPTAns-50", golf, no_right) == (
-        "no lane leads out of the junction on the near side"
+    assert (
+        refusal("CPTAns-50", golf, no_right)
+        == "no lane leads out of the junction on the near side"
     )
-    assert refusal("CBNA-50", golf, no_right) == (
-        "no lane leads into the junction from the near side"
+    assert (
+        refusal("CBNA-50", golf, no_right)
+        == "no lane leads into the junction from the near side"
     )
     one_way = [*arms_without("west"), *lanes_of("west", 180.0, has_in=False)]
-    assert refusal("CPNA-25", golf, one_way) == "no lane leads into the junction from the west"
+    assert (
+        refusal("CPNA-25", golf, one_way)
+        == "no lane leads into the junction from the west"
+    )
 
 
 def test_a_short_lane_cannot_carry_whoever_rides_ahead_from_rest(golf):
     lanes = [*arms_without("west"), *lanes_of("west", 180.0, arm_m=10.0)]
     # 31.5 m to ride and half a bicycle; 2 m of them inside the mouth.
-    assert refusal("CBLA-50", golf, lanes) == (
-        "the VRU would set off 20.4 m before the mapped lane begins"
+    assert (
+        refusal("CBLA-50", golf, lanes)
+        == "the VRU would set off 20.4 m before the mapped lane begins"
     )
 
 
 def test_a_turn_that_ends_beyond_the_mapped_lane_cannot_be_carried(golf):
     lanes = [*arms_without("north"), *lanes_of("north", 90.0, arm_m=2.0)]
     junction = build_junction(build_scene(lanes))
-    with pytest.raises(CannotCarryError, match="would end beyond the mapped lane north-out-0"):
+    with pytest.raises(
+        CannotCarryError, match="would end beyond the mapped lane north-out-0"
+    ):
         stage("CPTAfs-50", golf, speed_kmh=20.0, junction=junction)
 
 
@@ -252,10 +305,14 @@ def test_a_bent_approach_is_driven_along_its_bend(golf):
         centreline_m=[[-80.0, 10.0], [-30.0, -1.75], [-11.5, -1.75]],
     )
     junction = build_junction(build_scene([*arms_without("west"), bent]))
-    motion = stage("CPLA-50", golf, speed_kmh=35.0, junction=junction).encounter.vut_motion
+    motion = stage(
+        "CPLA-50", golf, speed_kmh=35.0, junction=junction
+    ).encounter.vut_motion
     front, yaw_rad = motion.path.course.at(np.linspace(-60.0, -8.0, 600))
     # At the corner of 13 degrees the smoothed line cuts 0.35 x 2 m x 0.23.
-    assert distance_to_chain_m(front, bent.centreline_m).max() == pytest.approx(0.16, abs=0.02)
+    assert distance_to_chain_m(front, bent.centreline_m).max() == pytest.approx(
+        0.16, abs=0.02
+    )
     assert np.degrees(yaw_rad[[0, -1]]) == pytest.approx([-13.2, 0.0], abs=0.2)
 
 
@@ -288,7 +345,9 @@ def test_sets_hold_the_protocols_cases_and_the_studys_speeds():
             assert speeds == (10.0,)
 
 
-def test_a_wall_hides_the_studys_cyclist_until_17_m_before_where_no_starts_are_published(golf):
+def test_a_wall_hides_the_studys_cyclist_until_17_m_before_where_no_starts_are_published(
+    golf,
+):
     case = load_cases()["CBNA"]
     staging = stage("CBNA", golf, speed_kmh=40.0)
     (wall,) = staging.obstruction

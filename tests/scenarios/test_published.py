@@ -15,7 +15,9 @@ from scenarios import published
 from scenarios.published import stage_published
 
 GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "carla_ncap_runs.toml").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "golden" / "carla_ncap_runs.toml").read_text(
+        encoding="utf-8"
+    )
 )["runs"]
 VRU_NAMES = {"bicycle": "cyclist", "pedestrian": "adult"}
 
@@ -24,7 +26,8 @@ def _placement(placements, golden):
     (found,) = (
         placement
         for placement in placements
-        if (placement.case.name, placement.approach) == (golden["case"], golden["approach_from"])
+        if (placement.case.name, placement.approach)
+        == (golden["case"], golden["approach_from"])
     )
     return found
 
@@ -52,25 +55,34 @@ def test_published_starts_and_directions_are_the_generators(placements, golden):
 
 
 @pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
-def test_published_vrus_are_at_the_collision_point_at_the_impact(placements, runs, golden):
+def test_published_vrus_are_at_the_collision_point_at_the_impact(
+    placements, runs, golden
+):
     collision = np.array(golden["collision_point"])
     if golden["index"] == 5:
-        # The generator's point lies 3 m beside the line on which its own cyclist rides, so that
-        # the cyclist never reaches it. Ours meet where the two paths cross.
+        # The generator's point lies 3 m beside the line on which its own cyclist rides,
+        # so that the cyclist never reaches it. Ours meet where the two paths cross.
         assert collision[1] == pytest.approx(golden["vru_start"][1] - 3.0)
         collision[1] = golden["vru_start"][1]
     drives = _runs_of(runs, _placement(placements, golden))
-    travel_s = math.dist(collision, golden["vru_start"]) / (golden["vru_speed_kmh"] / 3.6)
+    travel_s = math.dist(collision, golden["vru_start"]) / (
+        golden["vru_speed_kmh"] / 3.6
+    )
     assert len(drives) >= 8
     for run in drives:
-        assert to_carla_points(run.vru_position_m[-1]) == pytest.approx(collision, abs=1e-6)
-        assert run.encounter.vru_motion.start_time_s == pytest.approx(-travel_s, abs=1e-6)
+        assert to_carla_points(run.vru_position_m[-1]) == pytest.approx(
+            collision, abs=1e-6
+        )
+        assert run.encounter.vru_motion.start_time_s == pytest.approx(
+            -travel_s, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize("golden", GOLDEN, ids=lambda golden: str(golden["index"]))
 def test_published_vuts_drive_over_the_collision_point(placements, golden):
     path = _placement(placements, golden).vut_path
-    start, collision = np.array(golden["vut_start"]), np.array(golden["collision_point"])
+    start = np.array(golden["vut_start"])
+    collision = np.array(golden["collision_point"])
     nearest, _ = path.at(math.dist(start, collision))
     assert to_carla_points(nearest) == pytest.approx(collision, abs=1e-6)
 
@@ -131,7 +143,9 @@ def test_a_placement_carries_its_parked_bodies_into_every_run(monkeypatch, actor
 def test_a_crossing_may_be_a_degree_out_of_square(monkeypatch, actors, vru_yaw_deg):
     (placement,) = _load(monkeypatch, _changed(vru_yaw_deg=vru_yaw_deg))
     for speed_kmh in placement.case.vut_speeds_kmh:
-        encounter = stage_published(placement, vut_speed_kmh=speed_kmh, vut=actors["vut"]).encounter
+        encounter = stage_published(
+            placement, vut_speed_kmh=speed_kmh, vut=actors["vut"]
+        ).encounter
         assert separation_m(encounter, np.array([0.0])) == pytest.approx(0.0, abs=0.01)
 
 
@@ -147,8 +161,14 @@ def test_a_placement_without_parked_bodies_has_none(monkeypatch):
     [
         ({"approach": ""}, "{0}.approach: got ''; expected text"),
         ({"vut_start_m": None}, "{0}.vut_start_m: got nothing; expected a value"),
-        ({"vru_start_m": [1.0]}, "{0}.vru_start_m: got shape (1,); expected shape (2,)"),
-        ({"vut_yaw_deg": "left"}, "{0}.vut_yaw_deg: got 'left'; expected a finite number"),
+        (
+            {"vru_start_m": [1.0]},
+            "{0}.vru_start_m: got shape (1,); expected shape (2,)",
+        ),
+        (
+            {"vut_yaw_deg": "left"},
+            "{0}.vut_yaw_deg: got 'left'; expected a finite number",
+        ),
         (
             {"collision_point_m": [1.0, 2.0, 3.0]},
             "{0}.collision_point_m: got shape (3,); expected shape (2,)",
@@ -167,11 +187,17 @@ def test_a_placement_without_parked_bodies_has_none(monkeypatch):
         ),
         (
             {"collision_point_m": [-110.0, -3.0]},
-            "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on the VUT's path",
+            (
+                "{0}.collision_point_m: got [-110.0, -3.0]; expected a point on the"
+                " VUT's path"
+            ),
         ),
         (
             {"vru_yaw_deg": 270.0},
-            "{0}: got paths that meet behind a start; expected starts before the meeting point",
+            (
+                "{0}: got paths that meet behind a start; expected starts before the"
+                " meeting point"
+            ),
         ),
     ],
 )

@@ -45,13 +45,18 @@ def speeds_kmh(case, approach):
 @pytest.fixture(scope="module")
 def all_runs(actors, rule):
     """Every case on every approach of the study's junction, at its lowest or highest speed."""
-    scene, found = load_study_scene(), ([], [])
+    scene = load_study_scene()
+    found = ([], [])
     for approach in ARMS:
         cases = [
-            dataclasses.replace(case, vut_speeds_kmh=tuple(sorted(speeds_kmh(case, approach))))
+            dataclasses.replace(
+                case, vut_speeds_kmh=tuple(sorted(speeds_kmh(case, approach)))
+            )
             for case in load_cases().values()
         ]
-        made = build_runs(scene, cases, vut=actors["vut"], rule=rule, approaches=[approach])
+        made = build_runs(
+            scene, cases, vut=actors["vut"], rule=rule, approaches=[approach]
+        )
         for whole, part in zip(found, made, strict=True):
             whole.extend(part)
     return found
@@ -59,7 +64,8 @@ def all_runs(actors, rule):
 
 def test_the_study_junction_has_104_runs_of_the_studys_own_cases_with_unique_ids(runs):
     by_case = {
-        name: sum(run.case.name == name for run in runs) for name in ("CPNC-50", "CBNA", "CBLA")
+        name: sum(run.case.name == name for run in runs)
+        for name in ("CPNC-50", "CBNA", "CBLA")
     }
     assert by_case == {"CPNC-50": 36, "CBNA": 36, "CBLA": 32}
     assert len({run.id for run in runs}) == len(runs) == 104
@@ -116,10 +122,14 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
             wanted, wanted_yaw_deg = motion.path.at(motion.distance_m(run.time_s))
             assert np.array_equal(position, wanted)
             assert np.array_equal(yaw_deg, wanted_yaw_deg)
-        shapes = run.encounter.vru.shape_index(run.encounter.vru_motion.distance_m(run.time_s))
+        shapes = run.encounter.vru.shape_index(
+            run.encounter.vru_motion.distance_m(run.time_s)
+        )
         assert np.array_equal(run.vru_shape, shapes)
         # People on foot and on bicycles move their limbs.
-        assert (len(set(run.vru_shape.tolist())) > 1) == (run.encounter.vru.cycle_m > 0.0)
+        assert (len(set(run.vru_shape.tolist())) > 1) == (
+            run.encounter.vru.cycle_m > 0.0
+        )
         standing = run.time_s <= run.encounter.vru_motion.start_time_s
         assert (run.vru_shape[standing] == 0).all()
 
@@ -129,7 +139,9 @@ def test_frames_hold_the_motions_and_the_gait(all_runs):
     angle_deg=st.floats(-180.0, 180.0),
     east_m=st.floats(-50.0, 50.0),
 )
-def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, angle_deg, east_m):
+def test_a_junction_that_lies_otherwise_gives_the_same_runs(
+    actors, rule, name, angle_deg, east_m
+):
     scene = protocol_scene()
     moved = dataclasses.replace(
         scene,
@@ -145,14 +157,19 @@ def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, 
         outline_m=turned(scene.outline_m, angle_deg) + [east_m, 0.0],
     )
     case = load_cases()[name]
-    # One run an approach: of two vehicles in motion, too, the first pair of speeds alone.
+    # One run an approach: of two vehicles in motion, too, the first pair of speeds
+    # alone.
     case = dataclasses.replace(
         case, vut_speeds_kmh=case.vut_speeds_kmh[:1], pairs_kmh=case.pairs_kmh[:1]
     )
-    here, _ = build_runs(scene, [case], vut=actors["vut"], rule=rule, approaches=["west"])
+    here, _ = build_runs(
+        scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
+    )
     there, _ = build_runs(moved, [case], vut=actors["vut"], rule=rule)
     for run in there:
-        assert run.last_brake_time_s == pytest.approx(here[0].last_brake_time_s, abs=1e-4)
+        assert run.last_brake_time_s == pytest.approx(
+            here[0].last_brake_time_s, abs=1e-4
+        )
         assert len(run.time_s) == len(here[0].time_s)
         apart = np.hypot(*(run.vut_position_m - run.vru_position_m).T)
         apart_here = np.hypot(*(here[0].vut_position_m - here[0].vru_position_m).T)
@@ -165,9 +182,16 @@ def test_a_junction_that_lies_otherwise_gives_the_same_runs(actors, rule, name, 
 def test_each_weather_is_a_run_of_its_own(actors, rule):
     cases = pick_cases("CPTAns-50", "cases")
     runs, _ = build_runs(
-        load_study_scene(), cases, vut=actors["vut"], rule=rule, weathers=("day", "rain")
+        load_study_scene(),
+        cases,
+        vut=actors["vut"],
+        rule=rule,
+        weathers=("day", "rain"),
     )
-    assert [run.id for run in runs[:2]] == ["CPTAns-50/east/10", "CPTAns-50/east/10/rain"]
+    assert [run.id for run in runs[:2]] == [
+        "CPTAns-50/east/10",
+        "CPTAns-50/east/10/rain",
+    ]
     assert [run.weather for run in runs[:2]] == ["day", "rain"]
     assert runs[0].time_s is runs[1].time_s
 
@@ -179,7 +203,10 @@ def test_each_weather_is_a_run_of_its_own(actors, rule):
             {"approaches": ["up"]},
             "approach: got 'up'; expected one of east, north, west, south",
         ),
-        ({"weathers": ["snow"]}, "weather: got 'snow'; expected one of day, night, rain, fog"),
+        (
+            {"weathers": ["snow"]},
+            "weather: got 'snow'; expected one of day, night, rain, fog",
+        ),
     ],
 )
 def test_unknown_words_list_the_known_ones(actors, rule, options, message):
@@ -198,7 +225,11 @@ def test_things_in_the_way_are_named(actors, rule):
     wall = ("shed", -9.5, -4.0, 3.0, 1.0, 2.0)  # across the near side's start
     scene = protocol_scene(boxes=[wall])
     runs, refusals = build_runs(
-        scene, pick_cases("CPNA-25", "cases"), vut=actors["vut"], rule=rule, approaches=["west"]
+        scene,
+        pick_cases("CPNA-25", "cases"),
+        vut=actors["vut"],
+        rule=rule,
+        approaches=["west"],
     )
     assert not runs
     assert {refusal.reason for refusal in refusals} == {"shed stands in the VRU's way"}
@@ -211,7 +242,9 @@ def test_things_in_the_way_are_named(actors, rule):
 def limited(scene, limits_kmh):
     """A scene whose lanes into the junction have speed limits, by the begin of their ids."""
     lanes = (
-        dataclasses.replace(lane, speed_limit_kmh=limits_kmh.get(lane.id.partition("-in")[0]))
+        dataclasses.replace(
+            lane, speed_limit_kmh=limits_kmh.get(lane.id.partition("-in")[0])
+        )
         for lane in scene.lanes
     )
     return dataclasses.replace(scene, lanes=tuple(lanes))
@@ -226,25 +259,37 @@ def test_nothing_is_driven_faster_than_the_speed_limit(actors, rule):
     every, _ = build_runs(free, cases, **options)
     runs, refusals = build_runs(scene, cases, **options)
     limits_kmh = {"east": 42.0, "north": 15.0}
-    slow = [run.id for run in every if run.vut_speed_kmh <= limits_kmh.get(run.approach, np.inf)]
+    slow = [
+        run.id
+        for run in every
+        if run.vut_speed_kmh <= limits_kmh.get(run.approach, np.inf)
+    ]
     assert [run.id for run in runs] == slow
-    assert {run.approach for run in runs if run.case.name == "CPNA-25"} >= {"west", "south", "east"}
+    assert {run.approach for run in runs if run.case.name == "CPNA-25"} >= {
+        "west",
+        "south",
+        "east",
+    }
     fast = [one for one in refusals if one.limit_kmh is not None]
     assert sum(len(one.speeds_kmh) for one in fast) == len(every) - len(slow)
     assert {(one.approach, one.reason, one.is_possible) for one in fast} == {
         ("east", "faster than the speed limit of 42 km/h", False),
         ("north", "faster than the speed limit of 15 km/h", False),
     }
-    assert [run.id for run in build_runs(scene, cases, keeps_limits=False, **options)[0]] == [
-        run.id for run in every
-    ]
+    assert [
+        run.id for run in build_runs(scene, cases, keeps_limits=False, **options)[0]
+    ] == [run.id for run in every]
 
 
 def test_a_road_that_is_missing_is_missing_at_every_speed(actors, rule):
-    lanes = [lane for lane in protocol_scene().lanes if not lane.id.startswith("south-out")]
+    lanes = [
+        lane for lane in protocol_scene().lanes if not lane.id.startswith("south-out")
+    ]
     scene = limited(build_scene(lanes), {"east": 12.0})
     cases = pick_cases("CPTAfs-50", "cases")
-    _, refusals = build_runs(scene, cases, vut=actors["vut"], rule=rule, approaches=["east"])
+    _, refusals = build_runs(
+        scene, cases, vut=actors["vut"], rule=rule, approaches=["east"]
+    )
     (one,) = refusals
     assert one.limit_kmh is None
     assert one.speeds_kmh == cases[0].vut_speeds_kmh
@@ -265,9 +310,14 @@ def test_without_braking_every_run_first_touches_at_time_0(runs):
 def test_the_middle_of_the_vru_meets_the_middle_of_the_vuts_front(runs):
     for run in runs:
         vru = run.case.vru
-        depth_m = vru.width_m if run.case.kind == "crossing" else vru.length_m
+        if run.case.kind == "crossing":
+            depth_m = vru.width_m
+        else:
+            depth_m = vru.length_m
         ahead_m, left_m = _vru_in_vut_frame(run.encounter)
-        assert ahead_m == pytest.approx(0.5 * (run.encounter.vut.length_m + depth_m), abs=1e-6)
+        assert ahead_m == pytest.approx(
+            0.5 * (run.encounter.vut.length_m + depth_m), abs=1e-6
+        )
         assert left_m == pytest.approx(0.0, abs=0.05), (
             run.id
         )  # CARLA's lanes are not quite straight
@@ -279,12 +329,16 @@ def test_frames_lie_on_the_10_hz_grid_and_end_at_the_impact(runs):
         assert run.time_s.tolist() == [step / 10.0 for step in range(1 - n_frames, 1)]
         assert run.time_s[-1] == 0.0
         # All of the drive: one frame more would be before anybody sets off.
-        first_s = min(run.encounter.vut_motion.start_time_s, run.encounter.vru_motion.start_time_s)
+        first_s = min(
+            run.encounter.vut_motion.start_time_s, run.encounter.vru_motion.start_time_s
+        )
         assert run.time_s[0] >= first_s - 1e-6
         assert run.time_s[0] - 0.1 < first_s
 
 
-def test_bodies_stand_at_their_start_before_they_set_off_and_then_keep_their_speed(runs):
+def test_bodies_stand_at_their_start_before_they_set_off_and_then_keep_their_speed(
+    runs,
+):
     for run in runs:
         for motion, position, yaw in (
             (run.encounter.vut_motion, run.vut_position_m, run.vut_yaw_deg),
@@ -295,9 +349,15 @@ def test_bodies_stand_at_their_start_before_they_set_off_and_then_keep_their_spe
             steps = np.linalg.norm(np.diff(position[~waits], axis=0), axis=1)
             assert steps == pytest.approx(motion.speed_mps * 0.1, abs=1e-9)
             assert (yaw == motion.path.yaw_deg).all()
-        assert run.encounter.vut_motion.speed_mps == pytest.approx(run.vut_speed_kmh / 3.6)
-    assert any((run.time_s <= run.encounter.vut_motion.start_time_s).any() for run in runs)
-    assert any((run.time_s <= run.encounter.vru_motion.start_time_s).any() for run in runs)
+        assert run.encounter.vut_motion.speed_mps == pytest.approx(
+            run.vut_speed_kmh / 3.6
+        )
+    assert any(
+        (run.time_s <= run.encounter.vut_motion.start_time_s).any() for run in runs
+    )
+    assert any(
+        (run.time_s <= run.encounter.vru_motion.start_time_s).any() for run in runs
+    )
 
 
 def test_the_vru_pose_depends_on_the_time_to_impact_only(runs):
@@ -307,7 +367,9 @@ def test_the_vru_pose_depends_on_the_time_to_impact_only(runs):
         assert shortest > 10
         for run in drives[1:]:
             for field in ("vru_position_m", "vru_yaw_deg", "vru_shape"):
-                mine, first = (getattr(one, field)[-shortest:] for one in (run, drives[0]))
+                mine, first = (
+                    getattr(one, field)[-shortest:] for one in (run, drives[0])
+                )
                 assert np.array_equal(mine, first)
 
 
@@ -317,7 +379,13 @@ def test_every_run_can_be_avoided_and_none_at_the_impact(runs):
 
 
 def test_arrays_of_a_run_are_read_only(runs):
-    for field in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg"):
+    for field in (
+        "time_s",
+        "vut_position_m",
+        "vut_yaw_deg",
+        "vru_position_m",
+        "vru_yaw_deg",
+    ):
         with pytest.raises(ValueError, match="read-only"):
             getattr(runs[0], field)[0] = 0.0
 
@@ -370,11 +438,17 @@ def test_frame_axis_of_no_run_is_refused():
         ),
         (
             {"run_start": [0, 3, 3, 10]},
-            "run_start: got [0, 3, 3, 10]; expected 0 and ascending, one more than runs",
+            (
+                "run_start: got [0, 3, 3, 10]; expected 0 and ascending, one more than"
+                " runs"
+            ),
         ),
         (
             {"run_start": [1, 3, 8, 10]},
-            "run_start: got [1, 3, 8, 10]; expected 0 and ascending, one more than runs",
+            (
+                "run_start: got [1, 3, 8, 10]; expected 0 and ascending, one more than"
+                " runs"
+            ),
         ),
         (
             {"run_start": [0, 3, 10]},
@@ -425,24 +499,34 @@ def _rule(rule, n, memory_s=math.inf, latency_s=0.025):
 
 
 def _row(data, n_frames):
-    return np.array(data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames)))
+    return np.array(
+        data.draw(st.lists(st.booleans(), min_size=n_frames, max_size=n_frames))
+    )
 
 
 memories_s = st.sampled_from([0.1, 0.2, 0.3, 0.5, 1.0, math.inf])
 
 
 @given(frame_axes(), st.integers(1, 4), memories_s, numbers(0.0, 1.0), st.data())
-def test_live_confirmations_are_those_of_each_run(rule, axis, n, memory_s, latency_s, data):
+def test_live_confirmations_are_those_of_each_run(
+    rule, axis, n, memory_s, latency_s, data
+):
     rows = np.stack([_row(data, axis.n_frames) for _ in range(2)])
     rule = _rule(rule, n, memory_s, latency_s)
     found_s = live_confirmation_times_s(rows, axis, rule=rule)
-    assert np.array_equal(live_confirmation_times_s(rows[1], axis, rule=rule), found_s[1])
+    assert np.array_equal(
+        live_confirmation_times_s(rows[1], axis, rule=rule), found_s[1]
+    )
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
         until_s = float(axis.last_brake_time_s[run]) - latency_s
         for row, times_s in zip(rows, found_s, strict=True):
             expected_s = simulated_track_s(
-                row[frames], axis.time_s[frames], until_s=until_s, memory_s=memory_s, n=n
+                row[frames],
+                axis.time_s[frames],
+                until_s=until_s,
+                memory_s=memory_s,
+                n=n,
             )
             assert times_s[run] == expected_s
 
@@ -477,13 +561,16 @@ def test_for_one_party_braking_sets_in_a_latency_after_the_confirmation(
 
 
 @given(frame_axes(), st.integers(1, 4), st.data())
-def test_of_several_parties_the_window_whose_last_message_comes_first_decides(rule, axis, n, data):
+def test_of_several_parties_the_window_whose_last_message_comes_first_decides(
+    rule, axis, n, data
+):
     arrival_s = axis.time_s + _delays_s(data, axis)
     onsets = find_onsets(arrival_s, axis, rule=_rule(rule, n))
     for run in range(axis.n_runs):
         windows = _windows(axis, run, arrival_s, n)
         best_s, last_s = min(
-            ((known_s, time_s) for known_s, time_s, _ in windows), default=(math.inf, math.inf)
+            ((known_s, time_s) for known_s, time_s, _ in windows),
+            default=(math.inf, math.inf),
         )
         assert onsets.onset_s[run] == best_s
         assert onsets.confirmation_s[run] == (last_s if best_s < math.inf else math.inf)
@@ -492,12 +579,16 @@ def test_of_several_parties_the_window_whose_last_message_comes_first_decides(ru
 def _delays_s(data, axis):
     """What messages of frames take; infinite: there is none."""
     delays = st.one_of(st.just(math.inf), numbers(0.0, 1.0))
-    return np.array(data.draw(st.lists(delays, min_size=axis.n_frames, max_size=axis.n_frames)))
+    return np.array(
+        data.draw(st.lists(delays, min_size=axis.n_frames, max_size=axis.n_frames))
+    )
 
 
 def _windows(axis, run, arrival_s, n):
     """When each window of a run is known, the time of its last frame, and that frame."""
-    time_s, known_s = (values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s))
+    time_s, known_s = (
+        values[axis.frames_of(run)].tolist() for values in (axis.time_s, arrival_s)
+    )
     return [
         (max(known_s[last - n + 1 : last + 1]), time_s[last], last)
         for last in range(n - 1, len(time_s))
@@ -505,7 +596,9 @@ def _windows(axis, run, arrival_s, n):
 
 
 @given(frame_axes(), st.integers(1, 3), memories_s, st.data())
-def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, memory_s, data):
+def test_the_vut_brakes_for_the_live_window_that_it_knows_first(
+    rule, axis, n, memory_s, data
+):
     """Window by window: known by the last brake time, and no gap until the last moment."""
     arrival_s = axis.time_s + _delays_s(data, axis)
     rule = _rule(rule, n, memory_s)
@@ -514,7 +607,9 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, m
         last_brake_s = axis.last_brake_time_s[run]
         time_s = axis.time_s[axis.frames_of(run)]
         seen = arrival_s[axis.frames_of(run)] <= last_brake_s + 1e-9
-        windows = [one for one in _windows(axis, run, arrival_s, n) if one[0] < math.inf]
+        windows = [
+            one for one in _windows(axis, run, arrival_s, n) if one[0] < math.inf
+        ]
         in_time = [one for one in windows if one[0] <= last_brake_s + 1e-9]
 
         def lives(frame, time_s=time_s, seen=seen, last_brake_s=last_brake_s):
@@ -525,7 +620,12 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, m
         live = [one for one in in_time if lives(one[2])]
         late = [one for one in windows if one not in in_time]
         assert onsets.is_in_time[run] == bool(live)
-        for group, has_onset in ((live, True), (late, True), (in_time, False), ([], False)):
+        for group, has_onset in (
+            (live, True),
+            (late, True),
+            (in_time, False),
+            ([], False),
+        ):
             if group or not (live or late or in_time):
                 known_s = min((one[0] for one in group), default=math.inf)
                 assert onsets.onset_s[run] == (known_s if has_onset else math.inf)
@@ -536,7 +636,9 @@ def test_the_vut_brakes_for_the_live_window_that_it_knows_first(rule, axis, n, m
 
 def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
     """Second run, frames at -0.4 .. 0 s, seen at -0.4 and -0.3 s; last moment at -0.025 s."""
-    axis = dataclasses.replace(frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf]))
+    axis = dataclasses.replace(
+        frame_axis, last_brake_time_s=np.array([0.0, 0.0, -np.inf])
+    )
     arrival_s = np.full(10, np.inf)
     arrival_s[3:5] = axis.time_s[3:5] + 0.025
     for memory_s, onset_s in ((0.2, math.inf), (0.275, -0.275), (math.inf, -0.275)):
@@ -546,11 +648,13 @@ def test_a_track_that_is_lost_again_sets_nothing_in_motion(rule, frame_axis):
         assert onsets.is_in_time.tolist() == [False, onset_s < 0.0, False]
 
 
-def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(rule, frame_axis):
+def test_messages_of_several_units_confirm_when_the_slowest_of_a_window_has_come(
+    rule, frame_axis
+):
     """Second run, frames at -0.4 .. 0 s: the message of -0.3 s takes 0.35 s, all others 0.02 s.
 
-    Windows of two frames: the first is known at 0.05 s, and so is the second; the third, of -0.2
-    and -0.1 s, at -0.08 s.
+    Windows of two frames: the first is known at 0.05 s, and so is the second; the
+    third, of -0.2 and -0.1 s, at -0.08 s.
     """
     arrival_s = np.full(10, np.inf)
     arrival_s[3:8] = frame_axis.time_s[3:8] + [0.02, 0.35, 0.02, 0.02, 0.02]

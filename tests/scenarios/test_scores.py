@@ -11,18 +11,31 @@ from geometry.actors import load_actors
 from geometry.errors import InputError
 from scenarios.aeb import find_contacts, last_brake_time_s, last_onsets_s, load_aeb_rule
 from scenarios.cases import load_cases
-from scenarios.scores import AVOIDED, RATING_2026, bands_kmh, build_levels, load_criteria
+from scenarios.scores import (
+    AVOIDED,
+    RATING_2026,
+    bands_kmh,
+    build_levels,
+    load_criteria,
+)
 
 RULE = load_aeb_rule()
 A_MPS2 = RULE.deceleration_mps2
 
 
 @pytest.mark.parametrize("vut_kmh", [10, 20, 30, 40, 50, 60, 80])
-@pytest.mark.parametrize("case", ["CPNA", "CBFA", "CPTAfs & CPTAns", "CMCscp", "CCRs", "CBNAO"])
+@pytest.mark.parametrize(
+    "case", ["CPNA", "CBFA", "CPTAfs & CPTAns", "CMCscp", "CCRs", "CBNAO"]
+)
 def test_bands_are_those_of_euro_ncaps_own_package(case, vut_kmh):
-    rating = pytest.importorskip("euroncap_rating_2026.crash_avoidance.matrix_processing")
+    rating = pytest.importorskip(
+        "euroncap_rating_2026.crash_avoidance.matrix_processing"
+    )
     names = rating.data_model.TOTAL_SCORES
-    own = case if case in names else f"{case} day"
+    if case in names:
+        own = case
+    else:
+        own = f"{case} day"
     ours = bands_kmh(RATING_2026, re.split(" ", case)[0] + "-50", vut_kmh)
     for speed_kmh in [0.0, 0.5, 9.99, 10.0, 15.0, 19.9, 20.0, 29.9, 30.0, 45.0]:
         point = rating.TestPoint(
@@ -39,7 +52,9 @@ def test_bands_are_those_of_euro_ncaps_own_package(case, vut_kmh):
             color=computed.measured_color,
             test_range=rating.TestRange.STANDARD,
         )
-        counted = max((share for below, share in ours if speed_kmh < below), default=0.0)
+        counted = max(
+            (share for below, share in ours if speed_kmh < below), default=0.0
+        )
         if speed_kmh == 0.0:
             counted = ours[0][1]  # the package's word for avoided
         assert counted == colour.predicted_score
@@ -78,7 +93,11 @@ def test_avoided_has_no_levels_and_other_words_are_refused(crossing_runs):
 
 
 def test_head_on_counts_by_what_braking_has_taken():
-    assert bands_kmh(RATING_2026, "CCFhos", 50.0) == ((0.0, 1.0), (30.0, 1.0), (40.0, 0.5))
+    assert bands_kmh(RATING_2026, "CCFhos", 50.0) == (
+        (0.0, 1.0),
+        (30.0, 1.0),
+        (40.0, 0.5),
+    )
     oncoming = bands_kmh(RATING_2026, "CCFhos", 50.0, unbraked_kmh=120.0)
     assert oncoming == ((0.0, 1.0), (100.0, 1.0), (110.0, 0.5))
     assert bands_kmh(RATING_2026, "my own", 50.0) == ((0.0, 1.0),)
@@ -92,18 +111,27 @@ def test_deadlines_on_a_crossing_are_those_of_constant_deceleration(vut_kmh):
     v = vut_kmh * KMH
     # Slow enough to be in the way all the time.
     encounter = build_encounter(
-        vru=load_actors()["adult"], vut_speed_mps=v, vru_speed_mps=0.5, angle_deg=90.0, touch=0.0
+        vru=load_actors()["adult"],
+        vut_speed_mps=v,
+        vru_speed_mps=0.5,
+        angle_deg=90.0,
+        touch=0.0,
     )
     limits = np.array([10.0, 20.0, 30.0]) * KMH
     found = last_onsets_s(
-        encounter, RULE, below_mps=limits, avoids_until_s=last_brake_time_s(encounter, RULE)
+        encounter,
+        RULE,
+        below_mps=limits,
+        avoids_until_s=last_brake_time_s(encounter, RULE),
     )
     assert found == pytest.approx(-(v**2 - limits**2) / (2.0 * A_MPS2 * v), abs=2e-5)
 
 
 @settings(max_examples=20)
 @given(encounters(), st.lists(numbers(0.0, 1.0), min_size=1, max_size=4))
-def test_every_onset_up_to_a_deadline_leaves_less_and_the_next_one_does_not(encounter, shares):
+def test_every_onset_up_to_a_deadline_leaves_less_and_the_next_one_does_not(
+    encounter, shares
+):
     last_s = last_brake_time_s(encounter, RULE)
     limits = np.array([10.0, 20.0, 30.0]) * KMH
     found = last_onsets_s(encounter, RULE, below_mps=limits, avoids_until_s=last_s)
@@ -154,7 +182,9 @@ def test_a_start_too_close_for_a_level_is_minus_infinity():
         vut_drive_s=0.85,
     )
     assert last_brake_time_s(encounter, RULE) == -np.inf
-    found = last_onsets_s(encounter, RULE, below_mps=[10 * KMH, 30 * KMH], avoids_until_s=-np.inf)
+    found = last_onsets_s(
+        encounter, RULE, below_mps=[10 * KMH, 30 * KMH], avoids_until_s=-np.inf
+    )
     assert found[0] == -np.inf
     assert found[1] == pytest.approx(-0.8096, abs=1e-3)
 
@@ -164,7 +194,9 @@ def test_levels_say_what_speeds_and_onsets_count(crossing_runs):
     assert levels is not None
     n_runs = len(crossing_runs)
     assert np.array_equal(np.unique(levels.run_index), np.arange(n_runs))
-    assert np.bincount(levels.run_index, weights=levels.gain) == pytest.approx(np.ones(n_runs))
+    assert np.bincount(levels.run_index, weights=levels.gain) == pytest.approx(
+        np.ones(n_runs)
+    )
     onsets_s = np.linspace(-1.5, 0.2, 40)[:, None] * np.ones(n_runs)
     contacts = [
         find_contacts(run.encounter, column, RULE)
@@ -175,15 +207,19 @@ def test_levels_say_what_speeds_and_onsets_count(crossing_runs):
     by_speed = levels.of_speeds(closing_kmh, is_avoided)
     by_bands = [
         [
-            1.0
-            if is_avoided[row, column]
-            else max(
-                (
-                    share
-                    for below, share in bands_kmh(RATING_2026, run.case.name, run.vut_speed_kmh)
-                    if closing_kmh[row, column] < below
-                ),
-                default=0.0,
+            (
+                1.0
+                if is_avoided[row, column]
+                else max(
+                    (
+                        share
+                        for below, share in bands_kmh(
+                            RATING_2026, run.case.name, run.vut_speed_kmh
+                        )
+                        if closing_kmh[row, column] < below
+                    ),
+                    default=0.0,
+                )
             )
             for column, run in enumerate(crossing_runs)
         ]

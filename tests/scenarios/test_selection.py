@@ -13,7 +13,9 @@ def test_without_speeds_cases_keep_their_own():
 
 
 def test_a_range_keeps_the_cases_own_speeds_in_it():
-    assert speeds(select_cases("CPNA-25", speeds="18-31")) == {"CPNA-25": (20.0, 25.0, 30.0)}
+    assert speeds(select_cases("CPNA-25", speeds="18-31")) == {
+        "CPNA-25": (20.0, 25.0, 30.0)
+    }
 
 
 def test_single_speeds_and_ranges_add_up_each_once():
@@ -37,7 +39,13 @@ def test_forced_speeds_are_driven_by_every_case_and_told():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("70", "speeds: got 70; expected 10 to 60 km/h as the protocol drives these cases, or"),
+        (
+            "70",
+            (
+                "speeds: got 70; expected 10 to 60 km/h as the protocol drives these"
+                " cases, or"
+            ),
+        ),
         ("20,nan", "speeds: got 'nan'; expected km/h with commas between"),
         ("inf", "speeds: got 'inf'; expected km/h"),
         ("-5", "speeds: got '-5'; expected km/h"),

@@ -36,10 +36,17 @@ def refusal(tmp_path, text, name="a.csv", **options):
 def test_a_csv_file_gives_tracks_by_id_whatever_the_order_of_rows(tmp_path):
     rows = sorted(walk("a") + walk("b", "CAR"), key=lambda row: row[1])
     (a, b), n_left_out = read(tmp_path, csv_of(rows))
-    assert (a.id, a.class_name, b.class_name, n_left_out) == ("a", "pedestrian", "vehicle", 0)
+    assert (a.id, a.class_name, b.class_name, n_left_out) == (
+        "a",
+        "pedestrian",
+        "vehicle",
+        0,
+    )
     np.testing.assert_allclose(a.position_m, [[0.1 * n, 2.0] for n in range(10)])
     np.testing.assert_array_equal(a.yaw_deg, 90.0)
-    np.testing.assert_allclose(a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3)
+    np.testing.assert_allclose(
+        a.velocity_mps(np.array([0.0, 0.45, 0.9])), [[1.0, 0.0]] * 3
+    )
 
 
 def test_columns_frames_and_radians_of_dut_are_recognised(tmp_path):
@@ -76,18 +83,36 @@ def test_who_has_another_class_or_is_seen_briefly_is_counted(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        (walk(steps=[0, 1, 1, 2]), "line 4: time: got 0.1 s after 0.1 s; expected times of a that"),
-        (walk(steps=[0, 2, 1]), "line 4: time: got 0.1 s after 0.2 s; expected times of a that"),
+        (
+            walk(steps=[0, 1, 1, 2]),
+            "line 4: time: got 0.1 s after 0.1 s; expected times of a that",
+        ),
+        (
+            walk(steps=[0, 2, 1]),
+            "line 4: time: got 0.1 s after 0.2 s; expected times of a that",
+        ),
         (
             [*walk(steps=range(8)), ("a", 0.75, 0.75, 2.0, 90.0, "pedestrian")],
-            "line 10: time: got 0.05 s after the one before; expected steps of 0.1 s, as in most",
+            (
+                "line 10: time: got 0.05 s after the one before; expected steps of 0.1"
+                " s, as in most"
+            ),
         ),
         (
             [*walk(), ("a", 1.0, 9.9, 2.0, 90.0, "pedestrian")],
-            "line 12: got 9.0 m in 0.1 s; expected a track of a without jumps, at most 12 m/s",
+            (
+                "line 12: got 9.0 m in 0.1 s; expected a track of a without jumps, at"
+                " most 12 m/s"
+            ),
         ),
-        ([*walk(), ("a", 1.0, "nan", 2.0, 90.0, "ped")], "line 12: x: got 'nan'; expected a fini"),
-        ([*walk(), ("a", "1e999", 1.0, 2.0, 0.0, "ped")], "line 12: time: got '1e999'; expected"),
+        (
+            [*walk(), ("a", 1.0, "nan", 2.0, 90.0, "ped")],
+            "line 12: x: got 'nan'; expected a fini",
+        ),
+        (
+            [*walk(), ("a", "1e999", 1.0, 2.0, 0.0, "ped")],
+            "line 12: time: got '1e999'; expected",
+        ),
         ([*walk(), ("a", 1.0, 1.0)], "line 12: got 3 columns; expected 6"),
         ([], "got nobody; expected trajectories of road users"),
     ],
@@ -102,9 +127,21 @@ def test_what_cannot_be_is_told_with_its_line(tmp_path, rows, message):
         ("id,time,x,class", {}, "expected a column y, one of y, y_m, y_est"),
         ("id,x,y,class", {}, "expected a column time in seconds, or frame with `rate`"),
         ("id,time,x,y", {}, "expected a column with the class, or `class`"),
-        ("id,time,x,y", {"columns": {"x": "east"}}, "got 'east'; expected a column: id, time"),
-        ("id,time,x,y", {"columns": {"up": "x"}}, "columns: got 'up'; expected one of id, time"),
-        ("id,time,x,y", {"class_name": "dog"}, "class: got 'dog'; expected one of pedestrian"),
+        (
+            "id,time,x,y",
+            {"columns": {"x": "east"}},
+            "got 'east'; expected a column: id, time",
+        ),
+        (
+            "id,time,x,y",
+            {"columns": {"up": "x"}},
+            "columns: got 'up'; expected one of id, time",
+        ),
+        (
+            "id,time,x,y",
+            {"class_name": "dog"},
+            "class: got 'dog'; expected one of pedestrian",
+        ),
     ],
 )
 def test_missing_columns_are_named(tmp_path, header, options, message):
@@ -119,12 +156,19 @@ def test_floating_car_data_of_sumo(tmp_path):
         for n in range(4)
     )
     tracks, _ = read(tmp_path, f"<fcd-export>{steps}</fcd-export>", "a.xml")
-    assert [track.class_name for track in tracks] == ["vehicle", "cyclist", "pedestrian"]
+    assert [track.class_name for track in tracks] == [
+        "vehicle",
+        "cyclist",
+        "pedestrian",
+    ]
     # The front bumper stands where SUMO's does.
     front_m = tracks[0].position_m[:, 0] + 0.5 * pick_actor("vut", "vut").length_m
     np.testing.assert_allclose(front_m, [0.0, 10.0, 20.0, 30.0])
     np.testing.assert_allclose(tracks[1].yaw_deg, 90.0)
-    lost = '<fcd-export><timestep time="0"><person id="p" x="1" angle="0"/></timestep></fcd-export>'
+    lost = (
+        '<fcd-export><timestep time="0"><person id="p" x="1"'
+        ' angle="0"/></timestep></fcd-export>'
+    )
     message = "timestep 0, person p: y: got nothing; expected a finite number"
     assert refusal(tmp_path, lost, "a.xml") == message
 
@@ -148,7 +192,9 @@ def test_commonroad(tmp_path):
     np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
     np.testing.assert_allclose(track.yaw_deg, 90.0)
     uncertain = text.replace(state(2), state(2, x=""))
-    assert refusal(tmp_path, uncertain, "a.xml").startswith("dynamicObstacle 8, state 2: position:")
+    assert refusal(tmp_path, uncertain, "a.xml").startswith(
+        "dynamicObstacle 8, state 2: position:"
+    )
 
 
 def test_commonroad_as_real_files_have_it(tmp_path):
@@ -156,20 +202,27 @@ def test_commonroad_as_real_files_have_it(tmp_path):
     obstacle = "<obstacle id='8'><role>{}</role><type>bicycle</type>{}</obstacle>"
     way = f"{state(0, 'initialState')}<trajectory>{state(0)}{state(1)}{state(2)}</trajectory>"
     text = obstacle.format("static", state(0, "initialState")).replace("8", "7")
-    text = f'<commonRoad timeStepSize="0.2">{text}{obstacle.format("dynamic", way)}</commonRoad>'
+    text = (
+        "<commonRoad"
+        f' timeStepSize="0.2">{text}{obstacle.format("dynamic", way)}</commonRoad>'
+    )
     ((track,), n_left_out) = read(tmp_path, text, "a.xml")
     assert (track.id, track.class_name, n_left_out) == ("8", "cyclist", 0)
     np.testing.assert_allclose(track.position_m, [[1.5, 0.0], [1.5, 1.0], [1.5, 2.0]])
     # At another place at the same time is still a fault of the file.
-    elsewhere = text.replace(f"<trajectory>{state(0)}", f"<trajectory>{state(0, x='<x>2</x>')}")
+    elsewhere = text.replace(
+        f"<trajectory>{state(0)}", f"<trajectory>{state(0, x='<x>2</x>')}"
+    )
     expected = "obstacle 8, state 1: time: got 0 s after 0 s"
     assert refusal(tmp_path, elsewhere, "a.xml").startswith(expected)
 
 
 def test_other_files_are_refused(tmp_path):
-    assert refusal(tmp_path, "", "a.txt") == (
-        "got '.txt'; expected .csv, or .xml of CommonRoad or SUMO"
+    assert (
+        refusal(tmp_path, "", "a.txt")
+        == "got '.txt'; expected .csv, or .xml of CommonRoad or SUMO"
     )
-    assert refusal(tmp_path, "<a/>", "a.xml") == (
-        "got 'a'; expected an element <commonRoad> or <fcd-export>"
+    assert (
+        refusal(tmp_path, "<a/>", "a.xml")
+        == "got 'a'; expected an element <commonRoad> or <fcd-export>"
     )

@@ -18,9 +18,10 @@ from scenarios.courses import (
     pick_turn,
 )
 
-# Lengths and places of the protocol's turns, computed apart from this code (numerical integration,
-# four decimals) from the numbers of Euro NCAP AEB/LSS VRU v4.5.1. Frame: origin at the middle of a
-# junction of lanes whose middles are 1.75 m from the roads' axes, x along the VUT's approach.
+# Lengths and places of the protocol's turns, computed apart from this code (numerical
+# integration, four decimals) from the numbers of Euro NCAP AEB/LSS VRU v4.5.1. Frame:
+# origin at the middle of a junction of lanes whose middles are 1.75 m from the roads'
+# axes, x along the VUT's approach.
 PROTOCOL = {
     "far_10": {
         "clothoid_length_m": 6.4393,
@@ -83,7 +84,8 @@ PROTOCOL = {
         "path_after_curve_start_m": 15.2729,
     },
 }
-LANE_M, PEDESTRIAN_LINE_M = 1.75, 9.5
+LANE_M = 1.75
+PEDESTRIAN_LINE_M = 9.5
 
 
 @st.composite
@@ -91,7 +93,9 @@ def turns(draw) -> Turn:
     radius_m = draw(numbers(3.0, 30.0))
     clothoid_deg = draw(numbers(1.0, 60.0))
     return Turn(
-        first_radius_m=draw(st.one_of(st.just(np.inf), numbers(1.05, 300.0).map(radius_m.__mul__))),
+        first_radius_m=draw(
+            st.one_of(st.just(np.inf), numbers(1.05, 300.0).map(radius_m.__mul__))
+        ),
         radius_m=radius_m,
         clothoid_deg=clothoid_deg,
         arc_deg=draw(numbers(0.0, 0.95 * (180.0 - 2.0 * clothoid_deg))),
@@ -101,7 +105,8 @@ def turns(draw) -> Turn:
 
 @pytest.mark.parametrize("name", PROTOCOL)
 def test_turns_of_the_protocol_have_the_lengths_and_places_computed_elsewhere(name):
-    entry, golden = load_turns()[name], PROTOCOL[name]
+    entry = load_turns()[name]
+    golden = PROTOCOL[name]
     turn = entry.turn
     clothoid_end, _ = turn.at(turn.clothoid_length_m)
     arc_end, _ = turn.at(turn.clothoid_length_m + turn.arc_length_m)
@@ -130,7 +135,8 @@ def test_turns_of_the_protocol_have_the_lengths_and_places_computed_elsewhere(na
     assert turn.side * (arc_end - clothoid_end)[1] == pytest.approx(
         golden["arc_extent_each_axis_m"], abs=5.1e-5
     )
-    # The numbers from elsewhere are up to 0.12 mm off here; ours integrate to within a micrometre.
+    # The numbers from elsewhere are up to 0.12 mm off here; ours integrate to within a
+    # micrometre.
     assert on_line_m == pytest.approx(golden["path_after_curve_start_m"], abs=1.5e-4)
     assert turn.side * end_deg == pytest.approx(90.0, abs=1e-12)
     assert turn.side * on_line_deg == pytest.approx(
@@ -143,12 +149,16 @@ def test_turns_of_the_protocol_have_the_lengths_and_places_computed_elsewhere(na
 
 @given(turns())
 def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn):
-    clothoid_m, arc_m = turn.clothoid_length_m, turn.arc_length_m
+    clothoid_m = turn.clothoid_length_m
+    arc_m = turn.arc_length_m
     distance = np.linspace(-1.0, turn.length_m + 1.0, 4001)
     curvature = np.interp(
         distance,
         [0.0, clothoid_m, clothoid_m + arc_m, turn.length_m],
-        1.0 / np.array([turn.first_radius_m, turn.radius_m, turn.radius_m, turn.first_radius_m]),
+        1.0
+        / np.array(
+            [turn.first_radius_m, turn.radius_m, turn.radius_m, turn.first_radius_m]
+        ),
     )
     curvature[(distance < 0.0) | (distance > turn.length_m)] = 0.0
     step = distance[1] - distance[0]
@@ -156,11 +166,16 @@ def test_points_are_the_integral_of_the_direction_and_that_of_the_curvature(turn
     position, angle_deg = turn.at(distance)
     # The curvature jumps where the turn begins and ends.
     np.testing.assert_allclose(
-        turn.side * np.radians(angle_deg), angle, rtol=0.0, atol=2.0 * step / turn.radius_m
+        turn.side * np.radians(angle_deg),
+        angle,
+        rtol=0.0,
+        atol=2.0 * step / turn.radius_m,
     )
     east = cumulative_simpson(np.cos(np.radians(angle_deg)), dx=step, initial=0.0) - 1.0
     north = cumulative_simpson(np.sin(np.radians(angle_deg)), dx=step, initial=0.0)
-    np.testing.assert_allclose(position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6)
+    np.testing.assert_allclose(
+        position, np.stack([east, north], axis=-1), rtol=0.0, atol=5e-6
+    )
 
 
 @given(turns())
@@ -184,7 +199,9 @@ def test_a_turn_is_the_same_from_its_other_end(turn, share):
     angle = turn.side * np.radians(turn.angle_deg)
     back = np.array([-np.cos(angle), -np.sin(angle)])
     left_of_back = np.array([back[1], -back[0]])
-    assert [(point - end) @ back, (point - end) @ left_of_back] == pytest.approx(other, abs=1e-9)
+    assert [(point - end) @ back, (point - end) @ left_of_back] == pytest.approx(
+        other, abs=1e-9
+    )
 
 
 @given(turns(), numbers(-20.0, 80.0))
@@ -205,12 +222,15 @@ def test_another_angle_changes_the_arc_only(turn, share):
     assert other.angle_deg == pytest.approx(angle_deg, abs=1e-9)
     assert other == dataclasses.replace(turn, arc_deg=other.arc_deg)
     assert other.length_m == pytest.approx(
-        2.0 * turn.clothoid_length_m + np.radians(angle_deg - clothoids_deg) * turn.radius_m
+        2.0 * turn.clothoid_length_m
+        + np.radians(angle_deg - clothoids_deg) * turn.radius_m
     )
 
 
 def test_a_clothoid_that_begins_straight_is_the_limit_of_ever_larger_first_radii():
-    straight = Turn(first_radius_m=np.inf, radius_m=9.0, clothoid_deg=20.0, arc_deg=50.0, side=LEFT)
+    straight = Turn(
+        first_radius_m=np.inf, radius_m=9.0, clothoid_deg=20.0, arc_deg=50.0, side=LEFT
+    )
     nearly = dataclasses.replace(straight, first_radius_m=1e9)
     assert straight.at(5.0)[0] == pytest.approx(nearly.at(5.0)[0], abs=1e-6)
     # The known series of the clothoid: x = s - s^5 / (40 A^4), y = s^3 / (6 A^2).
@@ -248,18 +268,26 @@ def test_speeds_pick_the_turns_of_the_protocol_and_faster_ones_take_the_fastest(
         (
             "far",
             12.0,
-            "speed of a far turn: got 12.0; "
-            "expected 10, 15, 20 km/h, or beyond the first or the last",
+            (
+                "speed of a far turn: got 12.0; "
+                "expected 10, 15, 20 km/h, or beyond the first or the last"
+            ),
         ),
         (
             "near",
             0.0,
-            "speed of a near turn: got 0.0; expected 10 km/h, or beyond the first or the last",
+            (
+                "speed of a near turn: got 0.0; expected 10 km/h, or beyond the first"
+                " or the last"
+            ),
         ),
         (
             "near",
             np.nan,
-            "speed of a near turn: got nan; expected 10 km/h, or beyond the first or the last",
+            (
+                "speed of a near turn: got nan; expected 10 km/h, or beyond the first"
+                " or the last"
+            ),
         ),
     ],
 )
@@ -273,7 +301,9 @@ def test_a_turn_that_is_not_tabulated_is_refused(side, speed_kmh, message):
 def test_lanes_at_an_angle_that_no_turn_serves_are_refused(angle_deg):
     with pytest.raises(InputError) as caught:
         load_turns()["far_10"].turn.turned_by(angle_deg)
-    assert str(caught.value) == f"angle_deg: got {angle_deg}; expected 0 < degrees < 180"
+    assert (
+        str(caught.value) == f"angle_deg: got {angle_deg}; expected 0 < degrees < 180"
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [41.24, 30.0, 5.0])
@@ -291,11 +321,20 @@ def test_clothoids_alone_serve_small_angles(angle_deg):
     [
         ({"radius_m": 0.0}, "turn.radius_m: got 0.0; expected > 0 metres"),
         ({"radius_m": np.nan}, "turn.radius_m: got nan; expected > 0 metres"),
-        ({"first_radius_m": 9.0}, "turn.first_radius_m: got 9.0; expected more than radius_m"),
-        ({"clothoid_deg": 0.0}, "turn.clothoid_deg: got 0.0; expected 0 < degrees < 90"),
+        (
+            {"first_radius_m": 9.0},
+            "turn.first_radius_m: got 9.0; expected more than radius_m",
+        ),
+        (
+            {"clothoid_deg": 0.0},
+            "turn.clothoid_deg: got 0.0; expected 0 < degrees < 90",
+        ),
         (
             {"arc_deg": 140.0},
-            "turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 with both clothoids",
+            (
+                "turn.arc_deg: got 140.0; expected degrees >= 0, less than 180 with"
+                " both clothoids"
+            ),
         ),
         ({"side": 0}, "turn.side: got 0; expected 1 (left) or -1 (right)"),
     ],

@@ -19,7 +19,13 @@ from geometry.study_scene import load_study_scene
 from placement.question import Question
 from placement.setting import drive
 from scenarios.aeb import last_brake_time_s, load_aeb_rule
-from scenarios.cases import at_vru_speed, load_cases, load_unlaid_cases, pick_cases, select_cases
+from scenarios.cases import (
+    at_vru_speed,
+    load_cases,
+    load_unlaid_cases,
+    pick_cases,
+    select_cases,
+)
 from scenarios.paths import Motion, StraightPath
 from scenarios.positions import build_positions
 from scenarios.protocol import stage_by_protocol
@@ -27,7 +33,9 @@ from scenarios.runs import build_runs
 from scenarios.staging import CannotCarryError, NoRoadError
 
 GOLDEN = tomllib.loads(
-    (Path(__file__).parents[1] / "golden" / "euroncap_junction.toml").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "golden" / "euroncap_junction.toml").read_text(
+        encoding="utf-8"
+    )
 )
 JUNCTION = build_junction(protocol_scene())
 RULE = load_aeb_rule()
@@ -68,7 +76,9 @@ def at(motion, time_s=0.0):
 
 # ---------- poses at the impact
 @pytest.mark.parametrize("name", CROSSING)
-@pytest.mark.parametrize(("speed_kmh", "vru_kmh"), [(20, 60), (40, 40), (60, 20), (80, 30)])
+@pytest.mark.parametrize(
+    ("speed_kmh", "vru_kmh"), [(20, 60), (40, 40), (60, 20), (80, 30)]
+)
 def test_crossing_vehicles_meet_where_the_protocol_says(golf, name, speed_kmh, vru_kmh):
     golden = GOLDEN["crossing"][name]
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
@@ -85,7 +95,8 @@ def test_crossing_vehicles_meet_where_the_protocol_says(golf, name, speed_kmh, v
 
 @pytest.mark.parametrize("name", ["CCFtap", "CMFtap"])
 def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name):
-    golden, turning = GOLDEN["turning"][name], GOLDEN["turning"]
+    golden = GOLDEN["turning"][name]
+    turning = GOLDEN["turning"]
     rear_m = turning["vut"]["middle_ahead_of_rear_axle_m"]
     for row, speed_kmh in enumerate(turning["vut_speeds_kmh"]):
         for column, vru_kmh in enumerate(turning["vru_speeds_kmh"]):
@@ -94,10 +105,18 @@ def test_vehicles_ahead_of_a_turning_vut_meet_where_the_protocol_says(golf, name
             vru, vru_yaw_deg = at(encounter.vru_motion)
             rear = vut - rear_m * turned([1.0, 0.0], yaw_deg)
             front = vru + 0.5 * encounter.vru.length_m * turned([1.0, 0.0], vru_yaw_deg)
-            assert rear[0] == pytest.approx(golden["vut_rear_axle_x_m"][row][column], abs=2e-4)
-            assert rear[1] == pytest.approx(golden["vut_rear_axle_y_m"][row][column], abs=2e-4)
-            assert yaw_deg == pytest.approx(golden["vut_yaw_deg"][row][column], abs=1e-3)
-            assert front == pytest.approx([golden["vru_front_x_m"][row][column], 1.75], abs=2e-4)
+            assert rear[0] == pytest.approx(
+                golden["vut_rear_axle_x_m"][row][column], abs=2e-4
+            )
+            assert rear[1] == pytest.approx(
+                golden["vut_rear_axle_y_m"][row][column], abs=2e-4
+            )
+            assert yaw_deg == pytest.approx(
+                golden["vut_yaw_deg"][row][column], abs=1e-3
+            )
+            assert front == pytest.approx(
+                [golden["vru_front_x_m"][row][column], 1.75], abs=2e-4
+            )
 
 
 @pytest.mark.parametrize("family", ["CCCscp", "CMCscp"])
@@ -113,7 +132,8 @@ def test_three_cars_are_parked_where_the_protocol_says(golf, family, side):
     ]
     for name, body in zip(names, parked, strict=True):
         size = np.array([body.actor.length_m, body.actor.width_m])
-        low, high = body.pose.position_m[:2] - 0.5 * size, body.pose.position_m[:2] + 0.5 * size
+        low = body.pose.position_m[:2] - 0.5 * size
+        high = body.pose.position_m[:2] + 0.5 * size
         assert [low[0], high[0]] == pytest.approx(golden[f"{name}_x_m"], abs=1e-6)
         assert [low[1], high[1]] == pytest.approx(golden[f"{name}_y_m"], abs=1e-6)
         assert body.pose.yaw_deg == pytest.approx(0.0, abs=1e-9)
@@ -153,11 +173,15 @@ def test_a_vehicle_ahead_brakes_so_long_before_the_impact_as_the_protocol_says(
 @pytest.mark.parametrize("name", CROSSING)
 @pytest.mark.parametrize("speed_kmh", [20.0, 40.0, 60.0])
 @pytest.mark.parametrize("vru_kmh", [20.0, 40.0, 60.0])
-def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(golf, name, speed_kmh, vru_kmh):
+def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(
+    golf, name, speed_kmh, vru_kmh
+):
     """Stop short of the other one's strip, or get there no sooner than it has left one's own."""
     encounter = stage(name, golf, speed_kmh, vru_kmh).encounter
     vru = encounter.vru
-    v, u, a = speed_kmh * KMH, vru_kmh * KMH, RULE.deceleration_mps2
+    v = speed_kmh * KMH
+    u = vru_kmh * KMH
+    a = RULE.deceleration_mps2
     if vru.name == "car":
         left_s = (0.75 * vru.length_m + 0.5 * golf.width_m) / u
         beyond_m = 0.0  # at the impact, of the front behind the strip's near edge
@@ -165,7 +189,10 @@ def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(golf, name, s
         left_s = (vru.length_m + golf.width_m) / u
         beyond_m = 0.1 * golf.length_m + 0.5 * vru.width_m
     braked_s = np.sqrt(2.0 * (beyond_m + v * left_s) / a)
-    last_s = left_s - braked_s if braked_s <= v / a else -(beyond_m / v + 0.5 * v / a)
+    if braked_s <= v / a:
+        last_s = left_s - braked_s
+    else:
+        last_s = -(beyond_m / v + 0.5 * v / a)
     assert last_brake_time_s(encounter, RULE) == pytest.approx(last_s, abs=2e-5)
 
 
@@ -184,8 +211,11 @@ def test_the_last_moment_of_a_straight_crossing_is_its_closed_form(golf, name, s
 def test_the_last_moment_behind_and_ahead_of_a_steady_vehicle_is_its_closed_form(
     golf, name, speed_kmh, vru_kmh
 ):
-    v, u, a = speed_kmh * KMH, vru_kmh * KMH, RULE.deceleration_mps2
-    # Until the VUT is as slow as the one ahead; until it stands, while the other one comes on.
+    v = speed_kmh * KMH
+    u = vru_kmh * KMH
+    a = RULE.deceleration_mps2
+    # Until the VUT is as slow as the one ahead; until it stands, while the other one
+    # comes on.
     last_s = -0.5 * (v - u) / a
     if name.startswith("CCFhos"):
         last_s = -(0.5 * v**2 / a + u * v / a) / (v + u)
@@ -244,9 +274,14 @@ def test_the_distance_of_a_motion_that_brakes_is_the_area_under_its_speed(
     )
     step_s = until_s / 4000
     middles = start_s + step_s * (np.arange(4000) + 0.5)
-    gained = 1.0 if acceleration_m == 0.0 else np.minimum((middles - start_s) / up_to_speed_s, 1.0)
+    if acceleration_m == 0.0:
+        gained = 1.0
+    else:
+        gained = np.minimum((middles - start_s) / up_to_speed_s, 1.0)
     lost = deceleration_mps2 * np.maximum(middles - motion.brake_time_s, 0.0)
-    speed = np.maximum(speed_mps * gained - lost, share * speed_mps * (middles > start_s))
+    speed = np.maximum(
+        speed_mps * gained - lost, share * speed_mps * (middles > start_s)
+    )
     speed = np.where(middles < motion.brake_time_s, speed_mps * gained, speed)
     steepest = max(motion.acceleration_mps2, deceleration_mps2)
     assert float(motion.distance_m(start_s + until_s)) == pytest.approx(
@@ -264,10 +299,19 @@ def test_a_motion_may_stand_where_it_is():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"deceleration_mps2": 0.0}, "motion.deceleration_mps2: got 0.0; expected > 0 m/s^2"),
-        ({"final_speed_mps": 9.0}, "motion.final_speed_mps: got 9.0; expected 0 <= it < speed_mps"),
+        (
+            {"deceleration_mps2": 0.0},
+            "motion.deceleration_mps2: got 0.0; expected > 0 m/s^2",
+        ),
+        (
+            {"final_speed_mps": 9.0},
+            "motion.final_speed_mps: got 9.0; expected 0 <= it < speed_mps",
+        ),
         ({"brake_time_s": -4.5}, "motion.brake_time_s: got -4.5; expected from -4 on"),
-        ({"speed_mps": -1.0}, "motion.speed_mps: got -1.0; expected > 0 metres per second"),
+        (
+            {"speed_mps": -1.0},
+            "motion.speed_mps: got -1.0; expected > 0 metres per second",
+        ),
     ],
 )
 def test_a_motion_that_brakes_says_what_is_wrong(change, message):
@@ -284,7 +328,9 @@ def test_a_motion_that_brakes_says_what_is_wrong(change, message):
 
 
 # ---------- on other junctions
-def refused(name, vut, lanes, *, approach="west", speed_kmh=20, vru_kmh=20, **scene_fields):
+def refused(
+    name, vut, lanes, *, approach="west", speed_kmh=20, vru_kmh=20, **scene_fields
+):
     junction = build_junction(build_scene(lanes, **scene_fields))
     with pytest.raises(CannotCarryError) as caught:
         stage(name, vut, speed_kmh, vru_kmh, approach=approach, junction=junction)
@@ -293,18 +339,26 @@ def refused(name, vut, lanes, *, approach="west", speed_kmh=20, vru_kmh=20, **sc
 
 def arms_without(*names):
     return [
-        lane for arm, bearing in ARMS.items() if arm not in names for lane in lanes_of(arm, bearing)
+        lane
+        for arm, bearing in ARMS.items()
+        if arm not in names
+        for lane in lanes_of(arm, bearing)
     ]
 
 
 def test_a_junction_without_a_crossing_road_carries_no_crossing_traffic(golf):
-    no_far, no_near = arms_without("north"), arms_without("south")
+    no_far = arms_without("north")
+    no_near = arms_without("south")
     for lanes, name, reason in (
         (no_far, "CCCscp-far", "no lane leads into the junction from the far side"),
         (no_far, "CMCscp-near", "no road leads straight across from the near side"),
         (no_near, "CCCscp-near", "no lane leads into the junction from the near side"),
         (no_near, "CCCscp-far", "no road leads straight across from the far side"),
-        (arms_without("east"), "CCFtap", "no lane leads towards the VUT from straight ahead"),
+        (
+            arms_without("east"),
+            "CCFtap",
+            "no lane leads towards the VUT from straight ahead",
+        ),
     ):
         error = refused(name, golf, lanes)
         assert isinstance(error, NoRoadError)
@@ -334,9 +388,14 @@ def bent_road(*, radius_m):
 
 
 def test_a_target_that_its_lanes_bend_is_too_slow_for_is_refused(golf):
-    error = refused("CCCscp-far", golf, bent_road(radius_m=30.0), speed_kmh=20, vru_kmh=60)
+    error = refused(
+        "CCCscp-far", golf, bent_road(radius_m=30.0), speed_kmh=20, vru_kmh=60
+    )
     assert isinstance(error, NoRoadError)
-    assert str(error) == "its lanes bend: 4 m/s^2 to the side allow 35 km/h to the target there"
+    assert (
+        str(error)
+        == "its lanes bend: 4 m/s^2 to the side allow 35 km/h to the target there"
+    )
     junction = build_junction(build_scene(bent_road(radius_m=30.0)))
     slow = stage("CCCscp-far", golf, 20, 30, junction=junction).encounter
     assert slow.vru_motion.speed_mps == pytest.approx(30 * KMH)
@@ -348,7 +407,9 @@ def test_parked_cars_that_do_not_fit_are_refused_with_the_reason(actors, rule):
     )
     # A wall all along the kerb of the western arm.
     scene = protocol_scene(boxes=[("wall", -40.0, -6.0, 60.0, 4.5, 2.0)])
-    runs, (refusal,) = build_runs(scene, [case], vut=actors["vut"], rule=rule, approaches=["west"])
+    runs, (refusal,) = build_runs(
+        scene, [case], vut=actors["vut"], rule=rule, approaches=["west"]
+    )
     assert not runs
     assert refusal.reason == "wall stands in the place of parked-car-large"
     assert refusal.speeds_text == "30x30"
@@ -381,9 +442,17 @@ def test_both_speeds_stand_in_a_runs_id(actors, rule):
     )
     assert not refusals
     assert [run.id for run in runs] == [
-        f"CCCscp-far/north/{vut}x{vru}" for vut in (30, 40) for vru in (20, 30, 40, 50, 60)
+        f"CCCscp-far/north/{vut}x{vru}"
+        for vut in (30, 40)
+        for vru in (20, 30, 40, 50, 60)
     ]
-    assert [run.case.vru_speed_kmh for run in runs] == [20.0, 30.0, 40.0, 50.0, 60.0] * 2
+    assert [run.case.vru_speed_kmh for run in runs] == [
+        20.0,
+        30.0,
+        40.0,
+        50.0,
+        60.0,
+    ] * 2
     assert {run.road_user for run in runs} == {"car"}
 
 
@@ -395,7 +464,9 @@ def names(text, **choice):
 def count(text, case_range):
     """Runs of some cases on one approach, at one place."""
     cases = select_cases(text, case_range=case_range).cases
-    return sum(len(case.vru_speeds_kmh(vut)) for case in cases for vut in case.vut_speeds_kmh)
+    return sum(
+        len(case.vru_speeds_kmh(vut)) for case in cases for vut in case.vut_speeds_kmh
+    )
 
 
 @pytest.mark.parametrize(
@@ -423,7 +494,10 @@ def test_the_grids_have_as_many_runs_as_the_protocols(text, standard, extended):
 def test_the_year_tells_the_versions_of_a_case_apart():
     assert names("CPNA") == ["CPNA-25", "CPNA-75"]
     assert names("CPNA-2026") == ["CPNA-2026-25", "CPNA-2026-50", "CPNA-2026-75"]
-    assert names("CPNA-2026", case_range="extended")[-2:] == ["CPNA-2026-10", "CPNA-2026-90"]
+    assert names("CPNA-2026", case_range="extended")[-2:] == [
+        "CPNA-2026-10",
+        "CPNA-2026-90",
+    ]
     assert names("CPNA-2026-10") == ["CPNA-2026-10"]  # named in full
     assert load_cases()["CPNA-2026-25"].vut_speeds_kmh == (10, 20, 30, 40, 50, 60)
     assert load_cases()["CPNA-2026-25"].family == "CPNA"
@@ -431,13 +505,18 @@ def test_the_year_tells_the_versions_of_a_case_apart():
 
 def test_only_vulnerable_road_users_are_protected_unless_all_are():
     selection = select_cases("junction", protect="vru")
-    assert [case.name for case in selection.cases] == ["CMCscp-far", "CMCscp-near", "CMFtap"]
+    assert [case.name for case in selection.cases] == [
+        "CMCscp-far",
+        "CMCscp-near",
+        "CMFtap",
+    ]
     assert {case.road_user for case in selection.unprotected} == {"car"}
     assert not select_cases("junction", protect="all").unprotected
     with pytest.raises(InputError) as caught:
         select_cases("CCCscp", protect="vru")
-    assert str(caught.value) == (
-        "protect: got 'vru'; expected all, where every case asked for meets a car"
+    assert (
+        str(caught.value)
+        == "protect: got 'vru'; expected all, where every case asked for meets a car"
     )
 
 
@@ -445,22 +524,31 @@ def test_speeds_of_both_are_picked_in_pairs():
     selection = select_cases("CCCscp-far,CPNA-25", speeds="30x50,40x20")
     (case,) = selection.cases
     assert case.pairs_kmh == ((30.0, 50.0), (40.0, 20.0))
-    assert [case.vru_speeds_kmh(vut) for vut in case.vut_speeds_kmh] == [(50.0,), (20.0,)]
+    assert [case.vru_speeds_kmh(vut) for vut in case.vut_speeds_kmh] == [
+        (50.0,),
+        (20.0,),
+    ]
     assert [case.name for case in selection.left_out] == ["CPNA-25"]
-    with pytest.raises(InputError, match="speeds: got 30x55; expected speeds that go together"):
+    with pytest.raises(
+        InputError, match="speeds: got 30x55; expected speeds that go together"
+    ):
         select_cases("CCCscp-far", speeds="30x55")
     (forced,) = select_cases("CCCscp-far", speeds="30x55", force=True).cases
     assert forced.vru_speeds_kmh(30.0) == (55.0,)
 
 
-def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(actors, rule):
+def test_cases_that_cannot_be_laid_are_named_and_refused_with_their_reason(
+    actors, rule
+):
     named = load_unlaid_cases()
     assert set(named) >= {"CPRA-Cm", "CPRA-Cs", "CCFhol", "SfS-CCCscp", "SfS-CMFtap"}
     cases = pick_cases("CPRA,CCFhol,SfS", "cases")
     runs, refusals = build_runs(protocol_scene(), cases, vut=actors["vut"], rule=rule)
     assert not runs
     assert {refusal.case.name for refusal in refusals} == {case.name for case in cases}
-    assert all(refusal.reason == named[refusal.case.name].not_laid for refusal in refusals)
+    assert all(
+        refusal.reason == named[refusal.case.name].not_laid for refusal in refusals
+    )
     assert not any(refusal.is_possible for refusal in refusals)
     assert not set(named) & set(load_cases())
 
@@ -469,7 +557,9 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
     question = Question(cases="junction", approaches="north")
     drives = drive(question, load_study_scene())
     assert {run.road_user for run in drives.runs} == {"motorcycle"}
-    assert {refusal.case.name: len(refusal.speeds_kmh) for refusal in drives.left_out} == {
+    assert {
+        refusal.case.name: len(refusal.speeds_kmh) for refusal in drives.left_out
+    } == {
         "CCCscp-far": 25,
         "CCCscp-near": 25,
         "CCFtap": 9,
@@ -480,13 +570,20 @@ def test_cases_that_are_left_out_count_every_pair_of_speeds():
 def test_in_all_what_2026_drives_as_2023_did_is_driven_once():
     """Protocol 4.5.1 drives CPNA-25 at 10 to 60 km/h, CPLA-50 from 20, CBLA-50 from 25."""
     cases = {case.name: case for case in pick_cases("all", "cases")}
-    assert not {"CPNA-2026-25", "CPNA-2026-75", "CPNCO-2026-50", "CPTAfs-2026-50"} & set(cases)
+    assert not {
+        "CPNA-2026-25",
+        "CPNA-2026-75",
+        "CPNCO-2026-50",
+        "CPTAfs-2026-50",
+    } & set(cases)
     assert cases["CPLA-2026-50"].vut_speeds_kmh == (10.0,)
     assert cases["CBLA-2026-50"].vut_speeds_kmh == (20.0,)
     assert cases["CPNA-2026-50"].vut_speeds_kmh == (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
     # it begins 18 m before the impact, that of 2023 10 m
     assert cases["CPLA-FCW-2026-25"].vut_speeds_kmh == (50.0, 60.0, 70.0, 80.0)
-    extended = {case.name: case for case in pick_cases("all", "cases", case_range="extended")}
+    extended = {
+        case.name: case for case in pick_cases("all", "cases", case_range="extended")
+    }
     assert extended["CPTAfs-2026-50"].vut_speeds_kmh == (25.0,)
 
 
@@ -500,7 +597,11 @@ def test_only_in_all_impact_points_take_turns():
 
 
 def test_in_all_a_place_and_speed_meet_one_impact_point(actors, rule):
-    cases = [case for case in pick_cases("all", "cases") if case.name.startswith(("CCRs", "CMRs"))]
+    cases = [
+        case
+        for case in pick_cases("all", "cases")
+        if case.name.startswith(("CCRs", "CMRs"))
+    ]
     runs, _ = build_runs(
         load_study_scene(),
         cases,
@@ -508,7 +609,9 @@ def test_in_all_a_place_and_speed_meet_one_impact_point(actors, rule):
         rule=rule,
         positions=build_positions([0.0, 30.0]),
     )
-    places = [(run.case.family, run.approach, run.position, run.vut_speed_kmh) for run in runs]
+    places = [
+        (run.case.family, run.approach, run.position, run.vut_speed_kmh) for run in runs
+    ]
     assert len(set(places)) == len(places) > 0
     standing = {run.case.name for run in runs}
     assert standing == {case.name for case in cases}

@@ -5,7 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from dragged import front_axle_at
-from junctions import ARMS, LANE_M, MOUTH_M, build_scene, lanes_of, protocol_scene, turned
+from junctions import (
+    ARMS,
+    LANE_M,
+    MOUTH_M,
+    build_scene,
+    lanes_of,
+    protocol_scene,
+    turned,
+)
 from oracles import distance_to_chain_m
 
 from geometry.footprints import footprint_corners
@@ -47,7 +55,9 @@ def bent(lane, *, radius_m=RADIUS_M, straight_m=0.0):
 
 
 def curved_lanes(**bend):
-    others = [lane for arm in ARMS if arm != "west" for lane in lanes_of(arm, ARMS[arm])]
+    others = [
+        lane for arm in ARMS if arm != "west" for lane in lanes_of(arm, ARMS[arm])
+    ]
     return [*others, *(bent(lane, **bend) for lane in lanes_of("west", 180.0))]
 
 
@@ -67,7 +77,9 @@ def staged(name, vut, *, scene=CURVED, approach="west", speed_kmh=None):
 
 def runs_on(scene, cases, vut, **choice):
     rule = build_rule(Question())
-    return build_runs(scene, [load_cases()[name] for name in cases], vut=vut, rule=rule, **choice)
+    return build_runs(
+        scene, [load_cases()[name] for name in cases], vut=vut, rule=rule, **choice
+    )
 
 
 @pytest.mark.parametrize("name", load_cases())
@@ -81,20 +93,29 @@ def test_every_case_is_driven_along_a_lane_that_bends(vut, name):
     distances = np.linspace(0.0, float(motion.distance_m(0.0)), 60)
     front, _ = motion.path.course.at(motion.path.start_m + distances)
     mapped_m = 118.0 / RADIUS_M * (RADIUS_M - 0.5 * LANE_M)
-    is_before = front[:, 0] < -MOUTH_M - 14.0  # turns begin up to so far before the mouth
+    is_before = (
+        front[:, 0] < -MOUTH_M - 14.0
+    )  # turns begin up to so far before the mouth
     is_mapped = is_before & (motion.path.start_m + distances > 15.0 - mapped_m)
     if is_mapped.any():
         assert distance_to_chain_m(front[is_mapped], lane.centreline_m).max() < 0.05
     case = load_cases()[name]
     if case.impact_face == "front" and case.kind != "turning":
         position, yaw_deg = motion.path.at(motion.distance_m(0.0))
-        vru, vru_deg = encounter.vru_motion.path.at(encounter.vru_motion.distance_m(0.0))
-        reference_m = 0.0 if case.kind == "longitudinal" else case.vru_reference_m
+        vru, vru_deg = encounter.vru_motion.path.at(
+            encounter.vru_motion.distance_m(0.0)
+        )
+        if case.kind == "longitudinal":
+            reference_m = 0.0
+        else:
+            reference_m = case.vru_reference_m
         point = vru + reference_m * turned([1.0, 0.0], float(vru_deg))
         left_m = float((point - position) @ turned([0.0, 1.0], float(yaw_deg)))
         wanted_m = vut.width_m * (case.impact_percent - 50.0) / 100.0
         # A long body's middle lies farther ahead, round the bend.
-        assert left_m == pytest.approx(wanted_m, abs=0.12 if case.vru.length_m < 2.0 else 0.2)
+        assert left_m == pytest.approx(
+            wanted_m, abs=0.12 if case.vru.length_m < 2.0 else 0.2
+        )
 
 
 def test_whoever_moves_ahead_on_a_lane_that_bends_stays_in_it(vut):
@@ -129,7 +150,11 @@ def test_a_lane_that_bends_only_far_away_is_driven_straight(vut):
 
 def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
     junction = mirrored(build_junction(CURVED))
-    lanes = [lane for arm in junction.arms.values() for lane in (*arm.lanes_in, *arm.lanes_out)]
+    lanes = [
+        lane
+        for arm in junction.arms.values()
+        for lane in (*arm.lanes_in, *arm.lanes_out)
+    ]
     scene = dataclasses.replace(CURVED, lanes=tuple(lanes), keeps_left=True)
     cases = ["CPNCO-50", "CPLA-50", "CPTAns-50", "CBTAfo-50"]
     right, _ = runs_on(CURVED, cases, vut, approaches=["west"])
@@ -138,9 +163,15 @@ def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
     flip = np.array([1.0, -1.0])
     for one, other in zip(right, left, strict=True):
         assert other.encounter.vut_motion.path.is_mirrored
-        assert one.vut_position_m * flip == pytest.approx(other.vut_position_m, abs=1e-6)
-        assert one.vru_position_m * flip == pytest.approx(other.vru_position_m, abs=1e-6)
-        assert np.cos(np.radians(one.vut_yaw_deg + other.vut_yaw_deg)) == pytest.approx(1.0)
+        assert one.vut_position_m * flip == pytest.approx(
+            other.vut_position_m, abs=1e-6
+        )
+        assert one.vru_position_m * flip == pytest.approx(
+            other.vru_position_m, abs=1e-6
+        )
+        assert np.cos(np.radians(one.vut_yaw_deg + other.vut_yaw_deg)) == pytest.approx(
+            1.0
+        )
         assert one.last_brake_time_s == pytest.approx(other.last_brake_time_s, abs=1e-4)
         for body, image in zip(one.obstruction, other.obstruction, strict=True):
             assert body.pose.position_m[:2] * flip == pytest.approx(
@@ -149,14 +180,18 @@ def test_where_traffic_keeps_left_runs_are_the_mirror_image(vut):
 
 
 @pytest.mark.parametrize("bearing_deg", [35.0, 55.0, 125.0])
-def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely(vut, bearing_deg):
+def test_turns_lead_into_arms_that_lie_askew_and_pedestrians_cross_them_squarely(
+    vut, bearing_deg
+):
     lanes = [
         lane
         for arm, bearing in (ARMS | {"north": bearing_deg}).items()
         if arm != "east"
         for lane in lanes_of(arm, bearing)
     ]
-    rim = np.array([turned([MOUTH_M, 0.0], angle_deg) for angle_deg in range(0, 360, 10)])
+    rim = np.array(
+        [turned([MOUTH_M, 0.0], angle_deg) for angle_deg in range(0, 360, 10)]
+    )
     scene = build_scene(lanes, outline_m=rim)
     encounter = staged("CPTAfs-50", vut, scene=scene).encounter
     path = encounter.vut_motion.path
@@ -182,7 +217,9 @@ def test_a_turn_follows_the_junctions_own_lane_where_there_is_one(vut):
     front, _ = path.course.at(np.linspace(0.0, 20.0, 30))
     assert distance_to_chain_m(front, arc).max() < 0.15
     # Where the map has lanes through the junction, no other way is driven.
-    with pytest.raises(NoRoadError, match="by the map no lane leads from the west to the south"):
+    with pytest.raises(
+        NoRoadError, match="by the map no lane leads from the west to the south"
+    ):
         staged("CPTAns-50", vut, scene=scene)
 
 
@@ -206,16 +243,22 @@ def two_lanes():
 def test_a_turning_car_stays_within_a_centimetre_of_a_connecting_lane(vut, radius_m):
     plain = protocol_scene()
     named = {lane.id: lane for lane in plain.lanes}
-    turn, middle = quarter_circle(radius_m, before=named["west-in-0"], after=named["north-out-0"])
+    turn, middle = quarter_circle(
+        radius_m, before=named["west-in-0"], after=named["north-out-0"]
+    )
     scene = dataclasses.replace(plain, lanes=(*plain.lanes, turn))
     path = staged("CPTAfs-50", vut, scene=scene).encounter.vut_motion.path
     front, _ = path.course.at(np.arange(-20.0, 50.0, 0.05))
     x, y = (front - middle).T
-    off_m = np.where(x < 0.0, np.abs(y + radius_m), np.where(y > 0.0, np.abs(x - radius_m), np.inf))
+    off_m = np.where(
+        x < 0.0, np.abs(y + radius_m), np.where(y > 0.0, np.abs(x - radius_m), np.inf)
+    )
     off_m = np.where((x >= 0.0) & (y <= 0.0), np.abs(np.hypot(x, y) - radius_m), off_m)
     assert off_m.max() < 0.01
     position, yaw_deg = path.at(np.arange(0.0, 40.0, 0.5))
-    ahead = np.stack([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))], axis=-1)
+    ahead = np.stack(
+        [np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))], axis=-1
+    )
     axle = position + vut.front_axle_ahead_m * ahead
     assert distance_to_chain_m(axle, path.course.points_m[::5]).max() < 0.001
 
@@ -225,14 +268,17 @@ def test_a_turning_car_takes_the_lane_from_which_the_junction_leads(vut):
     named = {lane.id: lane for lane in lanes}
     for begins, ends in (("west-in-0", "north-out-1"), ("west-in-1", "north-out-0")):
         turn, _ = quarter_circle(9.0, before=named[begins], after=named[ends])
-        path = staged("CPTAfs-50", vut, scene=build_scene([*lanes, turn])).encounter.vut_motion.path
+        path = staged(
+            "CPTAfs-50", vut, scene=build_scene([*lanes, turn])
+        ).encounter.vut_motion.path
         front, _ = path.course.at(np.linspace(-10.0, 30.0, 80))
         lanes_driven = (named[begins], turn, named[ends])
         chain = np.concatenate([lane.centreline_m for lane in lanes_driven])
         chain = chain[np.append(True, np.hypot(*np.diff(chain, axis=0).T) > 1.0e-6)]
         assert distance_to_chain_m(front, chain).max() < 0.01
     assert not isinstance(
-        staged("CPTAfs-50", vut, scene=build_scene(lanes)).encounter.vut_motion.path, TowedPath
+        staged("CPTAfs-50", vut, scene=build_scene(lanes)).encounter.vut_motion.path,
+        TowedPath,
     )
 
 
@@ -241,7 +287,10 @@ def test_a_connecting_lane_too_sharp_for_the_speed_is_left_for_the_protocols_cur
     named = {lane.id: lane for lane in plain.lanes}
     turn, _ = quarter_circle(5.0, before=named["west-in-0"], after=named["north-out-0"])
     scene = dataclasses.replace(plain, lanes=(*plain.lanes, turn))
-    for speed_kmh, follows in ((15.0, True), (20.0, False)):  # 3.5 and 6.2 m/s^2 to the side
+    for speed_kmh, follows in (
+        (15.0, True),
+        (20.0, False),
+    ):  # 3.5 and 6.2 m/s^2 to the side
         encounter = staged("CPTAfs-50", vut, scene=scene, speed_kmh=speed_kmh).encounter
         assert isinstance(encounter.vut_motion.path, TowedPath) == follows
 
@@ -259,9 +308,15 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(vut):
     )
     # The crosswalk lies so deep in the junction that 5 m before it is still inside.
     deep = np.array([inside.at(-9.0), inside.at(9.0)]) + [8.0, 0.0]
-    scene = dataclasses.replace(plain, lanes=(*plain.lanes, through), crosswalks_m=deep[None])
+    scene = dataclasses.replace(
+        plain, lanes=(*plain.lanes, through), crosswalks_m=deep[None]
+    )
     runs, refusals = runs_on(
-        scene, ["CPNA-25"], vut, approaches=["west"], positions=[Position(distance_m=5.0)]
+        scene,
+        ["CPNA-25"],
+        vut,
+        approaches=["west"],
+        positions=[Position(distance_m=5.0)],
     )
     assert runs
     assert not refusals
@@ -270,7 +325,11 @@ def test_nobody_takes_the_junctions_own_lanes_for_another_junction(vut):
 def test_cyclists_ride_on_the_arms_cycleway(vut):
     south = lanes_of("south", 270.0)[0]
     cycleway = dataclasses.replace(
-        south, id="track", kind="cycling", width_m=2.0, centreline_m=south.centreline_m + [4.5, 0.0]
+        south,
+        id="track",
+        kind="cycling",
+        width_m=2.0,
+        centreline_m=south.centreline_m + [4.5, 0.0],
     )
     plain = protocol_scene()
     scene = dataclasses.replace(plain, lanes=(*plain.lanes, cycleway))
@@ -281,7 +340,9 @@ def test_cyclists_ride_on_the_arms_cycleway(vut):
     assert rides.start_m[0] == pytest.approx(cycleway.centreline_m[0, 0])
 
 
-@pytest.mark.parametrize(("off_m", "is_found"), [(0.0, True), (4.0, True), (8.0, False)])
+@pytest.mark.parametrize(
+    ("off_m", "is_found"), [(0.0, True), (4.0, True), (8.0, False)]
+)
 def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, is_found):
     south = lanes_of("south", 270.0)[0]
     cycleway = dataclasses.replace(
@@ -292,7 +353,9 @@ def test_a_cycleway_may_end_a_little_beside_the_junctions_outline(off_m, is_foun
         centreline_m=south.centreline_m + [4.5, 0.0] - [0.0, off_m],
     )
     plain = protocol_scene()
-    arms = build_junction(dataclasses.replace(plain, lanes=(*plain.lanes, cycleway))).arms
+    arms = build_junction(
+        dataclasses.replace(plain, lanes=(*plain.lanes, cycleway))
+    ).arms
     assert {name: len(arm.cycleways_in) for name, arm in arms.items()} == {
         name: int(is_found and name == "south") for name in ARMS
     }
@@ -311,14 +374,20 @@ def test_cyclists_do_not_ride_between_the_lanes_of_one_direction_and_the_other(v
 
 
 def test_a_cyclist_comes_from_a_road_that_exists(vut):
-    lanes = [lane for arm, at in ARMS.items() if arm != "east" for lane in lanes_of(arm, at)]
-    with pytest.raises(NoRoadError, match="no lane lies ahead from which the cyclist could come"):
+    lanes = [
+        lane for arm, at in ARMS.items() if arm != "east" for lane in lanes_of(arm, at)
+    ]
+    with pytest.raises(
+        NoRoadError, match="no lane lies ahead from which the cyclist could come"
+    ):
         staged("CBTAfo-50", vut, scene=build_scene(lanes))
     assert staged("CBTAfs-100", vut, scene=build_scene(lanes)).encounter
 
 
 @pytest.mark.parametrize("name", ["CPNCO-50", "CBNA", "CBNA-50", "CBFA-50", "CBNAO-50"])
-@pytest.mark.parametrize("scene", [protocol_scene(), CURVED], ids=["straight", "curved"])
+@pytest.mark.parametrize(
+    "scene", [protocol_scene(), CURVED], ids=["straight", "curved"]
+)
 def test_obstructions_stand_outside_the_carriageway(vut, name, scene):
     import shapely
 
@@ -326,7 +395,9 @@ def test_obstructions_stand_outside_the_carriageway(vut, name, scene):
     assert all(one.reason.startswith("its lanes bend") for one in refusals)
     carriageway = shapely.union_all(
         [
-            shapely.LineString(lane.centreline_m).buffer(0.5 * lane.width_m, cap_style="flat")
+            shapely.LineString(lane.centreline_m).buffer(
+                0.5 * lane.width_m, cap_style="flat"
+            )
             for lane in scene.lanes
         ]
     )
@@ -353,7 +424,9 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
     moved_m = given_way[0].obstruction[0].pose.position_m - first
     assert 0.0 < np.hypot(*moved_m[:2]) <= 2.0
     house = ("house", first[0] - 5.0, -15.0, 12.0, 23.0, 6.0)
-    runs, refusals = runs_on(protocol_scene(boxes=[house]), ["CPNCO-50"], vut, approaches=["west"])
+    runs, refusals = runs_on(
+        protocol_scene(boxes=[house]), ["CPNCO-50"], vut, approaches=["west"]
+    )
     assert not runs
     assert {refusal.reason for refusal in refusals} == {
         "house stands in the place of parked-car-small"
@@ -361,9 +434,15 @@ def test_parked_cars_give_way_to_a_pole_and_a_house_that_leaves_no_room_is_named
 
 
 def test_what_needs_a_road_that_is_missing_does_not_count_as_possible(vut):
-    lanes = [lane for arm, at in ARMS.items() if arm != "north" for lane in lanes_of(arm, at)]
-    _, refusals = runs_on(build_scene(lanes), ["CPTAfs-50", "CPLA-50"], vut, approaches=["west"])
-    assert [(one.case.name, one.is_possible) for one in refusals] == [("CPTAfs-50", False)]
+    lanes = [
+        lane for arm, at in ARMS.items() if arm != "north" for lane in lanes_of(arm, at)
+    ]
+    _, refusals = runs_on(
+        build_scene(lanes), ["CPTAfs-50", "CPLA-50"], vut, approaches=["west"]
+    )
+    assert [(one.case.name, one.is_possible) for one in refusals] == [
+        ("CPTAfs-50", False)
+    ]
 
 
 def test_a_turn_that_no_curve_makes_is_refused(vut):

@@ -59,7 +59,9 @@ def test_every_run_counts_the_same_and_all_sum_to_one(runs):
 def test_every_case_counts_the_same_and_within_it_every_approach_position_and_run():
     assert weight_per_case(DRIVEN) == pytest.approx([1 / 8, 1 / 8, 1 / 8, 1 / 2, 1 / 8])
     north = [run("CPLA-50", position=position) for position in ("0", "0", "-15", "+15")]
-    weight = weight_per_case([*north, run("CPLA-50", "south", position="+0"), run("CBNA")])
+    weight = weight_per_case(
+        [*north, run("CPLA-50", "south", position="+0"), run("CBNA")]
+    )
     assert weight == pytest.approx([1 / 24, 1 / 24, 1 / 12, 1 / 12, 1 / 4, 1 / 2])
 
 
@@ -72,7 +74,11 @@ PLACES = st.tuples(
 )
 
 
-@given(st.lists(PLACES, min_size=1, max_size=20).map(lambda rows: [run(*row) for row in rows]))
+@given(
+    st.lists(PLACES, min_size=1, max_size=20).map(
+        lambda rows: [run(*row) for row in rows]
+    )
+)
 def test_weights_by_case_are_those_of_sharing_out_level_by_level(runs):
     expected = dict.fromkeys(range(len(runs)), 0.0)
 
@@ -88,7 +94,9 @@ def test_weights_by_case_are_those_of_sharing_out_level_by_level(runs):
             share_out(group, amount / len(groups), levels[1:])
 
     share_out(
-        list(expected), 1.0, [lambda r: r.case.name, lambda r: r.approach, lambda r: r.position]
+        list(expected),
+        1.0,
+        [lambda r: r.case.name, lambda r: r.approach, lambda r: r.position],
     )
     assert weight_per_case(runs) == pytest.approx(list(expected.values()))
 
@@ -110,7 +118,9 @@ def test_the_only_turn_that_a_map_allows_weighs_no_more_than_one_of_four():
     missing = [refused("CBTAno-50", arm, 10.0, is_possible=False) for arm in arms[1:]]
     weight = weigh([*crossings, run("CBTAno-50", "north")], "case", refused=missing)
     assert weight == pytest.approx([1 / 5] * 5)
-    assert weight_per_case([*crossings, run("CBTAno-50", "north")])[-1] == pytest.approx(1 / 2)
+    assert weight_per_case([*crossings, run("CBTAno-50", "north")])[
+        -1
+    ] == pytest.approx(1 / 2)
 
 
 def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
@@ -119,13 +129,17 @@ def test_what_has_no_room_takes_its_share_away_and_what_no_map_shows_does_not():
     assert whole == pytest.approx([1 / 4, 1 / 4, 1 / 2])
     off_the_map = refused("CBNA", "north", 20.0, position="-45", is_possible=False)
     elsewhere = refused("CPLA-50", "north", 20.0)
-    assert weight_per_case(runs, refused=[off_the_map, elsewhere]) == pytest.approx(whole)
+    assert weight_per_case(runs, refused=[off_the_map, elsewhere]) == pytest.approx(
+        whole
+    )
     no_room = refused("CBNA", "north", 30.0, 40.0, 50.0)  # one of four speeds is left
     by_room = np.array([1 / 16, 1 / 4, 1 / 2])
     weight = weight_per_case(runs, refused=[no_room])
     assert weight == pytest.approx(by_room / by_room.sum())
     twice = [*runs, run("CBNA", weather="night", speed_kmh=20)]
-    assert weight_per_case(twice, refused=[no_room])[[0, 3]].sum() == pytest.approx(weight[0])
+    assert weight_per_case(twice, refused=[no_room])[[0, 3]].sum() == pytest.approx(
+        weight[0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -145,9 +159,11 @@ def test_words_choose_the_weights(how):
 def test_unknown_words_list_the_known_ones(how):
     with pytest.raises(InputError) as caught:
         weigh(DRIVEN, how)
-    assert str(caught.value) == (
-        f"weights: got {how!r}; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
-        "unfallatlas:FILE, stats19:FILE, or a CSV file that exists"
+    assert (
+        str(caught.value)
+        == f"weights: got {how!r}; expected run, case, fhwa-crash-types,"
+        " euroncap-rating-2026, unfallatlas:FILE, stats19:FILE, or a CSV file that"
+        " exists"
     )
 
 
@@ -164,7 +180,9 @@ def test_a_row_shares_its_weight_among_the_runs_that_it_names(table):
 
 
 def test_a_weather_can_be_named_and_columns_may_come_in_any_order(table):
-    path = table("weight;weather;case;approach\n1;night;CPNA-25;\n3;day;CPNA-25;south\n")
+    path = table(
+        "weight;weather;case;approach\n1;night;CPNA-25;\n3;day;CPNA-25;south\n"
+    )
     assert weigh(DRIVEN, str(path)) == pytest.approx([0.0, 0.0, 3 / 4, 0.0, 1 / 4])
 
 
@@ -174,17 +192,20 @@ def test_a_position_can_be_named(table):
         "case,approach,position,weight\nCPLA-50,north,0,2\nCPLA-50,*,-15,1\nCPLA-50,,+15,1\n"
     )
     assert weigh(runs, str(path)) == pytest.approx([1 / 4, 1 / 4, 1 / 4, 1 / 4])
-    path = table("case,approach,position,weight\nCPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n")
+    path = table(
+        "case,approach,position,weight\nCPLA-50,,'-15.0,1\nCPLA-50,,15,2\nCPLA-50,,'0,1\n"
+    )
     assert weigh(runs, str(path)) == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
     path = table("case,approach,position,weight\nCPLA-50,north,*,2\n")
     assert weigh(runs, str(path)) == pytest.approx([1 / 4] * 4)
     path = table("case,approach,position,weight\nCPLA-50,north,+30,2\n")
     with pytest.raises(InputError) as caught:
         weigh(runs, str(path))
-    assert str(caught.value) == (
-        f"{path}: line 2: got 'CPLA-50', 'north', '+30'; expected an approach, position and "
-        "weather in which CPLA-50 is driven: north at 0 by day, north at -15 by day, north at +15 "
-        "by day"
+    assert (
+        str(caught.value)
+        == f"{path}: line 2: got 'CPLA-50', 'north', '+30'; expected an approach,"
+        " position and weather in which CPLA-50 is driven: north at 0 by day, north"
+        " at -15 by day, north at +15 by day"
     )
 
 
@@ -196,34 +217,69 @@ def test_a_byte_order_mark_and_empty_lines_do_not_matter(table):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "{}: got an empty file; expected columns case, approach, weight, and position"),
-        ("case,approach,weight\n", "{}: got no rows; expected one row per case and approach"),
-        ("case,approach\nCBNA,north\n", "{}: line 1: got case, approach; expected case, approach"),
-        ("case,approach,weight,age\n", "{}: line 1: got case, approach, weight, age; expected"),
+        (
+            "",
+            (
+                "{}: got an empty file; expected columns case, approach, weight, and"
+                " position"
+            ),
+        ),
+        (
+            "case,approach,weight\n",
+            "{}: got no rows; expected one row per case and approach",
+        ),
+        (
+            "case,approach\nCBNA,north\n",
+            "{}: line 1: got case, approach; expected case, approach",
+        ),
+        (
+            "case,approach,weight,age\n",
+            "{}: line 1: got case, approach, weight, age; expected",
+        ),
         ("case,approach,weight\nCBNA,north\n", "{}: line 2: got 2 columns; expected 3"),
         (
             "case,approach,weight\nCBNA,north,-1\n",
             "{}: line 2: weight: got '-1'; expected a number, at least 0",
         ),
-        ("case,approach,weight\nCBNA,north,nan\n", "{}: line 2: weight: got 'nan'; expected a num"),
-        ("case,approach,weight\nCBNA,north,1e999\n", "{}: line 2: weight: got '1e999'; expected"),
-        ("case,approach,weight\nCBNA,north,much\n", "{}: line 2: weight: got 'much'; expected"),
+        (
+            "case,approach,weight\nCBNA,north,nan\n",
+            "{}: line 2: weight: got 'nan'; expected a num",
+        ),
+        (
+            "case,approach,weight\nCBNA,north,1e999\n",
+            "{}: line 2: weight: got '1e999'; expected",
+        ),
+        (
+            "case,approach,weight\nCBNA,north,much\n",
+            "{}: line 2: weight: got 'much'; expected",
+        ),
         (
             "case,approach,weight\nCBLA,north,1\n",
-            "{}: line 2: got 'CBLA', 'north'; expected a case that is driven: CPNA-25, CBNA",
+            (
+                "{}: line 2: got 'CBLA', 'north'; expected a case that is driven:"
+                " CPNA-25, CBNA"
+            ),
         ),
         (
             "case,approach,weight\n\nCBNA,up,1\n",
-            "{}: line 3: got 'CBNA', 'up'; expected an approach, position and weather in which "
-            "CBNA is driven: north at 0 by day",
+            (
+                "{}: line 3: got 'CBNA', 'up'; expected an approach, position and"
+                " weather in which CBNA is driven: north at 0 by day"
+            ),
         ),
         (
             "case,approach,position,weight\nCBNA,north,far,1\n",
-            "{}: line 2: position: got '+far'; expected 0, or metres before it such as -15, or",
+            (
+                "{}: line 2: position: got '+far'; expected 0, or metres before it such"
+                " as -15, or"
+            ),
         ),
         (
             "case,approach,weight\nCPNA-25,*,1\nCPNA-25,south,1\n",
-            "{}: line 3: got 'CPNA-25', 'south'; expected runs that line 2 does not name already",
+            (
+                "{}: line 3: got 'CPNA-25', 'south'; expected runs that line 2 does not"
+                " name already"
+            ),
         ),
         (
             "case,approach,weight\nCBNA,north,0\n",
@@ -261,12 +317,17 @@ def scores():
     }
 
 
-def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weather(scores):
+def test_points_are_those_of_the_package_shared_by_the_runs_of_a_case_and_weather(
+    scores,
+):
     weight = weigh(DRIVEN, "euroncap-rating-2026")
-    day, night, cyclist = scores["CPNA day"], scores["CPNA night"], scores["CBNA"]
+    day = scores["CPNA day"]
+    night = scores["CPNA night"]
+    cyclist = scores["CBNA"]
     expected = np.array([day / 3, day / 3, day / 3, cyclist, night])
     assert weight == pytest.approx(expected / expected.sum())
-    # As the package splits the pedestrian's points by light: robustness is looked at by day only.
+    # As the package splits the pedestrian's points by light: robustness is looked at by
+    # day only.
     assert weight[:3].sum() / weight[4] == pytest.approx(11.0 / 9.0)
 
 
@@ -274,14 +335,26 @@ def test_every_score_of_the_mapping_is_one_of_the_package(scores):
     points = weights.load_points()
     assert set(points.values()) <= set(scores.values())
     frontal = [name for name in scores if "SfS" not in name and "ELK" not in name]
-    left_out = {"CPMRCm", "CPMRCs", "CPMFC", "CBDA"}  # reversing, forward creep, dooring
+    left_out = {
+        "CPMRCm",
+        "CPMRCs",
+        "CPMFC",
+        "CBDA",
+    }  # reversing, forward creep, dooring
     assert len(points) == len(set(frontal) - left_out)
 
 
 def test_cars_and_motorcyclists_have_their_points_whatever_side_year_and_impact(scores):
-    driven = (run("CMCscp-far"), run("CMCscp-near"), run("CCRs-FCW-2026-m25"), run("CCFtap"))
+    driven = (
+        run("CMCscp-far"),
+        run("CMCscp-near"),
+        run("CCRs-FCW-2026-m25"),
+        run("CCFtap"),
+    )
     weight = weigh(driven, "euroncap-rating-2026")
-    half, rear, turn = scores["CMCscp"] / 2.0, scores["CCRs"], scores["CCFtap"]
+    half = scores["CMCscp"] / 2.0
+    rear = scores["CCRs"]
+    turn = scores["CCFtap"]
     expected = np.array([half, half, rear, turn])
     assert scores["CMCscp"] == 7.5
     assert weight == pytest.approx(expected / expected.sum())
@@ -291,20 +364,26 @@ def test_near_and_far_turns_share_their_points(scores):
     driven = (run("CPTAfs-50"), run("CPTAns-50"), run("CPTAfo-50"), run("CPNC-50"))
     weight = weigh(driven, "euroncap-rating-2026")
     assert weight[0] == weight[1] == pytest.approx(0.5 * weight[2])
-    assert weight[3] / weight[2] == pytest.approx(scores["CPNCO day"] / scores["CPTAfo & CPTAno"])
+    assert weight[3] / weight[2] == pytest.approx(
+        scores["CPNCO day"] / scores["CPTAfo & CPTAno"]
+    )
 
 
 def test_runs_without_points_alone_cannot_be_weighed(scores):
     with pytest.raises(InputError) as caught:
         weigh((run("CPNA-25", weather="rain"),), "euroncap-rating-2026")
-    assert str(caught.value) == (
-        "weights: got 'euroncap-rating-2026'; expected a run that has points in 2026; "
+    assert (
+        str(caught.value)
+        == "weights: got 'euroncap-rating-2026'; expected a run that has points in"
+        " 2026; "
         "driven: CPNA-25 (rain)"
     )
 
 
 def test_a_missing_package_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None)
+    monkeypatch.setitem(
+        sys.modules, "euroncap_rating_2026.crash_avoidance.data_model", None
+    )
     weights.load_points.cache_clear()
     with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[rating\]"):
         weigh(DRIVEN, "euroncap-rating-2026")
@@ -326,7 +405,8 @@ def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
         run("CBTAfs-100"),
     )
     weight = weigh(driven, "fhwa-crash-types")
-    on_foot, by_bicycle = 92.0, 67.0
+    on_foot = 92.0
+    by_bicycle = 67.0
     expected = np.array(
         [
             *[on_foot * 0.098 / 2] * 2,
@@ -340,7 +420,9 @@ def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
         ]
     )
     assert weight.sum() == pytest.approx(1.0)
-    assert weight == pytest.approx(expected / expected.sum(), rel=5e-3)  # shares are rounded
+    assert weight == pytest.approx(
+        expected / expected.sum(), rel=5e-3
+    )  # shares are rounded
     alone = weigh((run("CPNC-50", position="-30"), run("CPNC-50")), "fhwa-crash-types")
     assert alone == pytest.approx([0.264 / 0.488, 0.224 / 0.488])
 
@@ -348,8 +430,10 @@ def test_accident_types_weigh_by_manoeuvre_and_distance_from_the_junction():
 def test_accident_types_ask_for_a_case_that_they_have():
     with pytest.raises(InputError) as caught:
         weigh((run("CPRA"),), "fhwa-crash-types")
-    assert str(caught.value) == (
-        "weights: got 'fhwa-crash-types'; expected a run of a type it has; driven: CPRA"
+    assert (
+        str(caught.value)
+        == "weights: got 'fhwa-crash-types'; expected a run of a type it has; driven:"
+        " CPRA"
     )
 
 
@@ -360,11 +444,15 @@ def test_every_case_of_the_default_set_stands_for_a_type():
 
 
 def test_a_function_weighs_runs(runs):
-    weight = weights.weight_by_function(runs, lambda run: 3.0 if run.approach == "east" else 1.0)
+    weight = weights.weight_by_function(
+        runs, lambda run: 3.0 if run.approach == "east" else 1.0
+    )
     is_east = np.array([run.approach == "east" for run in runs])
     assert weight.sum() == pytest.approx(1.0)
     assert weight[is_east] == pytest.approx(3.0 * weight[~is_east].min())
     with pytest.raises(InputError, match=r": got -1.0; expected a finite number >= 0"):
         weights.weight_by_function(runs, lambda run: -1.0)
-    with pytest.raises(InputError, match="weights: got 0 for all runs; expected one weight more"):
+    with pytest.raises(
+        InputError, match="weights: got 0 for all runs; expected one weight more"
+    ):
         weights.weight_by_function(runs, lambda run: 0.0)

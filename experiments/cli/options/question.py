@@ -73,7 +73,8 @@ def _field_option(name: str, flag: str, **settings: Any) -> partial[Decorator]:
     Returns
     -------
     partial
-        Called without arguments it is the option; ``default=8`` gives it another default.
+        Called without arguments it is the option; ``default=8`` gives it another
+        default.
     """
     field = question_fields()[name]
     kind = field.kind
@@ -116,7 +117,10 @@ def _click_type(kind: Any, limits: Meta) -> "click.ParamType[Any] | None":
         return click.IntRange(min=least_whole, max=most_whole)
     if kind is float:
         is_open = limits.gt is not None
-        least = limits.gt if is_open else limits.ge
+        if is_open:
+            least = limits.gt
+        else:
+            least = limits.ge
         return click.FloatRange(min=least, max=limits.le, min_open=is_open)
     return None
 
@@ -576,10 +580,13 @@ ONLY_DRIVEN = fields_in(DRIVEN, SEEN, but=(*_JUDGING, "detector"))
 # ---------- how a command gets its question
 
 
-def _read_question(context: click.Context, _param: click.Parameter, path: Path | None) -> None:
+def _read_question(
+    context: click.Context, _param: click.Parameter, path: Path | None
+) -> None:
     """Let a question file give what the command line does not.
 
-    Raises InputError if it cannot be read, or has an unknown key or a value that cannot be.
+    Raises InputError if it cannot be read, or has an unknown key or a value that cannot
+    be.
     """
     if path is not None:
         context.default_map = load_question_values(path)
@@ -619,8 +626,8 @@ def question_options(
 ) -> Decorator:
     """Options of a command that asks something; it gets them as one `question`.
 
-    Fields that are not named keep their defaults, also where a question file gives them:
-    one file serves every command.
+    Fields that are not named keep their defaults, also where a question file gives
+    them: one file serves every command.
 
     Parameters
     ----------
@@ -655,7 +662,9 @@ def question_options(
     # The command does not see the single values: they become one question here.
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def with_question(*args: Any, save_question_to: Path | None = None, **values: Any) -> Any:
+        def with_question(
+            *args: Any, save_question_to: Path | None = None, **values: Any
+        ) -> Any:
             question = Question(**{name: values.pop(name) for name in asked})
             _refuse_program_of_file(question)
             if save_question_to is not None:
@@ -708,7 +717,10 @@ def one_run_options() -> Decorator:
             "--position",
             default="0",
             metavar="METRES",
-            help=("Where along the arms: -15 is so far before the junction, +15 behind it."),
+            help=(
+                "Where along the arms: -15 is so far before the junction, +15"
+                " behind it."
+            ),
         ),
         question_options(*asked, named_apart=apart, has_file=False),
     )

@@ -16,8 +16,8 @@ _SHOWS_ALL = f"{__name__}.shows_all"
 class SectionedCommand(click.Command):
     """A command whose options are listed in sections.
 
-    The short help shows the common ones alone; ``--help-all``, which the command gets where
-    there are others, shows them all. It takes what click.Command takes.
+    The short help shows the common ones alone; ``--help-all``, which the command gets
+    where there are others, shows them all. It takes what click.Command takes.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -25,7 +25,9 @@ class SectionedCommand(click.Command):
         if not all(_is_common(param) for param in self.params):
             self.params = [*self.params, _help_all_option()]
 
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_options(
+        self, ctx: click.Context, formatter: click.HelpFormatter
+    ) -> None:
         """Write the options, section by section."""
         _write_sections(self, ctx, formatter)
 
@@ -33,7 +35,9 @@ class SectionedCommand(click.Command):
 class SectionedGroup(SectionedCommand, click.Group):
     """A group with options of its own, listed in sections, and commands."""
 
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+    def format_options(
+        self, ctx: click.Context, formatter: click.HelpFormatter
+    ) -> None:
         """Write commands first: whoever looks for one need not pass by the options."""
         self.format_commands(ctx, formatter)
         _write_sections(self, ctx, formatter)
@@ -99,8 +103,8 @@ def _write_sections(
 def with_option_names(message: str, group: click.Group) -> str:
     """Put the names of options in place of the fields that a message of the library names.
 
-    A message names a field at its beginning, before a colon or "in", or anywhere between
-    backticks: "budget: got 0; expected 1 or more, or `target`".
+    A message names a field at its beginning, before a colon or "in", or anywhere
+    between backticks: "budget: got 0; expected 1 or more, or `target`".
 
     Parameters
     ----------

@@ -24,7 +24,9 @@ def _tell_more(context: click.Context, _param: click.Parameter, is_given: bool) 
         context.obj.tell_more()
 
 
-def _show_traceback(context: click.Context, _param: click.Parameter, is_given: bool) -> None:
+def _show_traceback(
+    context: click.Context, _param: click.Parameter, is_given: bool
+) -> None:
     """Let the program show where an unexpected error comes from."""
     if is_given:
         context.obj.shows_tracebacks = True
@@ -56,7 +58,10 @@ _verbose_option = option(
     callback=_tell_more,
     section=PROGRAM,
     is_common=False,
-    help="Print all of the answer; tell sizes, bounds, files that are read, and seconds too.",
+    help=(
+        "Print all of the answer; tell sizes, bounds, files that are read, and seconds"
+        " too."
+    ),
 )
 _debug_option = option(
     "--debug",
@@ -78,7 +83,10 @@ language_option = option(
     callback=_speak,
     section=PROGRAM,
     is_common=False,
-    help=("Language of the answer, the report and the sheet; or that of PLACE_RSUS_LANGUAGE."),
+    help=(
+        "Language of the answer, the report and the sheet; or that of"
+        " PLACE_RSUS_LANGUAGE."
+    ),
 )
 
 
@@ -93,7 +101,10 @@ _seed_option = option(
     section=PROGRAM,
     is_common=False,
     expected="a whole number, at least 0",
-    help=("Of all that is left to chance: points on the road users, misses, lost messages."),
+    help=(
+        "Of all that is left to chance: points on the road users, misses, lost"
+        " messages."
+    ),
 )
 _workers_option = option(
     "--workers",
@@ -112,7 +123,10 @@ _rays_option = option(
     default=RAYS[0],
     section=PROGRAM,
     is_common=False,
-    help="Library that casts rays; auto: the fastest that loads. The results are the same.",
+    help=(
+        "Library that casts rays; auto: the fastest that loads. The results are the"
+        " same."
+    ),
 )
 _cache_option = option(
     "--cache/--no-cache",
@@ -121,7 +135,8 @@ _cache_option = option(
     section=PROGRAM,
     is_common=False,
     help=(
-        "Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's cache folder."
+        "Cache what sensors detect between calls, in PLACE_RSUS_CACHE or the user's"
+        " cache folder."
     ),
 )
 

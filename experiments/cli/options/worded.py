@@ -111,7 +111,9 @@ class WordedOption(click.Option):
             got = "beside"
             expected = "one of them"
         me = option_name(self)
-        raise click.UsageError(f"{me}: got it {got} {option_name(other)}; expected {expected}")
+        raise click.UsageError(
+            f"{me}: got it {got} {option_name(other)}; expected {expected}"
+        )
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
         """Value in the option's type. Raises InputError if it is not what is expected."""
@@ -123,7 +125,11 @@ class WordedOption(click.Option):
             if not self.expected:
                 raise
             raise InputError(option_name(self), value, self.expected) from None
-        if self.expected and isinstance(value, str) and not self._is_plain(value, typed):
+        if (
+            self.expected
+            and isinstance(value, str)
+            and not self._is_plain(value, typed)
+        ):
             raise InputError(option_name(self), value, self.expected)
         return typed
 
@@ -155,8 +161,9 @@ def option(*names: str, **settings: Any) -> Decorator:
     *names : str
         The option, such as "--max", and the parameter where that is called otherwise.
     **settings
-        As ``click.option`` and :class:`WordedOption` take them. The help shows a default that
-        is not nothing, such as 8 but not "", unless `show_default` says otherwise.
+        As ``click.option`` and :class:`WordedOption` take them. The help shows a
+        default that is not nothing, such as 8 but not "", unless `show_default` says
+        otherwise.
     """
     settings.setdefault("show_default", bool(settings.get("default")))
     return click.option(*names, cls=WordedOption, **settings)

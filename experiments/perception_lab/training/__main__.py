@@ -1,7 +1,7 @@
 """Draw crops, train, test, export the network that is shipped. Needs the group ``train``.
 
-``uv run --group train python -m experiments.perception_lab.training --map A.osm .. --out vru``;
-crops are stored in a folder, so that a call that was stopped goes on.
+``uv run --group train python -m experiments.perception_lab.training --map A.osm ..
+--out vru``; crops are stored in a folder, so that a call that was stopped goes on.
 """
 
 import time
@@ -21,16 +21,26 @@ _EXPORT_PX = 160
 
 
 @click.command()
-@click.option("--map", "maps", multiple=True, required=True, help="To train on: a map's file.")
-@click.option("--held-out", multiple=True, required=True, help="To test on; town05 is built in.")
+@click.option(
+    "--map", "maps", multiple=True, required=True, help="To train on: a map's file."
+)
+@click.option(
+    "--held-out", multiple=True, required=True, help="To test on; town05 is built in."
+)
 @click.option("--crops", "folder", type=click.Path(path_type=Path), default="crops")
-@click.option("--per-map", default=1000, show_default=True, help="Crops of each drawing.")
-@click.option("--drawings", default=2, show_default=True, help="Of each map, with other seeds.")
+@click.option(
+    "--per-map", default=1000, show_default=True, help="Crops of each drawing."
+)
+@click.option(
+    "--drawings", default=2, show_default=True, help="Of each map, with other seeds."
+)
 @click.option("--per-held-out", default=1200, show_default=True)
 @click.option("--steps", default=3000, show_default=True, help="Batches of 64 crops.")
 @click.option("--seed", default=11, show_default=True)
 @click.option("--threads", default=1, show_default=True)
-@click.option("--bfloat16", is_flag=True, help="Faster where the processor multiplies in 16 bits.")
+@click.option(
+    "--bfloat16", is_flag=True, help="Faster where the processor multiplies in 16 bits."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True)
 def main(
     *,
@@ -55,15 +65,25 @@ def main(
         for drawing in range(drawings)
         for name in maps
     ]
-    tested = {name: _crops(name, folder, n=per_held_out, seed=seed + drawings) for name in held_out}
+    tested = {
+        name: _crops(name, folder, n=per_held_out, seed=seed + drawings)
+        for name in held_out
+    }
     crops = join_crops(learnt)
     has_gpu = torch.cuda.is_available()
-    recipe = Recipe(steps=steps, seed=seed, bfloat16=bfloat16, device="cuda" if has_gpu else "cpu")
-    click.echo(f"{len(crops)} crops to train on, {sum(map(len, tested.values()))} to test on")
+    recipe = Recipe(
+        steps=steps, seed=seed, bfloat16=bfloat16, device="cuda" if has_gpu else "cpu"
+    )
+    click.echo(
+        f"{len(crops)} crops to train on, {sum(map(len, tested.values()))} to test on"
+    )
     started = time.monotonic()
 
     def tell(done: int, loss: float, network: VruNetwork) -> None:
-        click.echo(f"step {done} of {steps}: loss {loss:.4f}, {time.monotonic() - started:.0f} s")
+        click.echo(
+            f"step {done} of {steps}: loss {loss:.4f},"
+            f" {time.monotonic() - started:.0f} s"
+        )
         export_onnx(network, out / "vru.onnx", side_px=_EXPORT_PX)
 
     network = train(crops, recipe, tell=tell, checkpoint=out / "checkpoint.pt")
@@ -72,7 +92,9 @@ def main(
     found = find_boxes(network, held)
     names = [Path(name).stem for name in maps]
     apart = [Path(name).stem for name in held_out]
-    text = card_text(network, crops, held, found, held_out=apart, names=names, recipe=recipe)
+    text = card_text(
+        network, crops, held, found, held_out=apart, names=names, recipe=recipe
+    )
     (out / "vru.md").write_text(text, encoding="utf-8")
     table = fit_table(
         held,

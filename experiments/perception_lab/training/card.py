@@ -24,7 +24,9 @@ from .network import CLASSES, Found, Recipe, VruNetwork, class_of, counted
 _PICTURE_PX = 1920 * 1080
 _HEIGHTS_PX = (10.0, 20.0, 30.0, 50.0, 80.0, 1000.0)
 _SHARES = (0.3, 0.65, 0.9, 1.01)
-_LOOSE = 1.25  # boxes so much lower or higher than a group's still count as its false alarms
+_LOOSE = (
+    1.25  # boxes so much lower or higher than a group's still count as its false alarms
+)
 MIN_CONFIDENCE = 0.5
 """From which on boxes count."""
 
@@ -65,7 +67,9 @@ def card_text(
     )
 
 
-def _groups(crops: Crops) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
+def _groups(
+    crops: Crops,
+) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float, float]]]:
     """Name, crops (n,), and heights of each group."""
     anything = (0.0, np.inf)
     height = box_height_px(crops.box_px)
@@ -73,7 +77,10 @@ def _groups(crops: Crops) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float,
     for number, name in enumerate(("adults", "children", "cyclists")):
         yield name, crops.vru_class == number, anything
     for low, high in pairwise(_HEIGHTS_PX):
-        name = f"{low:g} to {high:g} px" if high < _HEIGHTS_PX[-1] else f"{low:g} px and more"
+        if high < _HEIGHTS_PX[-1]:
+            name = f"{low:g} to {high:g} px"
+        else:
+            name = f"{low:g} px and more"
         yield name, (height >= low) & (height < high), (low, high)
     for low, high in pairwise(_SHARES):
         seen = (crops.visible_share >= low) & (crops.visible_share < high)
@@ -85,9 +92,18 @@ def _groups(crops: Crops) -> Iterator[tuple[str, NDArray[np.bool_], tuple[float,
 def _row(name: str, crops: Crops, scored: Scored, keep: NDArray[np.bool_]) -> str:
     if not scored.n_labels:
         return ""
-    share = (scored.is_true & (scored.confidence >= MIN_CONFIDENCE)).sum() / scored.n_labels
-    shares = log_average_miss_rate(scored), share, _assumed(crops, keep & counted(crops))
-    figures = [f"{average_precision(scored):.3f}", *(f"{100.0 * one:.1f} %" for one in shares)]
+    share = (
+        scored.is_true & (scored.confidence >= MIN_CONFIDENCE)
+    ).sum() / scored.n_labels
+    shares = (
+        log_average_miss_rate(scored),
+        share,
+        _assumed(crops, keep & counted(crops)),
+    )
+    figures = [
+        f"{average_precision(scored):.3f}",
+        *(f"{100.0 * one:.1f} %" for one in shares),
+    ]
     return f"| {name} | {scored.n_labels} | {' | '.join(figures)} |"
 
 
@@ -112,12 +128,17 @@ def _score(
     heights_px: tuple[float, float] = (0.0, np.inf),
 ) -> Scored:
     """How boxes match the labels of crops in `keep` (n,), both classes together."""
-    low, high = heights_px[0] / _LOOSE, heights_px[1] * _LOOSE
+    low = heights_px[0] / _LOOSE
+    high = heights_px[1] * _LOOSE
     counts = keep & counted(crops)
     parts = []
     for number in range(len(CLASSES)):
-        own = [slice(row, row + is_own) for row, is_own in enumerate(class_of(crops) == number)]
-        boxes, sure = [], []
+        own = [
+            slice(row, row + is_own)
+            for row, is_own in enumerate(class_of(crops) == number)
+        ]
+        boxes = []
+        sure = []
         for by_class in found:
             height = box_height_px(by_class[number][0])
             in_range = (height >= low) & (height <= high)
@@ -125,7 +146,9 @@ def _score(
             sure.append(by_class[number][1][in_range])
         labels = [crops.box_px[rows] for rows in own], [counts[rows] for rows in own]
         n_pictures = len(crops) * CROP_PX**2 / _PICTURE_PX
-        parts.append(match_boxes(boxes, sure, *labels, min_iou=0.5, n_pictures=n_pictures))
+        parts.append(
+            match_boxes(boxes, sure, *labels, min_iou=0.5, n_pictures=n_pictures)
+        )
     confidence = np.concatenate([part.confidence for part in parts])
     order = np.argsort(-confidence, kind="stable")
     return Scored(
@@ -140,11 +163,13 @@ _LEAST_PX = 8.0
 _UNKNOWN = ("aspect", "frame_correlation")
 
 
-def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute: Compute) -> str:
+def fit_table(
+    crops: Crops, found: Found, *, source: str, command: str, compute: Compute
+) -> str:
     """Response table as TOML, for ``--detector FILE``; each crop is a track of its own.
 
-    `found` has boxes and confidence of each crop, by class; `source` and `command` say what the
-    crops are of, and how this was called.
+    `found` has boxes and confidence of each crop, by class; `source` and `command` say
+    what the crops are of, and how this was called.
     """
     pictures = [_picture(crops, row, by_class) for row, by_class in enumerate(found)]
     sightings, _ = gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
@@ -155,7 +180,11 @@ def fit_table(crops: Crops, found: Found, *, source: str, command: str, compute:
     detector: ResponseDetector = replace(fit.detector, **builtins)
     fit = replace(fit, detector=detector, intervals={**fit.intervals, **intervals})
     return table_text(
-        fit, source=source, command=command, unknown=_UNKNOWN, false_tracks_per_hour=None
+        fit,
+        source=source,
+        command=command,
+        unknown=_UNKNOWN,
+        false_tracks_per_hour=None,
     )
 
 
@@ -163,11 +192,15 @@ def _picture(
     crops: Crops, row: int, by_class: list[tuple[np.ndarray, np.ndarray]]
 ) -> LabelledPicture:
     """A crop, its label if it is large enough, and the boxes that count for it."""
-    kind, box = int(crops.vru_class[row]), crops.box_px[row]
+    kind = int(crops.vru_class[row])
+    box = crops.box_px[row]
     n_labels = int(kind >= 0 and box[3] - box[1] >= _LEAST_PX)
     sure = [boxes[confidence >= MIN_CONFIDENCE] for boxes, confidence in by_class]
     # A cyclist may be found as a person, as in an evaluation.
-    own = np.concatenate(sure) if kind == 2 else sure[0]
+    if kind == 2:
+        own = np.concatenate(sure)
+    else:
+        own = sure[0]
     weather = pick_weather(WEATHERS[int(crops.weather[row])], "weather")
     return LabelledPicture(
         track=row,

@@ -53,7 +53,10 @@ TRAINED = ("pedestrian", "child", "cyclist")
 class Framing:
     """Contents of crops: those to train with, by default."""
 
-    height_px: tuple[float, float] = (11.0, 125.0)  # of road users, even on a logarithmic scale
+    height_px: tuple[float, float] = (
+        11.0,
+        125.0,
+    )  # of road users, even on a logarithmic scale
     crop_px: tuple[int, int] = (CROP_PX, CROP_PX)  # width, height
     # Crops that are not around the road user; in others it may be hidden.
     empty_share: float = 0.12
@@ -68,9 +71,13 @@ class Crops:
     """Crops with at most one road user each, arrays with a row for each."""
 
     rgb: NDArray[np.uint8]  # (n, CROP_PX, CROP_PX, 3)
-    box_px: FloatArray  # (n, 4): of the visible part, inside the crop; zeros where there is none
-    height_px: FloatArray  # (n,): of the whole road user, hidden parts too; 0 where there is none
-    visible_share: FloatArray  # (n,): of the pixels that the whole road user covers in the crop
+    # (n, 4): of the visible part, inside the crop; zeros where there is none
+    box_px: FloatArray
+    # (n,): of the whole road user, hidden parts too; 0 where there is none
+    height_px: FloatArray
+    visible_share: (
+        FloatArray  # (n,): of the pixels that the whole road user covers in the crop
+    )
     vru_class: IntArray  # (n,), into ``VRU_CLASSES``; -1 where there is none
     weather: IntArray  # (n,), 0 day, 1 night, 2 rain
 
@@ -88,7 +95,9 @@ def draw_crops(scene: Scene, n_crops: int, *, seed: int) -> Crops:
 
 def load_junction(name: str) -> Scene:
     """A junction out of a map's file, or the study's, "town05"."""
-    return load_scene() if name == "town05" else import_scene([Path(name)], ImportOptions()).scene
+    if name == "town05":
+        return load_scene()
+    return import_scene([Path(name)], ImportOptions()).scene
 
 
 def join_crops(parts: Sequence[Crops]) -> Crops:
@@ -121,13 +130,18 @@ def look_around(
 ) -> Iterator[dict[str, Any]]:
     """Rows of :class:`Crops` by one camera after another, without end.
 
-    `backdrops` may be shared with others: what is missing is added. Raises InputError: the junction
-    carries no case, or none with such road users.
+    `backdrops` may be shared with others: what is missing is added. Raises InputError:
+    the junction carries no case, or none with such road users.
     """
-    runs = [run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds]
+    runs = [
+        run for run in setting.runs if vru_class(run.encounter.vru) in framing.kinds
+    ]
     if not runs:
         refuse(setting.scene.name, "no such runs", " or ".join(framing.kinds))
-    known = {} if backdrops is None else backdrops
+    if backdrops is None:
+        known = {}
+    else:
+        known = backdrops
     while True:
         run = runs[int(rng.integers(len(runs)))]
         key = (setting.scene.name, *(parked.key for parked in run.obstruction))
@@ -151,7 +165,10 @@ def _look(
     name = names[int(rng.choice(len(names), p=shares / shares.sum()))]
     weather = _varied_weather(pick_weather(name, "weather"), rng)
     is_varied = rng.random() < framing.varied
-    materials = vary_materials(load_materials(), rng) if is_varied else None
+    if is_varied:
+        materials = vary_materials(load_materials(), rng)
+    else:
+        materials = None
     on_vut = rng.random() < framing.vut_share
     frames = rng.permutation(len(run.time_s))[: 1 if on_vut else _PER_POSE].tolist()
     site = scene.sites[int(rng.integers(len(scene.sites)))]
@@ -174,7 +191,13 @@ def _look(
         if window is None:
             continue
         picture = draw_crop(
-            *(backdrop, still, run, frame, pose, camera, window),
+            backdrop,
+            still,
+            run,
+            frame,
+            pose,
+            camera,
+            window,
             weather=weather,
             with_vut=not on_vut,
             materials=materials,
@@ -193,16 +216,21 @@ def _varied_weather(weather: Weather, rng: np.random.Generator) -> Weather:
     return replace(
         weather,
         sun_yaw_deg=float(rng.uniform(-180.0, 180.0)),
-        sun_elevation_deg=float(rng.uniform(15.0, 65.0))
-        if weather.sun_lux > 0.0
-        else weather.sun_elevation_deg,
+        sun_elevation_deg=(
+            float(rng.uniform(15.0, 65.0))
+            if weather.sun_lux > 0.0
+            else weather.sun_elevation_deg
+        ),
         sun_lux=weather.sun_lux * light,
         sky_lux=weather.sky_lux * light,
     )
 
 
 def _aim(
-    body_m: FloatArray, at_m: FloatArray, height_px: tuple[float, float], rng: np.random.Generator
+    body_m: FloatArray,
+    at_m: FloatArray,
+    height_px: tuple[float, float],
+    rng: np.random.Generator,
 ) -> tuple[Pose, CameraModel] | None:
     """A camera that shows a road user at a height drawn at random, anywhere in its image."""
     middle = body_m.mean(axis=0)
@@ -231,19 +259,27 @@ def _aim(
     pose = Pose(
         position_m=at_m,
         yaw_deg=yaw + rng.uniform(-0.4, 0.4) * fov_deg,
-        pitch_deg=float(np.clip(pitch + rng.uniform(-0.3, 0.3) * camera.vertical_fov_deg, -60, 10)),
+        pitch_deg=float(
+            np.clip(pitch + rng.uniform(-0.3, 0.3) * camera.vertical_fov_deg, -60, 10)
+        ),
     )
     return pose, camera
 
 
 def _pick_window(
-    box_px: FloatArray, crop_px: tuple[int, int], *, is_empty: bool, rng: np.random.Generator
+    box_px: FloatArray,
+    crop_px: tuple[int, int],
+    *,
+    is_empty: bool,
+    rng: np.random.Generator,
 ) -> Window | None:
     """A crop with the road user's middle anywhere in it, or without the road user."""
     size = np.array(crop_px)
     for _ in range(_TRIES):
         if is_empty:
-            corner = np.array([rng.integers(side) for side in np.array(_SIZE_PX) - size])
+            corner = np.array(
+                [rng.integers(side) for side in np.array(_SIZE_PX) - size]
+            )
             if (box_px[2:] < corner).any() or (box_px[:2] > corner + size).any():
                 return Window(int(corner[0]), int(corner[1]), *crop_px)
             continue
@@ -255,12 +291,17 @@ def _pick_window(
     return None
 
 
-def _label(picture: Picture, run: Run, n_whole: int, height_px: float) -> dict[str, Any]:
+def _label(
+    picture: Picture, run: Run, n_whole: int, height_px: float
+) -> dict[str, Any]:
     """Labels of a crop in which the whole road user would cover `n_whole` pixels."""
     is_vru = picture.instance == len(picture.names) - 1
     n_seen = int(is_vru.sum())
     is_seen = n_seen > 0
-    kind = VRU_CLASSES.index(vru_class(run.encounter.vru)) if is_seen else -1
+    if is_seen:
+        kind = VRU_CLASSES.index(vru_class(run.encounter.vru))
+    else:
+        kind = -1
     return {
         "rgb": picture.rgb,
         "box_px": mask_box(is_vru),

@@ -33,15 +33,24 @@ def match_boxes(
 ) -> Scored:
     """Match the boxes of each image (n, 4) with its labels (m, 4), the surest first.
 
-    Labels that do not count (`counts` (m,)) are neither found nor missed, and boxes on them are no
-    false alarms. Matching follows PASCAL VOC: a second box on a label is a false alarm.
+    Labels that do not count (`counts` (m,)) are neither found nor missed, and boxes on
+    them are no false alarms. Matching follows PASCAL VOC: a second box on a label is a
+    false alarm.
     """
     rows: list[tuple[float, bool]] = []
-    for found, sure, labels, valid in zip(boxes_px, confidence, labels_px, counts, strict=True):
+    for found, sure, labels, valid in zip(
+        boxes_px, confidence, labels_px, counts, strict=True
+    ):
         is_taken = np.zeros(len(labels), dtype=bool)
         for index in np.argsort(-sure, kind="stable").tolist():
-            overlap = iou(found[index][None], labels) if len(labels) else np.zeros(0)
-            best = int(overlap.argmax()) if len(overlap) else -1
+            if len(labels):
+                overlap = iou(found[index][None], labels)
+            else:
+                overlap = np.zeros(0)
+            if len(overlap):
+                best = int(overlap.argmax())
+            else:
+                best = -1
             if best < 0 or overlap[best] <= min_iou:
                 rows.append((float(sure[index]), False))
             elif valid[best]:
@@ -61,7 +70,8 @@ def average_precision(scored: Scored) -> float:
 
     References
     ----------
-    .. [1] M. Everingham et al., "The PASCAL Visual Object Classes Challenge", 2015 (from 2010 on:
+    .. [1] M. Everingham et al., "The PASCAL Visual Object Classes Challenge", 2015
+       (from 2010 on:
        the area at all recalls).
     """
     if not scored.n_labels:
@@ -77,12 +87,16 @@ def log_average_miss_rate(scored: Scored) -> float:
 
     References
     ----------
-    .. [1] P. Dollar et al., "Pedestrian Detection: An Evaluation of the State of the Art", 2012.
+    .. [1] P. Dollar et al., "Pedestrian Detection: An Evaluation of the State of the
+       Art", 2012.
     """
     if not scored.n_labels:
         return float("nan")
     alarms = np.cumsum(~scored.is_true) / scored.n_pictures
     missed = 1.0 - np.cumsum(scored.is_true) / scored.n_labels
     at = np.searchsorted(alarms, _MISS_RATES_AT, side="right") - 1
-    rates = np.where(at >= 0, missed[np.maximum(at, 0)], 1.0) if len(missed) else np.ones(len(at))
+    if len(missed):
+        rates = np.where(at >= 0, missed[np.maximum(at, 0)], 1.0)
+    else:
+        rates = np.ones(len(at))
     return float(np.exp(np.log(np.maximum(rates, 1.0e-10)).mean()))

@@ -1,13 +1,14 @@
 """A small network that finds pedestrians and cyclists: layers, losses, training, export.
 
-Without anchors: one picture cell of 8 x 8 pixels says, for each of two classes, how sure it is
-that a road user's middle lies near, and how far away the four sides of its visible box are. It is
-trained on crops of several junctions; half of them mirrored, all of them with other light, colour,
-noise and sharpness each time they are shown.
+Without anchors: one picture cell of 8 x 8 pixels says, for each of two classes, how
+sure it is that a road user's middle lies near, and how far away the four sides of its
+visible box are. It is trained on crops of several junctions; half of them mirrored, all
+of them with other light, colour, noise and sharpness each time they are shown.
 
 References
 ----------
-.. [1] Z. Tian et al., "FCOS: Fully Convolutional One-Stage Object Detection", ICCV 2019: boxes as
+.. [1] Z. Tian et al., "FCOS: Fully Convolutional One-Stage Object Detection", ICCV
+   2019: boxes as
    distances to four sides, positive cells near the middle.
 .. [2] T.-Y. Lin et al., "Focal Loss for Dense Object Detection", ICCV 2017.
 .. [3] H. Rezatofighi et al., "Generalized Intersection over Union", CVPR 2019.
@@ -36,7 +37,8 @@ STRIDE_PX = 8
 _WIDTHS = (16, 24, 48, 80)  # channels at 1/2, 1/4, 1/8 and 1/16 of the size
 _BLOCKS = (0, 1, 2, 3)
 _PRIOR = 0.01  # of a road user in a cell, before training
-_ALPHA, _GAMMA = 0.25, 2.0  # of the focal loss, as published
+_ALPHA = 0.25
+_GAMMA = 2.0  # of the focal loss, as published
 _RADIUS = 1.25  # cells around a middle that are positive
 _UNIT_PX = 16.0  # distances are learnt in units of so many pixels
 
@@ -67,7 +69,8 @@ class VruNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        stages, n_in = [], 3
+        stages = []
+        n_in = 3
         for width, n_blocks in zip(_WIDTHS, _BLOCKS, strict=True):
             blocks = [_Block(width) for _ in range(n_blocks)]
             stages.append(nn.Sequential(_conv(n_in, width, stride=2), *blocks))
@@ -83,7 +86,8 @@ class VruNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Logits (b, 2, h / 8, w / 8) and distances to the sides (b, 4, ..) in pixels."""
-        features, levels = images, []
+        features = images
+        levels = []
         for stage in self.stages:
             features = stage(features)
             levels.append(features)
@@ -104,11 +108,15 @@ class ExportedNetwork(nn.Module):
         logits, sides = self.network(images)
         boxes = to_boxes(sides)
         size = boxes[:, 2:] - boxes[:, :2]
-        rows = torch.cat([0.5 * (boxes[:, :2] + boxes[:, 2:]), size, logits.sigmoid()], dim=1)
+        rows = torch.cat(
+            [0.5 * (boxes[:, :2] + boxes[:, 2:]), size, logits.sigmoid()], dim=1
+        )
         return rows.flatten(2)
 
 
-def cell_middles(height: int, width: int, device: torch.device) -> tuple[Tensor, Tensor]:
+def cell_middles(
+    height: int, width: int, device: torch.device
+) -> tuple[Tensor, Tensor]:
     """Columns (1, w) and rows (h, 1) of the cells' middles, in pixels."""
     across = (torch.arange(width, device=device) + 0.5) * STRIDE_PX
     down = (torch.arange(height, device=device) + 0.5) * STRIDE_PX
@@ -119,25 +127,33 @@ def to_boxes(sides: Tensor) -> Tensor:
     """Corners (b, 4, h, w) of distances to the left, upper, right and lower side."""
     across, down = cell_middles(sides.shape[2], sides.shape[3], sides.device)
     left, top, right, bottom = sides.unbind(dim=1)
-    return torch.stack([across - left, down - top, across + right, down + bottom], dim=1)
+    return torch.stack(
+        [across - left, down - top, across + right, down + bottom], dim=1
+    )
 
 
-def loss(logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: Tensor) -> Tensor:
+def loss(
+    logits: Tensor, sides: Tensor, boxes: Tensor, classes: Tensor, counts: Tensor
+) -> Tensor:
     """Focal loss of the classes, and that of the overlap of boxes in positive cells.
 
-    `boxes` (b, 4) are visible boxes in pixels, `classes` (b,) their classes, -1 where there is
-    none. Where a road user is hardly to be seen it does not count (`counts` (b,)), nor do cells on
-    it.
+    `boxes` (b, 4) are visible boxes in pixels, `classes` (b,) their classes, -1 where
+    there is none. Where a road user is hardly to be seen it does not count (`counts`
+    (b,)), nor do cells on it.
     """
     n_images, n_classes, height, width = logits.shape
     across, down = cell_middles(height, width, logits.device)
     x_min, y_min, x_max, y_max = (side[:, None, None] for side in boxes.unbind(dim=1))
     has_box = (classes >= 0)[:, None, None]
-    inside = (across > x_min) & (across < x_max) & (down > y_min) & (down < y_max) & has_box
+    inside = (
+        (across > x_min) & (across < x_max) & (down > y_min) & (down < y_max) & has_box
+    )
     reach = _RADIUS * STRIDE_PX
-    beside, below = (across - 0.5 * (x_min + x_max)).abs(), (down - 0.5 * (y_min + y_max)).abs()
+    beside = (across - 0.5 * (x_min + x_max)).abs()
+    below = (down - 0.5 * (y_min + y_max)).abs()
     near = (beside < reach) & (below < reach)
-    # Boxes narrower than a cell may hold no cell's middle: the cell around theirs is positive.
+    # Boxes narrower than a cell may hold no cell's middle: the cell around theirs is
+    # positive.
     holds = (beside <= 0.5 * STRIDE_PX) & (below <= 0.5 * STRIDE_PX)
     positive = ((inside & near) | (holds & has_box)) & counts[:, None, None]
     one_hot = F.one_hot(classes.clamp(min=0), n_classes)[:, :, None, None]
@@ -161,9 +177,13 @@ def _generalised_iou(first: Tensor, second: Tensor) -> Tensor:
     common = (high - low).clamp(min=0.0).prod(dim=1)
     area = [(box[:, 2:] - box[:, :2]).prod(dim=1) for box in (first, second)]
     union = area[0] + area[1] - common
-    around = torch.maximum(first[:, 2:], second[:, 2:]) - torch.minimum(first[:, :2], second[:, :2])
+    around = torch.maximum(first[:, 2:], second[:, 2:]) - torch.minimum(
+        first[:, :2], second[:, :2]
+    )
     hull = around.prod(dim=1)
-    value: Tensor = common / union.clamp(min=1e-6) - (hull - union) / hull.clamp(min=1e-6)
+    value: Tensor = common / union.clamp(min=1e-6) - (hull - union) / hull.clamp(
+        min=1e-6
+    )
     return value
 
 
@@ -191,11 +211,14 @@ def export_onnx(network: VruNetwork, path: Path, *, side_px: int) -> None:
 _RATE = 3.0e-3  # highest rate of learning
 _DECAY = 1.0e-2
 _MEMORY = 0.998  # of the running mean of weights, which is exported
-_LEAST_SHARE, _LEAST_PX = 0.3, 10.0  # what is hidden more, or is lower, neither counts nor harms
+_LEAST_SHARE = 0.3
+_LEAST_PX = 10.0  # what is hidden more, or is lower, neither counts nor harms
 _LEAST_SPREAD = 3.0  # of grey, 0 .. 255: what stands out less cannot be learnt
 _MIN_CONFIDENCE = 0.02
 _MOST_AT_ONCE = 128
-_GRAIN = np.random.default_rng(0).standard_normal(2**21, dtype=np.float32)  # noise of sensors
+_GRAIN = np.random.default_rng(0).standard_normal(
+    2**21, dtype=np.float32
+)  # noise of sensors
 
 Found = list[list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 """By crop and class: boxes (n, 4) and their confidence (n,)."""
@@ -227,9 +250,9 @@ def train(
 ) -> VruNetwork:
     """Train a network on crops.
 
-    After each round `tell` gets the steps done, its mean loss and the network so far, and the state
-    is written to `checkpoint`, from which training goes on if it exists. Returns the network with
-    the running mean of its weights, ready to look at images.
+    After each round `tell` gets the steps done, its mean loss and the network so far,
+    and the state is written to `checkpoint`, from which training goes on if it exists.
+    Returns the network with the running mean of its weights, ready to look at images.
     """
     torch.manual_seed(recipe.seed)
     network = VruNetwork().to(recipe.device, memory_format=torch.channels_last)
@@ -251,8 +274,12 @@ def train(
         for part in _draw_rows(
             len(crops), min(recipe.round_steps, recipe.steps - done), recipe.batch, rng
         ):
-            images, *truth = (one.to(recipe.device) for one in _batch(crops, labels, part, rng))
-            with torch.autocast(recipe.device, dtype=torch.bfloat16, enabled=recipe.bfloat16):
+            images, *truth = (
+                one.to(recipe.device) for one in _batch(crops, labels, part, rng)
+            )
+            with torch.autocast(
+                recipe.device, dtype=torch.bfloat16, enabled=recipe.bfloat16
+            ):
                 logits, sides = network(images)
             value = loss(logits.float(), sides.float(), *truth)
             optimiser.zero_grad()
@@ -329,7 +356,9 @@ def _stands_out(crops: Crops) -> NDArray[np.bool_]:
         around = np.s_[row, max(top - 2, 0) : bottom + 2, max(left - 2, 0) : right + 2]
         grey = crops.rgb[around].mean(axis=2)
         high, wide = (side // 2 * 2 for side in grey.shape)
-        coarse = grey[:high, :wide].reshape(high // 2, 2, wide // 2, 2).mean(axis=(1, 3))
+        coarse = (
+            grey[:high, :wide].reshape(high // 2, 2, wide // 2, 2).mean(axis=(1, 3))
+        )
         stands[row] = coarse.std() >= _LEAST_SPREAD
     return stands
 
@@ -368,13 +397,16 @@ def _batch(
     )
 
 
-def _other_colours(images: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
+def _other_colours(
+    images: NDArray[np.float32], rng: np.random.Generator
+) -> NDArray[np.float32]:
     """Images (n, h, w, 3) with another saturation, contrast, tint and lightness each."""
 
     def draw(low: float, high: float, n_channels: int = 1) -> NDArray[np.float32]:
         return rng.uniform(low, high, (len(images), 1, n_channels)).astype(np.float32)
 
-    colour, contrast = draw(0.3, 1.4), draw(0.6, 1.3)
+    colour = draw(0.3, 1.4)
+    contrast = draw(0.6, 1.3)
     tint = draw(0.6, 1.4, 3) ** np.float32(0.5)
     mean = images.mean(axis=(1, 2, 3), dtype=np.float32)[:, None, None]
     mixed = colour * np.eye(3, dtype=np.float32) + (1.0 - colour) / np.float32(3.0)
@@ -387,13 +419,21 @@ def _other_colours(images: NDArray[np.float32], rng: np.random.Generator) -> NDA
 def find_boxes(network: VruNetwork, crops: Crops) -> Found:
     """Boxes and confidence of each crop, by class, overlapping ones suppressed."""
     found: Found = []
-    for part in np.array_split(np.arange(len(crops)), math.ceil(len(crops) / _MOST_AT_ONCE)):
-        pixels = torch.from_numpy(crops.rgb[part].transpose(0, 3, 1, 2).astype(np.float32) / 255.0)
+    for part in np.array_split(
+        np.arange(len(crops)), math.ceil(len(crops) / _MOST_AT_ONCE)
+    ):
+        pixels = torch.from_numpy(
+            crops.rgb[part].transpose(0, 3, 1, 2).astype(np.float32) / 255.0
+        )
         logits, sides = network(pixels)
-        scores, boxes = logits.sigmoid().flatten(2).numpy(), to_boxes(sides).flatten(2).numpy()
+        scores = logits.sigmoid().flatten(2).numpy()
+        boxes = to_boxes(sides).flatten(2).numpy()
         for row in range(len(part)):
             found.append(
-                [_most_confident(boxes[row], scores[row, number]) for number in range(len(CLASSES))]
+                [
+                    _most_confident(boxes[row], scores[row, number])
+                    for number in range(len(CLASSES))
+                ]
             )
     return found
 

@@ -1,7 +1,7 @@
 """Drawn pictures on a page, and photographs before the shipped network.
 
-``python -m experiments.perception_lab.training.pictures sheet`` puts forty pictures on one page.
-``.. photographs FOLDER`` shows photographs to the shipped network.
+``python -m experiments.perception_lab.training.pictures sheet`` puts forty pictures on
+one page. ``.. photographs FOLDER`` shows photographs to the shipped network.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,18 +39,31 @@ _CASES = "CPNA-75,CPFA-50,CPLA-25,CPNCO-50,CBNA,CBLA"
 _WORDS = ("adult", "child", "cyclist")
 _TRAINING = "python -m experiments.perception_lab.training"
 _LEAST_SEEN = 0.95  # share: what is hidden more is not on the page
-_LEAST_SPREAD = 8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
+_LEAST_SPREAD = (
+    8.0  # of grey, 0 .. 255: at night, who stands in no light is not on the page
+)
 _MOST_DARK = 100  # of these one after the other
-_TILE_PX, _CAPTION_PX, _COLUMNS, _TILES = 240, 30, 8, 40
+_TILE_PX = 240
+_CAPTION_PX = 30
+_COLUMNS = 8
+_TILES = 40
 _SHEET_HEIGHTS_PX = (40.0, 160.0)
 
 
 def _rows(
-    settings: Sequence[Setting], framing: Framing, seed: Sequence[int], backdrops: Backdrops
+    settings: Sequence[Setting],
+    framing: Framing,
+    seed: Sequence[int],
+    backdrops: Backdrops,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Junctions in turn, and a picture of somebody who is hardly hidden, without end."""
     looks = [
-        look_around(setting, framing, np.random.default_rng([*seed, number]), backdrops=backdrops)
+        look_around(
+            setting,
+            framing,
+            np.random.default_rng([*seed, number]),
+            backdrops=backdrops,
+        )
         for number, setting in enumerate(settings)
     ]
     while True:
@@ -98,16 +111,23 @@ def stored_looks(folder: Path, *, seed: int) -> Looks:
     Raises InputError: the folder has none, or none of a class in a weather.
     """
     parts = {
-        path.stem.rpartition("-")[0]: load_crops(path) for path in sorted(folder.glob("*.npz"))
+        path.stem.rpartition("-")[0]: load_crops(path)
+        for path in sorted(folder.glob("*.npz"))
     }
     return [
-        _stored(parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder)
+        _stored(
+            parts, kind, weather, np.random.default_rng([seed, weather, kind]), folder
+        )
         for weather, kind in product(range(len(WEATHERS)), range(len(TRAINED)))
     ]
 
 
 def _stored(
-    parts: Mapping[str, Crops], kind: int, weather: int, rng: np.random.Generator, folder: Path
+    parts: Mapping[str, Crops],
+    kind: int,
+    weather: int,
+    rng: np.random.Generator,
+    folder: Path,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """A crop of each junction in turn."""
     rows = {}
@@ -124,16 +144,22 @@ def _stored(
     for turn in count():
         name = names[turn % len(names)]
         row = int(rows[name][turn // len(names) % len(rows[name])])
-        yield name, {field: getattr(parts[name], field)[row] for field in Crops.__slots__}
+        yield (
+            name,
+            {field: getattr(parts[name], field)[row] for field in Crops.__slots__},
+        )
 
 
-def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None) -> Image.Image:
+def draw_sheet(
+    looks: Looks, *, tell: Callable[[str], None] = lambda words: None
+) -> Image.Image:
     """Forty pictures on a page, one of each class and weather after the other.
 
-    Whom no light reaches is not on it; `tell` gets how many were left out. Raises InputError: light
-    reaches none of a hundred.
+    Whom no light reaches is not on it; `tell` gets how many were left out. Raises
+    InputError: light reaches none of a hundred.
     """
-    tiles, n_dark = [], 0
+    tiles = []
+    n_dark = 0
     for number in range(_TILES):
         drawn = islice(looks[number % len(looks)], _MOST_DARK)
         for name, row in drawn:
@@ -154,7 +180,9 @@ def draw_sheet(looks: Looks, *, tell: Callable[[str], None] = lambda words: None
         height = round(float(box_height_px(row["box_px"])))
         caption = f"{_WORDS[row['vru_class']]}, {WEATHERS[row['weather']]}, {height} px"
         tell(f"{number + 1} of {_TILES}: {caption}, {name}")
-        pen.text((left + 3, top + side + 1), f"{caption}\n{name}", fill="black", spacing=2)
+        pen.text(
+            (left + 3, top + side + 1), f"{caption}\n{name}", fill="black", spacing=2
+        )
     tell(f"{n_dark} left out: no light reaches them")
     return sheet
 
@@ -164,19 +192,31 @@ def _stands_out(row: Mapping[str, Any]) -> bool:
     return float(row["rgb"][top:bottom, left:right].mean(axis=2).std()) >= _LEAST_SPREAD
 
 
-_KITTI_OBJECT = ("type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom") + (
-    *("height", "width", "length", "x", "y", "z", "yaw", "score"),
-)
+_KITTI_OBJECT = (
+    "type",
+    "truncated",
+    "occluded",
+    "alpha",
+    "left",
+    "top",
+    "right",
+    "bottom",
+) + (*("height", "width", "length", "x", "y", "z", "yaw", "score"),)
 _SIDES = ("left", "top", "right", "bottom")
-_FINDERS = {"pedestrian": ("person",), "cyclist": ("cyclist", "person"), "motorcyclist": ()}
+_FINDERS = {
+    "pedestrian": ("person",),
+    "cyclist": ("cyclist", "person"),
+    "motorcyclist": (),
+}
 """By what is labelled: which boxes of a network find it; on a motorcyclist none is a false one."""
 
 
 def photographs_text(folder: Path, network: NetworkDetector) -> str:
     """What a network finds in photographs with KITTI's labels, as Markdown.
 
-    FOLDER has ``image_2/NAME.jpg`` or ``.png`` and ``label_2/NAME.txt``. Raises InputError: there
-    is none, or a picture or a line of labels is not what it should be.
+    FOLDER has ``image_2/NAME.jpg`` or ``.png`` and ``label_2/NAME.txt``. Raises
+    InputError: there is none, or a picture or a line of labels is not what it should
+    be.
     """
     labels = sorted((folder / "label_2").glob("*.txt"))
     if not labels:
@@ -232,7 +272,10 @@ def _photograph(folder: Path, stem: str) -> NDArray[np.uint8]:
 
 
 _MAPS = click.option(
-    "--map", "maps", multiple=True, help="A map's file, besides town05, which is built in."
+    "--map",
+    "maps",
+    multiple=True,
+    help="A map's file, besides town05, which is built in.",
 )
 
 
@@ -246,7 +289,10 @@ def main() -> None:
 @click.option(
     "--crops",
     type=click.Path(path_type=Path),
-    help="Folder of crops of python -m experiments.perception_lab.training, in place of new ones.",
+    help=(
+        "Folder of crops of python -m experiments.perception_lab.training, in place of"
+        " new ones."
+    ),
 )
 @click.option("--seed", default=0, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True)
@@ -254,15 +300,18 @@ def sheet(*, maps: tuple[str, ...], crops: Path | None, seed: int, out: Path) ->
     """Forty pictures on one page."""
     if crops is not None and maps:
         raise click.UsageError("--crops: got it with --map; expected one of them")
-    looks = (
-        draw_looks(_settings(maps), seed=seed) if crops is None else stored_looks(crops, seed=seed)
-    )
+    if crops is None:
+        looks = draw_looks(_settings(maps), seed=seed)
+    else:
+        looks = stored_looks(crops, seed=seed)
     draw_sheet(looks, tell=_tell).save(out, quality=90)
 
 
 @main.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--detector", default="cnn", show_default=True, help="cnn, or an .onnx file.")
+@click.option(
+    "--detector", default="cnn", show_default=True, help="cnn, or an .onnx file."
+)
 def photographs(*, folder: Path, detector: str) -> None:
     """Show photographs with KITTI's labels to a network: image_2/ and label_2/ in FOLDER."""
     network = load_detector(detector, where="--detector")

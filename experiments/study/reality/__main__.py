@@ -1,7 +1,7 @@
 """Real recordings against predictions: ``python -m experiments.study.reality FOLDER``.
 
-FOLDER has the repositories' folders side by side: OpenTraj, sort, DeepFusionMOT, AB3DMOT.
-``docs/how_to/recordings.md`` says which files are read.
+FOLDER has the repositories' folders side by side: OpenTraj, sort, DeepFusionMOT,
+AB3DMOT. ``docs/how_to/recordings.md`` says which files are read.
 """
 
 from pathlib import Path
@@ -17,8 +17,12 @@ from .report import measure, plot_confirmations, plot_heights, plot_recall, tabl
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True)
-@click.option("--tables", "tables_to", type=click.Path(path_type=Path), help="Write TOML here.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("results"), show_default=True
+)
+@click.option(
+    "--tables", "tables_to", type=click.Path(path_type=Path), help="Write TOML here."
+)
 def main(folder: Path, out: Path, tables_to: Path | None) -> None:
     """Write reality.md and its figures; with --tables the response tables fitted as well."""
     try:

@@ -24,7 +24,15 @@ _DRAWS = 400
 _INSIDE_PX = 2.0  # a box that comes nearer to the picture's edge may be cut off
 _KITTI_SIZE = (1242, 375)
 _WILDTRACK_SIZE = (1920, 1080)
-_WILDTRACK_VIEWS = ("CVLab1", "CVLab2", "CVLab3", "CVLab4", "IDIAP1", "IDIAP2", "IDIAP3")
+_WILDTRACK_VIEWS = (
+    "CVLab1",
+    "CVLab2",
+    "CVLab3",
+    "CVLab4",
+    "IDIAP1",
+    "IDIAP2",
+    "IDIAP3",
+)
 
 
 @cache
@@ -69,14 +77,17 @@ class Heights:
 def measure_pets_heights(folder: Path) -> Heights:
     """Drawn over predicted heights of PETS' boxes that lie wholly in the picture."""
     drawn, camera = pets_tracks(folder)
-    height, width = camera.height_px, camera.width_px
+    height = camera.height_px
+    width = camera.width_px
     box = drawn.box_px
     whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - _INSIDE_PX)
     drawn = drawn.take(whole & (box[:, 3] < height - _INSIDE_PX))
     heading, phase = _gait(drawn, camera)
     foot, ratio = _ratios(drawn, camera, heading, phase)
     pinhole, pose = nearest_pinhole(camera)
-    boxes = body_boxes(foot, heading, phase, lambda points: project_points(points, pose, pinhole))
+    boxes = body_boxes(
+        foot, heading, phase, lambda points: project_points(points, pose, pinhole)
+    )
     drawn_px = box_height_px(drawn.box_px)
     offset = foot[:, :2] - camera.position_m[:2]
     return Heights(
@@ -103,10 +114,13 @@ def bottoms(boxes_px: FloatArray) -> FloatArray:
     return np.column_stack([0.5 * (boxes_px[:, 0] + boxes_px[:, 2]), boxes_px[:, 3]])
 
 
-def _gait(drawn: RecordedBoxes, camera: CalibratedCamera) -> tuple[FloatArray, IntArray]:
+def _gait(
+    drawn: RecordedBoxes, camera: CalibratedCamera
+) -> tuple[FloatArray, IntArray]:
     """Heading of each box's body, by its way over some frames, and the phase of its gait."""
     ground = ground_points(bottoms(drawn.box_px), camera)[:, :2]
-    heading, walked = np.zeros(len(drawn)), np.zeros(len(drawn))
+    heading = np.zeros(len(drawn))
+    walked = np.zeros(len(drawn))
     for track in np.unique(drawn.track).tolist():
         rows = np.flatnonzero(drawn.track == track)
         rows = rows[np.argsort(drawn.frame[rows])]
@@ -137,8 +151,8 @@ def _best_tilt(
 ) -> Interval:
     """Tilt that makes the heights of bodies at the drawn feet agree best, (+: down).
 
-    The height of all is free: least squares of the logarithms of drawn over predicted heights
-    around their mean. 95 % by tracks drawn with repetition.
+    The height of all is free: least squares of the logarithms of drawn over predicted
+    heights around their mean. 95 % by tracks drawn with repetition.
     """
     _, which = np.unique(drawn.track, return_inverse=True)
     moments = []
@@ -160,7 +174,8 @@ def _best_tilt(
 
 def tilted(camera: CalibratedCamera, tilt_deg: float) -> CalibratedCamera:
     """The camera turned down about its own x axis."""
-    c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    c = np.cos(np.radians(tilt_deg))
+    s = np.sin(np.radians(tilt_deg))
     down = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     return replace(camera, R_camera_world=down @ camera.R_camera_world)
 
@@ -190,7 +205,8 @@ def nearest_pinhole(camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
     return pinhole, pose
 
 
-# The camera frame (x right, y down, z ahead) of a body that stands upright and looks to the right.
+# The camera frame (x right, y down, z ahead) of a body that stands upright and looks to
+# the right.
 _R_CAMERA_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -204,12 +220,16 @@ def measure_kitti_heights(folder: Path, sequences: tuple[int, ...]) -> FloatArra
         camera = read_kitti_camera(data / "calib" / f"{number:04d}.txt", _KITTI_SIZE)
         box = labels.box_px
         whole = (box[:, :2] > _INSIDE_PX).all(axis=1) & (box[:, 2] < width - 20.0)
-        labels = labels.take(labels.is_class("pedestrian") & whole & (box[:, 3] < height - 20.0))
+        labels = labels.take(
+            labels.is_class("pedestrian") & whole & (box[:, 3] < height - 20.0)
+        )
         if not len(labels):
             continue
         hull = _hulls()[0] @ _R_CAMERA_BODY.T
         points = labels.position_m[:, None] + hull
-        rows = project_distorted(points.reshape(-1, 3), camera)[:, 1].reshape(len(labels), -1)
+        rows = project_distorted(points.reshape(-1, 3), camera)[:, 1].reshape(
+            len(labels), -1
+        )
         ratios.append(box_height_px(labels.box_px) / np.ptp(rows, axis=1))
     return np.concatenate(ratios)
 

@@ -15,7 +15,12 @@ from geometry.arrays import FloatArray
 from geometry.lidar import load_lidar_detection
 from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval
-from placement.detectors.fitting import ResponseFit, fit_lasting_share, fit_response, share_by_track
+from placement.detectors.fitting import (
+    ResponseFit,
+    fit_lasting_share,
+    fit_response,
+    share_by_track,
+)
 
 from ...figures.axes import BLUE, GREY, WIDTH_IN, finish_axes, new_figure
 from ...perception_lab.fit import draw_intervals, table_text
@@ -89,13 +94,19 @@ class Measured:
 
     def probability(self, watched: Watched) -> FloatArray:
         """What the table fitted to a detector predicts of each frame, (n,)."""
-        return self.fits[watched.name].detector.probability(watched.sightings.evidence())
+        return self.fits[watched.name].detector.probability(
+            watched.sightings.evidence()
+        )
 
     @cached_property
     def held(self) -> dict[str, list[HeldOut]]:
         """Halves predicted from the other ones, both ways."""
         return {
-            words: [hold_out(one, by, fit_first=way) for by in one.halves for way in (True, False)]
+            words: [
+                hold_out(one, by, fit_first=way)
+                for by in one.halves
+                for way in (True, False)
+            ]
             for words, one in self.watched.items()
         }
 
@@ -128,7 +139,9 @@ class Measured:
         return {
             "% hidden": {"PETS, camera": self.by_hidden["PETS, camera"]},
             "hidden": by_level,
-            "height, px": {words: self.by_height[words] for words in list(self.watched)[:3]},
+            "height, px": {
+                words: self.by_height[words] for words in list(self.watched)[:3]
+            },
         }
 
     def confirmations(self) -> dict[str, HeldOut]:
@@ -164,7 +177,9 @@ def _share(interval: Interval) -> str:
 
 
 def _plain(interval: Interval) -> str:
-    return f"{number(interval.value)} ({number(interval.low)} to {number(interval.high)})"
+    return (
+        f"{number(interval.value)} ({number(interval.low)} to {number(interval.high)})"
+    )
 
 
 def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
@@ -188,7 +203,8 @@ def comparisons(m: Measured) -> list[tuple[str, Interval, float]]:
 
 def text(m: Measured) -> str:
     """The report, as Markdown."""
-    in_16, height_px = m.car.halves["sequence"], m.car.sightings.height_px
+    in_16 = m.car.halves["sequence"]
+    height_px = m.car.sightings.height_px
     rows = (m.lidar.hidden_level == 0) & (m.lidar.distance_m < lidar_reach_m())
     seen = m.lidar.sightings
     compared = comparisons(m)
@@ -221,8 +237,9 @@ def text(m: Measured) -> str:
         fewest=min(one.tracks for halves in m.held.values() for one in halves),
         most=max(one.tracks for halves in m.held.values() for one in halves),
         correlations=[
-            f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz, "
-            f"frame_correlation {_plain(m.fits[one.name].intervals['frame_correlation'])}"
+            f"{words}: phi {phi(one.sightings).value:.2f} at {one.frame_rate_hz:g} Hz,"
+            " frame_correlation"
+            f" {_plain(m.fits[one.name].intervals['frame_correlation'])}"
             for words, one in fitted.items()
         ],
         lasting=[
@@ -235,11 +252,21 @@ def text(m: Measured) -> str:
         labels=np.quantile(m.labels, _SPREAD),
         agreed=float(np.mean([flag.agreed for flag in m.flags])),
         flags=[
-            [f.view, str(f.people), *map(percent, (f.in_view, f.agreed, f.agreed_pinhole))]
+            [
+                f.view,
+                str(f.people),
+                *map(percent, (f.in_view, f.agreed, f.agreed_pinhole)),
+            ]
             for f in m.flags
         ],
         found=[
-            (one, words, side_errors(one.sightings), first_confirmed(one.sightings), rows)
+            (
+                one,
+                words,
+                side_errors(one.sightings),
+                first_confirmed(one.sightings),
+                rows,
+            )
             for words, one in m.watched.items()
             for rows in [_recall_rows(m, words, one)]
         ],
@@ -267,7 +294,8 @@ def _ratio_rows(h: Heights) -> list[list[str]]:
     rows = []
     ratios = {"lens as calibrated": h.ratio, "pinhole of this project": h.pinhole_ratio}
     for name, ratio in ratios.items():
-        near, far = ratio[h.distance_m < 20.0], ratio[h.distance_m >= 30.0]
+        near = ratio[h.distance_m < 20.0]
+        far = ratio[h.distance_m >= 30.0]
         figures = [*np.quantile(ratio, _SPREAD), np.median(near), np.median(far)]
         rows.append([name, *(number(float(value), 3) for value in figures)])
     return rows
@@ -275,7 +303,12 @@ def _ratio_rows(h: Heights) -> list[list[str]]:
 
 def _recall_rows(m: Measured, words: str, one: Watched) -> list[list[str]]:
     distance = recalls(one, one.distance_m, DISTANCE_EDGES_M, "m")
-    groups = [recall_of(one.sightings, "all"), *m.by_hidden[words], *m.by_height[words], *distance]
+    groups = [
+        recall_of(one.sightings, "all"),
+        *m.by_hidden[words],
+        *m.by_height[words],
+        *distance,
+    ]
     return [
         [g.words, str(g.frames), str(g.tracks), _share(g.measured)]
         + [percent(g.predicted), "*" if g.is_off else ""]
@@ -283,16 +316,19 @@ def _recall_rows(m: Measured, words: str, one: Watched) -> list[list[str]]:
     ]
 
 
-# KITTI's LiDAR, Velodyne HDL-64E: A. Geiger et al., "Vision meets robotics", 2013, sensor setup.
-_HDL_LINES, _HDL_FOV_DEG, _HDL_POINTS_PER_S = 64, 26.8, 1.3e6
+# KITTI's LiDAR, Velodyne HDL-64E: A. Geiger et al., "Vision meets robotics", 2013,
+# sensor setup.
+_HDL_LINES = 64
+_HDL_FOV_DEG = 26.8
+_HDL_POINTS_PER_S = 1.3e6
 
 
 @cache
 def lidar_reach_m() -> float:
     """Distance up to which KITTI's LiDAR returns as many points as this project's rule asks for.
 
-    If every pulse comes back: outline of the body from ahead and from the side, times pulses per
-    solid angle. [m]
+    If every pulse comes back: outline of the body from ahead and from the side, times
+    pulses per solid angle. [m]
     """
     shape = pick_actor(BODY, "body").shapes[0]
     areas = []
@@ -350,7 +386,8 @@ def plot_heights(heights: Heights) -> "Figure":
     figure = new_figure(WIDTH_IN, 2.8)
     axes = figure.add_subplot()
     bands = np.floor(heights.distance_m / _BAND_M)
-    places, rows = [], []
+    places = []
+    rows = []
     for band in np.unique(bands).tolist():
         mask = bands == band
         if mask.sum() >= _LEAST:
@@ -360,11 +397,17 @@ def plot_heights(heights: Heights) -> "Figure":
     low, middle, high, pinhole = np.array(rows).T
     axes.axhline(1.0, color=GREY, linewidth=1.0)
     axes.fill_between(places, low, high, color="#dddddd", label="10 to 90 %")
-    axes.plot(places, middle, "o-", color=BLUE, markersize=4, label="median, calibrated lens")
-    axes.plot(places, pinhole, "s--", color="black", mfc="none", ms=5, label="median, pinhole")
+    axes.plot(
+        places, middle, "o-", color=BLUE, markersize=4, label="median, calibrated lens"
+    )
+    axes.plot(
+        places, pinhole, "s--", color="black", mfc="none", ms=5, label="median, pinhole"
+    )
     axes.set_ylim(0.8, 1.2)
     axes.legend(fontsize=_SMALL, frameon=False, ncol=3, loc="upper right")
-    finish_axes(axes, x="distance on the ground, m", y="drawn / predicted height", grid="y")
+    finish_axes(
+        axes, x="distance on the ground, m", y="drawn / predicted height", grid="y"
+    )
     return figure
 
 
@@ -375,7 +418,9 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
     """
     figure = new_figure(WIDTH_IN, 3.3)
     handles: dict[str, Any] = {}
-    for axes, (title, watched) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+    for axes, (title, watched) in zip(
+        figure.subplots(1, len(panels)), panels.items(), strict=True
+    ):
         names = [one.words for one in max(watched.values(), key=len)]  # in order
         names += [one.words for groups in watched.values() for one in groups]
         names = list(dict.fromkeys(names))
@@ -383,11 +428,23 @@ def plot_recall(panels: Mapping[str, Mapping[str, Sequence[Recall]]]) -> "Figure
             shift = 0.24 * (place - 0.5 * (len(watched) - 1))
             places = np.array([names.index(one.words) + shift for one in groups])
             marker, colour = _STYLES[name]
-            look = {"fmt": marker, "color": colour, "ms": 4, "capsize": 2, "linewidth": 1.0}
-            handles[name] = draw_intervals(axes, places, [one.measured for one in groups], **look)
+            look = {
+                "fmt": marker,
+                "color": colour,
+                "ms": 4,
+                "capsize": 2,
+                "linewidth": 1.0,
+            }
+            handles[name] = draw_intervals(
+                axes, places, [one.measured for one in groups], **look
+            )
             predicted = [one.predicted for one in groups]
-            (handles["table `response`"],) = axes.plot(places, predicted, "_k", ms=7, mew=2.0)
-        axes.set_xticks(range(len(names)), [_short(name) for name in names], rotation=40)
+            (handles["table `response`"],) = axes.plot(
+                places, predicted, "_k", ms=7, mew=2.0
+            )
+        axes.set_xticks(
+            range(len(names)), [_short(name) for name in names], rotation=40
+        )
         axes.set_title(title, fontsize=8)
         axes.set_ylim(0.0, 1.04)
         finish_axes(axes, y="share found" if axes is figure.axes[0] else None, grid="y")
@@ -404,7 +461,9 @@ def _short(words: str) -> str:
 def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
     """Share of starts confirmed within so many frames: real, by the fit, by "response"."""
     figure = new_figure(WIDTH_IN, 2.8)
-    for axes, (title, one) in zip(figure.subplots(1, len(held)), held.items(), strict=True):
+    for axes, (title, one) in zip(
+        figure.subplots(1, len(held)), held.items(), strict=True
+    ):
         frames = np.arange(1, _MAX_FRAMES + 1)
         for values, style, width, words in (
             (one.real, "-", 2.0, "real"),
@@ -412,7 +471,9 @@ def plot_confirmations(held: Mapping[str, HeldOut]) -> "Figure":
             (one.by_response, ":", 1.5, "response"),
         ):
             look = {"color": BLUE if words == "real" else "black", "linewidth": width}
-            axes.step(frames, values[:_MAX_FRAMES], style, where="post", label=words, **look)
+            axes.step(
+                frames, values[:_MAX_FRAMES], style, where="post", label=words, **look
+            )
         axes.set_ylim(0.4, 1.0)
         axes.set_xlim(2, _MAX_FRAMES)
         axes.set_title(title, fontsize=8)

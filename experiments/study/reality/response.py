@@ -60,8 +60,12 @@ class Watched:
 def watch_pets(folder: Path) -> Watched:
     """Faster R-CNN on PETS; halves by people and by time."""
     given, camera = pets_tracks(folder)
-    found = read_boxes(folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt")
-    paired = pair_boxes(given, found, classes={"pedestrian": "pedestrian"}, min_score=0.5)
+    found = read_boxes(
+        folder / "sort" / "data" / "train" / "PETS09-S2L1" / "det" / "det.txt"
+    )
+    paired = pair_boxes(
+        given, found, classes={"pedestrian": "pedestrian"}, min_score=0.5
+    )
     ground = ground_points(bottoms(given.box_px), camera)[:, :2] - camera.position_m[:2]
     sightings, alarms, order = _gather(paired, frame_rate_hz=7.0)
     rows = paired.label_index[order]
@@ -97,8 +101,12 @@ def watch_kitti(folder: Path, *, name: str, class_name: str) -> Watched:
         given = read_boxes(data / "label" / f"{number:04d}.txt")
         if not (given.is_class(class_name) & (given.track >= 0)).any():
             continue
-        found = read_boxes(folder / path.format(class_name.capitalize()) / f"{number:04d}.txt")
-        n_frames = len(read_text(data / "oxts" / f"{number:04d}.txt", "text").splitlines())
+        found = read_boxes(
+            folder / path.format(class_name.capitalize()) / f"{number:04d}.txt"
+        )
+        n_frames = len(
+            read_text(data / "oxts" / f"{number:04d}.txt", "text").splitlines()
+        )
         paired = pair_boxes(
             given,
             found,
@@ -186,7 +194,10 @@ def recalls(
     groups = []
     for low, high in pairwise(edges):
         rows = np.flatnonzero((values >= low) & (values < high))
-        words = f"{low:g} {unit} and more" if high == np.inf else f"{low:g} to {high:g} {unit}"
+        if high == np.inf:
+            words = f"{low:g} {unit} and more"
+        else:
+            words = f"{low:g} to {high:g} {unit}"
         if len(rows):
             groups.append(recall_of(watched.sightings.take(rows), words))
     return groups
@@ -207,10 +218,13 @@ def phi(sightings: Sightings) -> Interval:
     """Correlation of found or not between consecutive frames, 95 % by tracks drawn anew."""
     same = np.diff(sightings.track) == 0
     is_next = np.flatnonzero(same & (np.diff(sightings.frame) == 1))
-    a, b = sightings.is_found[is_next], sightings.is_found[is_next + 1]
+    a = sightings.is_found[is_next]
+    b = sightings.is_found[is_next + 1]
     _, which = np.unique(sightings.track[is_next], return_inverse=True)
     weights = (np.ones(len(a)), a, b, a & b)
-    sums = np.array([np.bincount(which, weights=one) for one in weights])  # (4, n_tracks)
+    sums = np.array(
+        [np.bincount(which, weights=one) for one in weights]
+    )  # (4, n_tracks)
     n_tracks = sums.shape[1]
     counts = np.random.default_rng(0).multinomial(
         n_tracks, np.full(n_tracks, 1.0 / n_tracks), size=1000
@@ -284,7 +298,9 @@ def hold_out(watched: Watched, divided_by: str, *, fit_first: bool) -> HeldOut:
 
 def _correlation_there(table: ResponseDetector, watched: Watched) -> float:
     """A table's correlation at the recording's frame rate."""
-    return correlation_at(table.frame_correlation, from_hz=TABLE_HZ, to_hz=watched.frame_rate_hz)
+    return correlation_at(
+        table.frame_correlation, from_hz=TABLE_HZ, to_hz=watched.frame_rate_hz
+    )
 
 
 def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolArray:
@@ -294,7 +310,10 @@ def _draw(held: Sightings, probability: FloatArray, correlation: float) -> BoolA
     rng = np.random.default_rng(0)
     # A gap between tracks: their draws are not linked.
     numbers = held.frame + (held.track - held.track.min()) * (int(held.frame.max()) + 2)
-    rows = [ndtr(linked_noise(numbers, correlation, rng)) < probability for _ in range(_DRAWS)]
+    rows = [
+        ndtr(linked_noise(numbers, correlation, rng)) < probability
+        for _ in range(_DRAWS)
+    ]
     return np.array(rows)
 
 
@@ -307,7 +326,8 @@ def _confirmed(held: Sightings, found: BoolArray) -> FloatArray:
 
 def confirmed_at_once(watched: Watched) -> Recall:
     """Share of starts whose first three frames confirm; the prediction is drawn by "response"."""
-    table, sightings = built_in_response(), watched.sightings
+    table = built_in_response()
+    sightings = watched.sightings
     waits = _waits(sightings, sightings.is_found)
     probability = table.probability(sightings.evidence())
     drawn = _draw(sightings, probability, _correlation_there(table, watched))

@@ -11,7 +11,12 @@ import numpy as np
 from ...errors import InputError, refuse
 from ...untrusted_files import local_name, read_xml
 from ..source_map import MapJunction, MapLane, Omissions, SourceMap
-from .junctions import build_junctions, find_road_ends, leading_roads, read_junction_records
+from .junctions import (
+    build_junctions,
+    find_road_ends,
+    leading_roads,
+    read_junction_records,
+)
 from .lanes import (
     MAX_POINTS,
     SampledSection,
@@ -42,10 +47,10 @@ _JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbou
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes, connecting roads lanes through their junctions, whose
-    outlines are those of these roads' surface; objects and signals things, poles, crosswalks and
-    parking lanes. Heights are absolute. Raises InputError if it is damaged, has no roads, or needs
-    too many points.
+    Roads outside junctions become lanes, connecting roads lanes through their
+    junctions, whose outlines are those of these roads' surface; objects and signals
+    things, poles, crosswalks and parking lanes. Heights are absolute. Raises InputError
+    if it is damaged, has no roads, or needs too many points.
     """
     where = path.name
     root = read_xml(path, expected="OpenDRIVE")
@@ -69,7 +74,9 @@ def read_opendrive(path: Path) -> SourceMap:
     connections = _connections(roads, junctions, where)
     for one in junctions:
         arms = [roads[name] for name, at in ends.items() if one.id in at]
-        if arms and all(road.is_motorway for road in arms):  # cars are led on through it
+        if arms and all(
+            road.is_motorway for road in arms
+        ):  # cars are led on through it
             why = "motorways merge or part where nobody walks"
             omissions.add("junctions", f"junction {one.id}", why)
             junctions = [other for other in junctions if other is not one]
@@ -84,7 +91,9 @@ def read_opendrive(path: Path) -> SourceMap:
     n_left = sum(road.keeps_left for road in roads.values())
     if 0 < n_left < len(roads):
         name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
-        omissions.add("rules", name, "traffic in a map keeps one side: that of most roads")
+        omissions.add(
+            "rules", name, "traffic in a map keeps one side: that of most roads"
+        )
     return SourceMap(
         name=where,
         crs=crs,
@@ -98,13 +107,19 @@ def read_opendrive(path: Path) -> SourceMap:
         crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
         keeps_left=2 * n_left > len(roads),
         ground_m=np.concatenate(
-            [section.surface_m() for sections in sampled.values() for section in sections]
+            [
+                section.surface_m()
+                for sections in sampled.values()
+                for section in sections
+            ]
         ),
         skipped=omissions.listed(),
     )
 
 
-def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions) -> dict[str, Road]:
+def _read_roads(
+    root: Element, where: str, offset: Offset, omissions: Omissions
+) -> dict[str, Road]:
     """All roads by id; the neighbours of those without a length are joined, which is noted."""
     roads: dict[str, Road] = {}
     joints: dict[str, tuple[RoadLink, RoadLink]] = {}
@@ -120,22 +135,31 @@ def _read_roads(root: Element, where: str, offset: Offset, omissions: Omissions)
         else:
             roads[road_id] = read_road(element, where, offset)
             if element.find("lateralProfile/shape") is not None:
-                why = "roads are taken to be straight across, but for their superelevation"
+                why = (
+                    "roads are taken to be straight across, but for their"
+                    " superelevation"
+                )
                 omissions.add("shapes of cross sections", f"road {road_id} shape", why)
     if not roads:
         refuse(where, "no road", "a document with roads")
     for road_id, road in roads.items():
-        before, after = _beyond(road.before, joints), _beyond(road.after, joints)
+        before = _beyond(road.before, joints)
+        after = _beyond(road.after, joints)
         roads[road_id] = replace(road, before=before, after=after)
     return roads
 
 
-def _beyond(link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]) -> RoadLink:
+def _beyond(
+    link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]
+) -> RoadLink:
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break
         before, after = joints[link.id]
-        link = before if link.contact == "end" else after
+        if link.contact == "end":
+            link = before
+        else:
+            link = after
     return link
 
 
@@ -144,7 +168,9 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
     n_points = 0
     for road in roads.values():
         sampled[road.id] = sample_road(road)
-        n_points += sum(len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id])
+        n_points += sum(
+            len(section.s_m) * (1 + len(section.lanes)) for section in sampled[road.id]
+        )
         if n_points > MAX_POINTS:
             got = f"more than {MAX_POINTS:,} points up to here"
             refuse(road.where, got, "a smaller file: cut it out first")

@@ -23,7 +23,9 @@ _ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who cros
 _AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
 _MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
 _MOUTH_M = 15.0  # of a lane, which is no part of the junction
-_WAY_WIDTH_M = 1.0  # to a lane's end outside: other ends that it passes stay at the outline
+_WAY_WIDTH_M = (
+    1.0  # to a lane's end outside: other ends that it passes stay at the outline
+)
 _CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
 _SIMPLIFY_M = 0.02
 _GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
@@ -58,7 +60,10 @@ def read_junction_records(
         if kind in without_surface:
             name = f"junction {junction_id} ({kind})"
             omissions.add(f"{kind} junctions", name, without_surface[kind])
-        roads = [connection.get("incomingRoad", "") for connection in element.iter("connection")]
+        roads = [
+            connection.get("incomingRoad", "")
+            for connection in element.iter("connection")
+        ]
         found[junction_id] = JunctionRecord(
             id=junction_id,
             name=element.get("name", "").strip(),
@@ -70,7 +75,9 @@ def read_junction_records(
 
 
 def find_road_ends(
-    roads: Mapping[str, Road], junctions: Mapping[str, JunctionRecord], omissions: Omissions
+    roads: Mapping[str, Road],
+    junctions: Mapping[str, JunctionRecord],
+    omissions: Omissions,
 ) -> dict[str, RoadEnds]:
     """Junctions at both ends of roads, by their links or else by those of connecting roads."""
     led_to: dict[tuple[str, str], str] = {}
@@ -90,10 +97,15 @@ def find_road_ends(
             found = link.id
         elif link.kind == "road" and link.id in roads:
             found = roads[link.id].junction
-        return found if found in junctions and junctions[found].has_surface else ""
+        if found in junctions and junctions[found].has_surface:
+            return found
+        return ""
 
     return {
-        road.id: (junction_at(road, road.before, "start"), junction_at(road, road.after, "end"))
+        road.id: (
+            junction_at(road, road.before, "start"),
+            junction_at(road, road.after, "end"),
+        )
         for road in roads.values()
         if road.junction == NO_JUNCTION
     }
@@ -114,18 +126,32 @@ def leading_roads(
     return found
 
 
-def _leading_road(road: Road, section: SampledSection, is_start: bool) -> LeadingRoad | None:
-    index = 0 if is_start else -1
-    driving = [lane for lane in section.lanes.values() if lane_kind(lane.record.type) == "driving"]
+def _leading_road(
+    road: Road, section: SampledSection, is_start: bool
+) -> LeadingRoad | None:
+    if is_start:
+        index = 0
+    else:
+        index = -1
+    driving = [
+        lane
+        for lane in section.lanes.values()
+        if lane_kind(lane.record.type) == "driving"
+    ]
     lanes = [lane for lane in driving if float(lane.width_m[index]) >= _MIN_LANE_M]
     if not lanes:
         return None
     records = [lane.record for lane in lanes]
-    n_following = sum(((one.number < 0) != road.keeps_left) != one.is_reversed for one in records)
+    n_following = sum(
+        ((one.number < 0) != road.keeps_left) != one.is_reversed for one in records
+    )
     edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
     middle_m = 0.5 * (min(edges_m) + max(edges_m))
     ahead_m = min(_AHEAD_M, road.length_m)
-    ends_m = (ahead_m, 0.0) if is_start else (road.length_m - ahead_m, road.length_m)
+    if is_start:
+        ends_m = (ahead_m, 0.0)
+    else:
+        ends_m = (road.length_m - ahead_m, road.length_m)
     away = road.line.at(np.array(ends_m))[0]
     n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
     return LeadingRoad(
@@ -156,22 +182,31 @@ def build_junctions(
     for record in records.values():
         if not record.has_surface:
             continue
-        pieces = [section for road in members.get(record.id, []) for section in sampled[road]]
+        pieces = [
+            section for road in members.get(record.id, []) for section in sampled[road]
+        ]
         n_points = sum(len(section.s_m) * len(section.lanes) for section in pieces)
         if n_points > _MAX_POINTS:
             got = f"roads of {n_points:,} points"
             refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
         own_tips = tips[record.id]
-        with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+        with np.errstate(
+            divide="ignore", invalid="ignore"
+        ):  # flags that GEOS leaves behind
             surface = _surface(pieces)
-            fitted, far = (None, []) if surface is None else fit_outline(surface, own_tips)
+            fitted, far = (
+                (None, []) if surface is None else fit_outline(surface, own_tips)
+            )
         if fitted is None:
             why = "it has no connecting road with a driving lane"
             omissions.add("junctions without surface", f"junction {record.id}", why)
             apart |= {(record.id, lane.id) for lane, _ in own_tips}
             continue
         for lane in far:
-            why = f"its outline is more than {_MAX_REACH_M:g} m away: it does not end there"
+            why = (
+                f"its outline is more than {_MAX_REACH_M:g} m away: it does not end"
+                " there"
+            )
             name = f"lane {lane.id} at junction {record.id}"
             omissions.add("lanes that end far from their junction", name, why)
         apart |= {(record.id, lane.id) for lane in far}
@@ -182,7 +217,9 @@ def build_junctions(
         streets = [roads[road].name for road in record.incoming if road in roads]
         name = record.name or " / ".join(dict.fromkeys(filter(None, streets)))
         height_m = float(points[nearest, 2])
-        junctions.append(MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m))
+        junctions.append(
+            MapJunction(id=record.id, name=name, outline_m=outline, height_m=height_m)
+        )
     return junctions, with_known_junctions(lanes, junctions, apart)
 
 
@@ -195,7 +232,9 @@ def with_known_junctions(
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
-        return name if name in there and (name, lane.id) not in apart else ""
+        if name in there and (name, lane.id) not in apart:
+            return name
+        return ""
 
     return [
         replace(
@@ -207,7 +246,9 @@ def with_known_junctions(
     ]
 
 
-def lanes_by_junction(lanes: Iterable[MapLane]) -> dict[str, list[tuple[MapLane, FloatArray]]]:
+def lanes_by_junction(
+    lanes: Iterable[MapLane],
+) -> dict[str, list[tuple[MapLane, FloatArray]]]:
     """Lanes that end or begin at each junction, by its id, as lines (n, 2) away from it."""
     tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
     for lane in lanes:
@@ -223,8 +264,11 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
         np.concatenate([inner, outer[::-1]])
         for section in sections
         for lane in section.lanes.values()
-        if lane_kind(lane.record.type) == "driving" and lane.width_m.max() > _MIN_WIDTH_M
-        for edges in [(section.points_at(lane.inner_m), section.points_at(lane.outer_m))]
+        if lane_kind(lane.record.type) == "driving"
+        and lane.width_m.max() > _MIN_WIDTH_M
+        for edges in [
+            (section.points_at(lane.inner_m), section.points_at(lane.outer_m))
+        ]
         # In short pieces, so that self-intersections stay cheap to mend.
         for at in range(0, len(section.s_m) - 1, _PIECE_POINTS)
         for inner, outer in [[edge[at : at + _PIECE_POINTS + 1, :2] for edge in edges]]
@@ -243,7 +287,9 @@ def largest_polygon(shape: Any) -> Any:
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
-    return largest if largest is not None and largest.area > _MIN_AREA_M2 else None
+    if largest is not None and largest.area > _MIN_AREA_M2:
+        return largest
+    return None
 
 
 def fit_outline(
@@ -254,14 +300,20 @@ def fit_outline(
     for lane, line in tips:
         tip = shapely.Point(line[0])
         if surface.exterior.distance(tip) > _AT_OUTLINE_M and surface.contains(tip):
-            n_points = max(int(np.searchsorted(along_m(line), _MOUTH_M, side="right")), 2)
+            n_points = max(
+                int(np.searchsorted(along_m(line), _MOUTH_M, side="right")), 2
+            )
             mouth = shapely.LineString(line[:n_points])
             inside.append(mouth.buffer(0.5 * lane.width_m, cap_style="flat"))
     if inside:
         mouths = shapely.union_all(inside, grid_size=_GRID_M)
         rest = largest_polygon(shapely.difference(surface, mouths, grid_size=_GRID_M))
-        surface = surface if rest is None else rest
-    far, ways = [], []
+        if rest is None:
+            surface = surface
+        else:
+            surface = rest
+    far = []
+    ways = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
         distance_m = surface.exterior.distance(tip)
@@ -270,7 +322,11 @@ def fit_outline(
         elif distance_m > _AT_OUTLINE_M and not surface.contains(tip):
             way = np.asarray(shapely.shortest_line(tip, surface).coords)
             way[1] += (way[1] - way[0]) / np.hypot(*(way[1] - way[0])) * _WAY_WIDTH_M
-            ways.append(shapely.LineString(way).buffer(0.5 * _WAY_WIDTH_M, cap_style="flat"))
+            ways.append(
+                shapely.LineString(way).buffer(0.5 * _WAY_WIDTH_M, cap_style="flat")
+            )
     if ways:
-        surface = largest_polygon(shapely.union_all([surface, *ways], grid_size=_GRID_M))
+        surface = largest_polygon(
+            shapely.union_all([surface, *ways], grid_size=_GRID_M)
+        )
     return surface, far

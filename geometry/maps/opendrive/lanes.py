@@ -33,10 +33,13 @@ _MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
 _MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
-_STAGED_M = 30.0  # of a lane next to a junction: cases are laid there, so its width there counts
+# of a lane next to a junction: cases are laid there, so its width there counts
+_STAGED_M = 30.0
 _STUB_M = 5.0  # shorter lanes at a junction are no lanes of their own
 _GAP_M = 0.5  # between such a stub and the lane that goes on
-RoadEnds = tuple[str, str]  # junctions at the start and at the end of a road; empty: none
+RoadEnds = tuple[
+    str, str
+]  # junctions at the start and at the end of a road; empty: none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +53,10 @@ class SampledLane:
     @property
     def width_m(self) -> FloatArray:
         """Full width at the stations, not below 0, (n,)."""
-        side = 1.0 if self.record.number > 0 else -1.0
+        if self.record.number > 0:
+            side = 1.0
+        else:
+            side = -1.0
         return np.maximum(side * (self.outer_m - self.inner_m), 0.0)
 
 
@@ -61,7 +67,8 @@ class SampledSection:
     s_m: FloatArray  # (n,), stations from its start to its end
     points_m: FloatArray  # (n, 3), of the reference line
     left: FloatArray  # (n, 2), unit vectors to the left of it
-    rise: FloatArray  # (n,), by which the surface rises towards it: sine of the superelevation
+    # (n,), by which the surface rises towards it: sine of the superelevation
+    rise: FloatArray
     lanes: dict[int, SampledLane]  # by number
 
     def points_at(self, t_m: FloatArray) -> FloatArray:
@@ -73,15 +80,22 @@ class SampledSection:
 
     def surface_m(self) -> FloatArray:
         """Points (m, 3) of the surface: on the reference line and both edges."""
-        edges = [lane.outer_m for lane in self.lanes.values()] or [np.zeros(len(self.s_m))]
+        edges = [lane.outer_m for lane in self.lanes.values()] or [
+            np.zeros(len(self.s_m))
+        ]
         sides = [np.zeros(len(self.s_m)), np.min(edges, axis=0), np.max(edges, axis=0)]
         return np.concatenate([self.points_at(t_m) for t_m in sides])
 
 
-def sample_road(road: Road, *, chord_error_m: float = _CHORD_ERROR_M) -> tuple[SampledSection, ...]:
+def sample_road(
+    road: Road, *, chord_error_m: float = _CHORD_ERROR_M
+) -> tuple[SampledSection, ...]:
     """Sample the lane sections of a road, every 5 m along any lane and 3 cm off it at most."""
     bends = road.line.bends()
-    return tuple(_sample_section(road, section, bends, chord_error_m) for section in road.sections)
+    return tuple(
+        _sample_section(road, section, bends, chord_error_m)
+        for section in road.sections
+    )
 
 
 def _sample_section(
@@ -92,37 +106,47 @@ def _sample_section(
     n_edges = 1 + len(section.left) + len(section.right)
     _check_count(road, len(starts) * n_edges)
     center = road.offset.rebased(starts, inside)
-    edges, inner_of = {0: center}, {}
+    edges = {0: center}
+    inner_of = {}
     for side, sign in ((section.left, 1.0), (section.right, -1.0)):
         has_widths = any(len(lane.width.starts_m) for lane in side)
-        inner, inner_number = center, 0
+        inner = center
+        inner_number = 0
         for lane in side:
             if has_widths or not len(lane.border.starts_m):
                 inner = inner + sign * lane.width.rebased(starts, inside)
             else:
                 inner = _border(lane, starts, inside, center, sign)
-            edges[lane.number], inner_of[lane.number] = inner, inner_number
+            edges[lane.number] = inner
+            inner_of[lane.number] = inner_number
             inner_number = lane.number
     elevation = road.elevation.rebased(starts, inside)
 
     sides = np.stack([*edges.values()])
-    n_steps = _count_steps(road, lengths, inside, sides, elevation, bends, chord_error_m)
+    n_steps = _count_steps(
+        road, lengths, inside, sides, elevation, bends, chord_error_m
+    )
     _check_count(road, float(n_steps.sum()) * n_edges)
     first = np.cumsum(n_steps) - n_steps
     interval = np.repeat(np.arange(len(starts)), n_steps)
     ds = (np.arange(len(interval)) - first[interval]) * (lengths / n_steps)[interval]
-    interval, ds = np.append(interval, len(starts) - 1), np.append(ds, lengths[-1])
+    interval = np.append(interval, len(starts) - 1)
+    ds = np.append(ds, lengths[-1])
 
     s_m = starts[interval] + ds
     points, heading = road.line.at(s_m, inside[interval])
     t_m = {number: evaluate(ds, cubic[interval]) for number, cubic in edges.items()}
     if np.abs(points).max() > MAX_COORDINATE_M:
         got = float(np.abs(points).max())
-        raise InputError(f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m")
+        raise InputError(
+            f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m"
+        )
     height = evaluate(ds, elevation[interval]) + road.base_m
     if np.abs(height).max() > _MAX_HEIGHT_M:
         expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
-        raise InputError(f"{road.where} elevationProfile", float(np.abs(height).max()), expected)
+        raise InputError(
+            f"{road.where} elevationProfile", float(np.abs(height).max()), expected
+        )
     return SampledSection(
         s_m=s_m,
         points_m=np.column_stack([points, height]),
@@ -130,7 +154,9 @@ def _sample_section(
         rise=np.sin(evaluate(ds, road.bank.rebased(starts, inside)[interval])),
         lanes={
             lane.number: SampledLane(
-                record=lane, inner_m=t_m[inner_of[lane.number]], outer_m=t_m[lane.number]
+                record=lane,
+                inner_m=t_m[inner_of[lane.number]],
+                outer_m=t_m[lane.number],
             )
             for lane in (*section.left, *section.right)
         },
@@ -139,7 +165,9 @@ def _sample_section(
 
 def _check_count(road: Road, n_points: float) -> None:
     if n_points > MAX_POINTS:
-        refuse(road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}")
+        refuse(
+            road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}"
+        )
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
@@ -155,7 +183,11 @@ def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray
 
 
 def _border(
-    lane: LaneRecord, starts: FloatArray, inside: FloatArray, center: FloatArray, sign: float
+    lane: LaneRecord,
+    starts: FloatArray,
+    inside: FloatArray,
+    center: FloatArray,
+    sign: float,
 ) -> FloatArray:
     """Outer edge from <border>: a t coordinate, or as some write it a distance on either side."""
     border = lane.border.rebased(starts, inside)
@@ -175,33 +207,44 @@ def _count_steps(
 ) -> NDArray[np.int64]:
     """Steps per interval, (n,) int.
 
-    A chord of h metres leaves a curve by at most h^2 / 8 times its second derivative, here that of
-    p(s) + t(s) n(s): the bend of the line, widened outwards, the change of t, and the elevation.
+    A chord of h metres leaves a curve by at most h^2 / 8 times its second derivative,
+    here that of p(s) + t(s) n(s): the bend of the line, widened outwards, the change of
+    t, and the elevation.
     """
     piece = np.maximum(np.searchsorted(road.line.starts_m, inside, side="right") - 1, 0)
     curvature, change, stride = bends[piece].T
     tries = (0.0 * lengths, 0.5 * lengths, lengths)
     t = np.abs([evaluate(ds, edges) for ds in tries]).max(axis=(0, 1))
     aside = np.abs([slope(ds, edges) for ds in tries]).max(axis=(0, 1))
-    c, d = edges[..., 2], edges[..., 3]  # (n_edges, n) each
-    second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(axis=0)
-    bent, steeper = 2.0 * elevation[:, 2], 6.0 * elevation[:, 3] * lengths
+    c = edges[..., 2]
+    d = edges[..., 3]  # (n_edges, n) each
+    second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(
+        axis=0
+    )
+    bent = 2.0 * elevation[:, 2]
+    steeper = 6.0 * elevation[:, 3] * lengths
     rise = np.maximum(np.abs(bent), np.abs(bent + steeper))
     turn = curvature * stride * lengths
     if turn.max() > _MAX_TURN_RAD:
-        where, got = road.line.wheres[piece[int(turn.argmax())]], f"{turn.max():.3g} rad"
+        where = road.line.wheres[piece[int(turn.argmax())]]
+        got = f"{turn.max():.3g} rad"
         refuse(where, f"a curve that turns by {got}", f"at most {_MAX_TURN_RAD:g} rad")
     if t.max() > _MAX_EDGE_M:
-        where, most = f"{road.where}: edge of a lane", f"at most {_MAX_EDGE_M:g} m off"
+        where = f"{road.where}: edge of a lane"
+        most = f"at most {_MAX_EDGE_M:g} m off"
         raise InputError(where, float(t.max()), most)
     widening = 1.0 + curvature * t
-    bend = stride * (stride * curvature * widening + 2.0 * curvature * aside + change * t)
+    bend = stride * (
+        stride * curvature * widening + 2.0 * curvature * aside + change * t
+    )
     by_chord = lengths * np.sqrt((bend + second + rise) / (8.0 * chord_error_m))
     by_step = lengths * (stride * widening + aside) / _MAX_STEP_M
     n_steps = np.ceil(np.maximum(np.maximum(by_chord, by_step), 1.0) - 1.0e-9)
     if n_steps.max() > _MAX_PIECE_POINTS:
         where = road.line.wheres[piece[int(n_steps.argmax())]]
-        expected = f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow"
+        expected = (
+            f"a curve, or widths along it, that at most {_MAX_PIECE_POINTS:,} follow"
+        )
         refuse(where, f"bends that take {n_steps.max():.3g} points to follow", expected)
     return np.asarray(n_steps, dtype=np.int64)
 
@@ -235,10 +278,23 @@ def build_lanes(
             junctions = ends[0] if at_start else "", ends[1] if at_end else ""
             width_m = _width_m(points, widths_m, *map(bool, junctions))
             # Where it leads into a junction, or else out of one.
-            is_at_end = bool(junctions[1]) if follows else not junctions[0]
-            last = max(chain) if is_at_end else min(chain)
-            at_m, its_lane = road.length_m if is_at_end else 0.0, sections[last].lanes[chain[last]]
-            before, after = junctions if follows else junctions[::-1]
+            if follows:
+                is_at_end = bool(junctions[1])
+            else:
+                is_at_end = not junctions[0]
+            if is_at_end:
+                last = max(chain)
+            else:
+                last = min(chain)
+            if is_at_end:
+                at_m = road.length_m
+            else:
+                at_m = 0.0
+            its_lane = sections[last].lanes[chain[last]]
+            if follows:
+                before, after = junctions
+            else:
+                before, after = junctions[::-1]
             yield MapLane(
                 id=name,
                 kind=kind,
@@ -254,7 +310,11 @@ def connecting_lanes(road: Road) -> list[MapLane]:
     """Driving lanes of a connecting road that lead through its junction from end to end."""
     sections = sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M)
     lanes = build_lanes(road, sections, (road.junction, road.junction))
-    return [one for one in lanes if one.kind == "driving" and one.from_junction and one.to_junction]
+    return [
+        one
+        for one in lanes
+        if one.kind == "driving" and one.from_junction and one.to_junction
+    ]
 
 
 def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
@@ -274,16 +334,23 @@ def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
             yield chain
 
 
-def _following(sections: Sequence[SampledSection], index: int, number: int) -> int | None:
+def _following(
+    sections: Sequence[SampledSection], index: int, number: int
+) -> int | None:
     """Number in a section of the lane that continues one of the section before."""
-    record, lanes = sections[index - 1].lanes[number].record, sections[index].lanes
+    record = sections[index - 1].lanes[number].record
+    lanes = sections[index].lanes
     # Some write only the link back.
-    back = [other for other, lane in lanes.items() if number in lane.record.predecessors]
+    back = [
+        other for other, lane in lanes.items() if number in lane.record.predecessors
+    ]
     for following in (*record.successors, *back):
         lane = lanes.get(following)
         if lane is None:
             continue
-        names_others = lane.record.predecessors and number not in lane.record.predecessors
+        names_others = (
+            lane.record.predecessors and number not in lane.record.predecessors
+        )
         is_same = (
             lane_kind(lane.record.type) == lane_kind(record.type)
             and lane.record.is_reversed == record.is_reversed
@@ -294,17 +361,23 @@ def _following(sections: Sequence[SampledSection], index: int, number: int) -> i
     return None
 
 
-def _width_m(points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool) -> float:
+def _width_m(
+    points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool
+) -> float:
     """Mean width of a lane along the metres next to its junctions, or all along without one."""
-    along, steps = along_m(points), steps_m(points)
+    along = along_m(points)
+    steps = steps_m(points)
     middle_m = 0.5 * (along[1:] + along[:-1])
     counts = at_begin & (middle_m <= _STAGED_M)
     counts |= at_end & (along[-1] - middle_m <= _STAGED_M)
     if not counts.any():
-        counts[0], counts[-1] = at_begin, at_end
+        counts[0] = at_begin
+        counts[-1] = at_end
     if not counts.any():
         counts[:] = True
-    return float(np.average(0.5 * (widths_m[1:] + widths_m[:-1])[counts], weights=steps[counts]))
+    return float(
+        np.average(0.5 * (widths_m[1:] + widths_m[:-1])[counts], weights=steps[counts])
+    )
 
 
 def _runs(
@@ -312,11 +385,14 @@ def _runs(
 ) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
     """Stretches of a chain with a lane: centreline, widths, at the road's start, at its end."""
     lanes = [(sections[index], sections[index].lanes[chain[index]]) for index in chain]
-    middles = [part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes]
+    middles = [
+        part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes
+    ]
     points = np.concatenate(middles)
     widths = np.concatenate([lane.width_m for _, lane in lanes])
     for begin, end in true_runs(widths >= _MIN_WIDTH_M):
-        line, width = points[begin:end], widths[begin:end]
+        line = points[begin:end]
+        width = widths[begin:end]
         steps = steps_m(line)
         if steps.sum() < _MIN_LENGTH_M:
             continue
@@ -333,27 +409,45 @@ def _runs(
 # ---------- short roads at the mouth of a junction
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
     """Join very short lanes at a junction to those of their kind that go on within half a metre."""
-    joined, waiting = list(lanes), deque(lanes)
+    joined = list(lanes)
+    waiting = deque(lanes)
     while waiting:
         stub = waiting.popleft()
         leads_out = bool(stub.from_junction)
-        is_short = length_m(stub.centreline_m) < _STUB_M and leads_out != bool(stub.to_junction)
+        is_short = length_m(stub.centreline_m) < _STUB_M and leads_out != bool(
+            stub.to_junction
+        )
         if not is_short or stub not in joined:  # by now it may be part of another
             continue
-        own, others = (-1, 0) if leads_out else (0, -1)
+        if leads_out:
+            own, others = (-1, 0)
+        else:
+            own, others = (0, -1)
         tips = np.array([lane.centreline_m[others] for lane in joined])
         gaps_m = np.linalg.norm(tips - stub.centreline_m[own], axis=1)
-        for at in np.argsort(gaps_m, kind="stable")[: int((gaps_m <= _GAP_M).sum())].tolist():
+        for at in np.argsort(gaps_m, kind="stable")[
+            : int((gaps_m <= _GAP_M).sum())
+        ].tolist():
             lane = joined[at]
-            is_taken = lane.from_junction if leads_out else lane.to_junction
+            if leads_out:
+                is_taken = lane.from_junction
+            else:
+                is_taken = lane.to_junction
             if lane is stub or lane.kind != stub.kind or is_taken:
                 continue
-            pieces = [stub, lane] if leads_out else [lane, stub]
+            if leads_out:
+                pieces = [stub, lane]
+            else:
+                pieces = [lane, stub]
             lengths_m = [length_m(piece.centreline_m) for piece in pieces]
             joined[at] = replace(
                 lane,
-                width_m=float(np.average([one.width_m for one in pieces], weights=lengths_m)),
-                centreline_m=np.concatenate([pieces[0].centreline_m[:-1], pieces[1].centreline_m]),
+                width_m=float(
+                    np.average([one.width_m for one in pieces], weights=lengths_m)
+                ),
+                centreline_m=np.concatenate(
+                    [pieces[0].centreline_m[:-1], pieces[1].centreline_m]
+                ),
                 from_junction=pieces[0].from_junction,
                 to_junction=pieces[1].to_junction,
             )

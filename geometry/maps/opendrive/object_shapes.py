@@ -45,7 +45,9 @@ class Spot:
     width_m: float | None
     height_m: float | None
     radius_m: float | None
-    end: "Spot | None" = None  # of a <repeat> without distance: one body from here to there
+    end: "Spot | None" = (
+        None  # of a <repeat> without distance: one body from here to there
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,18 +79,29 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
         if distance_m == 0.0 and length_m > 0.0:
             if is_on(road, start_m):
                 end_m = min(end.s_m, road.length_m)
-                yield replace(start, end=_between(start, end, (end_m - start_m) / length_m, end_m))
+                yield replace(
+                    start, end=_between(start, end, (end_m - start_m) / length_m, end_m)
+                )
             continue
-        n_copies = 1 if distance_m == 0.0 else int(length_m / distance_m + 1.0e-6) + 1
+        if distance_m == 0.0:
+            n_copies = 1
+        else:
+            n_copies = int(length_m / distance_m + 1.0e-6) + 1
         if n_copies > _MAX_COPIES:
-            raise InputError(f"{here}.distance", distance_m, f"at most {_MAX_COPIES:,} copies")
+            raise InputError(
+                f"{here}.distance", distance_m, f"at most {_MAX_COPIES:,} copies"
+            )
         for index in range(n_copies):
             s_m = start_m + index * distance_m
             if is_on(road, s_m):
-                yield _between(start, end, index * distance_m / max(length_m, 1.0e-9), s_m)
+                yield _between(
+                    start, end, index * distance_m / max(length_m, 1.0e-9), s_m
+                )
 
 
-def _read_spot(element: Element, side: str, where: str, s_m: float, own: Spot | None) -> Spot:
+def _read_spot(
+    element: Element, side: str, where: str, s_m: float, own: Spot | None
+) -> Spot:
     """Place and sizes of an object, or at a side of a <repeat>, which may leave them to it."""
     if own is None:
         t_m = take_number(element, "t", where)
@@ -97,9 +110,12 @@ def _read_spot(element: Element, side: str, where: str, s_m: float, own: Spot | 
     z_m = take_number_or(element, f"zOffset{side}", where, own.z_m if own else 0.0)
     for key, value in (("t", t_m), ("zOffset", z_m)):
         if abs(value) > MAX_SIZE_M:
-            raise InputError(f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road")
+            raise InputError(
+                f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road"
+            )
     sizes: dict[str, Any] = {
-        f"{size}_m": take_size(element, f"{size}{side}", where) or getattr(own, f"{size}_m", None)
+        f"{size}_m": take_size(element, f"{size}{side}", where)
+        or getattr(own, f"{size}_m", None)
         for size in _SIZES
     }
     return Spot(s_m=s_m, t_m=t_m, z_m=z_m, **sizes)
@@ -112,8 +128,11 @@ def is_on(road: Road, s_m: float) -> bool:
 
 def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
     def mix(name: str) -> float | None:
-        one, other = getattr(start, name), getattr(end, name)
-        return None if one is None or other is None else one + share * (other - one)
+        one = getattr(start, name)
+        other = getattr(end, name)
+        if one is None or other is None:
+            return None
+        return one + share * (other - one)
 
     names = ("t_m", "z_m", *(f"{size}_m" for size in _SIZES))
     mixed: dict[str, Any] = {name: mix(name) for name in names}
@@ -126,7 +145,9 @@ def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
     return points[0], float(heading[0])
 
 
-def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> Iterator[Outline]:
+def read_outlines(
+    element: Element, road: Road, spot: Spot, where: str
+) -> Iterator[Outline]:
     """Outlines of an object at one of its places."""
     found = [*numbered(element, "outline", where)]
     for group, here in numbered(element, "outlines", where):
@@ -135,12 +156,17 @@ def read_outlines(element: Element, road: Road, spot: Spot, where: str) -> Itera
         rows = _read_corners(outline, element, road, spot, here)
         if not len(rows):
             continue
-        reach_m = float(np.abs(rows[:, 2:] - [*place(road, spot)[0][2:], 0, spot.s_m, 0]).max())
+        reach_m = float(
+            np.abs(rows[:, 2:] - [*place(road, spot)[0][2:], 0, spot.s_m, 0]).max()
+        )
         if reach_m > MAX_SIZE_M:
-            raise InputError(f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off")
+            raise InputError(
+                f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off"
+            )
         is_new = np.append(True, steps_m(rows) > 1.0e-3)
         if len(rows) > 1 and np.hypot(*(rows[-1, :2] - rows[0, :2])) <= 1.0e-3:
-            is_new[-1], is_new[0] = False, True  # closed by naming its first corner again
+            is_new[-1] = False
+            is_new[0] = True  # closed by naming its first corner again
         rows = rows[is_new]
         is_closed, is_outer = (
             outline.get(key, "true").strip().lower() not in ("false", "0")
@@ -167,7 +193,10 @@ def _read_corners(
         return [
             (
                 *(take_number(corner, key, here) for key in keys),
-                *(take_number_or(corner, key, here, 0.0) for key in (height_key, "height")),
+                *(
+                    take_number_or(corner, key, here, 0.0)
+                    for key in (height_key, "height")
+                ),
             )
             for corner, here in numbered(outline, tag, where)
         ]
@@ -189,7 +218,9 @@ def _read_corners(
     return np.column_stack([points[:, :2], points[:, 2] + dz, height, s, t])
 
 
-def box_corners(spot: Spot, length_m: float, width_m: float, turn_rad: float) -> FloatArray:
+def box_corners(
+    spot: Spot, length_m: float, width_m: float, turn_rad: float
+) -> FloatArray:
     """Corners (4, 2) of a place's box as s and t."""
     u = 0.5 * length_m * np.array([-1.0, 1.0, 1.0, -1.0])
     v = 0.5 * width_m * np.array([-1.0, -1.0, 1.0, 1.0])
@@ -209,18 +240,30 @@ def build_prism(
     """A solid over an outline (n, 2) with heights (n,) at its corners; level if that has holes."""
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
-        low_m, high_m = float(bottom_m.min()), float(top_m.max())
-        return extrude(outline_m, bottom_m=low_m, top_m=high_m, holes_m=holes_m, where=where)
+        low_m = float(bottom_m.min())
+        high_m = float(top_m.max())
+        return extrude(
+            outline_m, bottom_m=low_m, top_m=high_m, holes_m=holes_m, where=where
+        )
     if not (top_m > bottom_m).any():
-        raise InputError(f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0")
+        raise InputError(
+            f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0"
+        )
     way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
-    corners, bottom, top = outline_m[way], bottom_m[way], np.maximum(top_m, bottom_m)[way]
+    corners = outline_m[way]
+    bottom = bottom_m[way]
+    top = np.maximum(top_m, bottom_m)[way]
     n = len(corners)
-    roof, here = clip_ears(corners, [n]), np.arange(n)
+    roof = clip_ears(corners, [n])
+    here = np.arange(n)
     following = (here + 1) % n
-    sides = np.stack([[here, following, following + n], [here, following + n, here + n]])
+    sides = np.stack(
+        [[here, following, following + n], [here, following + n, here + n]]
+    )
     sides = np.moveaxis(sides, 1, 2).reshape(-1, 3)
-    vertices = np.concatenate([np.column_stack([corners, bottom]), np.column_stack([corners, top])])
+    vertices = np.concatenate(
+        [np.column_stack([corners, bottom]), np.column_stack([corners, top])]
+    )
     return vertices, np.concatenate([roof[:, ::-1], roof + n, sides]).astype(np.int32)
 
 
@@ -232,17 +275,27 @@ def build_band(
     share = np.linspace(0.0, 1.0, len(table))[:, None]
     if np.abs(table - (table[0] + share * (table[-1] - table[0]))).max() < _STRAIGHT_M:
         table = table[[0, -1]]
-    line, normal = table[:, :2], table[:, 2:4]
-    half, bottom, top = 0.5 * table[:, 4:5], table[:, 5], table[:, 6]
-    # (n, 4, 3): right, left, left above, right above; seen from its end they run clockwise
+    line = table[:, :2]
+    normal = table[:, 2:4]
+    half = 0.5 * table[:, 4:5]
+    bottom = table[:, 5]
+    top = table[:, 6]
+    # (n, 4, 3): right, left, left above, right above; seen from its end they run
+    # clockwise
     corners = ((-half, bottom), (half, bottom), (half, top), (-half, top))
-    ring = np.stack([np.column_stack([line + by * normal, z]) for by, z in corners], axis=1)
-    first, corner = 4 * np.arange(len(line) - 1)[:, None], np.arange(4)
-    here, next_one = first + corner, first + (corner + 1) % 4
+    ring = np.stack(
+        [np.column_stack([line + by * normal, z]) for by, z in corners], axis=1
+    )
+    first = 4 * np.arange(len(line) - 1)[:, None]
+    corner = np.arange(4)
+    here = first + corner
+    next_one = first + (corner + 1) % 4
     sides = np.stack([[here, next_one, next_one + 4], [here, next_one + 4, here + 4]])
     sides = np.moveaxis(sides, 1, -1).reshape(-1, 3)
     end = 4 * (len(line) - 1)
-    caps = np.array([[0, 2, 1], [0, 3, 2], [end, end + 1, end + 2], [end, end + 2, end + 3]])
+    caps = np.array(
+        [[0, 2, 1], [0, 3, 2], [end, end + 1, end + 2], [end, end + 2, end + 3]]
+    )
     return ring.reshape(-1, 3), np.concatenate([sides, caps]).astype(np.int32)
 
 
@@ -262,23 +315,38 @@ def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) ->
     half_m = 0.5 * (height_m - stem_m)
     trunk = build_cylinder(foot_m, radius_m=radius_m, height_m=stem_m + half_m)
     ball, triangles = unit_ball()
-    crown = ball * [crown_radius_m, crown_radius_m, half_m] + foot_m + [0.0, 0.0, stem_m + half_m]
+    crown = (
+        ball * [crown_radius_m, crown_radius_m, half_m]
+        + foot_m
+        + [0.0, 0.0, stem_m + half_m]
+    )
     return join([trunk, (crown, triangles)])
 
 
 # ---------- bodies of objects
 def build_body(
-    road: Road, kind: str, spot: Spot, outlines: Sequence[Outline], *, turn_rad: float, where: str
+    road: Road,
+    kind: str,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    *,
+    turn_rad: float,
+    where: str,
 ) -> tuple[Mesh, bool] | None:
     """Body of an object at a place, and whether its height is assumed; None: no extent."""
     height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)
-    has_corner_heights = has_outline and any(outline.height_m.any() for outline in outlines)
+    has_corner_heights = has_outline and any(
+        outline.height_m.any() for outline in outlines
+    )
     says_height = height_m is not None or has_corner_heights
     if kind == "obstacle" and not says_height:
         return None
     if height_m is None:
-        thing = "wall" if kind == "obstacle" else kind.replace(" ", "_")
+        if kind == "obstacle":
+            thing = "wall"
+        else:
+            thing = kind.replace(" ", "_")
         height_m = assumed(f"{thing}_height_m")
     solid: Mesh | None
     if spot.end is not None:
@@ -287,39 +355,57 @@ def build_body(
         solid = _from_outlines(outlines, height_m, where)
     else:
         solid = _simple(road, kind, spot, height_m, turn_rad)
-    return None if solid is None else (solid, not says_height)
+    if solid is None:
+        return None
+    return (solid, not says_height)
 
 
 def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Mesh:
     holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
     for outline in (outline for outline in outlines if outline.is_outer):
-        points, bottom_m = outline.points_m, outline.bottom_m
-        heights = outline.height_m if outline.height_m.any() else np.full(len(points), height_m)
+        points = outline.points_m
+        bottom_m = outline.bottom_m
+        if outline.height_m.any():
+            heights = outline.height_m
+        else:
+            heights = np.full(len(points), height_m)
         top_m = bottom_m + heights
         if not outline.is_closed and len(points) > 1:
-            left, width_m = _left_of(points), np.full(len(points), assumed("thickness_m"))
-            solid = build_band(points, left, width_m=width_m, bottom_m=bottom_m, top_m=top_m)
+            left = _left_of(points)
+            width_m = np.full(len(points), assumed("thickness_m"))
+            solid = build_band(
+                points, left, width_m=width_m, bottom_m=bottom_m, top_m=top_m
+            )
         else:
             inside = _holes_inside(points, holes)
-            solid = build_prism(points, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where)
+            solid = build_prism(
+                points, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where
+            )
         solids.append(solid)
     return join(solids)
 
 
-def _holes_inside(outline_m: FloatArray, holes: Sequence[FloatArray]) -> list[FloatArray]:
+def _holes_inside(
+    outline_m: FloatArray, holes: Sequence[FloatArray]
+) -> list[FloatArray]:
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
     rings = [hole for hole in holes if len(hole) > 2]
-    return [one for one in rings if shape.intersects(shapely.Polygon(one).representative_point())]
+    return [
+        one
+        for one in rings
+        if shape.intersects(shapely.Polygon(one).representative_point())
+    ]
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:
     """Unit vectors (n, 2) to the left of a line; at its corners halfway between both sides."""
     steps = np.diff(line_m, axis=0)
     steps = steps / np.maximum(np.hypot(*steps.T), 1.0e-9)[:, None]
-    before, after = np.concatenate([steps[:1], steps]), np.concatenate([steps, steps[-1:]])
+    before = np.concatenate([steps[:1], steps])
+    after = np.concatenate([steps, steps[-1:]])
     along = before + after
     turns_back = np.hypot(*along.T) < 1.0e-6
     along[turns_back] = before[turns_back]
@@ -332,9 +418,16 @@ def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
     share = np.linspace(0.0, 1.0, n_points)
 
     def mix(name: str, fallback: float) -> FloatArray:
-        one, other = getattr(start, name), getattr(end, name)
-        one = fallback if one is None else one
-        other = one if other is None else other
+        one = getattr(start, name)
+        other = getattr(end, name)
+        if one is None:
+            one = fallback
+        else:
+            one = one
+        if other is None:
+            other = one
+        else:
+            other = other
         return one + share * (other - one)
 
     points, heading = road.place(mix("s_m", 0.0), mix("t_m", 0.0))
@@ -349,14 +442,20 @@ def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
     )
 
 
-def _simple(road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float) -> Mesh | None:
+def _simple(
+    road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float
+) -> Mesh | None:
     """A tree, a cylinder or a box, or None if it has no extent."""
     foot, heading = place(road, spot)
     foot[2] += spot.z_m
     radius_m = spot.radius_m
     sides = [side for side in (spot.length_m, spot.width_m) if side is not None]
-    is_tall = spot.height_m is not None and height_m >= load_facts()["tree"]["min_height_m"]
-    is_round = radius_m is not None or (len(sides) == 2 and max(sides) < 2.0 * min(sides))
+    is_tall = (
+        spot.height_m is not None and height_m >= load_facts()["tree"]["min_height_m"]
+    )
+    is_round = radius_m is not None or (
+        len(sides) == 2 and max(sides) < 2.0 * min(sides)
+    )
     if kind == "tree" or (kind == "vegetation" and is_tall and is_round):
         if radius_m is None:
             radius_m = 0.5 * (max(sides) if sides else assumed("tree_crown_diameter_m"))
@@ -365,10 +464,12 @@ def _simple(road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float)
         return build_cylinder(foot, radius_m=radius_m, height_m=height_m)
     if not sides or (len(sides) == 1 and kind != "wall"):
         return None
-    thickness_m, two = assumed("thickness_m"), np.ones(2)
+    thickness_m = assumed("thickness_m")
+    two = np.ones(2)
     along = np.array([np.cos(heading + turn_rad), np.sin(heading + turn_rad)])
     left = np.array([-along[1], along[0]])
-    length_m, width_m = spot.length_m or thickness_m, spot.width_m or thickness_m
+    length_m = spot.length_m or thickness_m
+    width_m = spot.width_m or thickness_m
     return build_band(
         foot[:2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * along,
         np.array([left, left]),

@@ -28,9 +28,19 @@ from .object_shapes import (
     read_outlines,
     read_places,
 )
-from .roads import Offset, Road, RoadElement, load_facts, take_number, take_number_or, take_size
+from .roads import (
+    Offset,
+    Road,
+    RoadElement,
+    load_facts,
+    take_number,
+    take_number_or,
+    take_size,
+)
 
-_CLEARLY_LONGER = 1.3  # of two sides: below it, people cross more nearly across the road
+_CLEARLY_LONGER = (
+    1.3  # of two sides: below it, people cross more nearly across the road
+)
 _MIN_LENGTH_M = 0.5
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
@@ -48,9 +58,12 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 def object_kind(element: Element) -> str | None:
     """Kind of an object from its type and name, "obstacle" if these say no more; or None."""
-    object_type, name = element.get("type", ""), element.get("name", "")
+    object_type = element.get("type", "")
+    name = element.get("name", "")
     subtype = element.get("subtype", "")
-    if has_word((object_type, name, subtype), load_facts()["object_words"]["crosswalk"]):
+    if has_word(
+        (object_type, name, subtype), load_facts()["object_words"]["crosswalk"]
+    ):
         return "crosswalk"  # some write them as road marks
     if has_word((object_type, name), load_facts()["flat"]["words"]):
         return None
@@ -60,20 +73,29 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (object_type,) if plain not in load_facts()["says_nothing"] else (name, subtype):
+    for text in (
+        (object_type,) if plain not in load_facts()["says_nothing"] else (name, subtype)
+    ):
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)
-    return "obstacle" if plain == "obstacle" else None
+    if plain == "obstacle":
+        return "obstacle"
+    return None
 
 
 def signal_kind(element: Element) -> str | None:
     """Signal as "sign", "crosswalk" (painted), unless static "traffic light"; None: paint."""
     facts = load_facts()["signals"]
-    texts = (element.get("name", ""), element.get("type", ""), element.get("subtype", ""))
+    texts = (
+        element.get("name", ""),
+        element.get("type", ""),
+        element.get("subtype", ""),
+    )
     number = element.get("type", "").strip()
     dynamic = element.get("dynamic", "").strip().lower()
-    is_dynamic, is_static = dynamic in ("yes", "true", "1"), dynamic in ("no", "false", "0")
+    is_dynamic = dynamic in ("yes", "true", "1")
+    is_static = dynamic in ("no", "false", "0")
     if number in facts["crosswalk_types"] and not is_dynamic:
         return "crosswalk"
     if has_word(texts, facts["painted_words"]):
@@ -92,10 +114,14 @@ def crosswalk_line(
     """Line (2, 2) the long way through the smallest box, or across the road; None: no extent."""
     corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
     if len(corners) == 2:
-        return corners if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M else None
+        if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M:
+            return corners
+        return None
     if not len(corners):
         return None
-    with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # flags that GEOS leaves behind
         box = shapely.MultiPoint(corners).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
         return None
@@ -109,7 +135,9 @@ def crosswalk_line(
         longer = int(np.abs(sides @ across_road / lengths).argmax())
     if lengths[longer] < _MIN_LENGTH_M:
         return None
-    return np.asarray(ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer])
+    return np.asarray(
+        ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
+    )
 
 
 def _corners(
@@ -161,7 +189,8 @@ def read_space(
     if spot.end is not None:
         if spot.width_m is None:
             return None
-        t_m, half_m = 0.5 * (spot.t_m + spot.end.t_m), 0.5 * spot.width_m
+        t_m = 0.5 * (spot.t_m + spot.end.t_m)
+        half_m = 0.5 * spot.width_m
         corners = np.array([[spot.s_m, t_m - half_m], [spot.end.s_m, t_m + half_m]])
     else:
         found = _corners(road, spot, outlines, turn_rad)
@@ -194,13 +223,21 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         last_m = min(max(space.last_m for space in row), road.length_m)
         if last_m - first_m < _MIN_SIZE_M:
             continue
-        s_m = np.linspace(first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1))
+        s_m = np.linspace(
+            first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1)
+        )
         middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
         order = np.argsort(middles)
-        t_m = np.interp(s_m, middles[order], np.array([space.t_m for space in row])[order])
+        t_m = np.interp(
+            s_m, middles[order], np.array([space.t_m for space in row])[order]
+        )
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
-        name, line_m = f"{road.id}/parking {at}", points if follows else points[::-1]
+        name = f"{road.id}/parking {at}"
+        if follows:
+            line_m = points
+        else:
+            line_m = points[::-1]
         width_m = float(np.mean([space.left_m - space.right_m for space in row]))
         yield MapLane(id=name, kind="parking", width_m=width_m, centreline_m=line_m)
 
@@ -213,7 +250,9 @@ class Found:
     things: list[Thing] = field(default_factory=list)
     poles: list[Pole] = field(default_factory=list)
     crosswalks_m: list[FloatArray] = field(default_factory=list)  # (2, 2) each
-    spaces: dict[str, list[Space]] = field(default_factory=dict)  # parking spaces by id of the road
+    spaces: dict[str, list[Space]] = field(
+        default_factory=dict
+    )  # parking spaces by id of the road
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
@@ -227,16 +266,25 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
             refuse(where, got, "a smaller file: cut it out first")
 
     for kind, one in list(_taken_objects(roads, omissions)):
-        places = list(islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1))
+        places = list(
+            islice(read_places(one.element, one.road, one.where), _MAX_PLACES + 1)
+        )
         n_places += len(places)
         if not places:
-            omissions.add("objects beyond their road's end", one.name, "beyond its road's end")
+            omissions.add(
+                "objects beyond their road's end", one.name, "beyond its road's end"
+            )
         refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
-            name = one.name if len(places) == 1 else f"{one.name}/{index}"
+            if len(places) == 1:
+                name = one.name
+            else:
+                name = f"{one.name}/{index}"
             if not _take(kind, one, spot, name, found):
                 omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
-            n_vertices += sum(len(thing.vertices_m) for thing in found.things[n_counted:])
+            n_vertices += sum(
+                len(thing.vertices_m) for thing in found.things[n_counted:]
+            )
             n_counted = len(found.things)
             refuse_many(n_vertices, _MAX_VERTICES, "corners", one.where)
     return found
@@ -253,13 +301,17 @@ def _taken_objects(
                 name = f"road {road.id} {tag} {element.get('id', '')[:60]}".strip()
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
-            omissions.add("railroads", f"road {road.id} railroad", "no road users go there")
+            omissions.add(
+                "railroads", f"road {road.id} railroad", "no road users go there"
+            )
         for one in road.listed("object", names):
             kind = object_kind(one.element)
             if kind is not None:
                 yield kind, one
                 continue
-            said = one.element.get("type", "") or one.element.get("name", "") or "no type"
+            said = (
+                one.element.get("type", "") or one.element.get("name", "") or "no type"
+            )
             why = "its kind hides nothing and carries nothing"
             omissions.add(f"objects ({said[:40]})", one.name, why)
 
@@ -267,10 +319,18 @@ def _taken_objects(
 def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
     """Add an object at one of its places to `found`; False: it has no size."""
     if kind in POLE_KINDS:
-        top_m = 0.0 if spot.height_m is None else spot.z_m + spot.height_m
-        height_m = top_m if top_m > 0.0 else None
+        if spot.height_m is None:
+            top_m = 0.0
+        else:
+            top_m = spot.z_m + spot.height_m
+        if top_m > 0.0:
+            height_m = top_m
+        else:
+            height_m = None
         foot_m, _ = place(one.road, spot)
-        found.poles.append(Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m))
+        found.poles.append(
+            Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m)
+        )
         return True
     outlines: list[Outline] = []
     if spot.end is None:
@@ -287,8 +347,12 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
     try:
-        with np.errstate(divide="ignore", invalid="ignore"):  # flags that GEOS leaves behind
-            body = build_body(one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where)
+        with np.errstate(
+            divide="ignore", invalid="ignore"
+        ):  # flags that GEOS leaves behind
+            body = build_body(
+                one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where
+            )
     except InputError:  # its outline surrounds nothing
         return False
     if body is None:
@@ -315,16 +379,26 @@ def read_signals(
         s_m, t_m = (take_number(one.element, key, one.where) for key in "st")
         kind = signal_kind(one.element)
         if not is_on(one.road, s_m):
-            omissions.add("signals beyond their road's end", one.name, "beyond its road's end")
+            omissions.add(
+                "signals beyond their road's end", one.name, "beyond its road's end"
+            )
         elif kind == "crosswalk":
-            line = _painted_line(one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m))
-            crosswalks += [] if line is None else [line]
+            line = _painted_line(
+                one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m)
+            )
+            if line is None:
+                crosswalks += []
+            else:
+                crosswalks += [line]
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
             foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
             is_light = kind == "traffic light"
-            edges = [] if at is None else _driving_edges(sampled[at[0]], at[1])
+            if at is None:
+                edges = []
+            else:
+                edges = _driving_edges(sampled[at[0]], at[1])
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
             elif at is not None and any(right < at[2] < left for right, left in edges):
@@ -332,8 +406,13 @@ def read_signals(
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
                 least_m = facts["min_light_top_m" if is_light else "min_sign_top_m"]
-                height_m = top_m if top_m >= least_m else None
-                poles.append(Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m))
+                if top_m >= least_m:
+                    height_m = top_m
+                else:
+                    height_m = None
+                poles.append(
+                    Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m)
+                )
     return poles, crosswalks
 
 
@@ -351,7 +430,9 @@ def _painted_line(
     angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
     angle += 0.5 * np.pi
     across = np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across)
+    return np.asarray(
+        points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
+    )
 
 
 def _find_position(
@@ -371,19 +452,25 @@ def _find_position(
     inertial = one.element.find("positionInertial")
     if inertial is None:
         return foot, z_m + height_m, (road.id, s_m, t_m)
-    x, y, z = (take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz")
+    x, y, z = (
+        take_number(inertial, key, f"{one.where} positionInertial") for key in "xyz"
+    )
     foot[:2] = offset.apply(np.array([[x, y]]))[0]
     return foot, z + offset.z_m - float(foot[2]) + height_m, None
 
 
-def _driving_edges(sections: Sequence[SampledSection], s_m: float) -> list[tuple[float, float]]:
+def _driving_edges(
+    sections: Sequence[SampledSection], s_m: float
+) -> list[tuple[float, float]]:
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
     for lane in section.lanes.values():
         if lane_kind(lane.record.type) == "driving":
             sides = (lane.inner_m, lane.outer_m)
-            right, left = sorted(float(np.interp(s_m, section.s_m, side)) for side in sides)
+            right, left = sorted(
+                float(np.interp(s_m, section.s_m, side)) for side in sides
+            )
             edges.append((right, left))
     return edges
 
@@ -398,15 +485,21 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     cells = np.round(positions / _CELL_M)
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(positions[first])
-    pairs = tree.query_pairs(load_facts()["signals"]["same_pole_m"], output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)
+    pairs = tree.query_pairs(
+        load_facts()["signals"]["same_pole_m"], output_type="ndarray"
+    )
+    links = coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2
+    )
     _, labels = connected_components(links, directed=False)
     groups: dict[int, list[Pole]] = {}
     for pole, label in zip(poles, labels[cell.reshape(-1)], strict=True):
         groups.setdefault(int(label), []).append(pole)
     joined = []
     for group in groups.values():
-        stands = next((pole for pole in group if pole.kind in ("pole", "lamp post")), group[0])
+        stands = next(
+            (pole for pole in group if pole.kind in ("pole", "lamp post")), group[0]
+        )
         heights_m = [pole.height_m for pole in group if pole.height_m is not None]
         kind = min((pole.kind for pole in group), key=_KIND_ORDER.index)
         joined.append(replace(stands, kind=kind, height_m=max(heights_m, default=None)))

@@ -23,7 +23,9 @@ MAX_SIZE_M = 1.0e4
 _UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
-_ARC_BELOW_RAD = 1.0e-9  # a clothoid that turns by so much more or less than an arc is one
+_ARC_BELOW_RAD = (
+    1.0e-9  # a clothoid that turns by so much more or less than an arc is one
+)
 _N_ARC_LENGTH = 2049
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 _CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
@@ -58,7 +60,9 @@ def take_number(element: Element, key: str, where: str) -> float:
 def take_number_or(element: Element, key: str, where: str, default: float) -> float:
     """Finite number of an attribute, or the default if it is missing or left open."""
     is_open = element.get(key, "").strip().lower() in _UNSET
-    return default if is_open else take_number(element, key, where)
+    if is_open:
+        return default
+    return take_number(element, key, where)
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
@@ -66,7 +70,9 @@ def take_size(element: Element, key: str, where: str) -> float | None:
     value = take_number_or(element, key, where, 0.0)
     if value > MAX_SIZE_M:
         raise InputError(f"{where}.{key}", value, f"metres, at most {MAX_SIZE_M:g}")
-    return value if value > 0.0 else None
+    if value > 0.0:
+        return value
+    return None
 
 
 def take_id(element: Element, where: str) -> str:
@@ -77,7 +83,9 @@ def take_id(element: Element, where: str) -> str:
     return text
 
 
-def numbered(parent: Element | None, tag: str, where: str) -> Iterator[tuple[Element, str]]:
+def numbered(
+    parent: Element | None, tag: str, where: str
+) -> Iterator[tuple[Element, str]]:
     """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
     for index, child in enumerate([] if parent is None else parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
@@ -95,8 +103,11 @@ class Offset:
 
     def apply(self, points_m: FloatArray) -> FloatArray:
         """Points (n, 2) in the projection."""
-        cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        return np.asarray(points_m @ np.array([[cos, sin], [-sin, cos]]) + [self.x_m, self.y_m])
+        cos = math.cos(self.heading_rad)
+        sin = math.sin(self.heading_rad)
+        return np.asarray(
+            points_m @ np.array([[cos, sin], [-sin, cos]]) + [self.x_m, self.y_m]
+        )
 
 
 def read_offset(root: Element, where: str) -> Offset:
@@ -106,21 +117,30 @@ def read_offset(root: Element, where: str) -> Offset:
     if element is None:
         return Offset()
     here = f"{where}: header offset"
-    return Offset(**{name: take_number_or(element, key, here, 0.0) for name, key in keys.items()})
+    return Offset(
+        **{name: take_number_or(element, key, here, 0.0) for name, key in keys.items()}
+    )
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
     """Coordinate reference system for pyproj, in metres without heights, and the declared one."""
     element = root.find("header/geoReference")
-    source = "" if element is None else " ".join("".join(element.itertext()).split())
+    if element is None:
+        source = ""
+    else:
+        source = " ".join("".join(element.itertext()).split())
     if not source:
         return "", ""
     if {word.partition("=")[0] for word in source.split()} == {"+lat_0", "+lon_0"}:
         # CARLA's short form: a transverse Mercator there.
-        source = f"+proj=tmerc {source} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+        source = (
+            f"+proj=tmerc {source} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+        )
     crs = source
     if source.startswith("+"):
-        words = [word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)]
+        words = [
+            word for word in source.split() if not word.startswith(_VERTICAL_PARAMETERS)
+        ]
         crs = " ".join(words)
     if why := why_no_plane(crs):
         omissions.add("geoReferences", f"geoReference {source[:120]}", why)
@@ -159,15 +179,18 @@ def spiral(
 ) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
 
-    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2 / 2 leaves
-    the Fresnel integrals C and S.
+    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2
+    / 2 leaves the Fresnel integrals C and S.
     """
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
     if bent.any():
-        s, k0, growth = s_m[bent], start_curvature[bent], curvature_slope[bent]
+        s = s_m[bent]
+        k0 = start_curvature[bent]
+        growth = curvature_slope[bent]
         scale = np.sqrt(np.abs(growth) / np.pi)
-        begin, end = scale * k0 / growth, scale * (s + k0 / growth)
+        begin = scale * k0 / growth
+        end = scale * (s + k0 / growth)
         (sine_0, cosine_0), (sine_1, cosine_1) = fresnel(begin), fresnel(end)
         along = (cosine_1 - cosine_0) / scale
         across = np.sign(growth) * (sine_1 - sine_0) / scale
@@ -175,17 +198,24 @@ def spiral(
     return points, heading
 
 
-def turned(x: FloatArray, y: FloatArray, angle_rad: Any) -> tuple[FloatArray, FloatArray]:
+def turned(
+    x: FloatArray, y: FloatArray, angle_rad: Any
+) -> tuple[FloatArray, FloatArray]:
     """Coordinates of vectors that are turned counter-clockwise."""
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    cos = np.cos(angle_rad)
+    sin = np.sin(angle_rad)
     return x * cos - y * sin, x * sin + y * cos
 
 
-def polynomial(p: FloatArray, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+def polynomial(
+    p: FloatArray, u: FloatArray, v: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
     points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
-    du, dv = slope(p, u), slope(p, v)
-    # Where the curve starts with a standstill its second derivative says where it leads.
+    du = slope(p, u)
+    dv = slope(p, v)
+    # Where the curve starts with a standstill its second derivative says where it
+    # leads.
     stands = du**2 + dv**2 < 1.0e-18
     du = np.where(stands, 2.0 * u[..., 2] + 6.0 * u[..., 3] * p, du)
     dv = np.where(stands, 2.0 * v[..., 2] + 6.0 * v[..., 3] * p, dv)
@@ -215,8 +245,9 @@ def slope(p: FloatArray, k: FloatArray) -> FloatArray:
 class ReferenceLine:
     """Pieces one after the other.
 
-    `parameters` has nine columns: curvature (of a line: 0), or that of the start and its slope; or
-    coefficients a, b, c, d of u and of v, and the factor from arc length to parameter.
+    `parameters` has nine columns: curvature (of a line: 0), or that of the start and
+    its slope; or coefficients a, b, c, d of u and of v, and the factor from arc length
+    to parameter.
     """
 
     starts_m: FloatArray  # (n,), along the road
@@ -231,14 +262,20 @@ class ReferenceLine:
         self, s_m: FloatArray, inside_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Points (k, 2) and headings (k,) at arc lengths; `inside_m` selects where two meet."""
-        lookup = s_m if inside_m is None else inside_m
+        if inside_m is None:
+            lookup = s_m
+        else:
+            lookup = inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
-        points, turns = np.empty((len(ds), 2)), np.empty(len(ds))
+        points = np.empty((len(ds), 2))
+        turns = np.empty(len(ds))
         shape = self.shapes[piece]
         for wanted in np.unique(shape):
             mask = shape == wanted
-            points[mask], turns[mask] = self._local(SHAPES[wanted], piece[mask], ds[mask])
+            points[mask], turns[mask] = self._local(
+                SHAPES[wanted], piece[mask], ds[mask]
+            )
         heading = self.headings_rad[piece]
         along = np.stack(turned(points[:, 0], points[:, 1], heading), axis=1)
         return self.origins_m[piece] + along, heading + turns
@@ -252,7 +289,8 @@ class ReferenceLine:
         p = s * parameters[:, 8]
         for one in np.unique(piece) if shape == "poly3" else ():
             here = piece == one
-            v, length_m = self.parameters[one, 4:8], float(self.lengths_m[one])
+            v = self.parameters[one, 4:8]
+            length_m = float(self.lengths_m[one])
             p[here] = graph_parameter(s[here], v, length_m)
         return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
@@ -260,7 +298,8 @@ class ReferenceLine:
         """Largest curvature of each piece, of its change per metre, and of metres per s, (n, 3)."""
         rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
-            length_m, k = self.lengths_m[index], self.parameters[index]
+            length_m = self.lengths_m[index]
+            k = self.parameters[index]
             if SHAPES[shape] in _CURVES:
                 rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
             else:
@@ -271,14 +310,19 @@ class ReferenceLine:
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
-    du, dv = slope(p, k[:4]), slope(p, k[4:8])
+    du = slope(p, k[:4])
+    dv = slope(p, k[4:8])
     ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
-    # A curve that stands still at its start has no curvature there: it is taken next to it.
+    # A curve that stands still at its start has no curvature there: it is taken next to
+    # it.
     curvature[speed <= 1.0e-5] = 0.0
     change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
-    stride = 1.0 if k[8] == 0.0 else float(speed.max() * k[8])
+    if k[8] == 0.0:
+        stride = 1.0
+    else:
+        stride = float(speed.max() * k[8])
     return float(np.abs(curvature).max()), float(change.max()), stride
 
 
@@ -290,7 +334,9 @@ def read_reference_line(
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
         if not -_MAX_GAP_M <= row[0] <= length_m + _MAX_GAP_M:
-            raise InputError(f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length")
+            raise InputError(
+                f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length"
+            )
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
     if not rows:
@@ -299,7 +345,9 @@ def read_reference_line(
     table = np.array([row for row, _ in rows])
     starts_m = table[:, 0].copy()
     if starts_m[0] > _MAX_GAP_M:
-        raise InputError(f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there")
+        raise InputError(
+            f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there"
+        )
     starts_m[0] = 0.0
     return ReferenceLine(
         starts_m=starts_m,
@@ -335,7 +383,9 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
     if shape.tag == "arc":
         return (take_number(shape, "curvature", where), *(0.0,) * 8)
     if shape.tag == "spiral":
-        start, end = (take_number(shape, key, where) for key in ("curvStart", "curvEnd"))
+        start, end = (
+            take_number(shape, key, where) for key in ("curvStart", "curvEnd")
+        )
         return (start, (end - start) / length_m, *(0.0,) * 7)
     if shape.tag == "poly3":
         v = tuple(take_number(shape, key, where) for key in "abcd")
@@ -344,7 +394,10 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
     p_range = shape.get("pRange", "normalized")  # OpenDRIVE 1.4: the default
     if p_range not in ("normalized", "arcLength"):
         raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
-    per_metre = 1.0 / length_m if p_range == "normalized" else 1.0
+    if p_range == "normalized":
+        per_metre = 1.0 / length_m
+    else:
+        per_metre = 1.0
     return (*(take_number(shape, key, where) for key in keys), per_metre)
 
 
@@ -364,7 +417,9 @@ class PiecewiseCubic:
         a, b, c, d = self.coefficients[np.maximum(piece, 0)].T
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
         first = b + h * (2.0 * c + 3.0 * h * d)
-        shifted = np.stack([a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1)
+        shifted = np.stack(
+            [a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1
+        )
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
     def at(self, s_m: FloatArray) -> FloatArray:
@@ -373,7 +428,12 @@ class PiecewiseCubic:
 
 
 def read_cubics(
-    parent: Element | None, tag: str, where: str, *, start_key: str = "s", first_m: float = 0.0
+    parent: Element | None,
+    tag: str,
+    where: str,
+    *,
+    start_key: str = "s",
+    first_m: float = 0.0,
 ) -> PiecewiseCubic:
     """Children of `parent` with a, b, c, d, by begin; of several that begin there the last one."""
     rows = [
@@ -385,7 +445,9 @@ def read_cubics(
 
 def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
     """From rows of start, a, b, c, d."""
-    table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(-1, 5)
+    table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(
+        -1, 5
+    )
     is_last = np.append(np.diff(table[:, 0]) > 0.0, True)[: len(table)]
     return PiecewiseCubic(starts_m=table[is_last, 0], coefficients=table[is_last, 1:])
 
@@ -406,11 +468,17 @@ class LaneRecord:
 
     number: int  # its id: negative to the right of the reference line, counted outwards
     type: str  # of the standard: "driving", "sidewalk", ...
-    is_reversed: bool  # driven against the direction of its side (OpenDRIVE 1.7 and later)
-    predecessors: tuple[int, ...]  # numbers in the section before; successors: in the one after
+    is_reversed: (
+        bool  # driven against the direction of its side (OpenDRIVE 1.7 and later)
+    )
+    predecessors: tuple[
+        int, ...
+    ]  # numbers in the section before; successors: in the one after
     successors: tuple[int, ...]
     width: PiecewiseCubic  # along the road; without pieces: not given
-    border: PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
+    border: (
+        PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
+    )
     limits: SpeedLimits = ()
 
 
@@ -450,8 +518,14 @@ class Road:
         """True if it says so all along, and has no sidewalk."""
         types = [element.get("type", "") for element in self.element.findall("type")]
         lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
-        has_walkers = any(lane_kinds().get(lane.type.lower()) == "walking" for lane in lanes)
-        return bool(types) and not has_walkers and all(one.startswith("motorway") for one in types)
+        has_walkers = any(
+            lane_kinds().get(lane.type.lower()) == "walking" for lane in lanes
+        )
+        return (
+            bool(types)
+            and not has_walkers
+            and all(one.startswith("motorway") for one in types)
+        )
 
     def speed_limit_kmh(self, s_m: float, lane: LaneRecord) -> float | None:
         """Limit of a lane at a station in km/h, the lane's own or else the road's; None: none."""
@@ -477,8 +551,12 @@ class Road:
             label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
             name = f"road {self.id} {label}"
             names[name] += 1  # ids are not unique in some files
-            where, number = f"{self.where} {label}", names[name]
-            unique = name if number == 1 else f"{name} #{number}"
+            where = f"{self.where} {label}"
+            number = names[name]
+            if number == 1:
+                unique = name
+            else:
+                unique = f"{name} #{number}"
             yield RoadElement(element=element, road=self, name=unique, where=where)
 
 
@@ -498,7 +576,9 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     where = f"{where}: road {road_id}"
     length_m = take_number(element, "length", where)
     if not 0.0 < length_m <= _MAX_LENGTH_M:
-        raise InputError(f"{where}.length", length_m, f"metres, > 0, at most {_MAX_LENGTH_M:g}")
+        raise InputError(
+            f"{where}.length", length_m, f"metres, > 0, at most {_MAX_LENGTH_M:g}"
+        )
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
         raise InputError(f"{where}.rule", rule, "RHT or LHT")
@@ -525,7 +605,11 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
 
 
 def _read_limits(
-    elements: Sequence[Element], where: str, *, start_key: str = "s", first_m: float = 0.0
+    elements: Sequence[Element],
+    where: str,
+    *,
+    start_key: str = "s",
+    first_m: float = 0.0,
 ) -> SpeedLimits:
     """Speed limits of a road's types, or of a lane; those that are no numbers are none."""
     limits = []
@@ -542,7 +626,9 @@ def _speed_kmh(speed: Element) -> float | None:
         speed_kmh = float(speed.get("max", "")) * _KMH[speed.get("unit", "m/s")]
     except (ValueError, KeyError):
         return None
-    return round(speed_kmh, 1) if math.isfinite(speed_kmh) and speed_kmh > 0.0 else None
+    if math.isfinite(speed_kmh) and speed_kmh > 0.0:
+        return round(speed_kmh, 1)
+    return None
 
 
 def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
@@ -551,18 +637,25 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
 
     def link(side: str) -> RoadLink:
         words = road.find(f"link/{side}")
-        found = {} if words is None else {k: words.get(v, "").strip() for k, v in keys.items()}
+        if words is None:
+            found = {}
+        else:
+            found = {k: words.get(v, "").strip() for k, v in keys.items()}
         return RoadLink(**found)
 
     return link("predecessor"), link("successor")
 
 
-def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[LaneSection, ...]:
+def _read_sections(
+    lanes: Element | None, where: str, length_m: float
+) -> tuple[LaneSection, ...]:
     found = []
     for element, here in numbered(lanes, "laneSection", where):
         start_m = take_number(element, "s", here)
         if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
-            raise InputError(f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length")
+            raise InputError(
+                f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length"
+            )
         if element.find("center/lane") is None:
             refuse(f"{here} center", "no lane", "a lane section's lane 0")
         found.append((start_m, element, here))
@@ -571,18 +664,33 @@ def _read_sections(lanes: Element | None, where: str, length_m: float) -> tuple[
     found.sort(key=lambda item: item[0])
     sections = []
     for at, (start_m, element, here) in enumerate(found):
-        left, right = (_read_side(element, side, here, start_m) for side in ("left", "right"))
+        left, right = (
+            _read_side(element, side, here, start_m) for side in ("left", "right")
+        )
         begin_m = min(max(start_m, 0.0), length_m)
-        end_m = found[at + 1][0] if at + 1 < len(found) else length_m
-        sections.append(LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right))
+        if at + 1 < len(found):
+            end_m = found[at + 1][0]
+        else:
+            end_m = length_m
+        sections.append(
+            LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right)
+        )
     # A last section without length would hide that lanes reach the road's end.
-    if len(sections) > 1 and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M:
+    if (
+        len(sections) > 1
+        and sections[-1].end_m - sections[-1].start_m < _MAX_SECTION_GAP_M
+    ):
         sections.pop()
     return tuple(sections)
 
 
-def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple[LaneRecord, ...]:
-    sign = 1 if side == "left" else -1
+def _read_side(
+    section: Element, side: str, where: str, start_m: float
+) -> tuple[LaneRecord, ...]:
+    if side == "left":
+        sign = 1
+    else:
+        sign = -1
     from_here: Any = {"start_key": "sOffset", "first_m": start_m}
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
@@ -591,7 +699,10 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
         if value != number:
             raise InputError(f"{here}.id", value, "a whole number")
         if number * sign <= 0 or number in records:
-            expected = f"{'positive' if sign > 0 else 'negative'} on the {side}, every one once"
+            expected = (
+                f"{'positive' if sign > 0 else 'negative'} on the {side}, every one"
+                " once"
+            )
             raise InputError(f"{here}.id", number, expected)
         records[number] = LaneRecord(
             number=number,
@@ -611,4 +722,6 @@ def _read_side(section: Element, side: str, where: str, start_m: float) -> tuple
 def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:
     """Numbers of the lanes that continue this one; a link that is no number is ignored."""
     ids = [link.get("id", "").strip() for link in lane.findall(f"link/{side}")]
-    return tuple(int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10)
+    return tuple(
+        int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10
+    )

@@ -47,7 +47,10 @@ def find_driving_side(elements: Elements) -> tuple[bool, str]:
 
 
 def _points(way: Way, elements: Elements) -> list[FloatArray]:
-    step = -1 if runs_backward(way.tags) else 1
+    if runs_backward(way.tags):
+        step = -1
+    else:
+        step = 1
     return [line_m[::step] for line_m in lines_of(way, elements)]
 
 
@@ -80,14 +83,19 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
     if not names:
         return votes
     lines = np.concatenate(segments_m)
-    begin, end = lines[:, 0], lines[:, 1]
-    middle, step = 0.5 * (begin + end), end - begin
+    begin = lines[:, 0]
+    end = lines[:, 1]
+    middle = 0.5 * (begin + end)
+    step = end - begin
     step /= np.hypot(*step.T)[:, None]
     tree = shapely.STRtree(shapely.linestrings(lines))
     low_m, high_m = _CARRIAGEWAYS_M
-    one, other = tree.query(shapely.points(middle), predicate="dwithin", distance=high_m)
+    one, other = tree.query(
+        shapely.points(middle), predicate="dwithin", distance=high_m
+    )
     is_opposite = np.einsum("ij,ij->i", step[one], step[other]) < -0.95
-    one, other = one[is_opposite], other[is_opposite]
+    one = one[is_opposite]
+    other = other[is_opposite]
     apart = middle[other] - middle[one]
     across = step[one, 0] * apart[:, 1] - step[one, 1] * apart[:, 0]  # > 0: on the left
     is_beside = (np.abs(across) >= low_m) & (np.abs(across) <= high_m)
@@ -108,16 +116,22 @@ def read_openstreetmap(
     """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
 
     Coordinates are metres around the middle of the roads, heights are above the ground.
-    `keeps_left`: by default what the file shows. Two side roads that meet a road from either side
-    no farther apart than `staggered_m` are one junction, as are any roads within 25 m. Raises
-    InputError: it is damaged or too large, or has no road.
+    `keeps_left`: by default what the file shows. Two side roads that meet a road from
+    either side no farther apart than `staggered_m` are one junction, as are any roads
+    within 25 m. Raises InputError: it is damaged or too large, or has no road.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
-    rows = np.unique(np.concatenate([way.rows for way in roads])) if roads else np.empty(0, int)
+    if roads:
+        rows = np.unique(np.concatenate([way.rows for way in roads]))
+    else:
+        rows = np.empty(0, int)
     rows = rows[rows >= 0]
     if not len(rows):
-        found = "no road for cars" if len(elements.node_ids) else "no nodes"
+        if len(elements.node_ids):
+            found = "no road for cars"
+        else:
+            found = "no nodes"
         refuse(str(path), found, "a map with roads")
     progress("read streets", 0, 0)
     elements, crs = _placed(elements, rows, path)
@@ -129,9 +143,12 @@ def read_openstreetmap(
         refuse(str(path), "no road with two nodes", "a map with roads")
     reaches, junctions = find_junctions(network, staggered_m=staggered_m)
     lanes = build_lanes(reaches)
-    poles, crosswalks_m = tuple(find_poles(network, reaches)), find_crosswalks(network)
+    poles = tuple(find_poles(network, reaches))
+    crosswalks_m = find_crosswalks(network)
     n_buildings = sum("building" in way.tags for way in elements.ways)
-    buildings = counted(find_buildings(network), "read buildings", n_buildings, progress)
+    buildings = counted(
+        find_buildings(network), "read buildings", n_buildings, progress
+    )
     built = (*buildings, *find_bridges(network, reaches))
     things = (*built, *find_barriers(elements), *find_trees(elements))
     skipped = elements.omissions.listed()
@@ -159,7 +176,8 @@ def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
     found = [
         (*elements.positions_m[row], height_m)
         for row in rows.tolist()
-        if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", ""))) is not None
+        if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", "")))
+        is not None
     ]
     return np.array(found).reshape(-1, 3)
 
@@ -167,23 +185,35 @@ def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
 def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements, str]:
     """Elements in metres around the middle of the roads but those far off; and their CRS."""
     lon_lat = elements.lon_lat_deg[rows]
-    low, high = lon_lat.min(axis=0), lon_lat.max(axis=0)
+    low = lon_lat.min(axis=0)
+    high = lon_lat.max(axis=0)
     limit_deg = DEFAULTS["reading"]["max_span_deg"]
     if (high - low).max() > limit_deg:
-        place = f"latitude {low[1]:g} to {high[1]:g}, longitude {low[0]:g} to {high[0]:g}"
-        expected = f"a map of a place, at most {limit_deg:g} degree wide; cut it out first"
+        place = (
+            f"latitude {low[1]:g} to {high[1]:g}, longitude {low[0]:g} to {high[0]:g}"
+        )
+        expected = (
+            f"a map of a place, at most {limit_deg:g} degree wide; cut it out first"
+        )
         refuse(str(path), f"roads from {place}", expected)
     crs = local_crs(0.5 * (low + high), WGS84, where=str(path))
     # Far from the roads the projection ends, and nothing is needed there.
-    is_near = (np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg).all(axis=1)
+    is_near = (
+        np.abs(elements.lon_lat_deg - 0.5 * (low + high)) <= 2.0 * limit_deg
+    ).all(axis=1)
     positions = np.full((len(is_near), 2), np.inf)
     positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
     elements = replace(elements, positions_m=positions)
-    is_there = np.append(np.isfinite(positions).all(axis=1), False)  # row -1: not in the file
+    is_there = np.append(
+        np.isfinite(positions).all(axis=1), False
+    )  # row -1: not in the file
     if is_there[:-1].all():
         return elements, crs
     tags = {row: tags for row, tags in elements.node_tags.items() if is_there[row]}
-    ways = (replace(way, rows=np.where(is_there[way.rows], way.rows, -1)) for way in elements.ways)
+    ways = (
+        replace(way, rows=np.where(is_there[way.rows], way.rows, -1))
+        for way in elements.ways
+    )
     return replace(elements, node_tags=tags, ways=tuple(ways)), crs
 
 
@@ -193,10 +223,14 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])
-    if not ((size_deg > 0.0).all() and (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()):
+    if not (
+        (size_deg > 0.0).all() and (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()
+    ):
         raise InputError("bbox", box.tolist(), "west, south, east, north in degrees")
     if size_deg.max() > online["max_size_deg"]:
-        raise InputError("bbox", box.tolist(), f"at most {online['max_size_deg']} degrees wide")
+        raise InputError(
+            "bbox", box.tolist(), f"at most {online['max_size_deg']} degrees wide"
+        )
     try:
         import requests
     except ImportError:
@@ -206,14 +240,16 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
         ) from None
     timeout_s = online["timeout_s"]
     query = (
-        f"[out:xml][timeout:{timeout_s}];nwr({south:.7f},{west:.7f},{north:.7f},{east:.7f});"
-        "(._;>;);out body;"
+        f"[out:xml][timeout:{timeout_s}];nwr({south:.7f},{west:.7f},{north:.7f},{east:.7f});(._;>;);out"
+        " body;"
     )
     try:
         answer = requests.post(online["url"], data={"data": query}, timeout=timeout_s)
         answer.raise_for_status()
     except requests.RequestException as error:
-        raise InputError(online["url"], Unquoted(error), "a server that answers") from None
+        raise InputError(
+            online["url"], Unquoted(error), "a server that answers"
+        ) from None
     if b"<osm" not in answer.content[:1000]:
         refuse(online["url"], "no map", "OpenStreetMap data as XML")
     write_atomically(path, answer.content)

@@ -25,11 +25,18 @@ DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
 WORDS: dict[str, Any] = DEFAULTS["words"]
 Tags = dict[str, str]
-TagNote = Callable[[str], None]  # says that a tag of the way at hand is not followed, and why
+TagNote = Callable[
+    [str], None
+]  # says that a tag of the way at hand is not followed, and why
 _BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
-OPPOSITE = {"left": "right", "right": "left", "forward": "backward", "backward": "forward"}
+OPPOSITE = {
+    "left": "right",
+    "right": "left",
+    "forward": "backward",
+    "backward": "forward",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,14 +78,19 @@ class Elements:
 
 def read_elements(path: Path) -> Elements:
     """Read OpenStreetMap data, by its first bytes; of several versions the last one counts."""
-    with reading(path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError):
+    with reading(
+        path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError
+    ):
         return _collect(path, _file_format(path))
 
 
 def _file_format(path: Path) -> str:
     with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
-    for magic, unpack, name in ((b"\x1f\x8b", gzip.open, "osm.gz"), (b"BZh", bz2.open, "osm.bz2")):
+    for magic, unpack, name in (
+        (b"\x1f\x8b", gzip.open, "osm.gz"),
+        (b"BZh", bz2.open, "osm.bz2"),
+    ):
         if begin.startswith(magic):
             _check_unpacked_size(path, unpack)
             return name
@@ -86,7 +98,9 @@ def _file_format(path: Path) -> str:
         limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
         check_pbf(path, max_unpacked_bytes=limit, expected=_EXPECTED)
         return "pbf"
-    if begin.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff")):
+    if begin.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(
+        (b"<", b"\xff\xfe", b"\xfe\xff")
+    ):
         return "osm"
     refuse(str(path), "something else", _EXPECTED)
 
@@ -108,7 +122,8 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
 
 
 def _collect(path: Path, file_format: str) -> Elements:
-    ids, places = array("q"), array("d")
+    ids = array("q")
+    places = array("d")
     tags_by_id: dict[int, Tags] = {}
     ways: dict[int, tuple[list[int], Tags]] = {}
     relations: dict[int, Relation] = {}
@@ -120,16 +135,25 @@ def _collect(path: Path, file_format: str) -> Elements:
         element: Any = item
         if element.deleted:
             continue
-        tags = {tag.k: tag.v for tag in element.tags} if len(element.tags) else {}
+        if len(element.tags):
+            tags = {tag.k: tag.v for tag in element.tags}
+        else:
+            tags = {}
         n_left -= 1
         if element.is_node():
             location = element.location
             ids.append(element.id)
-            lon_deg, lat_deg = location.lon_without_check(), location.lat_without_check()
+            lon_deg = location.lon_without_check()
+            lat_deg = location.lat_without_check()
             places.extend((lon_deg, lat_deg))
             if not location.valid():
-                is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0  # osmium's value for it
-                got = "no coordinates" if is_missing else f"latitude {lat_deg}, longitude {lon_deg}"
+                is_missing = (
+                    max(abs(lat_deg), abs(lon_deg)) > 214.0
+                )  # osmium's value for it
+                if is_missing:
+                    got = "no coordinates"
+                else:
+                    got = f"latitude {lat_deg}, longitude {lon_deg}"
                 expected = "latitude -90..90 and longitude -180..180"
                 refuse(f"{path}: node {element.id}", got, expected)
             if tags:
@@ -138,14 +162,18 @@ def _collect(path: Path, file_format: str) -> Elements:
             ways[element.id] = ([node.ref for node in element.nodes], tags)
             n_left -= len(element.nodes) // 10
         else:
-            members = tuple((one.ref, one.role) for one in element.members if one.type == "w")
+            members = tuple(
+                (one.ref, one.role) for one in element.members if one.type == "w"
+            )
             relations[element.id] = Relation(id=element.id, members=members, tags=tags)
             n_left -= len(members) // 10
         if n_left < 0:
             got = f"more than {DEFAULTS['reading']['max_nodes']:,} elements"
             refuse(str(path), got, "fewer; cut it out first")
     if box.valid():
-        corners = [[corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)]
+        corners = [
+            [corner.lon, corner.lat] for corner in (box.bottom_left, box.top_right)
+        ]
         _check_order(path, np.array(places).reshape(-1, 2), np.array(corners))
     return _assemble(ids, places, tags_by_id, ways, relations.values())
 
@@ -155,13 +183,21 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
     if not len(lon_lat_deg):
         return
     middle = np.median(lon_lat_deg, axis=0)
-    low, high = box_deg[0] - _BOX_MARGIN_DEG, box_deg[1] + _BOX_MARGIN_DEG
+    low = box_deg[0] - _BOX_MARGIN_DEG
+    high = box_deg[1] + _BOX_MARGIN_DEG
     is_inside, is_inside_exchanged = (
-        bool(((point >= low) & (point <= high)).all()) for point in (middle, middle[::-1])
+        bool(((point >= low) & (point <= high)).all())
+        for point in (middle, middle[::-1])
     )
     if is_inside_exchanged and not is_inside:
-        expected = "nodes within the file's bounds: latitude and longitude are exchanged"
-        refuse(str(path), f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}", expected)
+        expected = (
+            "nodes within the file's bounds: latitude and longitude are exchanged"
+        )
+        refuse(
+            str(path),
+            f"nodes around latitude {middle[1]:g}, longitude {middle[0]:g}",
+            expected,
+        )
 
 
 def _assemble(
@@ -175,14 +211,18 @@ def _assemble(
     # Of a node that comes twice the last one counts.
     node_ids, last = np.unique(all_ids[::-1], return_index=True)
     lon_lat_deg = np.array(places, dtype=np.float64).reshape(-1, 2)[::-1][last]
-    references = np.fromiter((one for nodes, _ in ways.values() for one in nodes), dtype=np.int64)
+    references = np.fromiter(
+        (one for nodes, _ in ways.values() for one in nodes), dtype=np.int64
+    )
     ends = np.cumsum([len(nodes) for nodes, _ in ways.values()], dtype=np.int64)
     rows = np.split(_rows(node_ids, references), ends)[:-1]
     tagged = np.fromiter(tags_by_id, dtype=np.int64)
     return Elements(
         node_ids=node_ids,
         lon_lat_deg=lon_lat_deg,
-        node_tags=dict(zip(_rows(node_ids, tagged).tolist(), tags_by_id.values(), strict=True)),
+        node_tags=dict(
+            zip(_rows(node_ids, tagged).tolist(), tags_by_id.values(), strict=True)
+        ),
         ways=tuple(
             Way(id=way_id, rows=part, tags=tags)
             for (way_id, (_, tags)), part in zip(ways.items(), rows, strict=True)
@@ -219,7 +259,11 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
     for relation in elements.relations:
         if relation.tags.get("type") != "multipolygon":
             continue
-        outers = [by_id[ref] for ref, role in relation.members if role != "inner" and ref in by_id]
+        outers = [
+            by_id[ref]
+            for ref, role in relation.members
+            if role != "inner" and ref in by_id
+        ]
         tags = relation.tags
         if not is_meant(tags):  # as it used to be: the outer way has the tags
             tags = next((way.tags for way in outers if is_meant(way.tags)), {})
@@ -233,7 +277,9 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
             elements.omissions.add("outlines", f"way {way.id}", _BROKEN)
         else:
             yield Area(
-                id=f"w{way.id}", tags=way.tags, polygon=Polygon(elements.positions_m[way.rows])
+                id=f"w{way.id}",
+                tags=way.tags,
+                polygon=Polygon(elements.positions_m[way.rows]),
             )
 
 
@@ -253,7 +299,9 @@ def _multipolygon(
     if outers and rings[True]:
         tree = STRtree(outers)
         for ring in rings[True]:
-            inside = tree.query(Polygon(ring).representative_point(), predicate="within")
+            inside = tree.query(
+                Polygon(ring).representative_point(), predicate="within"
+            )
             if len(inside):
                 holes[int(inside[0])].append(ring)
     for number, ring in enumerate(rings[False]):
@@ -263,12 +311,15 @@ def _multipolygon(
 
 def numbered(name: str, number: int, between: str = ".") -> str:
     """Name of one of several parts; the first, 0, has no number."""
-    return f"{name}{between}{number}" if number else name
+    if number:
+        return f"{name}{between}{number}"
+    return name
 
 
 def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
     """Closed rings of node rows from ways in any order, and whether every way is part of one."""
-    rings, is_whole = [], True
+    rings = []
+    is_whole = True
     open_ways: dict[int, Way] = {}
     at_end: dict[int, list[int]] = defaultdict(list)
     for number, way in enumerate(ways):
@@ -283,13 +334,17 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
     while open_ways:
         _, way = open_ways.popitem()
         parts = [way.rows]
-        begin, tip = int(way.rows[0]), int(way.rows[-1])
+        begin = int(way.rows[0])
+        tip = int(way.rows[-1])
         while tip != begin:
             following = next((one for one in at_end[tip] if one in open_ways), None)
             if following is None:
                 break
             rows = open_ways.pop(following).rows
-            rows = rows if rows[0] == tip else rows[::-1]
+            if rows[0] == tip:
+                rows = rows
+            else:
+                rows = rows[::-1]
             parts.append(rows[1:])
             tip = int(rows[-1])
         ring = np.concatenate(parts)
@@ -320,7 +375,9 @@ def tagged_length_m(
 def parse_count(text: str, *, highest: int) -> int | None:
     """A whole number from 1 to `highest`, or None."""
     number = parse_number(text, highest=highest)
-    return int(number) if number and number == int(number) else None
+    if number and number == int(number):
+        return int(number)
+    return None
 
 
 def parse_number(text: str, *, highest: float) -> float | None:
@@ -329,12 +386,20 @@ def parse_number(text: str, *, highest: float) -> float | None:
     if not re.fullmatch(r"[0-9]{1,6}(\.[0-9]{1,9})?", text):
         return None
     number = float(text)
-    return number if number <= highest else None
+    if number <= highest:
+        return number
+    return None
 
 
 def is_yes(text: str | None) -> bool:
     """A tag that is there and does not say no."""
-    return text is not None and text.strip().lower() not in ("", "no", "0", "false", "none")
+    return text is not None and text.strip().lower() not in (
+        "",
+        "no",
+        "0",
+        "false",
+        "none",
+    )
 
 
 def side_value(tags: Tags, key: str, side: str) -> str | None:

@@ -23,12 +23,16 @@ from .network import Edge, End, Network, Street, axis_points, surface, trace_str
 _STEP_M = 0.5
 _SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
 _SAME_ARM_GAP_M = 12.0
-_FORK_DEG = 60.0  # two one-way roads that lie closer to one another than this are one road's
+_FORK_DEG = (
+    60.0  # two one-way roads that lie closer to one another than this are one road's
+)
 _STUB_M: float = DEFAULTS["cross_section"]["stub_m"]
 _STUB = f"it ends nowhere, less than {_STUB_M:g} m beyond a junction: no arm"
 _MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
 _Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
-_Placed = dict[tuple[_Path, ...], list[float]]  # mouths of arms by the streets of a junction
+_Placed = dict[
+    tuple[_Path, ...], list[float]
+]  # mouths of arms by the streets of a junction
 _BEYOND_M = 1.0  # of the outline, which is rounded
 _AHEAD_M = 10.0  # over which a direction is taken
 
@@ -66,20 +70,26 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
     most_m = limits["max_mouth_m"]
-    surfaces = [surface(arm.street, 0.0, min(arm.street.length_m, most_m + 5.0)) for arm in arms]
+    surfaces = [
+        surface(arm.street, 0.0, min(arm.street.length_m, most_m + 5.0)) for arm in arms
+    ]
     middle = [surface(street, 0.0, street.length_m) for street in inside]
 
     def is_in_way(one: int, other: int) -> bool:
         if one == other or directions[one] @ directions[other] < _SAME_ARM_COSINE:
             return one != other
         # Carriageways of one road may overlap.
-        (edge, is_along), (beside, runs_along) = (arms[at].street.parts[0] for at in (one, other))
+        (edge, is_along), (beside, runs_along) = (
+            arms[at].street.parts[0] for at in (one, other)
+        )
         is_pair = edge.is_oneway and beside.is_oneway and is_along != runs_along
         return not is_pair and (edge.name == "" or edge.name != beside.name)
 
     placed = []
     for index, arm in enumerate(arms):
-        others = [surfaces[other] for other in range(len(arms)) if is_in_way(index, other)]
+        others = [
+            surfaces[other] for other in range(len(arms)) if is_in_way(index, other)
+        ]
         clear_m = _clear_from_m(arm.street, shapely.union_all([*middle, *others]))
         placed.append(replace(arm, mouth_m=min(clear_m + limits["corner_m"], most_m)))
     aligned = list(placed)
@@ -116,10 +126,14 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     middle, across = axis_points(street, stations)
     ends = [middle + sign * half[:, None] * across for sign in (1.0, -1.0)]
     shapely.prepare(others)
-    is_touching = shapely.intersects(shapely.linestrings(np.stack(ends, axis=1)), others)
+    is_touching = shapely.intersects(
+        shapely.linestrings(np.stack(ends, axis=1)), others
+    )
     is_touching[0] = True  # where the streets meet
     clear = np.flatnonzero(~is_touching)
-    return float(stations[clear[0]]) if len(clear) else limit_m
+    if len(clear):
+        return float(stations[clear[0]])
+    return limit_m
 
 
 # ---------- nodes of junctions
@@ -127,13 +141,20 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
 class Clusters:
     """Nodes of junctions, joined step by step."""
 
-    of_row: dict[int, int] = field(default_factory=dict)  # junction's number by node row
-    members: dict[int, list[int]] = field(default_factory=dict)  # node rows by junction's number
+    of_row: dict[int, int] = field(
+        default_factory=dict
+    )  # junction's number by node row
+    members: dict[int, list[int]] = field(
+        default_factory=dict
+    )  # node rows by junction's number
 
     def add(self, row: int, number: int | None = None) -> None:
         """Add a node to a junction, by default a new one."""
         if row not in self.of_row:
-            self.of_row[row] = row if number is None else number
+            if number is None:
+                self.of_row[row] = row
+            else:
+                self.of_row[row] = number
             self.members.setdefault(self.of_row[row], []).append(row)
 
     def join(self, one: int, other: int) -> None:
@@ -147,13 +168,16 @@ class Clusters:
 def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
     """Nodes where roads meet, or roads and yards at a signal; those of one junction together.
 
-    Two side roads that meet a road from either side no farther apart than `staggered_m` are one.
+    Two side roads that meet a road from either side no farther apart than `staggered_m`
+    are one.
     """
     clusters = Clusters()
     for row, ends in network.ends.items():
         edges = [network.edges[index] for index, _ in ends]
         n_full = sum(not edge.is_service for edge in edges)
-        is_signal = network.elements.node_tags.get(row, {}).get("highway") == "traffic_signals"
+        is_signal = (
+            network.elements.node_tags.get(row, {}).get("highway") == "traffic_signals"
+        )
         is_meeting = n_full >= 3 or (is_signal and n_full > 0 and len(edges) >= 3)
         is_on_ground = any(edge.level == 0 for edge in edges)
         if is_meeting and is_on_ground and not is_fork(network, ends):
@@ -195,13 +219,19 @@ def _join_roundabouts(network: Network, clusters: Clusters) -> None:
     rings = Clusters()
     for edge in network.edges:
         if edge.is_roundabout and not edge.is_service:
-            begin, end = int(edge.rows[0]), int(edge.rows[-1])
+            begin = int(edge.rows[0])
+            end = int(edge.rows[-1])
             rings.add(begin)
             rings.add(end)
             rings.join(rings.of_row[begin], rings.of_row[end])
     for rows in rings.members.values():
-        numbers = sorted({clusters.of_row[row] for row in rows if row in clusters.of_row})
-        if numbers and _size_m(network, rows) <= DEFAULTS["junction"]["max_roundabout_m"]:
+        numbers = sorted(
+            {clusters.of_row[row] for row in rows if row in clusters.of_row}
+        )
+        if (
+            numbers
+            and _size_m(network, rows) <= DEFAULTS["junction"]["max_roundabout_m"]
+        ):
             for number in numbers[1:]:
                 clusters.join(numbers[0], number)
             for row in rows:
@@ -214,25 +244,38 @@ def _size_m(network: Network, rows: Sequence[int]) -> float:
 
 
 def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None:
-    limits, of_row = DEFAULTS["junction"], clusters.of_row
+    limits = DEFAULTS["junction"]
+    of_row = clusters.of_row
     links = []
     for street in trace_streets(network, of_row.__contains__):
-        begin, end = int(street.rows[0]), int(street.rows[-1])
+        begin = int(street.rows[0])
+        end = int(street.rows[-1])
         if begin in of_row and end in of_row:
             # Whether it links the carriageways of another street, across its median.
-            edges = [[network.edges[index] for index, _ in network.ends[at]] for at in (begin, end)]
-            names = [{one.name for one in here if one.is_oneway and one.name} for here in edges]
+            edges = [
+                [network.edges[index] for index, _ in network.ends[at]]
+                for at in (begin, end)
+            ]
+            names = [
+                {one.name for one in here if one.is_oneway and one.name}
+                for here in edges
+            ]
             is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
             most_m = limits["join_carriageways_m" if is_wide else "join_m"]
-            if street.length_m <= max(most_m, staggered_m * _is_staggered(network, street)):
+            if street.length_m <= max(
+                most_m, staggered_m * _is_staggered(network, street)
+            ):
                 links.append((street.length_m, begin, end))
     for _, begin, end in sorted(links):
-        one, other = of_row[begin], of_row[end]
+        one = of_row[begin]
+        other = of_row[end]
         if one == other:
             continue
         rows = clusters.members[one] + clusters.members[other]
         if _size_m(network, rows) <= limits["max_size_m"] or any(
-            network.edges[index].is_roundabout for row in rows for index, _ in network.ends[row]
+            network.edges[index].is_roundabout
+            for row in rows
+            for index, _ in network.ends[row]
         ):
             clusters.join(one, other)
 
@@ -242,16 +285,22 @@ def _is_staggered(network: Network, street: Street) -> bool:
     (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
     sides = []
     for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
-        meeting = [(network.edges[one[0]], one) for one in network.ends[int(street.rows[at])]]
+        meeting = [
+            (network.edges[one[0]], one) for one in network.ends[int(street.rows[at])]
+        ]
         ends = [one for other, one in meeting if not other.is_service]
-        others = [one for one in ends if (network.edges[one[0]], one[1]) != (edge, is_first)]
+        others = [
+            one for one in ends if (network.edges[one[0]], one[1]) != (edge, is_first)
+        ]
         if len(ends) != 3 or len(others) != 2:
             return False
         own = next(one for one in ends if one not in others)
         ahead_deg = network.bearing_deg(own)
         turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
         sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
-    return sides[0] == sides[1]  # to the same hand of who looks along the street from either end
+    return (
+        sides[0] == sides[1]
+    )  # to the same hand of who looks along the street from either end
 
 
 # ---------- junctions
@@ -260,7 +309,9 @@ class Reach:
     """The part of a street that has lanes, and the junctions at its ends."""
 
     street: Street
-    begin_m: float  # station where lanes begin; there are none if the end is not beyond it
+    begin_m: (
+        float  # station where lanes begin; there are none if the end is not beyond it
+    )
     end_m: float
     from_junction: str = ""  # id, as of the other; empty: none
     to_junction: str = ""
@@ -284,20 +335,29 @@ def find_junctions(
     for stub in stubs:
         elements.omissions.add("roads", f"way {stub.street.parts[0][0].way_id}", _STUB)
     nodes = elements.node_ids
-    ids = {number: f"n{int(nodes[rows].min())}" for number, rows in clusters.members.items()}
+    ids = {
+        number: f"n{int(nodes[rows].min())}"
+        for number, rows in clusters.members.items()
+    }
     reaches = _reaches(network, streets, clusters, arms, ids)
     mouths = {
-        (index, is_begin): reach.begin_m if is_begin else reach.street.length_m - reach.end_m
+        (index, is_begin): (
+            reach.begin_m if is_begin else reach.street.length_m - reach.end_m
+        )
         for index, reach in reaches.items()
         for is_begin in (True, False)
     }
     junctions = []
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
-        rows, streets_inside = clusters.members[number], inside.get(number, [])
+        rows = clusters.members[number]
+        streets_inside = inside.get(number, [])
         outline = _outline(final, streets_inside, elements.positions_m[rows])
-        name, roads = _name(final, streets_inside), find_leading_roads(network, rows, outline)
-        junctions.append(MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads))
+        name = _name(final, streets_inside)
+        roads = find_leading_roads(network, rows, outline)
+        junctions.append(
+            MapJunction(id=ids[number], name=name, outline_m=outline, roads=roads)
+        )
     junctions.sort(key=lambda junction: int(junction.id[1:]))
     return list(reaches.values()), junctions
 
@@ -311,7 +371,11 @@ def _arms_by_cluster(
     for index, street in enumerate(streets):
         begin, end = (clusters.of_row.get(int(street.rows[at])) for at in (0, -1))
         is_ring = all(edge.is_roundabout for edge, _ in street.parts)
-        if begin is not None and begin == end and (street.length_m <= limit_m or is_ring):
+        if (
+            begin is not None
+            and begin == end
+            and (street.length_m <= limit_m or is_ring)
+        ):
             inside[begin].append(street)
             continue
         if begin is not None:
@@ -321,7 +385,9 @@ def _arms_by_cluster(
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
         meeting = [*(arm.street for arm in here), *inside[number]]
-        key = tuple(tuple((edge.id, along) for edge, along in one.parts) for one in meeting)
+        key = tuple(
+            tuple((edge.id, along) for edge, along in one.parts) for one in meeting
+        )
         if key not in known:
             known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
         placed = zip(here, known[key], strict=True)
@@ -329,12 +395,16 @@ def _arms_by_cluster(
     return arms, inside
 
 
-def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequence[Arm]]) -> bool:
+def _take_in_forks(
+    network: Network, clusters: Clusters, arms: Mapping[int, Sequence[Arm]]
+) -> bool:
     """Join forks in an arm before it begins, and those at the tip of a splitter island."""
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        group_of = {index: at for at, group in enumerate(group_arms(here)) for index in group}
+        group_of = {
+            index: at for at, group in enumerate(group_arms(here)) for index in group
+        }
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -343,9 +413,13 @@ def _take_in_forks(network: Network, clusters: Clusters, arms: Mapping[int, Sequ
         }
         for index, arm in enumerate(here):
             own = group_of[index]
-            for row, station in zip(arm.street.rows.tolist(), arm.street.stations_m, strict=True):
+            for row, station in zip(
+                arm.street.rows.tolist(), arm.street.stations_m, strict=True
+            ):
                 is_island = station <= island_m and branches.get(row, own) != own
-                is_near = row not in clusters.of_row and (station <= arm.mouth_m + 1.0 or is_island)
+                is_near = row not in clusters.of_row and (
+                    station <= arm.mouth_m + 1.0 or is_island
+                )
                 if is_near and is_fork(network, network.ends.get(row, ())):
                     taken.append((row, number))
     for row, number in taken:
@@ -359,7 +433,9 @@ def _take_stubs(
     """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
     stubs = []
     for number, here in arms.items():
-        blind = [arm for arm in here if len(network.ends[int(arm.street.rows[-1])]) == 1]
+        blind = [
+            arm for arm in here if len(network.ends[int(arm.street.rows[-1])]) == 1
+        ]
         ending = [arm for arm in blind if arm.street.length_m - arm.mouth_m < _STUB_M]
         inside[number] += [arm.street for arm in ending]
         arms[number] = [arm for arm in here if arm not in ending]
@@ -367,9 +443,12 @@ def _take_stubs(
     return stubs
 
 
-def _drop_small(clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements) -> bool:
+def _drop_small(
+    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements
+) -> bool:
     """Drop meetings that nobody would call a junction, where roads merge or end."""
-    min_arms, least_m = DEFAULTS["junction"]["min_arms"], DEFAULTS["cross_section"]["min_road_m"]
+    min_arms = DEFAULTS["junction"]["min_arms"]
+    least_m = DEFAULTS["cross_section"]["min_road_m"]
     small = {}
     for number, here in arms.items():
         long = [arm for arm in here if arm.street.length_m >= least_m]
@@ -395,19 +474,28 @@ def _reaches(
 ) -> dict[int, Reach]:
     """The part of each street that has lanes, by its index."""
     least_m = DEFAULTS["cross_section"]["min_road_m"]
-    mouths = {(arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here}
+    mouths = {
+        (arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here
+    }
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
         from_m, to_m = (
-            _road_beside_m(network, street, at) if number is None else mouths.get((index, at == 0))
+            (
+                _road_beside_m(network, street, at)
+                if number is None
+                else mouths.get((index, at == 0))
+            )
             for number, at in zip(numbers, (0, -1), strict=True)
         )
         if from_m is None or to_m is None:
             continue  # inside a junction
         free_m = max(street.length_m - least_m, 0.0)
-        if (both_m := from_m + to_m) > free_m:  # two junctions so near that both get less
-            from_m, to_m = from_m * free_m / both_m, to_m * free_m / both_m
+        if (
+            both_m := from_m + to_m
+        ) > free_m:  # two junctions so near that both get less
+            from_m = from_m * free_m / both_m
+            to_m = to_m * free_m / both_m
         names = ["" if number is None else ids[number] for number in numbers]
         reaches[index] = Reach(
             street=street,
@@ -424,10 +512,14 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
     if not street.parts[at][0].is_service:
         return 0.0
     others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
-    return max((0.5 * one.section.width_m for one in others if not one.is_service), default=0.0)
+    return max(
+        (0.5 * one.section.width_m for one in others if not one.is_service), default=0.0
+    )
 
 
-def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray) -> FloatArray:
+def _outline(
+    arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
+) -> FloatArray:
     corner_m = DEFAULTS["junction"]["corner_m"]
     surfaces = [surface(street, 0.0, street.length_m) for street in inside]
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
@@ -437,7 +529,9 @@ def _outline(arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
     # Kerbs are rounded, narrow islands belong to the surface.
     rounded = whole.buffer(corner_m, quad_segs=8).buffer(-corner_m, quad_segs=8)
     ends_m = [min(arm.mouth_m + 10.0, arm.street.length_m) for arm in arms]
-    beyond = [surface(arm.street, arm.mouth_m, m) for arm, m in zip(arms, ends_m, strict=True)]
+    beyond = [
+        surface(arm.street, arm.mouth_m, m) for arm, m in zip(arms, ends_m, strict=True)
+    ]
     rest = rounded.union(whole).difference(shapely.union_all(beyond))
     smallest = Point(0.0, 0.0).buffer(1.0)
     polygon = max(polygons_of(rest), key=lambda part: part.area, default=smallest)
@@ -452,7 +546,9 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     for edge in (edge for edge in edges if edge.name):
         rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
         ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
-    return " / ".join(sorted(ranks, key=lambda name: (ranks[name], -counts[name], name)))
+    return " / ".join(
+        sorted(ranks, key=lambda name: (ranks[name], -counts[name], name))
+    )
 
 
 # ---------- where motorways merge or part
@@ -470,8 +566,12 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
         return False
     n_away = sum(is_away for *_, is_away in edges)
     fast = ("motorway", "motorway_link")
-    is_fast = [kind in fast or edge.tags.get("motorroad") == "yes" for edge, kind, _ in edges]
-    is_parting = min(n_away, len(edges) - n_away) <= 1 and all(edge.is_oneway for edge, *_ in edges)
+    is_fast = [
+        kind in fast or edge.tags.get("motorroad") == "yes" for edge, kind, _ in edges
+    ]
+    is_parting = min(n_away, len(edges) - n_away) <= 1 and all(
+        edge.is_oneway for edge, *_ in edges
+    )
     is_trunk = [highway in ("trunk", "trunk_link") for _, highway, _ in edges]
     return all(is_fast) or (is_parting and bool(np.logical_or(is_fast, is_trunk).all()))
 
@@ -492,7 +592,9 @@ def find_leading_roads(
             if end[0] in done:
                 continue
             line = shapely.LineString(network.points_from(end))
-            if shapely.intersects(area, shapely.Point(line.coords[-1])):  # both its ends lie inside
+            if shapely.intersects(
+                area, shapely.Point(line.coords[-1])
+            ):  # both its ends lie inside
                 done.add(end[0])
                 far = int(network.edges[end[0]].rows[-1 if end[1] else 0])
                 if far not in seen:
@@ -501,7 +603,9 @@ def find_leading_roads(
                 continue
             tips = shapely.get_coordinates(line.intersection(area))
             located = shapely.line_locate_point(line, shapely.points(tips))
-            found += _road(network, end, line, float(located.max()) if len(tips) else 0.0)
+            found += _road(
+                network, end, line, float(located.max()) if len(tips) else 0.0
+            )
     return tuple(found)
 
 
@@ -510,12 +614,17 @@ def _directions(network: Network, end: End) -> frozenset[bool]:
     return frozenset(one == end[1] for one in network.edges[end[0]].section.directions)
 
 
-def _road(network: Network, end: End, line: Any, left_at_m: float) -> Iterator[LeadingRoad]:
+def _road(
+    network: Network, end: End, line: Any, left_at_m: float
+) -> Iterator[LeadingRoad]:
     """The road on which an edge's line leaves a junction at a distance from one of its ends."""
     points = network.points_from(end)
     stations_m = [left_at_m, left_at_m + _AHEAD_M]
-    point, ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, stations_m))
-    way, rest_m = end, line.length - left_at_m
+    point, ahead = shapely.get_coordinates(
+        shapely.line_interpolate_point(line, stations_m)
+    )
+    way = end
+    rest_m = line.length - left_at_m
     passed = {end[0]}
     while rest_m < _STUB_M:  # the way beyond a node where it is only cut in two
         index, is_start = way
@@ -523,16 +632,22 @@ def _road(network: Network, end: End, line: Any, left_at_m: float) -> Iterator[L
         others = [one for one in network.ends[row] if one[0] not in passed]
         if len(network.ends[row]) == 1:
             return  # a stub
-        if len(others) != 1 or _directions(network, others[0]) != _directions(network, way):
+        if len(others) != 1 or _directions(network, others[0]) != _directions(
+            network, way
+        ):
             break
         way = others[0]
         passed.add(way[0])
         rest_m += shapely.LineString(network.points_from(way)).length
-    edge, begin = network.edges[way[0]], point
+    edge = network.edges[way[0]]
+    begin = point
     if (step := np.hypot(*(ahead - begin))) < 1e-6:
-        begin, ahead = points[-2], points[-1]
+        begin = points[-2]
+        ahead = points[-1]
         step = np.hypot(*(ahead - begin))
-    n_in, n_out = (len(edge.section.lanes(is_forward=out == way[1])) for out in (False, True))
+    n_in, n_out = (
+        len(edge.section.lanes(is_forward=out == way[1])) for out in (False, True)
+    )
     if n_in or n_out:
         yield LeadingRoad(
             name=clean_name(edge.name or f"way {edge.way_id}"),

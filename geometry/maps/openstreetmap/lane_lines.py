@@ -18,10 +18,14 @@ from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_
 
 _BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
 _MIN_LENGTH_M = 0.5
-_SAME_POINT_M = 0.5  # pieces of a lane whose ends are as near as this are one after the other
+_SAME_POINT_M = (
+    0.5  # pieces of a lane whose ends are as near as this are one after the other
+)
 _SAME_WAY = 0.5  # cosine of the angle between them
 _BEND_M = 15.0
-_Group = tuple[str, bool]  # lanes side by side by their common name, and whether their starts
+_Group = tuple[
+    str, bool
+]  # lanes side by side by their common name, and whether their starts
 
 
 class _Part(NamedTuple):
@@ -56,19 +60,33 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     done: list[_Piece] = []
     for at, index in enumerate(parts):
         (edge, is_along), section = street.parts[index], street.sections[index]
-        before = street.sections[parts[at - 1]].strips if at else ()
-        after = street.sections[parts[at + 1]].strips if at + 1 < len(parts) else ()
+        if at:
+            before = street.sections[parts[at - 1]].strips
+        else:
+            before = ()
+        if at + 1 < len(parts):
+            after = street.sections[parts[at + 1]].strips
+        else:
+            after = ()
         following: dict[tuple[str, str, int], _Piece] = {}
         for strip in section.strips:
             begin_m, is_continued = _at_break(strip, section.strips, before)
             end_m, _ = _at_break(strip, section.strips, after)
             key = strip.kind, strip.place, strip.number
-            limit_kmh = speed_limit_kmh(edge.tags, is_forward=strip.is_forward == is_along)
+            limit_kmh = speed_limit_kmh(
+                edge.tags, is_forward=strip.is_forward == is_along
+            )
             is_two_way = len(section.directions) > 1
             means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
             part = _Part(strip, spans[index], (begin_m, end_m), *means)
-            piece = open_pieces.pop(key, None) if is_continued else None
-            following[key] = piece or (f"{edge.id} {strip.kind} {strip.place} {strip.number}", [])
+            if is_continued:
+                piece = open_pieces.pop(key, None)
+            else:
+                piece = None
+            following[key] = piece or (
+                f"{edge.id} {strip.kind} {strip.place} {strip.number}",
+                [],
+            )
             following[key][1].append(part)
         done += open_pieces.values()
         open_pieces = following
@@ -84,30 +102,46 @@ def _without_stubs(
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Parts of a street with lanes of their own, not cut off just outside a junction; stations."""
     least_m = DEFAULTS["cross_section"]["stub_m"]
-    kept, whole = list(parts), list(spans)
+    kept = list(parts)
+    whole = list(spans)
     sections = reach.street.sections
 
     def is_stub(near: int, beyond: int) -> bool:
         is_short = np.ptp(whole[near]) < least_m
-        return bool(is_short) and sections[near].directions == sections[beyond].directions
+        return (
+            bool(is_short) and sections[near].directions == sections[beyond].directions
+        )
 
-    for junction, tip, beyond in ((reach.from_junction, 0, 1), (reach.to_junction, -1, -2)):
+    for junction, tip, beyond in (
+        (reach.from_junction, 0, 1),
+        (reach.to_junction, -1, -2),
+    ):
         while junction and len(kept) > 1 and is_stub(kept[tip], kept[beyond]):
             pair = [whole[kept.pop(tip)], whole[kept[tip]]]
-            whole[kept[tip]] = min(low for low, _ in pair), max(high for _, high in pair)
+            whole[kept[tip]] = (
+                min(low for low, _ in pair),
+                max(high for _, high in pair),
+            )
     return kept, whole
 
 
-def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tuple[float, bool]:
+def _at_break(
+    strip: Strip, own: Sequence[Strip], others: Sequence[Strip]
+) -> tuple[float, bool]:
     """Middle of a lane at a break, left of the street, and whether it simply continues."""
     kind = strip.kind, strip.place
-    alike = ([one for one in side if (one.kind, one.place) == kind] for side in (own, others))
+    alike = (
+        [one for one in side if (one.kind, one.place) == kind] for side in (own, others)
+    )
     here, there = (sorted(found, key=lambda one: one.number) for found in alike)
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
         match = [one for one in there if one.number == strip.number]
-        same = match[0].left_m if match else strip.left_m
+        if match:
+            same = match[0].left_m
+        else:
+            same = strip.left_m
         return 0.5 * (strip.left_m + same), bool(match)
     number = min(strip.number, len(here) - 1, len(there) - 1)
     return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
@@ -115,39 +149,62 @@ def _at_break(strip: Strip, own: Sequence[Strip], others: Sequence[Strip]) -> tu
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
-    points_of_lefts: list[tuple[float, float]] = []  # stations, and how far left of the street
+    points_of_lefts: list[
+        tuple[float, float]
+    ] = []  # stations, and how far left of the street
     for strip, (low, high), ends_left, *_ in parts:
-        half, (begin_left, end_left) = 0.5 * (high - low), ends_left
-        first, last = (min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left)
+        half = 0.5 * (high - low)
+        (begin_left, end_left) = ends_left
+        first, last = (
+            min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left
+        )
         points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
         points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
     stations, lefts = zip(*points_of_lefts, strict=True)
-    begin_m, end_m = parts[0].span_m[0], parts[-1].span_m[1]
+    begin_m = parts[0].span_m[0]
+    end_m = parts[-1].span_m[1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None
     heights = _heights(parts)
-    extra = [] if np.ptp(lefts) < 1e-9 else list(stations)
-    extra += [station for station, _ in heights] if any(part.level for part in parts) else []
+    if np.ptp(lefts) < 1e-9:
+        extra = []
+    else:
+        extra = list(stations)
+    if any(part.level for part in parts):
+        extra += [station for station, _ in heights]
+    else:
+        extra += []
     at = stations_between(reach.street, begin_m, end_m, extra)
     middle, across = axis_points(reach.street, at)
     line = middle + np.interp(at, stations, lefts)[:, None] * across
     is_kept = has_no_knot(line, middle)
-    at, line = at[is_kept], line[is_kept]
+    at = at[is_kept]
+    line = line[is_kept]
     if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
         return None
     lengths = [part.span_m[1] - part.span_m[0] for part in parts]
     points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
-    from_junction = reach.from_junction if begin_m <= reach.begin_m + 1e-6 else ""
-    to_junction = reach.to_junction if end_m >= reach.end_m - 1e-6 else ""
+    if begin_m <= reach.begin_m + 1e-6:
+        from_junction = reach.from_junction
+    else:
+        from_junction = ""
+    if end_m >= reach.end_m - 1e-6:
+        to_junction = reach.to_junction
+    else:
+        to_junction = ""
     is_forward = parts[0].strip.is_forward
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
-    last_part = parts[-1 if is_forward == bool(to_junction) else 0]  # as of `speed_limit_kmh`
+    last_part = parts[
+        -1 if is_forward == bool(to_junction) else 0
+    ]  # as of `speed_limit_kmh`
     return MapLane(
         id=name,
         kind=parts[0].strip.kind,
-        width_m=float(np.average([part.strip.width_m for part in parts], weights=lengths)),
+        width_m=float(
+            np.average([part.strip.width_m for part in parts], weights=lengths)
+        ),
         centreline_m=points,
         from_junction=from_junction,
         to_junction=to_junction,
@@ -166,8 +223,14 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
     ):
         (low, high), level = part.span_m, part.level
         run = min(10.0, 0.5 * (high - low))
-        heights += [(low, 0.5 * step_m * (before.level + level)), (low + run, step_m * level)]
-        heights += [(high - run, step_m * level), (high, 0.5 * step_m * (level + after.level))]
+        heights += [
+            (low, 0.5 * step_m * (before.level + level)),
+            (low + run, step_m * level),
+        ]
+        heights += [
+            (high - run, step_m * level),
+            (high, 0.5 * step_m * (level + after.level)),
+        ]
     return heights
 
 
@@ -178,7 +241,10 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
     for index, lane in enumerate(lanes):
         if lane.kind == "driving":
             name = lane.id.rpartition(" ")[0]
-            for is_begin, junction in ((True, lane.from_junction), (False, lane.to_junction)):
+            for is_begin, junction in (
+                (True, lane.from_junction),
+                (False, lane.to_junction),
+            ):
                 if not junction:
                     groups[name, is_begin].append(index)
     for members in groups.values():
@@ -192,11 +258,14 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
             return known
         tips = _tip(lanes[index], is_begin=False), _tip(lanes[other], is_begin=True)
         is_kept = lanes[index].id in two_way, lanes[other].id in two_way
-        return 0.5 * (tips[0] + tips[1]) if is_kept[0] == is_kept[1] else tips[is_kept[1]]
+        if is_kept[0] == is_kept[1]:
+            return 0.5 * (tips[0] + tips[1])
+        return tips[is_kept[1]]
 
     for ends, begins in _meeting_groups(lanes, groups):
         for number in range(max(len(ends), len(begins))):
-            one, other = ends[min(number, len(ends) - 1)], begins[min(number, len(begins) - 1)]
+            one = ends[min(number, len(ends) - 1)]
+            other = begins[min(number, len(begins) - 1)]
             point = place(one, other)
             moved.setdefault((one, False), point)
             moved.setdefault((other, True), point)
@@ -213,7 +282,8 @@ def _meeting_groups(
     """Ends and begins of lanes side by side that go on ahead into each other, nearest first."""
     keys = list(groups)
     tips = [
-        np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]]) for key in keys
+        np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]])
+        for key in keys
     ]
     of_tip = np.repeat(np.arange(len(keys)), [len(points) for points in tips])
     if not len(of_tip):
@@ -229,8 +299,14 @@ def _meeting_groups(
                     gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
                     found[other] = min(gap_m, found.get(other, np.inf))
         own = _ahead(lanes[groups[key][0]], key[1])
-        ways = {other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found}
-        ahead = {other: gap_m for other, gap_m in found.items() if own @ ways[other] > _SAME_WAY}
+        ways = {
+            other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found
+        }
+        ahead = {
+            other: gap_m
+            for other, gap_m in found.items()
+            if own @ ways[other] > _SAME_WAY
+        }
         if ahead:
             other = min(ahead, key=ahead.__getitem__)
             links[(other, one) if key[1] else (one, other)] = ahead[other]
@@ -257,4 +333,6 @@ def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """A line that begins at another point and leads straight to itself, some metres on."""
     along = along_m(points_m)
     run = np.minimum(_BEND_M, along[-1])
-    return np.vstack([begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]])
+    return np.vstack(
+        [begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]]
+    )

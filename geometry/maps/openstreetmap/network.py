@@ -37,7 +37,9 @@ Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way do
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
-_Widths = tuple[Sequence[float], Sequence[float]]  # [m] forward, backward; from left to right there
+_Widths = tuple[
+    Sequence[float], Sequence[float]
+]  # [m] forward, backward; from left to right there
 _MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
 End = tuple[int, bool]  # an edge and whether its first node is meant
 _MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
@@ -61,7 +63,10 @@ def is_oneway(tags: Tags) -> bool:
         return True
     if text:  # no, alternating, reversible
         return False
-    return tags.get("junction") in ("roundabout", "circular") or tags["highway"] == "motorway"
+    return (
+        tags.get("junction") in ("roundabout", "circular")
+        or tags["highway"] == "motorway"
+    )
 
 
 def runs_backward(tags: Tags) -> bool:
@@ -84,13 +89,17 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
 
     def listed(key: str) -> int | None:
         text = tags.get(key)
-        return min(text.count("|") + 1, highest) if text and "|" in text else None
+        if text and "|" in text:
+            return min(text.count("|") + 1, highest)
+        return None
 
     total = number("lanes", 2 * highest)
     if is_oneway(tags):
         count = total or listed("turn:lanes") or listed("turn:lanes:forward")
         n_forward = min(count or usual["oneway_lanes"], highest)
-        return LaneCounts(n_forward=n_forward, n_backward=0, is_counted=count is not None)
+        return LaneCounts(
+            n_forward=n_forward, n_backward=0, is_counted=count is not None
+        )
     has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
     if has_centre and total is not None:
         total = max(total - 1, 0) or None
@@ -101,10 +110,12 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
     is_counted = any(count is not None for count in (total, forward, backward))
     if total is not None and (forward is None) != (backward is None):
         rest = max(total - (forward or backward or 0), 1)
-        forward, backward = forward or rest, backward or rest
+        forward = forward or rest
+        backward = backward or rest
     elif total is not None and forward is None:
         # An odd lane is a turning lane of an unknown direction.
-        forward, backward = total - total // 2, total // 2
+        forward = total - total // 2
+        backward = total // 2
     if not is_counted and tags.get("lane_markings") == "no":
         forward = backward = 1
     is_shared = not is_counted and usual["is_shared"]
@@ -118,9 +129,13 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
 
 
 # ---------- strips next to the driving lanes
-def roadside_strips(tags: Tags, note: TagNote, *, side: str, keeps_left: bool) -> Roadside:
+def roadside_strips(
+    tags: Tags, note: TagNote, *, side: str, keeps_left: bool
+) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
-    is_near = side == ("left" if keeps_left else "right")  # the side of traffic along the way
+    is_near = side == (
+        "left" if keeps_left else "right"
+    )  # the side of traffic along the way
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
     outer: list[Part] = []
@@ -128,29 +143,44 @@ def roadside_strips(tags: Tags, note: TagNote, *, side: str, keeps_left: bool) -
     def width(key: str, usual_m: float) -> float:
         keys = (f"{key}:{side}:width", f"{key}:both:width", f"{key}:width")
         width_m = tagged_length_m(tags, keys, (0.5, 15.0), note)
-        return usual_m if width_m is None else width_m
+        if width_m is None:
+            return usual_m
+        return width_m
 
     usual = DEFAULTS["cross_section"]
     plain = tags.get("cycleway", "")
     if is_oneway(tags) and plain.startswith("opposite") == is_near:
         plain = ""  # of a one-way road the plain tag means the side of its traffic
-    cycleway = plain if (named := side_value(tags, "cycleway", side)) is None else named
+    if (named := side_value(tags, "cycleway", side)) is None:
+        cycleway = plain
+    else:
+        cycleway = named
     is_against = cycleway in ("opposite_lane", "opposite_track") or (
         tags.get(f"cycleway:{side}:oneway") == "-1"
     )
     cycles_forward = is_forward and not (is_against and is_oneway(tags))
     if cycleway in WORDS["cycle_lanes"]:
-        inner.append(("cycling", width("cycleway", usual["cycle_lane_width_m"]), cycles_forward))
+        inner.append(
+            ("cycling", width("cycleway", usual["cycle_lane_width_m"]), cycles_forward)
+        )
     position, orientation = _parking(tags, side)
     if position in (*WORDS["on_carriageway"], *WORDS["beside_carriageway"]):
-        usual_m = usual.get(f"{orientation}_parking_width_m", usual["parallel_parking_width_m"])
+        usual_m = usual.get(
+            f"{orientation}_parking_width_m", usual["parallel_parking_width_m"]
+        )
         part = ("parking", width("parking", usual_m), is_forward)
         (inner if position in WORDS["on_carriageway"] else outer).append(part)
     if cycleway in WORDS["cycle_tracks"]:
-        outer.append(("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward))
+        outer.append(
+            ("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward)
+        )
     sidewalk = side_value(tags, "sidewalk", side)
-    if sidewalk == "yes" or (sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)):
-        outer.append(("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward))
+    if sidewalk == "yes" or (
+        sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)
+    ):
+        outer.append(
+            ("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward)
+        )
     return inner, outer
 
 
@@ -166,7 +196,9 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
         return position, orientation
     old = side_value(tags, "parking:lane", side) or ""
     if old in WORDS["old_orientations"]:
-        where = tags.get(f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", ""))
+        where = tags.get(
+            f"parking:lane:{side}:{old}", tags.get(f"parking:lane:both:{old}", "")
+        )
         return WORDS["old_positions"].get(where, "lane"), old
     return "no", ""
 
@@ -177,7 +209,9 @@ class Strip:
     """One lane in a cross-section."""
 
     kind: str  # one of geometry.maps.source_map.LANE_KINDS
-    place: str  # "forward" or "backward" for driving lanes, "left" or "right" for others
+    place: (
+        str  # "forward" or "backward" for driving lanes, "left" or "right" for others
+    )
     number: int  # among those of its kind and place; 0: next to the kerb
     width_m: float
     left_m: float  # of its middle, to the left of the way
@@ -190,24 +224,33 @@ class CrossSection:
     """Strips side by side along a way, which runs in the middle of the carriageway."""
 
     strips: tuple[Strip, ...]  # from left to right
-    width_m: float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
+    width_m: (
+        float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
+    )
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
-        lanes = [s for s in self.strips if s.kind == "driving" and s.is_forward == is_forward]
+        lanes = [
+            s for s in self.strips if s.kind == "driving" and s.is_forward == is_forward
+        ]
         return tuple(sorted(lanes, key=lambda strip: strip.number))
 
     @property
     def directions(self) -> frozenset[bool]:
         """Directions in which cars drive: True is that of the way."""
-        return frozenset(strip.is_forward for strip in self.strips if strip.kind == "driving")
+        return frozenset(
+            strip.is_forward for strip in self.strips if strip.kind == "driving"
+        )
 
     def reversed(self) -> "CrossSection":
         """Cross-section along the way in the opposite order of nodes."""
 
         def turned(strip: Strip) -> Strip:
-            place, left_m = OPPOSITE[strip.place], -strip.left_m
-            return replace(strip, place=place, left_m=left_m, is_forward=not strip.is_forward)
+            place = OPPOSITE[strip.place]
+            left_m = -strip.left_m
+            return replace(
+                strip, place=place, left_m=left_m, is_forward=not strip.is_forward
+            )
 
         return replace(self, strips=tuple(map(turned, self.strips[::-1])))
 
@@ -241,7 +284,9 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
                 numbers[kind] += 1
                 edge_m += step * width_m
     left_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
-    strips += _driving_strips(tags, driving, counts, left_m, note, keeps_left=keeps_left)
+    strips += _driving_strips(
+        tags, driving, counts, left_m, note, keeps_left=keeps_left
+    )
     strips.sort(key=lambda strip: -strip.left_m)
     return CrossSection(strips=tuple(strips), width_m=carriageway_m)
 
@@ -258,17 +303,25 @@ def _driving_strips(
     """Driving lanes from left to right, from their left edge on; the centre lane is none."""
     limits = DEFAULTS["cross_section"]
     turns = {
-        "forward": _listed_turns(tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)),
-        "backward": _listed_turns(tags, "backward", counts.n_backward, note, is_alone=False),
+        "forward": _listed_turns(
+            tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)
+        ),
+        "backward": _listed_turns(
+            tags, "backward", counts.n_backward, note, is_alone=False
+        ),
     }
     for place, number, width_m in driving:
         middle_m = left_m - 0.5 * width_m
         left_m -= width_m
-        for direction in {"both": ("forward", "backward"), "centre": ()}.get(place, (place,)):
+        for direction in {"both": ("forward", "backward"), "centre": ()}.get(
+            place, (place,)
+        ):
             is_forward = direction == "forward"
-            aside_m, free_m = 0.0, width_m
+            aside_m = 0.0
+            free_m = width_m
             if place == "both":
-                # Cars of both directions keep to their side even there; so ends of lanes differ.
+                # Cars of both directions keep to their side even there; so ends of
+                # lanes differ.
                 aside_m = 0.5 * limits["shared_apart_m"]
                 free_m = max(width_m - 2.0 * aside_m, limits["min_lane_width_m"])
             yield Strip(
@@ -289,11 +342,17 @@ def _driving(
     if counts.is_shared:
         return [("both", 0, widths[0][0])]
     forward, backward = (
-        [(place, n if keeps_left else len(lanes) - 1 - n, lane_m) for n, lane_m in enumerate(lanes)]
+        [
+            (place, n if keeps_left else len(lanes) - 1 - n, lane_m)
+            for n, lane_m in enumerate(lanes)
+        ]
         for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
     )
     centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
-    centre = [("centre", 0, centre_m)] if counts.has_centre else []
+    if counts.has_centre:
+        centre = [("centre", 0, centre_m)]
+    else:
+        centre = []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
@@ -303,10 +362,16 @@ def _lane_widths(
     tags: Tags, counts: LaneCounts, beside_m: float, note: TagNote
 ) -> tuple[_Widths, LaneCounts]:
     limits = DEFAULTS["cross_section"]
-    narrow_m, wide_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
+    narrow_m = limits["min_lane_width_m"]
+    wide_m = limits["max_lane_width_m"]
     usual_m = DEFAULTS["roads"][tags["highway"]]["lane_width_m"]
-    centre_m = limits["centre_lane_width_m"] if counts.has_centre else 0.0
-    forward = _listed_widths(tags, "forward", counts.n_forward, is_alone=not counts.n_backward)
+    if counts.has_centre:
+        centre_m = limits["centre_lane_width_m"]
+    else:
+        centre_m = 0.0
+    forward = _listed_widths(
+        tags, "forward", counts.n_forward, is_alone=not counts.n_backward
+    )
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
         return (forward, backward), counts
@@ -318,35 +383,50 @@ def _lane_widths(
         if not counts.is_counted and counts.n_forward == counts.n_backward == 1:
             # Nothing says how many lanes there are: one where two cars could not pass.
             fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
-        n_lanes = 1 if fitting.is_shared else counts.n_forward + counts.n_backward
+        if fitting.is_shared:
+            n_lanes = 1
+        else:
+            n_lanes = counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
-            usual_m, counts = free_m / n_lanes, fitting
+            usual_m = free_m / n_lanes
+            counts = fitting
         else:
             note("its width does not fit its lanes; usual widths taken")
     return ([usual_m] * counts.n_forward, [usual_m] * counts.n_backward), counts
 
 
-def _listed_widths(tags: Tags, direction: str, count: int, *, is_alone: bool) -> list[float] | None:
+def _listed_widths(
+    tags: Tags, direction: str, count: int, *, is_alone: bool
+) -> list[float] | None:
     """Widths of each lane in metres, if they are listed for the right number of lanes."""
     if not count:
         return []
-    text = tags.get(f"width:lanes:{direction}") or (tags.get("width:lanes") if is_alone else None)
+    text = tags.get(f"width:lanes:{direction}") or (
+        tags.get("width:lanes") if is_alone else None
+    )
     widths = [parse_length_m(part) for part in (text or "").split("|")]
     limits = DEFAULTS["cross_section"]
-    low_m, high_m = limits["min_lane_width_m"], limits["max_lane_width_m"]
+    low_m = limits["min_lane_width_m"]
+    high_m = limits["max_lane_width_m"]
     known = [width for width in widths if width and low_m <= width <= high_m]
-    return known if len(known) == len(widths) == count else None
+    if len(known) == len(widths) == count:
+        return known
+    return None
 
 
 def _listed_turns(
     tags: Tags, direction: str, count: int, note: TagNote, *, is_alone: bool
 ) -> list[tuple[Turn, ...]]:
     """Where cars may drive from each lane by its markings, from left to right."""
-    text = tags.get(f"turn:lanes:{direction}") or (tags.get("turn:lanes") if is_alone else None)
+    text = tags.get(f"turn:lanes:{direction}") or (
+        tags.get("turn:lanes") if is_alone else None
+    )
     words = DEFAULTS["turns"]
     listed: list[tuple[Turn, ...]] = []
     for lane in [] if text is None else text.split("|"):
-        turns = [turn for word in lane.split(";") for turn in words.get(word.strip(), ())]
+        turns = [
+            turn for word in lane.split(";") for turn in words.get(word.strip(), ())
+        ]
         listed.append(tuple(dict.fromkeys(turns)))
     if len(listed) == count:
         return listed
@@ -366,7 +446,10 @@ def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
     >>> speed_limit_kmh({"maxspeed": "50", "maxspeed:backward": "FR:zone30"}, is_forward=False)
     30.0
     """
-    side = "forward" if is_forward else "backward"
+    if is_forward:
+        side = "forward"
+    else:
+        side = "backward"
     for key in (f"maxspeed:{side}", "maxspeed", *DEFAULTS["speed_limits"]["type_keys"]):
         text = tags.get(key, "").strip().lower()
         speed_kmh = _speed_kmh(text)
@@ -381,7 +464,9 @@ def _speed_kmh(text: str) -> float | None:
         return words[text]
     zone = _ZONE.fullmatch(text)
     speed_kmh = parse_speed_kmh(zone[1] if zone else text)
-    return round(speed_kmh, 1) if speed_kmh else None
+    if speed_kmh:
+        return round(speed_kmh, 1)
+    return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -432,7 +517,9 @@ def level(tags: Tags) -> int:
     tunnel = tags.get("tunnel")
     if is_yes(tunnel) and tunnel not in ("building_passage", "culvert"):
         return -1
-    return 1 if is_yes(tags.get("bridge")) else 0
+    if is_yes(tags.get("bridge")):
+        return 1
+    return 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -453,7 +540,9 @@ class Network:
     def points_from(self, end: End) -> FloatArray:
         """Nodes of an edge from one of its ends, (n, 2)."""
         points = self.edges[end[0]].points_m
-        return points if end[1] else points[::-1]
+        if end[1]:
+            return points
+        return points[::-1]
 
 
 def is_for_cars(tags: Tags) -> bool:
@@ -462,7 +551,8 @@ def is_for_cars(tags: Tags) -> bool:
         tags.get("highway") in DEFAULTS["roads"]
         and tags.get("area") != "yes"
         and next((tags[key] for key in WORDS["access"] if key in tags), "yes") != "no"
-        and tags.get("service") not in ("parking_aisle", "driveway", "drive-through", "slipway")
+        and tags.get("service")
+        not in ("parking_aisle", "driveway", "drive-through", "slipway")
     )
 
 
@@ -473,7 +563,10 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
         if is_for_cars(way.tags):
             runs.append((way, list(known_runs(way, elements))))
             if (way.rows < 0).any() or not runs[-1][1]:
-                why = "partly left out: nodes are missing in the file, as at the edge of a cut-out"
+                why = (
+                    "partly left out: nodes are missing in the file, as at the edge of"
+                    " a cut-out"
+                )
                 elements.omissions.add("roads", f"way {way.id}", why)
     n_uses = np.zeros(len(elements.positions_m), dtype=np.int64)
     for rows in chain.from_iterable(found for _, found in runs):
@@ -483,9 +576,11 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
     for way, found in runs:
         if not found:
             continue
-        tags, step = dict(way.tags), 1
+        tags = dict(way.tags)
+        step = 1
         if runs_backward(way.tags):
-            tags, step = reversed_tags(tags) | {"oneway": "yes", "oneway:turned": "yes"}, -1
+            tags = reversed_tags(tags) | {"oneway": "yes", "oneway:turned": "yes"}
+            step = -1
         note = partial(elements.omissions.add, "ways", f"way {way.id}")
         section = build_cross_section(tags, note, keeps_left=keeps_left)
         parts = (
@@ -508,7 +603,9 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
     for index, edge in enumerate(edges):
         ends[int(edge.rows[0])] += ((index, True),)
         ends[int(edge.rows[-1])] += ((index, False),)
-    return Network(edges=tuple(edges), ends=dict(ends), elements=elements, keeps_left=keeps_left)
+    return Network(
+        edges=tuple(edges), ends=dict(ends), elements=elements, keeps_left=keeps_left
+    )
 
 
 def known_runs(way: Way, elements: Elements) -> Iterator[IntArray]:
@@ -534,8 +631,12 @@ class Street:
     parts: tuple[tuple[Edge, bool], ...]
     points_m: FloatArray = field(init=False)  # (n, 2)
     rows: IntArray = field(init=False)  # (n,), nodes
-    stations_m: FloatArray = field(init=False)  # (n,), distance of each point along the street
-    normals: FloatArray = field(init=False)  # (n - 1, 2), unit vectors to the left between points
+    stations_m: FloatArray = field(
+        init=False
+    )  # (n,), distance of each point along the street
+    normals: FloatArray = field(
+        init=False
+    )  # (n - 1, 2), unit vectors to the left between points
     breaks_m: FloatArray = field(init=False)  # (n_parts + 1,), begins and ends of parts
     # of each part, in the direction of the street
     sections: tuple[CrossSection, ...] = field(init=False)
@@ -544,7 +645,11 @@ class Street:
         points: list[FloatArray] = []
         rows: list[IntArray] = []
         for at, (edge, is_along) in enumerate(self.parts):
-            step, skip = 1 if is_along else -1, min(at, 1)
+            if is_along:
+                step = 1
+            else:
+                step = -1
+            skip = min(at, 1)
             points.append(edge.points_m[::step][skip:])
             rows.append(edge.rows[::step][skip:])
         joined = np.concatenate(points)
@@ -553,13 +658,17 @@ class Street:
         stations = np.append(0.0, np.cumsum(lengths))
         last = np.cumsum([len(part) for part in points]) - 1
         sections = tuple(
-            edge.section if is_along else edge.section.reversed() for edge, is_along in self.parts
+            edge.section if is_along else edge.section.reversed()
+            for edge, is_along in self.parts
         )
         for name, value in (
             ("points_m", joined),
             ("rows", np.concatenate(rows)),
             ("stations_m", stations),
-            ("normals", np.column_stack([-steps[:, 1], steps[:, 0]]) / lengths[:, None]),
+            (
+                "normals",
+                np.column_stack([-steps[:, 1], steps[:, 0]]) / lengths[:, None],
+            ),
             ("breaks_m", np.append(0.0, stations[last])),
             ("sections", sections),
         ):
@@ -593,11 +702,16 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
     for row, ends in network.ends.items():
         if not stops(row):
             for one, other in pair_ends(network, ends):
-                partner[one], partner[other] = other, one
+                partner[one] = other
+                partner[other] = one
     is_done = np.zeros(len(network.edges), dtype=bool)
     streets = []
-    starts = [end for ends in network.ends.values() for end in ends if end not in partner]
-    rest = [(index, True) for index in range(len(network.edges))]  # rings without an end
+    starts = [
+        end for ends in network.ends.values() for end in ends if end not in partner
+    ]
+    rest = [
+        (index, True) for index in range(len(network.edges))
+    ]  # rings without an end
     for begin in starts + rest:
         if is_done[begin[0]]:
             continue
@@ -627,8 +741,11 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
             n_service = sum(edge.is_service for edge in pair)
             n_links = sum(edge.tags["highway"].endswith("_link") for edge in pair)
             n_full = sum(not edges[end[0]].is_service for end in ends)
-            is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (n_full == 2 and n_service == 0)
-            # Two one-way roads that both lead here, or both away, do not follow each other.
+            is_allowed = turn <= _MAX_STRAIGHT_ON_DEG or (
+                n_full == 2 and n_service == 0
+            )
+            # Two one-way roads that both lead here, or both away, do not follow each
+            # other.
             leads_on = not all(edge.is_oneway for edge in pair) or one[1] != other[1]
             if is_allowed and n_service != 1 and leads_on:
                 choices.append((n_service, n_links, turn, one, other))
@@ -644,14 +761,18 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
     """Points of a street's axis, and the step for each metre to the left; (n, 2)."""
     stations = np.asarray(stations_m, dtype=np.float64)
     stations = np.minimum(np.maximum(stations, 0.0), street.length_m)
-    points, along, normals = street.points_m, street.stations_m, street.normals
+    points = street.points_m
+    along = street.stations_m
+    normals = street.normals
     last = len(normals) - 1
     before = np.searchsorted(along, stations - 1e-6, side="right") - 1
     after = np.searchsorted(along, stations + 1e-6, side="right") - 1
     before, after = (np.minimum(np.maximum(one, 0), last) for one in (before, after))
     normal = normals[before] + normals[after]
     squared = np.maximum((normal * normal).sum(axis=1), 1e-9)
-    across = normal * (2.0 / squared)[:, None]  # as long as the offsets of both sides need
+    across = (
+        normal * (2.0 / squared)[:, None]
+    )  # as long as the offsets of both sides need
     length = 2.0 / np.sqrt(squared)
     across *= np.minimum(1.0, _MAX_MITRE / length)[:, None]
     # Left of a segment is its normal: the segment itself is the normal turned back.
@@ -668,7 +789,8 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
         return is_kept
     last = 0
     for index in range(1, len(line_m)):
-        step, along = line_m[index] - line_m[last], middle[index] - middle[last]
+        step = line_m[index] - line_m[last]
+        along = middle[index] - middle[last]
         if step @ along <= 1e-3 * np.hypot(*along):
             if index < len(line_m) - 1:
                 is_kept[index] = False
@@ -699,4 +821,6 @@ def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
         edges = [middle + sign * 0.5 * section.width_m * across for sign in (1.0, -1.0)]
         edges = [edge[has_no_knot(edge, middle)] for edge in edges]
         pieces.append(make_valid(Polygon(np.concatenate([edges[0], edges[1][::-1]]))))
-    return reduce(shapely.union, pieces) if pieces else Polygon()
+    if pieces:
+        return reduce(shapely.union, pieces)
+    return Polygon()

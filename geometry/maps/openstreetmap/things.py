@@ -49,7 +49,9 @@ _Place = tuple[Reach, float]  # a street and how far along it [m]
 _PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
 _LEAST_M = 0.5  # of a footway on a carriageway
 _LEAST_M2 = 1.0  # of what is left of a building
-_Span = tuple[float, float, bool]  # bottom and top above the ground [m], whether they are assumed
+_Span = tuple[
+    float, float, bool
+]  # bottom and top above the ground [m], whether they are assumed
 
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
@@ -72,16 +74,27 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
         thick_m = tagged_length_m(
             tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
         )
-        top_m = float(limits[kind]["height_m"]) if tagged_m is None else tagged_m
-        thick_m = float(limits[kind]["thickness_m"]) if thick_m is None else thick_m
+        if tagged_m is None:
+            top_m = float(limits[kind]["height_m"])
+        else:
+            top_m = tagged_m
+        if thick_m is None:
+            thick_m = float(limits[kind]["thickness_m"])
+        else:
+            thick_m = thick_m
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
             try:
-                mesh = extrude_polygon(footprint, bottom_m=0.0, top_m=top_m, where=f"way {way.id}")
+                mesh = extrude_polygon(
+                    footprint, bottom_m=0.0, top_m=top_m, where=f"way {way.id}"
+                )
             except InputError as error:
                 note(f"its outline has {error.got}")
                 continue
             name = numbered(f"w{way.id} {kind}", number, " ")
-            class_name = "vegetation" if kind == "hedge" else "wall"
+            if kind == "hedge":
+                class_name = "vegetation"
+            else:
+                class_name = "wall"
             yield Thing.of(name, class_name, mesh, is_height_assumed=tagged_m is None)
 
 
@@ -90,7 +103,9 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
         yield from polygons_of(Polygon(elements.positions_m[way.rows]).buffer(0.0))
         return
     for line_m in lines_of(way, elements):
-        strip = LineString(line_m).buffer(0.5 * thickness_m, cap_style="flat", join_style="mitre")
+        strip = LineString(line_m).buffer(
+            0.5 * thickness_m, cap_style="flat", join_style="mitre"
+        )
         yield from polygons_of(strip)
 
 
@@ -107,10 +122,13 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
     for one in tagged:
         element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
-            usual, feet = DEFAULTS["tree"], list[FloatArray]()
+            usual = DEFAULTS["tree"]
+            feet = list[FloatArray]()
             for line_m in lines_of(one, elements):
                 long_m = float(along_m(line_m)[-1])
-                n_trees = min(round(long_m / usual["row_spacing_m"]) + 1, usual["max_in_row"])
+                n_trees = min(
+                    round(long_m / usual["row_spacing_m"]) + 1, usual["max_in_row"]
+                )
                 feet += [*points_at(line_m, np.linspace(0.0, long_m, max(n_trees, 2)))]
             for number, foot in enumerate(feet):
                 note = partial(add, "trees", element)
@@ -126,15 +144,27 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
         return tagged_length_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
-    height_m = usual["height_m"] if tagged_m is None else tagged_m
-    crown_m = size_m(("diameter_crown",), usual["max_crown_m"]) or usual["crown_diameter_m"]
+    if tagged_m is None:
+        height_m = usual["height_m"]
+    else:
+        height_m = tagged_m
+    crown_m = (
+        size_m(("diameter_crown",), usual["max_crown_m"]) or usual["crown_diameter_m"]
+    )
     girth_m = size_m(("circumference",), np.pi * usual["max_trunk_m"])
-    trunk_m = usual["trunk_diameter_m"] if girth_m is None else girth_m / np.pi
+    if girth_m is None:
+        trunk_m = usual["trunk_diameter_m"]
+    else:
+        trunk_m = girth_m / np.pi
     trunk_m = min(trunk_m, crown_m)
     base_m = min(usual["crown_base_m"], usual["crown_base_share"] * height_m)
     ball, ball_faces = unit_ball()
     middle_m = 0.5 * (base_m + height_m)
-    crown = ball * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [0.0, 0.0, middle_m]
+    crown = ball * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [
+        0.0,
+        0.0,
+        middle_m,
+    ]
     trunk, trunk_faces = unit_cylinder(_TRUNK_SIDES)
     trunk = trunk * [0.5 * trunk_m, 0.5 * trunk_m, middle_m]
     vertices, triangles = join([(trunk, trunk_faces), (crown, ball_faces)])
@@ -146,12 +176,17 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
 def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
     """Poles next to roads that could carry sensors; lamps without a pole are noted.
 
-    Signals and signs that are mapped on a road stand at the kerb on the side of traffic: at the
-    stop line, or where an arm begins if that is farther out; those where roads meet at every arm.
+    Signals and signs that are mapped on a road stand at the kerb on the side of
+    traffic: at the stop line, or where an arm begins if that is farther out; those
+    where roads meet at every arm.
     """
-    places: dict[int, list[_Place]] = defaultdict(list)  # nodes of junctions lie on all arms
+    places: dict[int, list[_Place]] = defaultdict(
+        list
+    )  # nodes of junctions lie on all arms
     for reach in reaches:
-        for row, station_m in zip(reach.street.rows, reach.street.stations_m, strict=True):
+        for row, station_m in zip(
+            reach.street.rows, reach.street.stations_m, strict=True
+        ):
             places[int(row)].append((reach, float(station_m)))
     elements = network.elements
     for row, tags in elements.node_tags.items():
@@ -159,12 +194,17 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         if not kind:
             continue
         node_id = int(elements.node_ids[row])
-        support = tags.get("support") or tags.get("lamp_mount") or tags.get("camera:mount", "")
+        support = (
+            tags.get("support")
+            or tags.get("lamp_mount")
+            or tags.get("camera:mount", "")
+        )
         if support in WORDS["no_pole"]:
             why = "on a wall or a wire, without a pole"
             elements.omissions.add(f"{kind}s", f"node {node_id}", why)
             continue
-        feet, assumed = [elements.positions_m[row]], ""
+        feet = [elements.positions_m[row]]
+        assumed = ""
         if kind in ("traffic light", "sign") and (row in network.ends or row in places):
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
             assumed = "mapped on the road: a pole at the kerb is assumed"
@@ -178,25 +218,49 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         if not height_m or height_m > DEFAULTS["pole"]["max_height_m"]:
             height_m = None
         for number, foot in enumerate(feet):
-            name, position = numbered(f"n{node_id}", number), np.append(foot, 0.0)
-            yield Pole(id=name, kind=kind, position_m=position, height_m=height_m, assumed=assumed)
+            name = numbered(f"n{node_id}", number)
+            position = np.append(foot, 0.0)
+            yield Pole(
+                id=name,
+                kind=kind,
+                position_m=position,
+                height_m=height_m,
+                assumed=assumed,
+            )
 
 
 def _kind(tags: Tags) -> str:
-    kind = WORDS["roadside"].get(tags.get("highway", ""), "sign" if "traffic_sign" in tags else "")
-    has_camera = tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
-    is_pole = has_camera or tags.get("man_made") in WORDS["poles"] or tags.get("power") == "pole"
+    kind = WORDS["roadside"].get(
+        tags.get("highway", ""), "sign" if "traffic_sign" in tags else ""
+    )
+    has_camera = (
+        tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
+    )
+    is_pole = (
+        has_camera
+        or tags.get("man_made") in WORDS["poles"]
+        or tags.get("power") == "pole"
+    )
     return kind or ("pole" if is_pole else "")
 
 
-def _at_kerbs(places: Sequence[_Place], tags: Tags, *, keeps_left: bool) -> list[FloatArray]:
+def _at_kerbs(
+    places: Sequence[_Place], tags: Tags, *, keeps_left: bool
+) -> list[FloatArray]:
     feet: list[FloatArray] = []
     for reach, station_m in places:
         for is_forward in _directions(reach, station_m, tags):
-            # Beside the stop line, or where the arm begins if the stop line lies inside.
-            at_m = float(np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m))
+            # Beside the stop line, or where the arm begins if the stop line lies
+            # inside.
+            at_m = float(
+                np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m)
+            )
             section = reach.street.section_at(at_m)
-            sign = 1.0 if is_forward == keeps_left else -1.0  # left of the street
+            # left of the street
+            if is_forward == keeps_left:
+                sign = 1.0
+            else:
+                sign = -1.0
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
             (middle,), (across,) = axis_points(reach.street, [at_m])
             foot = middle + sign * beside_m * across
@@ -219,13 +283,20 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
     text = tags.get("traffic_signals:direction") or tags.get("traffic_sign:direction")
     text = text or tags.get("direction", "")
     if text in ("forward", "backward"):
-        # Along the way as mapped; one-way roads that run against it have been turned round.
+        # Along the way as mapped; one-way roads that run against it have been turned
+        # round.
         is_way = (text == "forward") == (edge.tags.get("oneway:turned") != "yes")
         return [one for one in driven if one == (is_way == is_along)]
     if text == "both" or len(driven) < 2:
         return driven
-    to_begin = station_m if reach.from_junction else np.inf
-    to_end = street.length_m - station_m if reach.to_junction else np.inf
+    if reach.from_junction:
+        to_begin = station_m
+    else:
+        to_begin = np.inf
+    if reach.to_junction:
+        to_end = street.length_m - station_m
+    else:
+        to_end = np.inf
     if min(to_begin, to_end) > _NEAR_JUNCTION_M:
         return driven
     return [bool(to_end <= to_begin)]
@@ -235,13 +306,17 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
 def find_crosswalks(network: Network) -> FloatArray:
     """Lines (n, 2, 2) on which pedestrians cross carriageways, a little beyond the kerbs.
 
-    Where a mapped footway leads over roads it is a straight line along it over each of them;
-    otherwise it runs across the road at the mapped point. Crossings without a road are noted.
+    Where a mapped footway leads over roads it is a straight line along it over each of
+    them; otherwise it runs across the road at the mapped point. Crossings without a
+    road are noted.
     """
-    limits, elements = DEFAULTS["crosswalk"], network.elements
+    limits = DEFAULTS["crosswalk"]
+    elements = network.elements
     lines: list[FloatArray] = []
     covered: set[int] = set()  # nodes that lie on a mapped footway over a road
-    tree = shapely.STRtree([shapely.linestrings(edge.points_m) for edge in network.edges])
+    tree = shapely.STRtree(
+        [shapely.linestrings(edge.points_m) for edge in network.edges]
+    )
     for way in elements.ways:
         if (
             way.tags.get("footway") != "crossing"
@@ -250,17 +325,27 @@ def find_crosswalks(network: Network) -> FloatArray:
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
-            near = (network.edges[at] for at in tree.query(walk, predicate="intersects").tolist())
+            near = (
+                network.edges[at]
+                for at in tree.query(walk, predicate="intersects").tolist()
+            )
             edges = [edge for edge in near if edge.level == level(way.tags)]
-            over = [(line, np.hypot(*(line[1] - line[0]))) for line in _over_roads(walk, edges)]
-            found = [line for line, long_m in over if 1.0 < long_m <= limits["max_length_m"]]
+            over = [
+                (line, np.hypot(*(line[1] - line[0])))
+                for line in _over_roads(walk, edges)
+            ]
+            found = [
+                line for line, long_m in over if 1.0 < long_m <= limits["max_length_m"]
+            ]
             if not found:
                 why = "no road for cars below it"
                 elements.omissions.add("crossings", f"way {way.id}", why)
                 continue
             covered.update(rows.tolist())
             lines += found
-    at_row: dict[int, tuple[int, int]] = {}  # an edge through each node, and the node's place in it
+    at_row: dict[
+        int, tuple[int, int]
+    ] = {}  # an edge through each node, and the node's place in it
     for index, edge in enumerate(network.edges):
         for at, row in enumerate(edge.rows.tolist()):
             if row not in at_row or network.edges[at_row[row][0]].is_service:
@@ -273,7 +358,8 @@ def find_crosswalks(network: Network) -> FloatArray:
         lines.append(_across(network, row, at_row[row], limits["beyond_kerb_m"]))
     taken: list[FloatArray] = []
     for line in lines:
-        middle, along = line.mean(axis=0), unit(line[1] - line[0])
+        middle = line.mean(axis=0)
+        along = unit(line[1] - line[0])
         if not any(  # one crosswalk that is mapped in two ways
             np.hypot(*(middle - other.mean(axis=0))) <= limits["same_m"]
             and abs(along @ unit(other[1] - other[0])) > _PARALLEL
@@ -286,11 +372,17 @@ def find_crosswalks(network: Network) -> FloatArray:
 def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
     """A line (2, 2) over each road that a footway crosses, with all its carriageways."""
     limits = DEFAULTS["crosswalk"]
-    joined: list[tuple[LineString, BaseGeometry]] = []  # parts of the footway, and carriageways
+    joined: list[
+        tuple[LineString, BaseGeometry]
+    ] = []  # parts of the footway, and carriageways
     crossed = [
         (part, area)
         for edge in edges
-        for area in [LineString(edge.points_m).buffer(0.5 * edge.section.width_m, cap_style="flat")]
+        for area in [
+            LineString(edge.points_m).buffer(
+                0.5 * edge.section.width_m, cap_style="flat"
+            )
+        ]
         for part in _parts_over(walk, edge, area)
     ]
     crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
@@ -301,19 +393,28 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
         ):
             before, area = joined.pop()
             whole = LineString([before.coords[0], part.coords[-1]])
-            part, carriageway = whole, area.union(carriageway)
+            part = whole
+            carriageway = area.union(carriageway)
         joined.append((part, carriageway))
     for part, carriageway in joined:
         yield _from_kerb_to_kerb(part, carriageway, limits["beyond_kerb_m"])
 
 
-def _parts_over(walk: LineString, edge: Edge, carriageway: BaseGeometry) -> Iterator[LineString]:
+def _parts_over(
+    walk: LineString, edge: Edge, carriageway: BaseGeometry
+) -> Iterator[LineString]:
     """Stretches of a footway on a carriageway that meet the road's axis."""
     axis = LineString(edge.points_m)
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
-        if isinstance(part, LineString) and part.length > _LEAST_M and part.distance(axis) < 1e-6:
-            begin_m, end_m = (walk.project(shapely.Point(part.coords[at])) for at in (0, -1))
+        if (
+            isinstance(part, LineString)
+            and part.length > _LEAST_M
+            and part.distance(axis) < 1e-6
+        ):
+            begin_m, end_m = (
+                walk.project(shapely.Point(part.coords[at])) for at in (0, -1)
+            )
             yield part if begin_m <= end_m else part.reverse()
 
 
@@ -322,34 +423,49 @@ def _direction(line: LineString) -> FloatArray:
     return unit(end - begin)
 
 
-def _from_kerb_to_kerb(part: LineString, carriageway: BaseGeometry, beyond_m: float) -> FloatArray:
+def _from_kerb_to_kerb(
+    part: LineString, carriageway: BaseGeometry, beyond_m: float
+) -> FloatArray:
     """The straight line (2, 2) through a footway's ends on a carriageway, beyond both kerbs."""
-    begin, along = np.asarray(part.coords)[0, :2], _direction(part)
+    begin = np.asarray(part.coords)[0, :2]
+    along = _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
     ray = LineString([begin - reach_m * along, begin + reach_m * along])
     pieces = shapely.get_parts(shapely.intersection(ray, carriageway))
-    stations = [np.sort((shapely.get_coordinates(piece) - begin) @ along) for piece in pieces]
+    stations = [
+        np.sort((shapely.get_coordinates(piece) - begin) @ along) for piece in pieces
+    ]
     own = [ends for ends in stations if ends[0] < part.length and ends[-1] > 0.0]
-    low, high = min(ends[0] for ends in own), max(ends[-1] for ends in own)
+    low = min(ends[0] for ends in own)
+    high = max(ends[-1] for ends in own)
     return begin + np.array([[low - beyond_m], [high + beyond_m]]) * along
 
 
-def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float) -> FloatArray:
+def _across(
+    network: Network, row: int, place: tuple[int, int], beyond_m: float
+) -> FloatArray:
     """A line from kerb to kerb and a little farther, square to the road at one of its nodes."""
     index, at = place
     edge = network.edges[index]
     points = edge.points_m
-    before, after = points[max(at - 1, 0)], points[min(at + 1, len(points) - 1)]
+    before = points[max(at - 1, 0)]
+    after = points[min(at + 1, len(points) - 1)]
     ends = network.ends.get(row, ())
     if len(ends) == 2 and {one for one, _ in ends} != {index}:
         # The way ends here and another goes on: the road bends between them.
         other, is_start = next(end for end in ends if end[0] != index)
         beyond = network.edges[other].points_m[1 if is_start else -2]
-        before, after = (beyond, after) if at == 0 else (before, beyond)
+        if at == 0:
+            before, after = (beyond, after)
+        else:
+            before, after = (before, beyond)
     steps = (points[at] - before, after - points[at])
     ways = [unit(step) for step in steps if np.hypot(*step) > 1e-6]
     along = np.sum(ways, axis=0)
-    along = ways[0] if np.hypot(*along) < 1e-6 else unit(along)
+    if np.hypot(*along) < 1e-6:
+        along = ways[0]
+    else:
+        along = unit(along)
     half_m = 0.5 * edge.section.width_m + beyond_m
     left = np.array([-along[1], along[0]])
     return np.asarray(points[at] + half_m * np.stack([-left, left]))
@@ -359,8 +475,9 @@ def _across(network: Network, row: int, place: tuple[int, int], beyond_m: float)
 def find_buildings(network: Network) -> Iterator[Thing]:
     """Buildings as prisms from the ground, or from their tagged bottom.
 
-    A building with parts is its parts, and the rest of it unless they cover it. Roofs on stilts
-    begin above those who pass below, buildings over ways that lead through them above the passage.
+    A building with parts is its parts, and the rest of it unless they cover it. Roofs
+    on stilts begin above those who pass below, buildings over ways that lead through
+    them above the passage.
     """
     omissions = network.elements.omissions
     every = find_areas(network.elements, ("building", "building:part"))
@@ -372,13 +489,20 @@ def find_buildings(network: Network) -> Iterator[Thing]:
     for area in parts:
         yield from _solid(area, passages, omissions)
     for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
-        pieces = [area] if rest is None else _pieces(area, rest, f"{area.id} beside its parts")
+        pieces = (
+            [area]
+            if rest is None
+            else _pieces(area, rest, f"{area.id} beside its parts")
+        )
         for piece in pieces:
             yield from _solid(piece, passages, omissions)
 
 
 def _element(area: Area) -> str:
-    kind = "relation" if area.id.startswith("r") else "way"
+    if area.id.startswith("r"):
+        kind = "relation"
+    else:
+        kind = "way"
     return f"{kind} {area.id[1:].partition('.')[0]}"
 
 
@@ -397,7 +521,9 @@ def _stands(area: Area, omissions: Omissions) -> bool:
     return True
 
 
-def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list[Polygon] | None]:
+def _without_parts(
+    outlines: Sequence[Area], parts: Sequence[Area]
+) -> list[list[Polygon] | None]:
     """The rest of each outline that no part covers; None: it has no parts."""
     rests: list[list[Polygon] | None] = [None] * len(outlines)
     if not outlines or not parts:
@@ -413,7 +539,10 @@ def _without_parts(outlines: Sequence[Area], parts: Sequence[Area]) -> list[list
     for outline, members in by_outline.items():
         rest = shapes[outline].difference(shapely.union_all(members))
         is_covered = rest.area <= (1.0 - least) * shapes[outline].area
-        rests[outline] = [] if is_covered else polygons_of(rest, above_m2=_LEAST_M2)
+        if is_covered:
+            rests[outline] = []
+        else:
+            rests[outline] = polygons_of(rest, above_m2=_LEAST_M2)
     return rests
 
 
@@ -433,7 +562,10 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         return
     whole = make_valid(area.polygon)
     beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
-    over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2) if clear_m < top_m else []
+    if clear_m < top_m:
+        over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
+    else:
+        over = []
     for piece in _pieces(area, beside, area.id):
         yield from _prism(piece, span, omissions)
     for piece in _pieces(area, over, f"{area.id} over a passage"):
@@ -443,7 +575,9 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     (bottom_m, top_m, is_assumed), where = span, _element(area)
     try:
-        mesh = extrude_polygon(area.polygon, bottom_m=bottom_m, top_m=top_m, where=where)
+        mesh = extrude_polygon(
+            area.polygon, bottom_m=bottom_m, top_m=top_m, where=where
+        )
     except InputError as error:
         omissions.add("buildings", where, f"its outline has {error.got}")
         return
@@ -453,19 +587,28 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
 # ---------- heights
 def _span(area: Area, omissions: Omissions) -> _Span | None:
     """Heights of a building; None: they make no sense, which is noted."""
-    usual, kind = DEFAULTS["building"], _building_kind(area.tags)
+    usual = DEFAULTS["building"]
+    kind = _building_kind(area.tags)
     is_roof = kind in usual["clear_heights_m"]
     least_m = usual["roof_thickness_m" if is_roof else "storey_height_m"]
-    top_m, bottom_m, clear_m = _top_m(area, omissions), _bottom_m(area.tags), 0.0
+    top_m = _top_m(area, omissions)
+    bottom_m = _bottom_m(area.tags)
+    clear_m = 0.0
     if bottom_m is None:
         bottom_m = clear_m = _clear_height_m(kind, area.tags)
         if clear_m > 0.0 and top_m is not None:
             below_m = max(top_m - least_m, 0.0)
-            bottom_m = below_m if is_roof else min(clear_m, below_m)
+            if is_roof:
+                bottom_m = below_m
+            else:
+                bottom_m = min(clear_m, below_m)
     is_assumed = top_m is None or clear_m > 0.0
     if top_m is None:
         default_m = usual["default_heights_m"].get(kind, usual["default_height_m"])
-        top_m = default_m if default_m > bottom_m and not is_roof else bottom_m + least_m
+        if default_m > bottom_m and not is_roof:
+            top_m = default_m
+        else:
+            top_m = bottom_m + least_m
     if bottom_m >= top_m:
         omissions.add("buildings", _element(area), "its roof is not above its floor")
         return None
@@ -474,20 +617,26 @@ def _span(area: Area, omissions: Omissions) -> _Span | None:
 
 def _building_kind(tags: Tags) -> str:
     kind = tags.get("building:part", "yes")
-    return tags.get("building", "yes") if kind == "yes" else kind
+    if kind == "yes":
+        return tags.get("building", "yes")
+    return kind
 
 
 def _clear_height_m(kind: str, tags: Tags) -> float:
     """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
     usual = DEFAULTS["building"]
     clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
-    return clear_m * max(level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"]))
+    return clear_m * max(
+        level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"])
+    )
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
-    tags, usual = area.tags, DEFAULTS["building"]
+    tags = area.tags
+    usual = DEFAULTS["building"]
     note = partial(omissions.add, "buildings", _element(area))
-    keys, bounds_m = ("height", "building:height", "est_height"), (1e-9, usual["max_height_m"])
+    keys = ("height", "building:height", "est_height")
+    bounds_m = (1e-9, usual["max_height_m"])
     height_m = tagged_length_m(tags, keys, bounds_m, note, "the next best")
     if height_m is not None:
         return height_m
@@ -509,7 +658,9 @@ def _bottom_m(tags: Tags) -> float | None:
             return height_m
     storeys = [_levels(tags, key) for key in ("building:min_level", "min_level")]
     known = [float(usual["storey_height_m"] * n) for n in storeys if n is not None]
-    return known[0] if known else None
+    if known:
+        return known[0]
+    return None
 
 
 def _levels(tags: Tags, key: str) -> float | None:
@@ -520,19 +671,29 @@ def _levels(tags: Tags, key: str) -> float | None:
 class _Passages:
     def __init__(self, network: Network) -> None:
         usual = DEFAULTS["building"]
-        # Area of each way, its clear height, and whether it is marked; else only gates are open.
+        # Area of each way, its clear height, and whether it is marked; else only gates
+        # are open.
         self._ways: list[tuple[BaseGeometry, float, bool]] = []
         for edge in network.edges:
             if edge.level == 0:
-                self._add(edge.points_m, edge.section.width_m, edge.tags, usual["clear_height_m"])
+                self._add(
+                    edge.points_m,
+                    edge.section.width_m,
+                    edge.tags,
+                    usual["clear_height_m"],
+                )
         for way in network.elements.ways:
-            if way.tags.get("highway") in usual["foot_ways"] and _leads_through(way.tags):
+            if way.tags.get("highway") in usual["foot_ways"] and _leads_through(
+                way.tags
+            ):
                 for line_m in lines_of(way, network.elements):
                     width_m = usual["foot_way_width_m"]
                     self._add(line_m, width_m, way.tags, usual["foot_clear_height_m"])
         self._tree = STRtree([strip for strip, *_ in self._ways])
 
-    def _add(self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float) -> None:
+    def _add(
+        self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float
+    ) -> None:
         strip = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
         tagged_m = parse_length_m(tags.get("maxheight", ""))
         self._ways.append((strip, tagged_m or clear_m, _leads_through(tags)))
@@ -545,8 +706,16 @@ class _Passages:
         )
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
-        leading = [(strip, clear_m) for strip, clear_m, is_marked in near if is_gate or is_marked]
-        found = [(one, clear_m) for one, clear_m in leading if whole.intersection(one).area > 1.0]
+        leading = [
+            (strip, clear_m)
+            for strip, clear_m, is_marked in near
+            if is_gate or is_marked
+        ]
+        found = [
+            (one, clear_m)
+            for one, clear_m in leading
+            if whole.intersection(one).area > 1.0
+        ]
         if not found:
             return None, 0.0
         ways = shapely.union_all([strip for strip, _ in found])
@@ -554,32 +723,43 @@ class _Passages:
 
 
 def _leads_through(tags: Tags) -> bool:
-    return tags.get("tunnel") == "building_passage" or tags.get("covered") in WORDS["covered"]
+    return (
+        tags.get("tunnel") == "building_passage"
+        or tags.get("covered") in WORDS["covered"]
+    )
 
 
 # ---------- bridges over roads
 def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
     """Decks over roads on the ground, unless they lead to a junction near on the bridge."""
-    usual, elements = DEFAULTS["bridge"], network.elements
-    below = STRtree([LineString(edge.points_m) for edge in network.edges if edge.level == 0])
+    usual = DEFAULTS["bridge"]
+    elements = network.elements
+    below = STRtree(
+        [LineString(edge.points_m) for edge in network.edges if edge.level == 0]
+    )
 
     def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
         is_bridge = level(tags) > 0 and is_yes(tags.get("bridge"))
-        return is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
+        return (
+            is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
+        )
 
     for reach in reaches:
         breaks_m = reach.street.breaks_m
         for index, (edge, _) in enumerate(reach.street.parts):
             if not is_over_road(edge.points_m, edge.tags):
                 continue
-            from_m, to_m = breaks_m[index] - reach.begin_m, reach.end_m - breaks_m[index + 1]
+            from_m = breaks_m[index] - reach.begin_m
+            to_m = reach.end_m - breaks_m[index + 1]
             if (reach.from_junction and from_m < usual["junction_m"]) or (
                 reach.to_junction and to_m < usual["junction_m"]
             ):
                 why = "a junction is near on it: its deck is left out"
                 elements.omissions.add("bridges", f"way {edge.way_id}", why)
             else:
-                yield from _deck(edge.id, edge.points_m, edge.section.width_m, edge.level)
+                yield from _deck(
+                    edge.id, edge.points_m, edge.section.width_m, edge.level
+                )
     for way in elements.ways:
         is_rail = way.tags.get("railway") in usual["railways"]
         if is_rail or way.tags.get("highway") in DEFAULTS["building"]["foot_ways"]:

@@ -1,8 +1,8 @@
 """Vehicles that drive by: a scene's lanes as a SUMO network, demand, simulation, windows.
 
-``demand`` reads how much drives; ``sumo`` writes lanes for netconvert and runs SUMO in a process of
-its own (``child``). All end in ``trajectories``, of which a window is cut for each run; ``source``
-is the way in.
+``demand`` reads how much drives; ``sumo`` writes lanes for netconvert and runs SUMO in
+a process of its own (``child``). All end in ``trajectories``, of which a window is cut
+for each run; ``source`` is the way in.
 """
 
 from .demand import read_body

@@ -1,7 +1,7 @@
 """One simulation of SUMO in a process of its own: ``python child.py INPUT.json OUTPUT.npz``.
 
-libsumo holds one simulation per process, and brings libraries that must not meet those of its
-caller: this file imports nothing of the toolkit. It reads and writes what
+libsumo holds one simulation per process, and brings libraries that must not meet those
+of its caller: this file imports nothing of the toolkit. It reads and writes what
 :mod:`.sumo` says.
 """
 
@@ -27,7 +27,15 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
     step_s = job["step_s"]
     libsumo.start(
         [
-            *("sumo", "-n", job["network"], "-r", job["routes"], "--seed", str(job["seed"])),
+            *(
+                "sumo",
+                "-n",
+                job["network"],
+                "-r",
+                job["routes"],
+                "--seed",
+                str(job["seed"]),
+            ),
             *("--step-length", repr(step_s), "--no-step-log", "--no-warnings"),
             # By default vehicles jump from lane to lane within one step.
             *("--lanechange.duration", "3", "--collision.action", "none"),
@@ -66,7 +74,9 @@ def simulate(job: dict[str, Any]) -> dict[str, Any]:
                     number[vehicle] = len(types)
                     types.append(libsumo.vehicle.getTypeID(vehicle))
                 east, north = values[constants.VAR_POSITION]
-                rows.append((number[vehicle], now, east, north, values[constants.VAR_ANGLE]))
+                rows.append(
+                    (number[vehicle], now, east, north, values[constants.VAR_ANGLE])
+                )
         vut.remove()
         libsumo.junction.unsubscribeContext(
             job["junction"], constants.CMD_GET_VEHICLE_VARIABLE, job["reach_m"]
@@ -90,7 +100,9 @@ class _Vut:
     """The vehicle under test in one window."""
 
     def __init__(self, name: str, drive: dict[str, Any] | None) -> None:
-        self.id, self.drive, self.is_there = name, drive, False
+        self.id = name
+        self.drive = drive
+        self.is_there = False
 
     def move(self, step: int) -> None:
         """Put it where it is after the coming step, if it has set off by then."""
@@ -110,9 +122,17 @@ class _Vut:
         try:
             libsumo.vehicle.setSpeed(self.id, self.drive["speed_mps"])
             libsumo.vehicle.moveToXY(
-                self.id, "", -1, east, north, self.drive["angle_deg"][row], _EXACT_MAPPING
+                self.id,
+                "",
+                -1,
+                east,
+                north,
+                self.drive["angle_deg"][row],
+                _EXACT_MAPPING,
             )
-        except libsumo.TraCIException:  # no lane within 100 m, or it has driven off the network
+        except (
+            libsumo.TraCIException
+        ):  # no lane within 100 m, or it has driven off the network
             self.remove()
 
     def remove(self) -> None:

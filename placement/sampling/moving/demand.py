@@ -24,9 +24,19 @@ from geometry.files import (
 from ...compute import check_distinct
 
 TURNS = ("left", "straight", "right")
-SUMO_CLASSES = ("passenger", "delivery", "truck", "trailer", "bus", "coach", "motorcycle", "moped")
+SUMO_CLASSES = (
+    "passenger",
+    "delivery",
+    "truck",
+    "trailer",
+    "bus",
+    "coach",
+    "motorcycle",
+    "moped",
+)
 _FILE = "demand.toml"
-# No lane carries more: Highway Capacity Manual, capacity of a motorway's lane (1,900 at signals).
+# No lane carries more: Highway Capacity Manual, capacity of a motorway's lane (1,900 at
+# signals).
 _MOST_PER_LANE = 2_400.0
 _MOST_PER_ARM = 10 * _MOST_PER_LANE
 _SUM_TOLERANCE = 1.0e-6
@@ -47,7 +57,9 @@ class Demand:
     """Traffic through a junction."""
 
     vehicles_per_hour_per_lane: float  # into the junction, on each lane of an arm
-    arms: Mapping[str, float]  # in place of that, on all lanes of an arm together, by name. [1/h]
+    arms: Mapping[
+        str, float
+    ]  # in place of that, on all lanes of an arm together, by name. [1/h]
     turns: Mapping[str, float]  # share of each of ``TURNS``; sums to 1
     vehicles: tuple[DrivingKind, ...]  # shares sum to 1
     speed_limit_mps: float  # on all lanes. [m/s]
@@ -107,11 +119,18 @@ def _read(document: Table, where: str, name: str) -> Demand:
         expected = "[shortest, longest], in seconds"
         raise InputError(f"{where}: pause_s", list(table.pause_s), expected)
     entries = take_list(document, "vehicles", where)
-    kinds = tuple(_read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries))
+    kinds = tuple(
+        _read_kind(entry, f"{where}: vehicles[{i}]") for i, entry in enumerate(entries)
+    )
     turns = {turn: getattr(table.turns, turn) for turn in TURNS}
-    for what, shares in (("vehicles: share", [k.share for k in kinds]), ("turns", turns.values())):
+    for what, shares in (
+        ("vehicles: share", [k.share for k in kinds]),
+        ("turns", turns.values()),
+    ):
         if abs(sum(shares) - 1.0) > _SUM_TOLERANCE:
-            refuse(f"{where}: {what}", f"a sum of {sum(shares):g}", "shares that sum to 1")
+            refuse(
+                f"{where}: {what}", f"a sum of {sum(shares):g}", "shares that sum to 1"
+            )
     bodies = [kind.actor.name for kind in kinds]
     check_distinct(f"{where}: vehicles", bodies, "every body once")
     if table.vehicles_per_hour_per_lane == 0.0 and not any(table.arms.values()):
@@ -144,8 +163,8 @@ _SIZES = ("length_m", "width_m", "height_m")
 def read_body(entry: Table, where: str) -> Actor:
     """A vehicle by a table's `actor`, or a box by `name`, `length_m`, `width_m` and `height_m`.
 
-    A box reaches down to the road. Raises InputError for any other key, or a body of the catalogue
-    that is no vehicle.
+    A box reaches down to the road. Raises InputError for any other key, or a body of
+    the catalogue that is no vehicle.
     """
     known = ("actor",) if "actor" in entry else ("name", *_SIZES)
     for key in entry:
@@ -164,12 +183,15 @@ def read_body(entry: Table, where: str) -> Actor:
 
 # ---------- SUMO's routes
 def write_routes(
-    demand: Demand, ways: Mapping[str, Mapping[str, Mapping[str, str]]], n_lanes: Mapping[str, int]
+    demand: Demand,
+    ways: Mapping[str, Mapping[str, Mapping[str, str]]],
+    n_lanes: Mapping[str, int],
 ) -> str:
     """Vehicle types and flows as a SUMO route file; gaps between vehicles are exponential.
 
-    `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes of each arm.
-    Raises InputError if the demand names an arm that the junction does not have, or nobody drives.
+    `ways` has by arm, turn and exit the edges of the route; `n_lanes` the entry lanes
+    of each arm. Raises InputError if the demand names an arm that the junction does not
+    have, or nobody drives.
     """
     for arm in demand.arms:
         if arm not in n_lanes:
@@ -179,24 +201,29 @@ def write_routes(
     for kind in demand.vehicles:
         body = kind.actor
         lines.append(
-            f"<vType id={quoteattr(body.name)} vClass={quoteattr(kind.sumo_class)} "
-            f'probability="{kind.share}" length="{body.length_m}" width="{body.width_m}" '
-            f'height="{body.height_m}"/>'
+            "<vType"
+            f' id={quoteattr(body.name)} vClass={quoteattr(kind.sumo_class)} probability="{kind.share}"'
+            f' length="{body.length_m}" width="{body.width_m}"'
+            f' height="{body.height_m}"/>'
         )
     lines.append("</vTypeDistribution>")
     n_flows = 0
     for arm, turns in ways.items():
         total = sum(demand.turns[turn] for turn in turns)
         for turn, exits in turns.items():
-            share = demand.turns[turn] / total if total > 0.0 else 1.0 / len(turns)
+            if total > 0.0:
+                share = demand.turns[turn] / total
+            else:
+                share = 1.0 / len(turns)
             rate = demand.per_hour(arm, n_lanes[arm]) * share / len(exits) / 3600.0
             for leaving, edges in exits.items():
                 if rate > 0.0:
                     n_flows += 1
                     lines.append(
-                        f'<flow id="{arm}-{leaving}" type="all" begin="0" period="exp({rate!r})" '
-                        'departLane="best" departSpeed="desired">'
-                        f"<route edges={quoteattr(edges)}/></flow>"
+                        f'<flow id="{arm}-{leaving}" type="all" begin="0"'
+                        f' period="exp({rate!r})" departLane="best"'
+                        ' departSpeed="desired"><route'
+                        f" edges={quoteattr(edges)}/></flow>"
                     )
     if n_flows == 0:
         refuse(f"{demand.name}", "nobody who drives", "more than 0 vehicles")

@@ -1,11 +1,11 @@
 """SUMO: a scene's lanes as its network, and the traffic of one sampled world on it.
 
 netconvert puts plain nodes and edges together; the simulation runs in a child process
-(:mod:`.child`). Windows of time, one per group of runs, follow one another with random pauses, so
-that each meets another moment of the signal programme. In each, the VUT of one run is moved along
-its path without braking; SUMO's vehicles react to it as to any other. It obeys neither lights nor
-right of way, as Euro NCAP's does not: who comes into its way is left out of the run by
-:mod:`.trajectories`.
+(:mod:`.child`). Windows of time, one per group of runs, follow one another with random
+pauses, so that each meets another moment of the signal programme. In each, the VUT of
+one run is moved along its path without braking; SUMO's vehicles react to it as to any
+other. It obeys neither lights nor right of way, as Euro NCAP's does not: who comes into
+its way is left out of the run by :mod:`.trajectories`.
 """
 
 import importlib.util
@@ -46,9 +46,17 @@ from .trajectories import (
 )
 
 JUNCTION = "junction"
-_SAME_LENGTH_M = 5.0  # lanes of an arm whose lengths differ by less go as far as one another
+_SAME_LENGTH_M = (
+    5.0  # lanes of an arm whose lengths differ by less go as far as one another
+)
 _SHORTEST_M = 8.0  # pieces of an arm shorter than this are no edges of their own
-_TURN_OF_DIRECTION = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"}
+_TURN_OF_DIRECTION = {
+    "s": "straight",
+    "l": "left",
+    "L": "left",
+    "r": "right",
+    "R": "right",
+}
 _NETCONVERT_TIMEOUT_S = 60.0
 
 
@@ -59,7 +67,9 @@ class RoadNetwork:
     xml: str  # content of the .net.xml file
     origin_m: FloatArray  # (2,): its origin in the world frame, whose axes it has. [m]
     n_entry_lanes: dict[str, int]  # by arm
-    ways: dict[str, dict[str, dict[str, str]]]  # by arm, turn, exit arm: the edges of the way
+    ways: dict[
+        str, dict[str, dict[str, str]]
+    ]  # by arm, turn, exit arm: the edges of the way
 
 
 def sumo_program(name: str) -> str:
@@ -77,18 +87,22 @@ def sumo_program(name: str) -> str:
 def missing_sumo() -> MissingExtraError:
     """The error that says how SUMO is installed."""
     return MissingExtraError(
-        "`traffic` sumo needs SUMO: pip install place-rsus[traffic] (in a checkout: uv run --extra "
-        "traffic place-rsus ..); without it, parked and waiting vehicles are drawn as always"
+        "`traffic` sumo needs SUMO: pip install place-rsus[traffic] (in a checkout: uv"
+        " run --extra traffic place-rsus ..); without it, parked and waiting vehicles"
+        " are drawn as always"
     )
 
 
-def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) -> RoadNetwork:
+def build_network(
+    scene: Scene, *, speed_limit_mps: float, approach_m: float
+) -> RoadNetwork:
     """Write the lanes of a scene's junction as plain XML, and let netconvert connect them.
 
-    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The map's own
-    lanes through the junction are used where it has some. Lights stand where the scene has some;
-    else priority is netconvert's. Raises InputError: no junction, no lane leads in or out, or
-    netconvert cannot read the lanes; MissingExtraError: SUMO is not installed.
+    Lanes keep their lines; arms that end sooner than `approach_m` go straight on. The
+    map's own lanes through the junction are used where it has some. Lights stand where
+    the scene has some; else priority is netconvert's. Raises InputError: no junction,
+    no lane leads in or out, or netconvert cannot read the lanes; MissingExtraError:
+    SUMO is not installed.
     """
     program = sumo_program("netconvert")
     junction = build_junction(scene)
@@ -96,12 +110,19 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
     plain = _Plain(origin_m=origin, speed_mps=speed_limit_mps, approach_m=approach_m)
     entry = {n: plain.add_arm(arm, is_in=True) for n, arm in junction.arms.items()}
     leaving = {n: plain.add_arm(arm, is_in=False) for n, arm in junction.arms.items()}
-    entry, leaving = ({k: v for k, v in edges.items() if v} for edges in (entry, leaving))
+    entry, leaving = (
+        {k: v for k, v in edges.items() if v} for edges in (entry, leaving)
+    )
     if not entry or not leaving:
-        got = "no lane into the junction" if not entry else "no lane out of it"
+        if not entry:
+            got = "no lane into the junction"
+        else:
+            got = "no lane out of it"
         refuse(f"{scene.name}: lanes", got, "lanes that are driven in both directions")
     plain.connect(junction)
-    kinds = {site.kind for site in scene.sites} | {thing.class_name for thing in scene.instances}
+    kinds = {site.kind for site in scene.sites} | {
+        thing.class_name for thing in scene.instances
+    }
     xml = _run_netconvert(program, plain, scene, has_lights="traffic light" in kinds)
     return RoadNetwork(
         xml=xml,
@@ -114,31 +135,46 @@ def build_network(scene: Scene, *, speed_limit_mps: float, approach_m: float) ->
 class _Plain:
     """Nodes, edges and connections, as they are written."""
 
-    def __init__(self, *, origin_m: FloatArray, speed_mps: float, approach_m: float) -> None:
-        self.origin_m, self.speed_mps, self.approach_m = origin_m, speed_mps, approach_m
+    def __init__(
+        self, *, origin_m: FloatArray, speed_mps: float, approach_m: float
+    ) -> None:
+        self.origin_m = origin_m
+        self.speed_mps = speed_mps
+        self.approach_m = approach_m
         self.nodes: list[str] = []
         self.edges: list[str] = []
         self.connections: list[str] = []
-        self.at_junction: dict[tuple[bool, str], tuple[str, int]] = {}  # lane -> edge and index
+        self.at_junction: dict[
+            tuple[bool, str], tuple[str, int]
+        ] = {}  # lane -> edge and index
 
     def shape(self, points_m: FloatArray) -> str:
         """Points of the world frame, as SUMO writes them."""
-        return " ".join(f"{x:.3f},{y:.3f}" for x, y in (points_m - self.origin_m).tolist())
+        return " ".join(
+            f"{x:.3f},{y:.3f}" for x, y in (points_m - self.origin_m).tolist()
+        )
 
     def add_arm(self, arm: Arm, *, is_in: bool) -> list[str]:
         """Edges of an arm in driving order; where a lane begins or ends, a new edge does."""
-        lanes = arm.entry_lanes if is_in else arm.exit_lanes
+        if is_in:
+            lanes = arm.entry_lanes
+        else:
+            lanes = arm.exit_lanes
         if not lanes:
             return []
-        # Outwards from the junction: each lane as far as it goes, the longest ones farther.
-        outwards = [lane.centreline_m[::-1] if is_in else lane.centreline_m for lane in lanes]
+        # Outwards from the junction: each lane as far as it goes, the longest ones
+        # farther.
+        outwards = [
+            lane.centreline_m[::-1] if is_in else lane.centreline_m for lane in lanes
+        ]
         length_m = np.array([lane_length_m(lane) for lane in lanes])
         cuts = [float(length_m.max())]
         for one in sorted(length_m.tolist(), reverse=True):
             if cuts[-1] - one > _SAME_LENGTH_M and one >= _SHORTEST_M:
                 cuts.append(one)
         cuts = [0.0, *reversed(cuts)]
-        stem, inner = f"{arm.name}-{'in' if is_in else 'out'}", JUNCTION
+        stem = f"{arm.name}-{'in' if is_in else 'out'}"
+        inner = JUNCTION
         names = []
         for number, (near_m, far_m) in enumerate(pairwise(cuts)):
             is_last = number == len(cuts) - 2
@@ -149,21 +185,32 @@ class _Plain:
             ]
             if is_last:
                 more_m = max(0.0, self.approach_m - far_m)
-                members = [(lane, _straight_on(points, more_m)) for lane, points in members]
+                members = [
+                    (lane, _straight_on(points, more_m)) for lane, points in members
+                ]
             outer = f"{stem}-{number}"
-            self._add_node(outer, np.mean([points[-1] for _, points in members], axis=0), is_last)
+            self._add_node(
+                outer, np.mean([points[-1] for _, points in members], axis=0), is_last
+            )
             name = f"{stem}-edge-{number}"
-            self._add_edge(name, members, (outer, inner) if is_in else (inner, outer), is_in)
+            self._add_edge(
+                name, members, (outer, inner) if is_in else (inner, outer), is_in
+            )
             if number == 0:
                 for index, (lane, _) in enumerate(members):
                     self.at_junction[is_in, lane.id] = (name, index)
             names.append(name)
             inner = outer
-        return names[::-1] if is_in else names
+        if is_in:
+            return names[::-1]
+        return names
 
     def _add_node(self, name: str, position_m: FloatArray, is_end: bool) -> None:
         east, north = (position_m - self.origin_m).tolist()
-        kind = "dead_end" if is_end else "priority"
+        if is_end:
+            kind = "dead_end"
+        else:
+            kind = "priority"
         self.nodes.append(
             f'<node id={quoteattr(name)} x="{east:.3f}" y="{north:.3f}" type="{kind}"/>'
         )
@@ -182,9 +229,9 @@ class _Plain:
         )
         middle = 0.5 * (lines[0][[0, -1]] + lines[-1][[0, -1]])
         self.edges.append(
-            f"<edge id={quoteattr(name)} from={quoteattr(ends[0])} to={quoteattr(ends[1])} "
-            f'numLanes="{len(members)}" speed="{self.speed_mps:.3f}" '
-            f'shape="{self.shape(middle)}">{lanes}</edge>'
+            "<edge"
+            f' id={quoteattr(name)} from={quoteattr(ends[0])} to={quoteattr(ends[1])} numLanes="{len(members)}"'
+            f' speed="{self.speed_mps:.3f}" shape="{self.shape(middle)}">{lanes}</edge>'
         )
 
     def connect(self, junction: Junction) -> None:
@@ -198,15 +245,19 @@ class _Plain:
                         end = self.at_junction.get((False, leaving.id))
                         if lane is None or begin is None or end is None:
                             continue
-                        (from_edge, from_lane), (to_edge, to_lane) = begin, end
+                        (from_edge, from_lane) = begin
+                        (to_edge, to_lane) = end
                         self.connections.append(
-                            f"<connection from={quoteattr(from_edge)} to={quoteattr(to_edge)} "
-                            f'fromLane="{from_lane}" toLane="{to_lane}" '
-                            f'shape="{self.shape(lane.centreline_m)}"/>'
+                            "<connection"
+                            f' from={quoteattr(from_edge)} to={quoteattr(to_edge)} fromLane="{from_lane}"'
+                            f' toLane="{to_lane}"'
+                            f' shape="{self.shape(lane.centreline_m)}"/>'
                         )
 
 
-def _piece(points: FloatArray, near_m: float, far_m: float, wanted_m: float) -> FloatArray:
+def _piece(
+    points: FloatArray, near_m: float, far_m: float, wanted_m: float
+) -> FloatArray:
     """The part of a line between two distances from its begin, straight on if it ends sooner."""
     along = along_m(points)
     inside = points[(along > near_m + 0.01) & (along < far_m - 0.01)]
@@ -222,8 +273,13 @@ def _straight_on(points: FloatArray, more_m: float) -> FloatArray:
     return np.concatenate([points, [points[-1] + more_m * ahead / np.hypot(*ahead)]])
 
 
-def _run_netconvert(program: str, plain: _Plain, scene: Scene, *, has_lights: bool) -> str:
-    kind = "traffic_light" if has_lights else "priority"
+def _run_netconvert(
+    program: str, plain: _Plain, scene: Scene, *, has_lights: bool
+) -> str:
+    if has_lights:
+        kind = "traffic_light"
+    else:
+        kind = "priority"
     outline = plain.shape(scene.outline_m)
     node = f'<node id="{JUNCTION}" x="0" y="0" type="{kind}" shape="{outline}"/>'
     with tempfile.TemporaryDirectory() as name:
@@ -262,14 +318,17 @@ def _find_ways(
     ways: dict[str, dict[str, dict[str, str]]] = {}
     for connection in re.findall(r"<connection ([^>]*)/>", xml):
         found = dict(re.findall(r'(\w+)="([^"]*)"', connection))
-        arm, other = arm_in.get(found["from"]), arm_out.get(found["to"])
+        arm = arm_in.get(found["from"])
+        other = arm_out.get(found["to"])
         turn = _TURN_OF_DIRECTION.get(found.get("dir", ""))
         if arm is None or other is None or turn is None or arm == other:
             continue
         edges = " ".join([*entry[arm], *leaving[other]])
         ways.setdefault(arm, {}).setdefault(turn, {})[other] = edges
     if not ways:
-        refuse(f"{scene.name}: lanes", "no way through the junction", "lanes in and out")
+        refuse(
+            f"{scene.name}: lanes", "no way through the junction", "lanes in and out"
+        )
     return ways
 
 
@@ -300,17 +359,19 @@ def simulate_windows(
 ) -> SimulatedWindows:
     """Drive traffic through a junction long enough to cut one window for each group of runs.
 
-    Runs of a group, at least one, share a window as long as the longest, with the VUT of the run in
-    the middle of their speeds. Vehicles farther than `reach_m` from the junction's middle are left
-    out. `rng` decides order and pauses of the windows, and SUMO's seed. Raises InputError if SUMO
-    cannot drive the demand, MissingExtraError without SUMO.
+    Runs of a group, at least one, share a window as long as the longest, with the VUT
+    of the run in the middle of their speeds. Vehicles farther than `reach_m` from the
+    junction's middle are left out. `rng` decides order and pauses of the windows, and
+    SUMO's seed. Raises InputError if SUMO cannot drive the demand, MissingExtraError
+    without SUMO.
     """
     seed = int(rng.integers(_MAX_SEED))
     keys = list(groups)
     order = [keys[index] for index in rng.permutation(len(keys)).tolist()]
     pauses_s = rng.uniform(*demand.pause_s, size=len(order))
     now = round(demand.warm_up_s / step_s)
-    windows, impact_s = [], {}
+    windows = []
+    impact_s = {}
     for key, pause_s in zip(order, pauses_s.tolist(), strict=True):
         runs = groups[key]
         n_frames = max(len(run.time_s) for run in runs)
@@ -330,7 +391,9 @@ def simulate_windows(
         "vut": {"length": vut.length_m, "width": vut.width_m, "height": vut.height_m},
         "windows": windows,
     }
-    found = _run(job, network, write_routes(demand, network.ways, network.n_entry_lanes))
+    found = _run(
+        job, network, write_routes(demand, network.ways, network.n_entry_lanes)
+    )
     samples: FloatArray = found["samples"]
     known = {kind.actor.name: kind.actor for kind in demand.vehicles}
     bodies: tuple[Actor, ...] = tuple(known[name] for name in found["types"].tolist())
@@ -350,7 +413,9 @@ def simulate_windows(
     )
 
 
-def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, Any] | None:
+def _vut_drive(
+    run: Run, network: RoadNetwork, *, last_step: int
+) -> dict[str, Any] | None:
     """Where the VUT of a run is, step by step, as the child wants it; None where it has no lane.
 
     It takes the way through the junction that leads most nearly where its path points.
@@ -358,14 +423,21 @@ def _vut_drive(run: Run, network: RoadNetwork, *, last_step: int) -> dict[str, A
     turns = network.ways.get(run.approach, {})
     first, last = run.vut_yaw_deg[[0, -1]].tolist()
     turned_deg = (last - first + 180.0) % 360.0 - 180.0
-    wanted = "straight" if abs(turned_deg) < 30.0 else "left" if turned_deg > 0.0 else "right"
+    if abs(turned_deg) < 30.0:
+        wanted = "straight"
+    elif turned_deg > 0.0:
+        wanted = "left"
+    else:
+        wanted = "right"
     exits = turns.get(wanted) or next(iter(turns.values()), {})
     leaving = next(iter(exits.values()), "")
     if not leaving:
         return None
     yaw = np.radians(run.vut_yaw_deg)
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
-    front = run.vut_position_m + 0.5 * run.encounter.vut.length_m * ahead - network.origin_m
+    front = (
+        run.vut_position_m + 0.5 * run.encounter.vut.length_m * ahead - network.origin_m
+    )
     return {
         "first_step": last_step - len(run.time_s) + 1,
         "edges": leaving.split(),
@@ -382,8 +454,11 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
         paths = {key: folder / f"junction.{key}.xml" for key in ("network", "routes")}
         write_new(paths["network"], network.xml)
         write_new(paths["routes"], routes)
-        given, found = folder / "job.json", folder / "found.npz"
-        write_new(given, json.dumps(job | {key: str(path) for key, path in paths.items()}))
+        given = folder / "job.json"
+        found = folder / "found.npz"
+        write_new(
+            given, json.dumps(job | {key: str(path) for key, path in paths.items()})
+        )
         command = [sys.executable, "-I", str(child), str(given), str(found)]
         done = _run_program(command, timeout_s=_TIMEOUT_S)
         if done is None:
@@ -391,7 +466,9 @@ def _run(job: dict[str, Any], network: RoadNetwork, routes: str) -> dict[str, An
             refuse("traffic", got, "less demand, or fewer runs")
         if done.returncode != 0:
             lines = done.stderr.split("\n")
-            reason = next((line for line in reversed(lines) if line.strip()), "no reason given")
+            reason = next(
+                (line for line in reversed(lines) if line.strip()), "no reason given"
+            )
             refuse("traffic", reason.strip(), "traffic that SUMO drives")
         with open_file(found) as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
@@ -432,11 +509,14 @@ class MovingTraffic:
     ) -> tuple[tuple[Run, ...], TrafficCount]:
         """Runs with the vehicles that drive by in one world.
 
-        `groups` are indices of runs that see the same window of time, which all end at the same
-        moment. Who comes nearer than `clearance_m` to the VUT or the VRU of a run is left out of
-        it. Raises InputError if SUMO cannot drive the demand, MissingExtraError without SUMO.
+        `groups` are indices of runs that see the same window of time, which all end at
+        the same moment. Who comes nearer than `clearance_m` to the VUT or the VRU of a
+        run is left out of it. Raises InputError if SUMO cannot drive the demand,
+        MissingExtraError without SUMO.
         """
-        members = {key: tuple(runs[index] for index in rows) for key, rows in groups.items()}
+        members = {
+            key: tuple(runs[index] for index in rows) for key, rows in groups.items()
+        }
         found = simulate_windows(
             self.network, self.demand, members, reach_m=REACH_M, step_s=frame_s, rng=rng
         )
@@ -444,7 +524,9 @@ class MovingTraffic:
         driven = list(runs)
         # A group's runs end together, but for runs whose impact is not on a frame.
         together = {
-            (key, last_s): [row for row in rows if float(runs[row].time_s[-1]) == last_s]
+            (key, last_s): [
+                row for row in rows if float(runs[row].time_s[-1]) == last_s
+            ]
             for key, rows in groups.items()
             for last_s in {float(runs[row].time_s[-1]) for row in rows}
         }
@@ -455,7 +537,8 @@ class MovingTraffic:
             if not window:
                 count += TrafficCount(n_runs=len(rows))
                 continue
-            # In all weathers the encounter is the same; what is parked is so in most runs.
+            # In all weathers the encounter is the same; what is parked is so in most
+            # runs.
             in_parked: dict[tuple[int, ...], tuple[BoolArray, ...]] = {}
             left: dict[tuple[int, ...], tuple[tuple[MovingActor, ...], int]] = {}
             for index in rows:
@@ -465,7 +548,9 @@ class MovingTraffic:
                     in_parked[parked] = frames_in_parked(window, run.obstruction)
                 key_of_run = (id(run.encounter), len(run.time_s), *parked)
                 if key_of_run not in left:
-                    left[key_of_run] = _driving_by(run, window, in_parked[parked], clearance_m)
+                    left[key_of_run] = _driving_by(
+                        run, window, in_parked[parked], clearance_m
+                    )
                 bodies, n_left_out = left[key_of_run]
                 driven[index] = replace(run, traffic=bodies)
                 count += TrafficCount(1, len(bodies) + n_left_out, n_left_out)
@@ -510,5 +595,8 @@ def load_traffic(source: str, scene: Scene) -> MovingTraffic:
     )
     middle: FloatArray = scene.outline_m.mean(axis=0)
     return MovingTraffic(
-        name=f"SUMO, demand {demand.name}", middle_m=middle, demand=demand, network=network
+        name=f"SUMO, demand {demand.name}",
+        middle_m=middle,
+        demand=demand,
+        network=network,
     )

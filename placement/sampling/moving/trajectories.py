@@ -13,7 +13,9 @@ from geometry.files import says
 from geometry.footprints import gaps_between
 from scenarios.runs import Run
 
-_GAP_STEPS = 1.5  # a vehicle that is away for longer than so many steps has left and come back
+_GAP_STEPS = (
+    1.5  # a vehicle that is away for longer than so many steps has left and come back
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,10 +23,12 @@ class Trajectories:
     """Vehicles on the road, each with samples in ascending order of time."""
 
     bodies: tuple[Actor, ...]  # one per vehicle
-    row_start: IntArray  # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
+    # (n_vehicles + 1,): rows of v are row_start[v] .. row_start[v + 1] - 1
+    row_start: IntArray
     time_s: FloatArray  # (n_rows,): on any clock. [s]
     position_m: FloatArray  # (n_rows, 2): middle of the footprint. World frame. [m]
-    yaw_deg: FloatArray  # (n_rows,): without jumps of a full turn from one to the next. [deg]
+    # (n_rows,): without jumps of a full turn from one to the next. [deg]
+    yaw_deg: FloatArray
     step_s: float  # from sample to sample. [s]
     # first_s, last_s: from when to when traffic is known. [s]
     first_s: float
@@ -32,8 +36,12 @@ class Trajectories:
 
     def __post_init__(self) -> None:
         for name in ("time_s", "position_m", "yaw_deg"):
-            object.__setattr__(self, name, freeze(np.array(getattr(self, name), dtype=np.float64)))
-        object.__setattr__(self, "row_start", freeze(np.array(self.row_start, dtype=np.int64)))
+            object.__setattr__(
+                self, name, freeze(np.array(getattr(self, name), dtype=np.float64))
+            )
+        object.__setattr__(
+            self, "row_start", freeze(np.array(self.row_start, dtype=np.int64))
+        )
 
     def between(self, first_s: float, last_s: float) -> IntArray:
         """Vehicles with samples that may reach into a span of time, (n,)."""
@@ -54,10 +62,15 @@ class Trajectories:
             np.interp(clipped, known_s, column)
             for column in (*self.position_m[rows].T, self.yaw_deg[rows])
         ]
-        after = np.clip(np.searchsorted(known_s, time_s - tolerance_s), 0, len(known_s) - 1)
+        after = np.clip(
+            np.searchsorted(known_s, time_s - tolerance_s), 0, len(known_s) - 1
+        )
         before = np.searchsorted(known_s, time_s + tolerance_s, side="right") - 1
         is_away = np.abs(clipped - time_s) > tolerance_s
-        is_away |= known_s[after] - known_s[np.clip(before, 0, None)] > _GAP_STEPS * self.step_s
+        is_away |= (
+            known_s[after] - known_s[np.clip(before, 0, None)]
+            > _GAP_STEPS * self.step_s
+        )
         east, north, yaw_deg = (np.where(is_away, np.nan, column) for column in values)
         return np.column_stack([east, north]), yaw_deg
 
@@ -74,16 +87,21 @@ def build_trajectories(
 ) -> Trajectories:
     """Trajectories from SUMO's samples, in any order.
 
-    `vehicle` (n,) is each sample's index into `bodies`; `front_m` (n, 2) the middle of the front
-    bumper in the world frame; `angle_deg` (n,) clockwise from north. Traffic is known over
-    `span_s`, with samples `step_s` apart.
+    `vehicle` (n,) is each sample's index into `bodies`; `front_m` (n, 2) the middle of
+    the front bumper in the world frame; `angle_deg` (n,) clockwise from north. Traffic
+    is known over `span_s`, with samples `step_s` apart.
     """
     order = np.lexsort((time_s, vehicle))
-    vehicle, time_s, front_m = vehicle[order], time_s[order], front_m[order]
+    vehicle = vehicle[order]
+    time_s = time_s[order]
+    front_m = front_m[order]
     yaw = np.radians(90.0 - angle_deg[order])
     present, row_start = np.unique(vehicle, return_index=True)
     row_start = np.append(row_start, len(vehicle))
-    half_m = 0.5 * np.array([body.length_m for body in bodies])[vehicle] if len(vehicle) else yaw
+    if len(vehicle):
+        half_m = 0.5 * np.array([body.length_m for body in bodies])[vehicle]
+    else:
+        half_m = yaw
     position = front_m - half_m[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
     unwrapped = yaw.copy()
     for first, end in pairwise(row_start.tolist()):
@@ -110,7 +128,9 @@ class TrafficCount:
     """Vehicles that drive by, in all runs together."""
 
     n_runs: Annotated[int, says("Number of runs.")] = 0
-    n_vehicles: Annotated[int, says("Near the junction, those left out among them.")] = 0
+    n_vehicles: Annotated[
+        int, says("Near the junction, those left out among them.")
+    ] = 0
     n_left_out: Annotated[
         int, says("Of these: they would have come into the way of VUT or VRU.")
     ] = 0
@@ -122,8 +142,8 @@ class TrafficCount:
 
     def __str__(self) -> str:
         text = (
-            f"{self.n_left_out} of {self.n_vehicles} vehicles in {self.n_runs} runs left out: they "
-            "would have been in the way"
+            f"{self.n_left_out} of {self.n_vehicles} vehicles in {self.n_runs} runs"
+            " left out: they would have been in the way"
         )
         if self.n_waiting:
             n_wanted = self.n_departed + self.n_waiting
@@ -143,7 +163,8 @@ def cut_window(
 ) -> tuple[MovingActor, ...]:
     """Vehicles near a point (2,) at ascending times (n_frames,) on their clock.
 
-    Frames in which a vehicle is farther away than `reach_m` are cut; so is who is never near.
+    Frames in which a vehicle is farther away than `reach_m` are cut; so is who is never
+    near.
     """
     bodies = []
     for vehicle in trajectories.between(float(time_s[0]), float(time_s[-1])).tolist():
@@ -152,7 +173,9 @@ def cut_window(
         if not away.all():
             position[away], yaw[away] = np.nan, np.nan
             bodies.append(
-                MovingActor(actor=trajectories.bodies[vehicle], position_m=position, yaw_deg=yaw)
+                MovingActor(
+                    actor=trajectories.bodies[vehicle], position_m=position, yaw_deg=yaw
+                )
             )
     return tuple(bodies)
 
@@ -164,7 +187,9 @@ def last_frames(body: MovingActor, n_frames: int) -> MovingActor | None:
     position = body.position_m[-n_frames:]
     if np.isnan(position).all():
         return None
-    return MovingActor(actor=body.actor, position_m=position, yaw_deg=body.yaw_deg[-n_frames:])
+    return MovingActor(
+        actor=body.actor, position_m=position, yaw_deg=body.yaw_deg[-n_frames:]
+    )
 
 
 def frames_in_parked(
@@ -180,7 +205,9 @@ def frames_in_parked(
     is_in = np.zeros(yaw.shape, dtype=bool)
     for placed in parked:
         offset = position - placed.pose.position_m[:2]
-        near = np.hypot(*np.moveaxis(offset, -1, 0)) <= reach_m[:, None] + _reach_m(placed.actor)
+        near = np.hypot(*np.moveaxis(offset, -1, 0)) <= reach_m[:, None] + _reach_m(
+            placed.actor
+        )
         for row in np.flatnonzero(near.any(axis=1)).tolist():
             frames = near[row]
             is_in[row, frames] |= _is_nearer(
@@ -203,7 +230,8 @@ def meets_road_users(
     if not traffic:
         return ()
     position, yaw = _twice(
-        np.stack([body.position_m for body in traffic]), np.stack([b.yaw_deg for b in traffic])
+        np.stack([body.position_m for body in traffic]),
+        np.stack([b.yaw_deg for b in traffic]),
     )
     reach_m = np.array([_reach_m(body.actor) for body in traffic])
     meets = np.zeros(len(traffic), dtype=bool)
@@ -227,7 +255,9 @@ def meets_road_users(
     return tuple(meets.tolist())
 
 
-def _twice(position_m: FloatArray, yaw_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _twice(
+    position_m: FloatArray, yaw_deg: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Frames, and the moments midway between them: (..., n, 2), (..., n) -> (..., 2 n - 1, ..)."""
     turn_deg = (np.diff(yaw_deg, axis=-1) + 180.0) % 360.0 - 180.0
     midway_m = 0.5 * (position_m[..., 1:, :] + position_m[..., :-1, :])
@@ -249,5 +279,7 @@ def _is_nearer(
     yaw_b_deg: FloatArray,
 ) -> BoolArray:
     """Moments at which two bodies are nearer than a limit."""
-    gaps_m = gaps_between(offset_m, yaw_a_deg, yaw_b_deg, sizes=footprint_sizes(*actors))
+    gaps_m = gaps_between(
+        offset_m, yaw_a_deg, yaw_b_deg, sizes=footprint_sizes(*actors)
+    )
     return np.asarray(gaps_m.max(axis=0) <= limit_m)

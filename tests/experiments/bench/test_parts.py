@@ -24,4 +24,6 @@ def test_figures_of_other_parts_stay_in_the_file(tmp_path):
 def test_an_unknown_part_is_told_with_those_there_are():
     result = CliRunner().invoke(main, ["--parts", "single, speed"])
     assert result.exit_code == 2
-    assert f"speed: expected some of {', '.join(PARTS)}" in " ".join(result.output.split())
+    assert f"speed: expected some of {', '.join(PARTS)}" in " ".join(
+        result.output.split()
+    )

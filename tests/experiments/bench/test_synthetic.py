@@ -33,7 +33,9 @@ def test_instance_is_a_detection_table_of_its_size() -> None:
     assert not (instance.packed[:, -1] >> 5).any()
 
 
-def test_same_seed_gives_the_same_whatever_the_threads_and_another_seed_another() -> None:
+def test_same_seed_gives_the_same_whatever_the_threads_and_another_seed_another() -> (
+    None
+):
     one = build_synthetic_instance(SIZE, seed=3)
     two = build_synthetic_instance(SIZE, seed=3, workers=3)
     other = build_synthetic_instance(SIZE, seed=4)
@@ -46,7 +48,8 @@ def test_detections_follow_the_geometry() -> None:
     seen = instance.to_table().detected(slice(None))
     seen = seen.reshape(8, 2, 6, 2, 2, 901)  # site, height, yaw, pitch, zoom, frame
     assert 0.001 < seen.mean() < 0.3
-    # Six yaws, 60 degrees apart: at most two cameras of 90 degrees see a VRU, one of 50 degrees.
+    # Six yaws, 60 degrees apart: at most two cameras of 90 degrees see a VRU, one of 50
+    # degrees.
     assert seen[:, :, :, :, 0].sum(axis=2).max() == 1
     assert seen[:, :, :, :, 1].sum(axis=2).max() == 2
     # A VRU that comes into sight mostly stays in sight.
@@ -58,7 +61,9 @@ def test_budgets_are_measured_with_tracks_that_live_on_and_that_end() -> None:
     instance = build_synthetic_instance(SIZE)
     problem = PlacementProblem(
         table=instance.to_table(),
-        limits=Limits(site_index=instance.site_index, site_capacity=instance.site_capacity),
+        limits=Limits(
+            site_index=instance.site_index, site_capacity=instance.site_capacity
+        ),
         fusion="any",
         rule=load_aeb_rule(),
     )

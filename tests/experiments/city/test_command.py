@@ -17,22 +17,33 @@ from experiments.cli.terminal import table
 def solved_here(monkeypatch):
     """Solves junctions in this process, and draws nothing."""
     solve_here(monkeypatch)
-    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(
+        job, "write_city", lambda out, result, *args, **settings: result
+    )
     monkeypatch.setattr(job, "_write_served", lambda *args: [])
 
 
 def test_the_first_line_says_what_matters_and_json_says_all(run, solved_here, tmp_path):
-    path, out = write_city(tmp_path), tmp_path / "city"
+    path = write_city(tmp_path)
+    out = tmp_path / "city"
     few = ("--coarse", "--max-units", 1, "--junctions", "n1;n3", *FEW_RUNS_OPTIONS)
     code, text, err = run("city", path, "--budget", 1, "--out", out, *few)
     assert code == 0
     assert text.startswith("1 sensor at 1 of 2 junctions for ")
-    assert "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same." in err
-    code, text, err = run("city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet")
+    assert (
+        "Junctions: 2 of 3; done already: 0. Weights: every junction counts the same."
+        in err
+    )
+    code, text, err = run(
+        "city", path, "--budget", 1, "--out", out, *few, "--json", "--quiet"
+    )
     assert (code, err) == (0, "")
     result = json.loads(text)
     assert (result["units"], result["computed"], result["not_done"]) == (1, 0, 0)
-    assert [stage["name"] for stage in result["stages"]][:2] == ["apr", "apr_one_failed"]
+    assert [stage["name"] for stage in result["stages"]][:2] == [
+        "apr",
+        "apr_one_failed",
+    ]
     manifest = load_manifest(out / "manifest.json")
     assert [entry.folder for entry in manifest.junctions] == ["n1", "n3"]
 
@@ -49,24 +60,66 @@ def test_names_are_never_cut_and_no_line_is_wider_than_a_terminal():
     [
         (
             (),
-            "--budget: got nothing; expected a whole number of units, at least 0, or --budget-eur",
+            (
+                "--budget: got nothing; expected a whole number of units, at least 0,"
+                " or --budget-eur"
+            ),
         ),
-        (("--budget", "-3"), "--budget: got '-3'; expected a whole number of units, at least 0"),
+        (
+            ("--budget", "-3"),
+            "--budget: got '-3'; expected a whole number of units, at least 0",
+        ),
         (("--budget-eur", "-1"), "--budget-eur: got '-1'; expected euros, at least 0"),
-        (("--budget-eur", "nan"), "--budget-eur: got 'nan'; expected euros, at least 0"),
+        (
+            ("--budget-eur", "nan"),
+            "--budget-eur: got 'nan'; expected euros, at least 0",
+        ),
         # What no junction could take is told before any is cut out.
-        (("--budget", "1", "--along-arms", "0,-15"), "--along-arms: got '-15'; expected metres"),
-        (("--budget", "1", "--cases", "FOO"), "--cases: got 'FOO'; expected one of default, "),
+        (
+            ("--budget", "1", "--along-arms", "0,-15"),
+            "--along-arms: got '-15'; expected metres",
+        ),
+        (
+            ("--budget", "1", "--cases", "FOO"),
+            "--cases: got 'FOO'; expected one of default, ",
+        ),
         (("--budget", "1", "--speeds", "7"), "--speeds: got 7; expected 10 to 60 km/h"),
-        (("--budget", "1", "--sensors", "eye"), "--sensors: got 'eye'; expected one of "),
-        (("--budget", "1", "--weather", "hail"), "--weather: got 'hail'; expected one or more of"),
-        (("--budget", "1", "--approaches", "up"), "--approaches: got 'up'; expected one or more"),
-        (("--budget", "1", "--weights", "no.csv"), "--weights: got 'no.csv'; expected run, case,"),
-        (("--budget", "1", "--detector", "eye"), "--detector: got 'eye'; expected geometric, "),
-        (("--budget", "1", "--latency-budget", "z"), "--latency-budget: got 'z'; expected study"),
-        (("--budget", "1", "--sites", "kerb:x"), "--sites: got 'kerb:x'; expected kerb:SPACING"),
-        (("--budget", "1", "--sites", "no.csv"), "no.csv: got No such file or directory; expect"),
-        (("--budget", "1", "--max-units", "0"), "--max-units: got '0'; expected a number of units"),
+        (
+            ("--budget", "1", "--sensors", "eye"),
+            "--sensors: got 'eye'; expected one of ",
+        ),
+        (
+            ("--budget", "1", "--weather", "hail"),
+            "--weather: got 'hail'; expected one or more of",
+        ),
+        (
+            ("--budget", "1", "--approaches", "up"),
+            "--approaches: got 'up'; expected one or more",
+        ),
+        (
+            ("--budget", "1", "--weights", "no.csv"),
+            "--weights: got 'no.csv'; expected run, case,",
+        ),
+        (
+            ("--budget", "1", "--detector", "eye"),
+            "--detector: got 'eye'; expected geometric, ",
+        ),
+        (
+            ("--budget", "1", "--latency-budget", "z"),
+            "--latency-budget: got 'z'; expected study",
+        ),
+        (
+            ("--budget", "1", "--sites", "kerb:x"),
+            "--sites: got 'kerb:x'; expected kerb:SPACING",
+        ),
+        (
+            ("--budget", "1", "--sites", "no.csv"),
+            "no.csv: got No such file or directory; expect",
+        ),
+        (
+            ("--budget", "1", "--max-units", "0"),
+            "--max-units: got '0'; expected a number of units",
+        ),
         (
             ("--budget", "1", "--worker-memory", "much"),
             "--worker-memory: got 'much'; expected an amount such as 1.5GiB",
@@ -122,7 +175,11 @@ def test_what_was_not_done_stands_in_the_text():
         front=(),
         purchases=(),
         search=CitySearchRecord(
-            poses="fine", max_units=1, max_junction_seconds=1.0, radius_m=80.0, sites="auto"
+            poses="fine",
+            max_units=1,
+            max_junction_seconds=1.0,
+            radius_m=80.0,
+            sites="auto",
         ),
         sentences=("First.",),
         notes=("a note",),
@@ -133,10 +190,12 @@ def test_what_was_not_done_stands_in_the_text():
     assert lines[0] == "First."
     assert "  A / B: It could not be computed: no lane leads in." in lines
     known = city_text(
-        replace_fields(result, junctions=(replace_fields(failed, cause="no site"),)), "city"
+        replace_fields(result, junctions=(replace_fields(failed, cause="no site"),)),
+        "city",
     )
-    assert "A / B: There is no pole or other place that could carry another sensor." in " ".join(
-        known.split()
+    assert (
+        "A / B: There is no pole or other place that could carry another sensor."
+        in " ".join(known.split())
     )
     many = replace_fields(result, junctions=(failed,) * 20)
     assert "  and 8 more: junctions.csv" in city_text(many, "city")

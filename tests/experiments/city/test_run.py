@@ -49,7 +49,10 @@ LEAST_S = 1.0e-6
 
 
 def run(maps, out, *, question=FEW_RUNS, search=SEARCH, told=None, **wish):
-    wish = wish if "budget_units" in wish or "budget_eur" in wish else {"budget_units": 2, **wish}
+    if "budget_units" in wish or "budget_eur" in wish:
+        wish = wish
+    else:
+        wish = {"budget_units": 2, **wish}
     return job.run_city(
         question,
         maps=[maps] if isinstance(maps, Path) else maps,
@@ -90,14 +93,18 @@ def quick(monkeypatch, with_blank_pictures):
     monkeypatch.setattr(
         importing,
         "read_map",
-        lambda path, *reading: read_once(path, path.is_file() and path.read_bytes(), *reading),
+        lambda path, *reading: read_once(
+            path, path.is_file() and path.read_bytes(), *reading
+        ),
     )
 
 
 @pytest.fixture
 def no_pages(monkeypatch):
     """Draws nothing, and writes no tables."""
-    monkeypatch.setattr(job, "write_city", lambda out, result, *args, **settings: result)
+    monkeypatch.setattr(
+        job, "write_city", lambda out, result, *args, **settings: result
+    )
     monkeypatch.setattr(job.pages, "render_junction_page", lambda *args, **settings: "")
 
 
@@ -129,7 +136,9 @@ def fronts_of(folder):
     return [load_front(path) for path in sorted(folder.glob("junctions/*/front.json"))]
 
 
-def test_the_choice_is_the_best_of_all_points_of_three_junctions(tiny, city, never, no_pages):
+def test_the_choice_is_the_best_of_all_points_of_three_junctions(
+    tiny, city, never, no_pages
+):
     fronts = fronts_of(city)
     assert [len(front.points) > 1 for front in fronts] == [True] * 3
     for wish in ({"budget_units": n} for n in (1, 2, 3, 4)):
@@ -176,7 +185,9 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     poles = pd.read_csv(city / "poles.csv")
     assert poles.units.sum() == 2
     assert {one.part for one in result.purchases} == {"sensor", "site"}
-    assert sum(one.count for one in result.purchases if one.part == "site") == len(poles)
+    assert sum(one.count for one in result.purchases if one.part == "site") == len(
+        poles
+    )
     page = (city / "report.html").read_text()
     served = [one for one in result.junctions if one.units]
     for one in served:
@@ -203,19 +214,27 @@ def test_the_folder_has_all_of_it_and_nothing_is_done_twice(tiny, city, never):
     assert places.union_all().convex_hull.buffer(0.002).contains(units.union_all())
 
 
-def test_only_what_is_missing_or_changed_is_computed(tiny, city, here, tmp_path, no_pages):
-    first, second, *_ = sorted(path.parent for path in city.glob("junctions/*/front.json"))
+def test_only_what_is_missing_or_changed_is_computed(
+    tiny, city, here, tmp_path, no_pages
+):
+    first, second, *_ = sorted(
+        path.parent for path in city.glob("junctions/*/front.json")
+    )
     (first / "front.json").unlink()
     (second / "front.json").write_text("{ half of")
     assert run(tiny / "tiny.osm", city).computed == 2
     assert run(tiny / "tiny.osm", city).computed == 0
     changed = tmp_path / "tiny.osm"
     text = (tiny / "tiny.osm").read_text()
-    changed.write_text(text.replace('v="9"', 'v="12"', 1))  # one house: that at the first junction
+    changed.write_text(
+        text.replace('v="9"', 'v="12"', 1)
+    )  # one house: that at the first junction
     assert run(changed, city).computed == 1
 
 
-def test_another_citys_folder_and_other_things_are_refused(tiny, city, never, tmp_path, no_pages):
+def test_another_citys_folder_and_other_things_are_refused(
+    tiny, city, never, tmp_path, no_pages
+):
     other = write_city(tmp_path, "tiny.osm", east_m=5_000.0)
     with pytest.raises(
         InputError, match=r"city, the folder of another city \(tiny.osm\); expected"
@@ -223,37 +242,59 @@ def test_another_citys_folder_and_other_things_are_refused(tiny, city, never, tm
         run(other, city)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"full, which holds other things; expected a new folder"):
+    with pytest.raises(
+        InputError, match=r"full, which holds other things; expected a new folder"
+    ):
         run(tiny / "tiny.osm", tmp_path / "full")
 
 
-def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(tiny, here, tmp_path, city):
+def test_a_junction_that_cannot_be_done_is_a_row_with_its_reason(
+    tiny, here, tmp_path, city
+):
     sites = tmp_path / "sites.csv"  # at the first junction alone
     sites.write_text("id,lat,lon\nlamp,52.50006,13.40009\n")
-    result = run(tiny / "tiny.osm", tmp_path / "new", search=replace(SEARCH, sites=str(sites)))
+    result = run(
+        tiny / "tiny.osm", tmp_path / "new", search=replace(SEARCH, sites=str(sites))
+    )
     reasons = [one.reason for one in result.junctions]
     assert sum(map(bool, reasons)) == result.not_done == 2
     assert any("sites: got" in reason for reason in reasons)
-    assert [one.cause for one in result.junctions if one.reason] == ["no site", "no site"]
+    assert [one.cause for one in result.junctions if one.reason] == [
+        "no site",
+        "no site",
+    ]
     part = percent(result.stages[0].objective)
     of_all = percent(result.stages[0].objective / 3.0)
-    assert f": {of_all} of the accidents at all of them are prevented" in result.sentences[0]
+    assert (
+        f": {of_all} of the accidents at all of them are prevented"
+        in result.sentences[0]
+    )
     assert result.sentences[0].endswith(" are prevented. 2 junctions are left out.")
-    assert any(f"of those at the others {part} are prevented" in one for one in result.sentences)
+    assert any(
+        f"of those at the others {part} are prevented" in one
+        for one in result.sentences
+    )
     rows = pd.read_csv(tmp_path / "new" / "junctions.csv")
     assert rows.reason.notna().sum() == 2
     page = (tmp_path / "new" / "report.html").read_text()
     first, _, rest = page.partition("<nav")
     why = "There is no pole or other place that could carry another sensor."
-    assert f'<p class="lead">{result.sentences[0]}</p>'.replace(" %", "\u00a0%") in first
+    assert (
+        f'<p class="lead">{result.sentences[0]}</p>'.replace(" %", "\u00a0%") in first
+    )
     assert f"<li>2 junctions: {why}</li>" in first
     assert rest.count(why) == 2
-    # More time is another question: what was in time stays in the folder, the rest is told.
-    with pytest.raises(InputError, match=r"no junction with a front.*; expected more time or memo"):
+    # More time is another question: what was in time stays in the folder, the rest is
+    # told.
+    with pytest.raises(
+        InputError, match=r"no junction with a front.*; expected more time or memo"
+    ):
         run(tiny / "tiny.osm", city, search=replace(SEARCH, max_junction_s=LEAST_S))
 
 
-def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(tiny, city, never, no_pages):
+def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(
+    tiny, city, never, no_pages
+):
     result = run(tiny / "tiny.osm", city)
     assert result.runs == result.possible_runs > 0
     assert city_answer.says("undone", result) == ()
@@ -264,9 +305,13 @@ def test_the_headline_says_what_was_left_out_not_driven_and_not_proven(tiny, cit
         not_done=1,
         runs=1_234,
         possible_runs=5_678,
-        stages=(msgspec.structs.replace(result.stages[0], bound=0.9, gap=0.1), *result.stages[1:]),
+        stages=(
+            msgspec.structs.replace(result.stages[0], bound=0.9, gap=0.1),
+            *result.stages[1:],
+        ),
     )
-    # A bound of 90 % at two of three junctions of the same weight is one of 60 % of all accidents.
+    # A bound of 90 % at two of three junctions of the same weight is one of 60 % of all
+    # accidents.
     assert city_answer.says("undone", left) == (
         "1 junction is left out.",
         "4,444 of 5,678 simulated collisions could not be driven: room is missing.",
@@ -313,14 +358,18 @@ def city_messages():
 
 @pytest.mark.parametrize(
     ("flows", "n_signals", "per_year"),
-    [  # AASHTO, Highway Safety Manual (2010), table 12-10, at vehicles a day on major and minor
+    # AASHTO, Highway Safety Manual (2010), table 12-10, at vehicles a day on major and
+    # minor
+    [
         ((20_000, 20_000, 4_800, 2_800), 2, exp(-10.99) * 20_000**1.07 * 4_800**0.23),
         ((20_000, 18_000, 4_800, 4_800), 0, exp(-8.90) * 20_000**0.82 * 4_800**0.25),
         ((12_000, 10_000, 4_000), 1, exp(-12.13) * 12_000**1.11 * 4_000**0.26),
         ((12_000, 12_000, 4_000), 0, exp(-13.36) * 12_000**1.11 * 4_000**0.41),
     ],
 )
-def test_the_estimate_of_accidents_is_that_of_the_manual(flows, n_signals, per_year, tmp_path):
+def test_the_estimate_of_accidents_is_that_of_the_manual(
+    flows, n_signals, per_year, tmp_path
+):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     for east, north in ((90.0, 0.0), (0.0, 90.0), (-90.0, 0.0), (0.0, -90.0)):
@@ -332,14 +381,17 @@ def test_the_estimate_of_accidents_is_that_of_the_manual(flows, n_signals, per_y
     assert found == pytest.approx(per_year)
 
 
-def test_where_no_accidents_are_known_a_wide_crossing_counts_most(tiny, city, never, tmp_path):
+def test_where_no_accidents_are_known_a_wide_crossing_counts_most(
+    tiny, city, never, tmp_path
+):
     equal = run(tiny / "tiny.osm", city)
     assert "--junction-weights proxy" in equal.warnings[0]
     page = unescape((city / "report.html").read_text())
     assert f'<p class="warning">{equal.warnings[0]}</p>' in page
     result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=Path("proxy"))
     assert result.warnings[0] in unescape((city / "report.html").read_text())
-    # All arms have two lanes of 1,000 vehicles: crossing, three arms, and crossing with signals.
+    # All arms have two lanes of 1,000 vehicles: crossing, three arms, and crossing with
+    # signals.
     wanted = {
         "n1": exp(-8.90) * 2_000**1.07,
         "n2": exp(-13.36) * 2_000**1.52,
@@ -351,11 +403,17 @@ def test_where_no_accidents_are_known_a_wide_crossing_counts_most(tiny, city, ne
     )
     text = (tiny / "tiny.osm").read_text()
     assert text.count('v="C Lane"') == 2
-    street, lane = 'k="highway" v="residential"', 'v="C Lane"'
+    street = 'k="highway" v="residential"'
+    lane = 'v="C Lane"'
     ways = [
-        way.replace(street, f'{street.replace("residential", "primary")}/><tag k="lanes" v="6"')
-        if lane in way
-        else way
+        (
+            way.replace(
+                street,
+                f'{street.replace("residential", "primary")}/><tag k="lanes" v="6"',
+            )
+            if lane in way
+            else way
+        )
         for way in text.split("<way")
     ]
     wide = tmp_path / "tiny.osm"
@@ -363,14 +421,22 @@ def test_where_no_accidents_are_known_a_wide_crossing_counts_most(tiny, city, ne
     there = job.inputs.load_city([wide], SEARCH.reading, CityWish(budget_units=1))
     values = job.inputs.load_values(there, CityWish(weights_file=Path("proxy")))
     share = dict(
-        zip([one.surveyed.junction.id for one in there.junctions], values.weight, strict=True)
+        zip(
+            [one.surveyed.junction.id for one in there.junctions],
+            values.weight,
+            strict=True,
+        )
     )
     assert share["n3"] > 0.9 * sum(share.values())
-    with pytest.raises(InputError, match="weight_column: got 'n'; expected a file of --junction"):
+    with pytest.raises(
+        InputError, match="weight_column: got 'n'; expected a file of --junction"
+    ):
         CityWish(weights_file=Path("proxy"), weight_column="n")
 
 
-def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path, no_pages):
+def test_weights_decide_and_what_is_not_used_is_told(
+    tiny, city, never, tmp_path, no_pages
+):
     table = tmp_path / "accidents.csv"
     table.write_text("lat,lon,count\n52.5,13.4,1\n52.5,13.40741,8\n52.6,13.4,5\n")
     result = run(tiny / "tiny.osm", city, budget_units=1, weights_file=table)
@@ -380,10 +446,13 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     assert served.weight == pytest.approx(8 / 9)
     assert "C Lane" in served.name
     assert any(
-        "1 of 3 places, which count 5 of 14, are farther than 50 m" in n for n in result.notes
+        "1 of 3 places, which count 5 of 14, are farther than 50 m" in n
+        for n in result.notes
     )
     table.write_text("lat,lon\n10,20\n")
-    with pytest.raises(InputError, match=r"nearest place is .* m from a junction; expected places"):
+    with pytest.raises(
+        InputError, match=r"nearest place is .* m from a junction; expected places"
+    ):
         run(tiny / "tiny.osm", city, weights_file=table)
     table.write_text("junction,cars\nn1,3\nn99,4\n")
     result = run(tiny / "tiny.osm", city, weights_file=table)
@@ -392,7 +461,9 @@ def test_weights_decide_and_what_is_not_used_is_told(tiny, city, never, tmp_path
     assert lost in result.notes
 
 
-def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path, here, no_pages):
+def test_scores_and_accidents_around_each_junction_make_its_front(
+    tiny, tmp_path, here, no_pages
+):
     table = tmp_path / "atlas.csv"
     head = "UTYP1;UART;IstFuss;IstRad;IstKrad;IstPKW;ULICHTVERH;XGCSWGS84;YGCSWGS84\n"
     near_all = "4;6;1;0;0;1;0;13,40370;52,5\n3;5;0;1;0;1;2;13,40370;52,5\n"
@@ -407,27 +478,41 @@ def test_scores_and_accidents_around_each_junction_make_its_front(tiny, tmp_path
     result = run(tiny / "tiny.osm", out, question=question)
     assert result.computed == 3
     assert run(tiny / "tiny.osm", out, question=question).computed == 0
-    plain = run(tiny / "tiny.osm", tmp_path / "plain", question=replace(question, score="avoided"))
+    plain = run(
+        tiny / "tiny.osm",
+        tmp_path / "plain",
+        question=replace(question, score="avoided"),
+    )
     assert plain.stages[0].objective <= result.stages[0].objective + 1e-9
-    for scored, avoided in zip(fronts_of(out), fronts_of(tmp_path / "plain"), strict=True):
+    for scored, avoided in zip(
+        fronts_of(out), fronts_of(tmp_path / "plain"), strict=True
+    ):
         assert scored.points[0].apr == avoided.points[0].apr == 0.0
-        assert max(p.apr for p in scored.points) >= max(p.apr for p in avoided.points) - 1e-9
-    # More accidents in the file make other fronts; none near one junction leaves that out.
+        assert (
+            max(p.apr for p in scored.points)
+            >= max(p.apr for p in avoided.points) - 1e-9
+        )
+    # More accidents in the file make other fronts; none near one junction leaves that
+    # out.
     only_first = "4;6;1;0;0;1;0;13,4;52,5\n"
     table.write_text(head + near_all + only_first)
     assert run(tiny / "tiny.osm", out, question=question).computed == 3
     near = replace(question, accidents_within_m=100.0)
     reasons = [
-        one.reason for one in run(tiny / "tiny.osm", tmp_path / "near", question=near).junctions
+        one.reason
+        for one in run(tiny / "tiny.osm", tmp_path / "near", question=near).junctions
     ]
     assert sorted(map(bool, reasons)) == [False, False, True]
-    assert any("expected a place with accidents within 100 m" in reason for reason in reasons)
+    assert any(
+        "expected a place with accidents within 100 m" in reason for reason in reasons
+    )
     [left] = [front for front in fronts_of(tmp_path / "near") if front.reason]
     assert left.cause == "no accident"
 
 
 def area(path, lon_deg, half_deg=0.0005, **values):
-    low, high = lon_deg - half_deg, lon_deg + half_deg
+    low = lon_deg - half_deg
+    high = lon_deg + half_deg
     ring = [[low, 52.49], [high, 52.49], [high, 52.51], [low, 52.51], [low, 52.49]]
     feature = {
         "type": "Feature",
@@ -439,33 +524,52 @@ def area(path, lon_deg, half_deg=0.0005, **values):
 
 
 def test_districts_areas_and_years(tiny, city, never, tmp_path, no_pages):
-    middle = area(tmp_path / "middle.geojson", 13.40368, name="middle", min_apr=0.3, weight=3)
+    middle = area(
+        tmp_path / "middle.geojson", 13.40368, name="middle", min_apr=0.3, weight=3
+    )
     heavy = run(tiny / "tiny.osm", city, areas=middle)
     at = next(one for one in heavy.junctions if "B Lane" in one.name)
     assert at.weight == pytest.approx(3 / 5)
     assert at.apr >= 0.3
-    served = run(tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3)
+    served = run(
+        tiny / "tiny.osm", city, budget_units=1, districts=middle, min_district_apr=0.3
+    )
     assert [one.units for one in served.junctions if one.district == "middle"] == [1]
-    with pytest.raises(InputError, match=r"budget_eur: got 10.0; expected at least [\d,]+ EUR, to"):
-        run(tiny / "tiny.osm", city, budget_eur=10.0, districts=middle, min_district_apr=0.3)
+    with pytest.raises(
+        InputError, match=r"budget_eur: got 10.0; expected at least [\d,]+ EUR, to"
+    ):
+        run(
+            tiny / "tiny.osm",
+            city,
+            budget_eur=10.0,
+            districts=middle,
+            min_district_apr=0.3,
+        )
     years = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1)
     assert sorted(one.year for one in years.junctions if one.units)[-1] == years.units
     few = run(tiny / "tiny.osm", city, budget_units=3, units_per_year=1, years=2)
     assert few.units == 2
 
 
-def test_accidents_and_money_are_told_by_the_year(tiny, city, never, tmp_path, no_pages):
+def test_accidents_and_money_are_told_by_the_year(
+    tiny, city, never, tmp_path, no_pages
+):
     table = tmp_path / "accidents.csv"
     table.write_text("junction,count\nn1,10\nn2,20\nn3,30\n")
     heavy = area(tmp_path / "middle.geojson", 13.40368, name="middle", weight=3)
     given = {"weights_file": table, "counted_years": 5.0, "areas": heavy}
     counts = {"n1": 10, "n2": 20, "n3": 30}
     result = run(tiny / "tiny.osm", city, **given)
-    by_hand = sum(counts[one.id] / 5.0 * (one.apr - one.apr_before) for one in result.junctions)
+    by_hand = sum(
+        counts[one.id] / 5.0 * (one.apr - one.apr_before) for one in result.junctions
+    )
     assert result.accidents_per_year == pytest.approx(12.0)
     assert result.prevented_per_year == pytest.approx(by_hand)
     assert result.prevented_in_years is None
-    said = f"Of 12.0 accidents a year {by_hand:.1f} would be prevented, if as many happen as were"
+    said = (
+        f"Of 12.0 accidents a year {by_hand:.1f} would be prevented, if as many happen"
+        " as were"
+    )
     assert any(one.startswith(said) for one in result.sentences)
     result = run(tiny / "tiny.osm", city, years=10, **given)
     assert result.prevented_in_years == pytest.approx(10.0 * by_hand)
@@ -496,26 +600,42 @@ def test_a_budget_below_the_cheapest_unit_buys_nothing_and_says_what_it_would(
         result = run(tiny / "tiny.osm", city, **nothing)
         assert (result.units, result.stages[0].objective) == (0, 0.0)
         assert result.stages[0].gap == 0.0
-        assert result.sentences[1].startswith("The cheapest useful choice is 1 sensor at ")
+        assert result.sentences[1].startswith(
+            "The cheapest useful choice is 1 sensor at "
+        )
 
 
 def test_the_cheapest_useful_choice_is_that_for_the_least_money(tiny):
-    city = job.inputs.load_city([tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1))
+    city = job.inputs.load_city(
+        [tiny / "tiny.osm"], SEARCH.reading, CityWish(budget_units=1)
+    )
     options = Options(
         junction=np.array([0, 0, 1, 1, 1]),
         units=np.array([0, 1, 0, 1, 1]),
         cost_eur=np.array([0.0, 8_560.0, 0.0, 4_040.0, 5_000.0]),
         apr=np.array([0.0, 0.9, 0.0, 0.2, 0.3]),
-        **{name: np.zeros(5) for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")},
+        **{
+            name: np.zeros(5)
+            for name in ("apr_one_failed", "smallest_margin_s", "mean_margin_s")
+        },
     )
-    said = city_answer._cheapest(city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2]))
+    said = city_answer._cheapest(
+        city, options, [0, 1], np.array([0.5, 0.5]), np.array([0, 2])
+    )
     assert said.startswith("The cheapest useful choice is 1 sensor at ")
-    assert said.endswith("for 4,040 EUR: it would prevent 10.0 % of the city's accidents.")
+    assert said.endswith(
+        "for 4,040 EUR: it would prevent 10.0 % of the city's accidents."
+    )
 
 
-def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(tiny, city, never):
+def test_pages_of_junctions_that_stay_as_they_were_are_not_drawn_again(
+    tiny, city, never
+):
     def pages():
-        return {path: path.stat().st_mtime_ns for path in city.glob("junctions/*/report.html")}
+        return {
+            path: path.stat().st_mtime_ns
+            for path in city.glob("junctions/*/report.html")
+        }
 
     before = pages()
     assert len(before) == 2
@@ -552,35 +672,64 @@ def test_what_hangs_there_is_kept_and_paid(tiny, here, tmp_path, no_pages):
     assert kept.apr_before == pytest.approx(served["apr"])
     assert after.apr_before == pytest.approx(served["apr"])
     assert after.stages[0].objective >= after.apr_before
-    assert sum(one.count for one in after.purchases if one.part == "sensor") == after.units
+    assert (
+        sum(one.count for one in after.purchases if one.part == "sensor") == after.units
+    )
     assert any("mounted already prevent" in sentence for sentence in after.sentences)
-    with pytest.raises(InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"):
+    with pytest.raises(
+        InputError, match=r"scene: got 'tiny/n\d'; expected a junction that counts"
+    ):
         run(
             tiny / "tiny.osm",
             tmp_path / "other",
             keep=(tiny / "city",),
-            junctions=next(one["id"] for one in before["junctions"] if not one["units"]),
+            junctions=next(
+                one["id"] for one in before["junctions"] if not one["units"]
+            ),
         )
 
 
 def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
     tiny_map = tiny / "tiny.osm"
     assert len(run(tiny_map, city, min_arms=4).junctions) == 2
-    assert [one.id for one in run(tiny_map, city, signals_only=True).junctions] == ["n3"]
+    assert [one.id for one in run(tiny_map, city, signals_only=True).junctions] == [
+        "n3"
+    ]
     assert [one.id for one in run(tiny_map, city, junctions="n2").junctions] == ["n2"]
     names = tmp_path / "names.txt"
     names.write_text("n1\nMain Street / C Lane\n")
-    assert {one.id for one in run(tiny_map, city, junctions=str(names)).junctions} == {"n1", "n3"}
+    assert {one.id for one in run(tiny_map, city, junctions=str(names)).junctions} == {
+        "n1",
+        "n3",
+    }
     east = area(tmp_path / "east.geojson", 13.407, 0.001)
     assert [one.id for one in run(tiny_map, city, within=east).junctions] == ["n3"]
     for wish, message in (
         ({"junctions": "n77"}, r"--junctions: got 'n77'; expected one of n\d"),
-        ({"min_arms": 9}, r"no junction that counts: Junctions with fewer than 9 arms: 3."),
-        ({"within": area(tmp_path / "far.geojson", 20.0)}, r"--within: .* expected an area with"),
-        ({"keep": (tmp_path,)}, r"--keep: .* expected a folder of place-rsus city with layouts"),
-        ({"years": 2}, r"years: got 2; expected `units_per_year` or `counted_years` as well"),
-        ({"counted_years": 2}, r"counted_years: got 2; expected `weights_file` as well"),
-        ({"min_district_apr": 0.5}, r"min_district_apr: got 0.5; expected `districts` as well"),
+        (
+            {"min_arms": 9},
+            r"no junction that counts: Junctions with fewer than 9 arms: 3.",
+        ),
+        (
+            {"within": area(tmp_path / "far.geojson", 20.0)},
+            r"--within: .* expected an area with",
+        ),
+        (
+            {"keep": (tmp_path,)},
+            r"--keep: .* expected a folder of place-rsus city with layouts",
+        ),
+        (
+            {"years": 2},
+            r"years: got 2; expected `units_per_year` or `counted_years` as well",
+        ),
+        (
+            {"counted_years": 2},
+            r"counted_years: got 2; expected `weights_file` as well",
+        ),
+        (
+            {"min_district_apr": 0.5},
+            r"min_district_apr: got 0.5; expected `districts` as well",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             run(tiny_map, city, **wish)
@@ -588,7 +737,9 @@ def test_which_junctions_count(tiny, city, never, tmp_path, no_pages):
 
 def test_maps_that_overlap_or_have_no_junction_are_refused(tiny, never, tmp_path):
     second = write_city(tmp_path, "second.osm", east_m=2.0)
-    with pytest.raises(InputError, match=r"got maps that overlap: both have a junction at "):
+    with pytest.raises(
+        InputError, match=r"got maps that overlap: both have a junction at "
+    ):
         run([tiny / "tiny.osm", second], tmp_path / "city")
     empty = tmp_path / "empty.osm"
     empty.write_text('<osm version="0.6"><node id="1" lat="52.5" lon="13.4"/></osm>')
@@ -610,12 +761,15 @@ def tasks_of(path):
 class Dying:
     """Workers of which each dies, and how often one was asked."""
 
-    capacity, times = 1, 0
+    capacity = 1
+    times = 0
 
     def submit(self, function, task):
         self.times += 1
         future = Future()
-        future.set_exception(city_workers.WorkerDiedError("more than 1.5 GiB of memory"))
+        future.set_exception(
+            city_workers.WorkerDiedError("more than 1.5 GiB of memory")
+        )
         return future
 
     def wait(self, timeout_s):
@@ -629,9 +783,10 @@ def test_a_junction_whose_worker_died_thrice_is_told(tmp_path, monkeypatch):
     [(_, answer)] = city_workers.run_junctions(workers, [task])
     assert workers.times == 3
     assert answer.record.id == task.chosen.junction.id
-    assert answer.record.reason == (
-        "its worker died of more than 1.5 GiB of memory, 3 times: more --worker-memory, or fewer "
-        "poses"
+    assert (
+        answer.record.reason
+        == "its worker died of more than 1.5 GiB of memory, 3 times: more"
+        " --worker-memory, or fewer poses"
     )
     assert (answer.record.cause, answer.record.is_final) == ("memory", False)
 
@@ -644,7 +799,9 @@ def test_a_worker_that_is_killed_loses_nothing(tiny):
             1.0, lambda: os.kill(workers._workers[0].process.pid, signal.SIGKILL)
         )
         killer.start()
-        answers = [answer.record for _, answer in city_workers.run_junctions(workers, tasks)]
+        answers = [
+            answer.record for _, answer in city_workers.run_junctions(workers, tasks)
+        ]
         killer.join()
         assert [record.reason for record in answers] == [""] * 3
         assert {record.id for record in answers} == {"n1", "n2", "n3"}
@@ -661,12 +818,32 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     before = (kept / "front.json").read_bytes()
     for folder in missing:
         shutil.rmtree(folder)
-    command = ("city", tiny / "tiny.osm", "--budget", "2", "--coarse", "--max-units", "2")
-    seconds = ("--max-junction-seconds", "3600", "--time-limit", f"{FEW_RUNS.time_limit_s:g}")
+    command = (
+        "city",
+        tiny / "tiny.osm",
+        "--budget",
+        "2",
+        "--coarse",
+        "--max-units",
+        "2",
+    )
+    seconds = (
+        "--max-junction-seconds",
+        "3600",
+        "--time-limit",
+        f"{FEW_RUNS.time_limit_s:g}",
+    )
     limits = (*seconds, "--workers", "1", "--out", city)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     main = subprocess.Popen(
-        [sys.executable, "-m", "experiments.main", *command, *limits, *FEW_RUNS_OPTIONS],
+        [
+            sys.executable,
+            "-m",
+            "experiments.main",
+            *command,
+            *limits,
+            *FEW_RUNS_OPTIONS,
+        ],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -674,7 +851,10 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     pause = threading.Event()
     children = []
     for _ in range(6000):
-        if any((folder / "front.json").exists() for folder in missing) or main.poll() is not None:
+        if (
+            any((folder / "front.json").exists() for folder in missing)
+            or main.poll() is not None
+        ):
             children = psutil.Process(main.pid).children(recursive=True)
             main.kill()
             break
@@ -684,14 +864,24 @@ def test_kill_9_loses_at_most_the_junctions_in_work_and_ends_the_workers(
     _, alive = psutil.wait_procs(children, timeout=60)
     assert not alive
     done = {folder: (folder / "front.json").exists() for folder in missing}
-    written = {folder: (folder / "front.json").read_bytes() for folder in missing if done[folder]}
+    written = {
+        folder: (folder / "front.json").read_bytes()
+        for folder in missing
+        if done[folder]
+    }
     assert written
     assert (kept / "front.json").read_bytes() == before
     again = run(tiny / "tiny.osm", city)
     assert again.computed == list(done.values()).count(False)
-    assert all((folder / "front.json").read_bytes() == text for folder, text in written.items())
+    assert all(
+        (folder / "front.json").read_bytes() == text for folder, text in written.items()
+    )
     for mine, theirs in zip(fronts_of(tiny / "city"), fronts_of(city), strict=True):
-        assert (mine.key, mine.front, mine.layouts) == (theirs.key, theirs.front, theirs.layouts)
+        assert (mine.key, mine.front, mine.layouts) == (
+            theirs.key,
+            theirs.front,
+            theirs.layouts,
+        )
 
 
 def test_numbers_of_the_figure_are_those_of_the_result(tiny, city, never, no_pages):
@@ -715,16 +905,21 @@ def test_the_slider_has_each_step_of_the_front_and_the_choice(tiny, city, never)
     for wish in ({"budget_units": 2}, {"budget_eur": 9_500.0}, {"budget_units": 0}):
         result = run(tiny / "tiny.osm", city, **wish)
         shown = stops_of(city)
-        states, got = [], {}
+        states = []
+        got = {}
         for stop in shown["stops"]:
             got = got | {int(index): n for index, n in stop["sets"].items()}
             states.append({index: n for index, n in got.items() if n})
-        chosen = {index: one.units for index, one in enumerate(result.junctions) if one.units}
-        [at] = [number for number, stop in enumerate(shown["stops"]) if stop["is_chosen"]]
+        chosen = {
+            index: one.units for index, one in enumerate(result.junctions) if one.units
+        }
+        [at] = [
+            number for number, stop in enumerate(shown["stops"]) if stop["is_chosen"]
+        ]
         assert states[at] == chosen
-        assert f" prevent {percent(result.stages[0].objective)} of the" in shown["stops"][at][
-            "says"
-        ].replace("prevents", "prevent")
+        assert f" prevent {percent(result.stages[0].objective)} of the" in shown[
+            "stops"
+        ][at]["says"].replace("prevents", "prevent")
         assert sum(states[-1].values()) == 3
         says = [stop["says"] for stop in shown["stops"]]
         steps = [percent(step.apr) for step in result.front]
@@ -744,7 +939,9 @@ def test_the_page_runs_by_itself_and_its_slider_says_who_gets_what(tiny):
         check_who_gets_what(browser, page_of.as_uri())
         with open_page(browser, page_of.as_uri(), java_script_enabled=False) as page:
             assert not page.is_visible("#sums")
-            assert page.is_visible("text=The first 3 steps; 2 of them fit into the budget")
+            assert page.is_visible(
+                "text=The first 3 steps; 2 of them fit into the budget"
+            )
 
 
 def check_who_gets_what(browser, address):
@@ -753,7 +950,9 @@ def check_who_gets_what(browser, address):
         assert page.locator("#sum-map .mark:visible").count() == 2
         slider = page.locator("#sum")
         slider.press("End")
-        assert page.inner_text("#sum-says").startswith("3 sensors (junctions: 3) prevent 100.0 %")
+        assert page.inner_text("#sum-says").startswith(
+            "3 sensors (junctions: 3) prevent 100.0 %"
+        )
         assert page.locator("#sum-gets li").count() == 3
         assert page.locator("#sum-map .mark:visible").count() == 3
         assert not page.is_visible("#sum-chosen")

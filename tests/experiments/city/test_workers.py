@@ -37,14 +37,21 @@ def test_a_process_that_dies_is_replaced(workers):
     assert end_of(workers, abs, -5).result() == 5
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the system does not tell")  # noqa: PTH110
+@pytest.mark.skipif(
+    not os.path.exists("/proc/self/statm"), reason="the system does not tell"
+)  # noqa: PTH110
 def test_a_process_with_too_much_memory_is_ended_and_this_is_said():
     said = r"^more than 0.000977 GiB of memory$"
-    with LocalWorkers(1, max_bytes=2**20) as workers, pytest.raises(WorkerDiedError, match=said):
+    with (
+        LocalWorkers(1, max_bytes=2**20) as workers,
+        pytest.raises(WorkerDiedError, match=said),
+    ):
         end_of(workers, time.sleep, 60.0).result()  # Python alone takes more
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/net/tcp"), reason="the system does not tell")  # noqa: PTH110
+@pytest.mark.skipif(
+    not os.path.exists("/proc/net/tcp"), reason="the system does not tell"
+)  # noqa: PTH110
 def test_no_process_listens_at_a_port(workers):
     import psutil
 

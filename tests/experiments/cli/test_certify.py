@@ -19,13 +19,19 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
     found = json.loads(path.read_text())
     first = " ".join(out.split("Over all worlds")[0].split())
     assert first.startswith(f"1 unit at {found['units'][0]} prevents ")
-    assert f"at most {100.0 * found['gap']:.2f} points more (with 95 % confidence)" in first
+    assert (
+        f"at most {100.0 * found['gap']:.2f} points more (with 95 % confidence)"
+        in first
+    )
     assert max(map(len, out.splitlines()[:-1])) <= 80  # but the path
     assert found["gap"] == pytest.approx(found["most"] - found["least"])
 
     code, out, _ = run("verify", folder, "--quiet")
     assert code == 0
-    assert "3 checks: all OK. Not checked: what is listed above, who made it (--key)." in out
+    assert (
+        "3 checks: all OK. Not checked: what is listed above, who made it (--key)."
+        in out
+    )
     path.write_text(json.dumps(found | {"gap": found["gap"] - 0.001}))
     code, out, _ = run("verify", folder, "--quiet")
     assert code == 1
@@ -44,7 +50,9 @@ def test_a_gap_is_told_written_and_verified_and_a_smaller_one_is_not(run, tmp_pa
 
 
 def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
-    code, out, err = run(*ASKED, "--samples", "auto", "--out", tmp_path / "results", "--json")
+    code, out, err = run(
+        *ASKED, "--samples", "auto", "--out", tmp_path / "results", "--json"
+    )
     assert (code, err) == (0, "")
     found = json.loads(out)
     growth = found["growth"]
@@ -62,7 +70,10 @@ def test_worlds_of_a_block_may_be_found_out(run, tmp_path):
         (("--samples", 1), "--samples: got 1; expected a whole number, at least 2"),
         (
             ("--samples", "often"),
-            "--samples: got 'often'; expected auto, or a number of sampled worlds, 0 to 100,000",
+            (
+                "--samples: got 'often'; expected auto, or a number of sampled worlds,"
+                " 0 to 100,000"
+            ),
         ),
         (("--judge", 0), "--judge: got '0'; expected a whole number, at least 2"),
         (("--budget", 0), "--budget: got '0'"),
@@ -79,7 +90,8 @@ def test_what_cannot_be_certified_is_one_line(run, tmp_path, changed, message):
 def test_worlds_to_compare_in_are_a_number(run):
     code, out, err = run("compare", "carlancap-12", "carlancap-12", "--samples", "auto")
     assert (code, out) == (2, "")
-    assert err == (
-        "place-rsus: --samples: got 'auto'; expected a number; auto where the best layout within a "
-        "budget is chosen\n"
+    assert (
+        err
+        == "place-rsus: --samples: got 'auto'; expected a number; auto where the best"
+        " layout within a budget is chosen\n"
     )

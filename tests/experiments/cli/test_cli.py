@@ -24,8 +24,24 @@ UNIT = {
     "pitch_deg": -25.0,
     "camera": "carla-ncap-rgb",
 }
-KEYS = {"layout", "fusion", "runs", "apr", "evaluation", "dangers", "seconds", "versions"}
-STAGES = ("setting", "detection table", "optimise", "greedy", "evaluate", "write results")
+KEYS = {
+    "layout",
+    "fusion",
+    "runs",
+    "apr",
+    "evaluation",
+    "dangers",
+    "seconds",
+    "versions",
+}
+STAGES = (
+    "setting",
+    "detection table",
+    "optimise",
+    "greedy",
+    "evaluate",
+    "write results",
+)
 
 
 @pytest.fixture
@@ -33,7 +49,9 @@ def layout_file(tmp_path):
     """Writes a layout file of one unit with some fields replaced, or removed (...)."""
 
     def write(name: str = "mine.json", **fields: object) -> Path:
-        unit = {key: value for key, value in (UNIT | fields).items() if value is not ...}
+        unit = {
+            key: value for key, value in (UNIT | fields).items() if value is not ...
+        }
         path: Path = tmp_path / name
         path.write_text(json.dumps({"layout": [unit]}), encoding="utf-8")
         return path
@@ -81,7 +99,9 @@ def test_version_is_told(run):
 # Bad input
 
 
-@pytest.mark.parametrize("value", ["0", "-1", "1.5", "x", "", " 3", "1_0", "٣", "9" * 150])
+@pytest.mark.parametrize(
+    "value", ["0", "-1", "1.5", "x", "", " 3", "1_0", "٣", "9" * 150]
+)
 def test_a_budget_that_is_no_whole_number_is_refused(run, value):
     assert_refused(
         run("--budget", value),
@@ -94,7 +114,8 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     code, out, err = run("--budget", value)
     assert (code, out) == (2, "")
     assert re.fullmatch(
-        rf"place-rsus: --budget: got {value}; expected a whole number of units, 1 to \d+ "
+        rf"place-rsus: --budget: got {value}; expected a whole number of units, 1 to"
+        r" \d+ "
         r"\(what town05's sites can carry\)\n",
         err,
     )
@@ -106,17 +127,31 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
     [
         (
             "",
-            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
-            "--budget-cost)",
+            (
+                "--budget: got nothing; expected a whole number of units, at least 1"
+                " (or --target, or --budget-cost)"
+            ),
         ),
         ("--budget", "Option '--budget' requires an argument."),
         ("--budget 1 --fusion all", "--fusion: got 'all'; expected one of any, single"),
-        ("--budget 1 --workers 0", "--workers: got '0'; expected a number of threads, 1 to 1024"),
-        ("--workers 100000", "--workers: got '100000'; expected a number of threads, 1 to 1024"),
-        ("--budget 1 --seed -1", "--seed: got '-1'; expected a whole number, at least 0"),
+        (
+            "--budget 1 --workers 0",
+            "--workers: got '0'; expected a number of threads, 1 to 1024",
+        ),
+        (
+            "--workers 100000",
+            "--workers: got '100000'; expected a number of threads, 1 to 1024",
+        ),
+        (
+            "--budget 1 --seed -1",
+            "--seed: got '-1'; expected a whole number, at least 0",
+        ),
         (
             "--budget 1 --time-limit nan",
-            "--time-limit: got 'nan'; expected seconds, more than 0, at most 10,000,000",
+            (
+                "--time-limit: got 'nan'; expected seconds, more than 0, at most"
+                " 10,000,000"
+            ),
         ),
         (
             "--budget 1 --packet-loss 1.2",
@@ -134,22 +169,35 @@ def test_a_budget_beyond_what_the_sites_can_carry_is_refused(run, value):
         ),
         ("evaluate", "--layout: got nothing; expected it once"),
         ("evaluate --layout a --layout b", "--layout: got 2 layouts; expected it once"),
-        ("compare --layout carlancap-12", "LAYOUT: got one layout; expected two layouts or more"),
+        (
+            "compare --layout carlancap-12",
+            "LAYOUT: got one layout; expected two layouts or more",
+        ),
         ("compare", "LAYOUT: got nothing; expected two layouts or more"),
-        ("compare a b c", "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists"),
+        (
+            "compare a b c",
+            "LAYOUT: got 'a'; expected carlancap-12, or a layout file that exists",
+        ),
         (
             "export --layout carlancap-12",
-            "Missing option '--format'. Choose from: json, csv, parquet, geojson, gpkg, kml, dxf, "
-            "carla, opencv, ros, cpm, cpm-uper, mcap, opendrive",
+            (
+                "Missing option '--format'. Choose from: json, csv, parquet, geojson,"
+                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
+            ),
         ),
         (
             "export --layout carlancap-12 --format xml",
-            "--format: got 'xml'; expected one of json, csv, parquet, geojson, gpkg, kml, dxf, "
-            "carla, opencv, ros, cpm, cpm-uper, mcap, opendrive",
+            (
+                "--format: got 'xml'; expected one of json, csv, parquet, geojson,"
+                " gpkg, kml, dxf, carla, opencv, ros, cpm, cpm-uper, mcap, opendrive"
+            ),
         ),
         (
             "evaluate --layout carlancap-13",
-            "--layout: got 'carlancap-13'; expected carlancap-12, or a layout file that exists",
+            (
+                "--layout: got 'carlancap-13'; expected carlancap-12, or a layout file"
+                " that exists"
+            ),
         ),
     ],
 )
@@ -180,11 +228,13 @@ def test_an_empty_layout_and_repeated_ids_are_refused(run, tmp_path):
     path = tmp_path / "mine.json"
     path.write_text(json.dumps({"layout": []}))
     assert_refused(
-        run("evaluate", "--layout", path), "layout mine: got no unit; expected at least one unit"
+        run("evaluate", "--layout", path),
+        "layout mine: got no unit; expected at least one unit",
     )
     path.write_text(json.dumps({"layout": [UNIT, UNIT]}))
     assert_refused(
-        run("evaluate", "--layout", path), "layout mine: id: got 'A'; expected every id once"
+        run("evaluate", "--layout", path),
+        "layout mine: id: got 'A'; expected every id once",
     )
 
 
@@ -199,12 +249,16 @@ def test_a_folder_is_no_layout_file(run, tmp_path):
     ("fields", "message"),
     [
         ({"x_m": ...}, "layout[0].x_m: got nothing; expected a value"),
-        ({"yaw_deg": float("nan")}, "layout[0].yaw_deg: got nan; expected a finite number"),
+        (
+            {"yaw_deg": float("nan")},
+            "layout[0].yaw_deg: got nan; expected a finite number",
+        ),
         ({"z_m": float("inf")}, "layout[0].z_m: got inf; expected a finite number"),
         ({"z_m": "8"}, "layout[0].z_m: got '8'; expected a finite number"),
         (
             {"camera": "x"},
-            "layout[0].camera: got 'x'; expected one of " + ", ".join(sorted(load_cameras())),
+            "layout[0].camera: got 'x'; expected one of "
+            + ", ".join(sorted(load_cameras())),
         ),
     ],
 )
@@ -216,17 +270,25 @@ def test_a_wrong_field_of_a_layout_file_is_named(run, layout_file, fields, messa
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"z_m": -1}, "layout mine: A.z_m: got -1.0; expected a height above the road, > 0 m"),
+        (
+            {"z_m": -1},
+            "layout mine: A.z_m: got -1.0; expected a height above the road, > 0 m",
+        ),
         (
             {"site": "x"},
             "layout mine: A.site: got 'x'; expected a site of town05, or an empty text",
         ),
         (
             {"id": "vut"},
-            "layout mine: id: got 'vut'; expected another name: vut, rsu_all, vut_and_rsus, vam, "
-            "all_sources mean other sensing parties",
+            (
+                "layout mine: id: got 'vut'; expected another name: vut, rsu_all,"
+                " vut_and_rsus, vam, all_sources mean other sensing parties"
+            ),
         ),
-        ({"id": "\ud800"}, "layout: name or id: got '\\ud800'; expected printable text"),
+        (
+            {"id": "\ud800"},
+            "layout: name or id: got '\\ud800'; expected printable text",
+        ),
     ],
 )
 def test_a_unit_that_cannot_be_is_refused(run, layout_file, fields, message):
@@ -234,23 +296,30 @@ def test_a_unit_that_cannot_be_is_refused(run, layout_file, fields, message):
     assert_refused(run("export", "--layout", path, "--format", "csv"), message)
 
 
-def test_a_unit_inside_a_building_or_far_away_is_refused(run, layout_file, small_setting):
+def test_a_unit_inside_a_building_or_far_away_is_refused(
+    run, layout_file, small_setting
+):
     scene = small_setting.scene
-    building = next(i for i, it in enumerate(scene.instances) if it.class_name == "building")
-    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == building].ravel()]
+    building = next(
+        i for i, it in enumerate(scene.instances) if it.class_name == "building"
+    )
+    corners = scene.vertices_m[
+        scene.triangles[scene.triangle_instance == building].ravel()
+    ]
     x_m, y_m, z_m = (0.5 * (corners.min(axis=0) + corners.max(axis=0))).tolist()
     code, _, err = run(
-        *("export", "--format", "csv", "--layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m))
+        "export", "--format", "csv", "--layout", layout_file(x_m=x_m, y_m=y_m, z_m=z_m)
     )
     assert code == 2
-    assert err == (
-        f"place-rsus: layout mine: A: got a pose inside building {scene.instances[building].id}; "
-        "expected a pose in the open air\n"
+    assert (
+        err == "place-rsus: layout mine: A: got a pose inside building"
+        f" {scene.instances[building].id}; expected a pose in the open air\n"
     )
     code, _, err = run("export", "--format", "csv", "--layout", layout_file(x_m=1e300))
     assert code == 2
-    assert err == (
-        "place-rsus: layout mine: A: got a pose 1e+300 m from the middle of town05; "
+    assert (
+        err
+        == "place-rsus: layout mine: A: got a pose 1e+300 m from the middle of town05; "
         "expected at most 1000 m\n"
     )
 
@@ -263,11 +332,17 @@ def test_a_bad_out_is_refused_before_anything_is_computed(run, small_study, tmp_
         assert (code, out) == (2, "")
         assert err == f"place-rsus: --out: {message.format(tmp_path)}\n"
     code, out, err = run(
-        *("export", "--layout", "carlancap-12", "--format", "csv", "--out", tmp_path / "file/x")
+        "export",
+        "--layout",
+        "carlancap-12",
+        "--format",
+        "csv",
+        "--out",
+        tmp_path / "file/x",
     )
     assert (code, out) == (2, "")
-    assert err == (
-        f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
+    assert (
+        err == f"place-rsus: --out: got {tmp_path}/file/x: Not a directory; "
         "expected a file that can be written\n"
     )
     assert (tmp_path / "file").read_text() == "mine"
@@ -288,7 +363,8 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
     code, out, err = run(*command, "--quiet")
     assert (code, out) == (2, "")
     assert re.fullmatch(
-        rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4 GiB, where "
+        rf"place-rsus: memory: got [\d,]+ poses x [\d,]+ frames{worlds}, which need 0.4"
+        r" GiB, where "
         r"there are 0.0 GiB; expected a smaller question: .*\n",
         err,
     )
@@ -298,7 +374,9 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_starts(
 # Results
 
 
-def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_placement):
+def test_placement_prints_one_object_and_writes_a_report(
+    run, few_runs, whole_placement
+):
     assert (whole_placement / "err").read_text().splitlines()[0] == "setting ..."
     out = (whole_placement / "out").read_text()
     summary = json.loads(out, parse_constant=pytest.fail)
@@ -317,7 +395,9 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
         "all_sources",
         "headline",
     }
-    assert set(summary["evaluation"]["units"]) == {unit["id"] for unit in summary["layout"]}
+    assert set(summary["evaluation"]["units"]) == {
+        unit["id"] for unit in summary["layout"]
+    }
     study = summary["baseline"]["evaluation"]
     assert set(study["units"]) == {f"RSU{number}" for number in range(12)}
     for evaluation in (summary["evaluation"], study):
@@ -325,9 +405,16 @@ def test_placement_prints_one_object_and_writes_a_report(run, few_runs, whole_pl
             ratios = evaluation[party]
             assert set(ratios["by_case"]) == {"CPNC-50", "CBNA", "CBLA"}
             assert all(
-                0.0 <= ratio <= 1.0 for ratio in (ratios["all"], *ratios["by_case"].values())
+                0.0 <= ratio <= 1.0
+                for ratio in (ratios["all"], *ratios["by_case"].values())
             )
-    assert 0.0 <= summary["apr_without_worst_unit"] <= summary["apr"] <= summary["bound"] <= 1.0
+    assert (
+        0.0
+        <= summary["apr_without_worst_unit"]
+        <= summary["apr"]
+        <= summary["bound"]
+        <= 1.0
+    )
     assert {path.name for path in (whole_placement / "results/latest").iterdir()} == {
         "report.html",
         "certificate.json",
@@ -359,7 +446,7 @@ def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figu
     results = []
     for workers in (1, 2):
         code, out, err = run(
-            *("--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache")
+            "--budget", 1, "--json", "--quiet", "--workers", workers, "--no-cache"
         )
         assert (code, err) == (0, "")
         summary = json.loads(out)
@@ -372,7 +459,9 @@ def test_two_calls_give_the_same_but_for_the_time(run, small_study, without_figu
 
 
 def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_figures):
-    path = layout_file("a rather long name for a layout, and still longer.json", id="B" * 40)
+    path = layout_file(
+        "a rather long name for a layout, and still longer.json", id="B" * 40
+    )
     for arguments in (
         ["--budget", 2, "--fusion", "single", "--out", "o"],
         ["evaluate", "--layout", path],
@@ -384,7 +473,9 @@ def test_printed_tables_fit_80_columns(run, small_study, layout_file, without_fi
         assert len(short.splitlines()) <= 40
         code, out, _ = run(*arguments, "--verbose")
         assert code == 0
-        assert max(map(len, out.splitlines()[1:])) <= 80  # the first line holds the name
+        assert (
+            max(map(len, out.splitlines()[1:])) <= 80
+        )  # the first line holds the name
         assert len(out) > len(short)
         assert "100.0 %" in out
 
@@ -398,13 +489,26 @@ def test_layouts_of_one_name_are_named_by_their_folders(run, small_study, layout
     assert (code, err) == (0, "")
     summary = json.loads(out)
     home = Path(path).resolve().parent.name
-    assert [summary["name"], summary["compared"][0]["name"]] == [f"mine of {home}", "mine of other"]
+    assert [summary["name"], summary["compared"][0]["name"]] == [
+        f"mine of {home}",
+        "mine of other",
+    ]
 
 
-def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study, layout_file):
+def test_comparison_of_a_layout_with_itself_finds_no_difference(
+    run, small_study, layout_file
+):
     path = layout_file()
     code, out, err = run(
-        *("compare", "--layout", path, "--layout", path, "--json", "--quiet", "--out", "out")
+        "compare",
+        "--layout",
+        path,
+        "--layout",
+        path,
+        "--json",
+        "--quiet",
+        "--out",
+        "out",
     )
     assert (code, err) == (0, "")
     summary = json.loads(out, parse_constant=pytest.fail)
@@ -418,7 +522,9 @@ def test_comparison_of_a_layout_with_itself_finds_no_difference(run, small_study
 
 def test_what_json_lacks_becomes_null(run, monkeypatch):
     monkeypatch.setattr(
-        evaluation_job, "run_evaluation", lambda *given, **options: {"gap": float("inf")}
+        evaluation_job,
+        "run_evaluation",
+        lambda *given, **options: {"gap": float("inf")},
     )
     assert run("evaluate", "--layout", "carlancap-12", "--json", "--quiet") == (
         0,
@@ -431,7 +537,15 @@ def test_export_writes_to_stdout_or_to_a_file(run):
     code, text, err = run("export", "--layout", "carlancap-12", "--format", "carla")
     assert (code, err) == (0, "")
     assert len(json.loads(text)) == 12
-    arguments = ["export", "--layout", "carlancap-12", "--format", "carla", "--out", "rsus.json"]
+    arguments = [
+        "export",
+        "--layout",
+        "carlancap-12",
+        "--format",
+        "carla",
+        "--out",
+        "rsus.json",
+    ]
     assert run(*arguments) == (0, "", "")
     assert Path("rsus.json").read_text() == text
 
@@ -461,8 +575,13 @@ def test_a_reader_that_goes_away_gets_no_traceback():
 # Rays
 
 
-def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(run, small_study, monkeypatch):
-    problem = "Open3D cannot load (libX11.so.6 is missing); to use it: apt-get install libx11-6"
+def test_open3d_is_asked_for_where_it_cannot_load_in_one_line(
+    run, small_study, monkeypatch
+):
+    problem = (
+        "Open3D cannot load (libX11.so.6 is missing); to use it: apt-get install"
+        " libx11-6"
+    )
     monkeypatch.setattr("geometry.raycast.open3d_problem", lambda: problem)
     code, out, err = run("evaluate", "--layout", "carlancap-12", "--rays", "open3d")
     assert (code, out) == (2, "")
@@ -478,7 +597,9 @@ def interrupt_at(monkeypatch):
     call = StageProgress.__call__
 
     def arm(stage: str, signum: int = signal.SIGINT) -> None:
-        def call_interrupted(progress: StageProgress, name: str, done: int, total: int) -> None:
+        def call_interrupted(
+            progress: StageProgress, name: str, done: int, total: int
+        ) -> None:
             call(progress, name, done, total)
             if name == stage:
                 signal.raise_signal(signum)
@@ -488,7 +609,9 @@ def interrupt_at(monkeypatch):
     return arm
 
 
-def test_a_damaged_cache_file_is_made_anew(run, small_study, own_cache, caplog, interrupt_at):
+def test_a_damaged_cache_file_is_made_anew(
+    run, small_study, own_cache, caplog, interrupt_at
+):
     interrupt_at("optimise")
     run("--budget", 1)
     (table,) = own_cache.iterdir()
@@ -501,7 +624,9 @@ def test_a_damaged_cache_file_is_made_anew(run, small_study, own_cache, caplog, 
     )
     (record,) = [r for r in caplog.records if r.name.startswith("placement")]
     assert "\n" not in record.getMessage()
-    assert record.getMessage().startswith(f"cached detection table not used, made anew: {table}")
+    assert record.getMessage().startswith(
+        f"cached detection table not used, made anew: {table}"
+    )
     assert np.array_equal(np.load(table)["packed"], good)
 
 
@@ -513,11 +638,15 @@ def test_a_cache_that_cannot_be_written_to_is_done_without(
     interrupt_at("optimise")
     code, out, err = run("--budget", 1, "--out", "out")  # --quiet also hides warnings
     assert (code, out) == (130, "")
-    assert err.splitlines()[-1] == (
-        "place-rsus: interrupted in stage 'optimise': nothing was written to out"
+    assert (
+        err.splitlines()[-1]
+        == "place-rsus: interrupted in stage 'optimise': nothing was written to out"
     )
     assert all("\n" not in record.getMessage() for record in caplog.records)
-    assert caplog.messages.count("nothing is cached: file cannot be made (File exists)") == 1
+    assert (
+        caplog.messages.count("nothing is cached: file cannot be made (File exists)")
+        == 1
+    )
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -536,7 +665,9 @@ def test_an_interruption_says_what_was_kept_and_leaves_nothing(
     assert os.listdir() == []  # noqa: PTH208
 
 
-def test_an_interruption_leaves_earlier_results_as_they_were(run, small_study, interrupt_at):
+def test_an_interruption_leaves_earlier_results_as_they_were(
+    run, small_study, interrupt_at
+):
     out = Path("out")
     run("evaluate", "--layout", "carlancap-12", "--out", out, "--quiet")
     before = {path.name: path.read_bytes() for path in out.iterdir()}
@@ -549,14 +680,18 @@ def test_an_interruption_leaves_earlier_results_as_they_were(run, small_study, i
         assert run(*arguments) == (
             code,
             "",
-            f"place-rsus: interrupted in stage '{stage}': the earlier results in out are "
-            "unchanged\n",
+            (
+                f"place-rsus: interrupted in stage '{stage}': the earlier results in"
+                " out are unchanged\n"
+            ),
         )
         assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert list(Path().iterdir()) == [out]
 
 
-def test_an_interruption_of_an_evaluation_needs_no_folder(run, small_study, interrupt_at):
+def test_an_interruption_of_an_evaluation_needs_no_folder(
+    run, small_study, interrupt_at
+):
     interrupt_at("evaluate")
     code, _, err = run("evaluate", "--layout", "carlancap-12", "--quiet")
     assert (code, err) == (

@@ -13,7 +13,15 @@ from geometry.study_scene import load_study_scene
 
 FEW = ("--cases", "CBLA", "--approaches", "east", "--along-arms", "0")
 KEYS = {
-    *("case", "title", "road_user", "approach", "position", "speeds_kmh", "vru_speeds_kmh"),
+    *(
+        "case",
+        "title",
+        "road_user",
+        "approach",
+        "position",
+        "speeds_kmh",
+        "vru_speeds_kmh",
+    ),
     *("n_runs", "last_brake_time_s", "reason"),
 }
 
@@ -42,8 +50,15 @@ def test_the_list_as_json_has_one_last_moment_per_speed(run):
 
 def test_the_list_fits_a_terminal(run):
     code, out, err = run(
-        *("scenarios", "list", "--cases", "CBTAns,CBLA-25", "--approaches", "east,west"),
-        *("--along-arms", "0", "--quiet"),
+        "scenarios",
+        "list",
+        "--cases",
+        "CBTAns,CBLA-25",
+        "--approaches",
+        "east,west",
+        "--along-arms",
+        "0",
+        "--quiet",
     )
     assert (code, err) == (0, "")
     assert max(map(len, out.splitlines())) <= 80
@@ -52,7 +67,16 @@ def test_the_list_fits_a_terminal(run):
 
 
 def test_show_writes_a_film_strip_where_results_lie(run):
-    arguments = ("scenarios", "show", "CPNA-25", "--approach", "east", "--speed", "40", "--quiet")
+    arguments = (
+        "scenarios",
+        "show",
+        "CPNA-25",
+        "--approach",
+        "east",
+        "--speed",
+        "40",
+        "--quiet",
+    )
     path = Path("results/scenarios/CPNA-25_east_40.png")
     assert run(*arguments) == (0, f"Written to {path}.\n", "")
     assert path.read_bytes().startswith(b"\x89PNG")
@@ -60,23 +84,51 @@ def test_show_writes_a_film_strip_where_results_lie(run):
 
 @pytest.mark.parametrize(("case", "speed"), [("CCFtap", "10x30"), ("CMRs-50", "50")])
 def test_both_speeds_of_a_run_make_a_file_name(run, case, speed):
-    arguments = ("scenarios", "show", case, "--approach", "east", "--speed", speed, "--quiet")
+    arguments = (
+        "scenarios",
+        "show",
+        case,
+        "--approach",
+        "east",
+        "--speed",
+        speed,
+        "--quiet",
+    )
     path = Path(f"results/scenarios/{case}_east_{speed}.png")
     assert run(*arguments) == (0, f"Written to {path}.\n", "")
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_run_away_from_the_junction_is_shown(run):
-    arguments = ("scenarios", "show", "CPNA-25", "--approach", "north", "--speed", "40", "--quiet")
+    arguments = (
+        "scenarios",
+        "show",
+        "CPNA-25",
+        "--approach",
+        "north",
+        "--speed",
+        "40",
+        "--quiet",
+    )
     code, out, _ = run(*arguments, "--position", "-15", "--out", "away.png")
     assert (code, out) == (0, "Written to away.png.\n")
     line = refusal(run(*arguments, "--position", "north"))
-    assert line.startswith("--position: got 'north'; expected 0, or metres before it such as -15")
+    assert line.startswith(
+        "--position: got 'north'; expected 0, or metres before it such as -15"
+    )
 
 
 def test_a_run_is_exported_as_openscenario(run):
     pytest.importorskip("scenariogeneration")
-    arguments = ("scenarios", "export", "CPTAns-50", "--approach", "east", "--speed", "10")
+    arguments = (
+        "scenarios",
+        "export",
+        "CPTAns-50",
+        "--approach",
+        "east",
+        "--speed",
+        "10",
+    )
     code, text, err = run(*arguments)
     assert (code, err) == (0, "")
     assert '<LogicFile filepath="Town05.xodr"' in text
@@ -92,14 +144,18 @@ def test_a_scene_without_a_road_network_has_it_written_beside_the_run(run):
     line = refusal(run("scenarios", "export", *run_id))
     assert "road_network" in line
     assert run("scenarios", "export", *run_id, "--out", "turn.xosc") == (0, "", "")
-    assert '<LogicFile filepath="turn.xodr"' in Path("turn.xosc").read_text(encoding="utf-8")
+    assert '<LogicFile filepath="turn.xodr"' in Path("turn.xosc").read_text(
+        encoding="utf-8"
+    )
     assert "<OpenDRIVE>" in Path("turn.xodr").read_text(encoding="utf-8")
 
 
 def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
     load_xosc.cache_clear()
-    line = refusal(run("scenarios", "export", "CPNA-25", "--approach", "east", "--speed", "40"))
+    line = refusal(
+        run("scenarios", "export", "CPNA-25", "--approach", "east", "--speed", "40")
+    )
     assert "place-rsus[openscenario]" in line
 
 
@@ -111,26 +167,76 @@ def test_an_export_without_the_library_names_the_extra(run, monkeypatch):
             "--cases: got 'CPXX'; expected one of default, study, protocol-4.5.1",
         ),
         (["--cases", ""], "--cases: got nothing; expected a value, or no --cases"),
-        (["--speeds", "fast"], "--speeds: got 'fast'; expected km/h with commas between"),
-        (["--cases", "CBLA", "--speeds", "70"], "--speeds: got 70; expected 25 to 60 km/h"),
-        (["--approaches", "up"], "--approaches: got 'up'; expected one or more of east, north,"),
-        (["--along-arms", "nan"], "--along-arms: got 'nan'; expected metres along the arm, 0 to 5"),
-        (["--along-arms=-15"], "--along-arms: got '-15'; expected metres along the arm, 0 to 500"),
-        (["--weather", "snow"], "--weather: got 'snow'; expected one or more of day, night, rain"),
-        (["--deceleration", "0"], "--deceleration: got '0'; expected m/s^2, more than 0"),
-        (["--deceleration", "nan"], "--deceleration: got 'nan'; expected m/s^2, more than 0"),
-        (["--brake-build-up", "-1"], "--brake-build-up: got '-1'; expected seconds, at least 0"),
+        (
+            ["--speeds", "fast"],
+            "--speeds: got 'fast'; expected km/h with commas between",
+        ),
+        (
+            ["--cases", "CBLA", "--speeds", "70"],
+            "--speeds: got 70; expected 25 to 60 km/h",
+        ),
+        (
+            ["--approaches", "up"],
+            "--approaches: got 'up'; expected one or more of east, north,",
+        ),
+        (
+            ["--along-arms", "nan"],
+            "--along-arms: got 'nan'; expected metres along the arm, 0 to 5",
+        ),
+        (
+            ["--along-arms=-15"],
+            "--along-arms: got '-15'; expected metres along the arm, 0 to 500",
+        ),
+        (
+            ["--weather", "snow"],
+            "--weather: got 'snow'; expected one or more of day, night, rain",
+        ),
+        (
+            ["--deceleration", "0"],
+            "--deceleration: got '0'; expected m/s^2, more than 0",
+        ),
+        (
+            ["--deceleration", "nan"],
+            "--deceleration: got 'nan'; expected m/s^2, more than 0",
+        ),
+        (
+            ["--brake-build-up", "-1"],
+            "--brake-build-up: got '-1'; expected seconds, at least 0",
+        ),
         (["--latency", "inf"], "--latency: got 'inf'; expected seconds, at least 0"),
-        (["--track-memory", "-1"], "--track-memory: got '-1'; expected seconds, more than 0, or i"),
-        (["--track-memory", "nan"], "--track-memory: got 'nan'; expected seconds, more than 0, or"),
-        (["--track-memory", "-inf"], "--track-memory: got '-inf'; expected seconds, more than 0,"),
-        (["--track-memory", "long"], "--track-memory: got 'long'; expected seconds, more than 0,"),
-        (["--track-memory", "0.09"], "--track-memory: got 0.09; expected seconds, at least 0.1 ("),
-        (["--confirmations", "0"], "--confirmations: got '0'; expected a number of frames, at le"),
+        (
+            ["--track-memory", "-1"],
+            "--track-memory: got '-1'; expected seconds, more than 0, or i",
+        ),
+        (
+            ["--track-memory", "nan"],
+            "--track-memory: got 'nan'; expected seconds, more than 0, or",
+        ),
+        (
+            ["--track-memory", "-inf"],
+            "--track-memory: got '-inf'; expected seconds, more than 0,",
+        ),
+        (
+            ["--track-memory", "long"],
+            "--track-memory: got 'long'; expected seconds, more than 0,",
+        ),
+        (
+            ["--track-memory", "0.09"],
+            "--track-memory: got 0.09; expected seconds, at least 0.1 (",
+        ),
+        (
+            ["--confirmations", "0"],
+            "--confirmations: got '0'; expected a number of frames, at le",
+        ),
     ],
 )
 @pytest.mark.parametrize(
-    "command", [["--budget", "1"], ["evaluate", "--layout", "carlancap-12"], ["scenarios", "list"]]
+    "command",
+    [
+        ["--budget", "1"],
+        ["evaluate", "--layout", "carlancap-12"],
+        ["scenarios", "list"],
+    ],
 )
 def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
     assert refusal(run(*command, *arguments, "--quiet")).startswith(message)
@@ -140,18 +246,28 @@ def test_options_that_cannot_be_are_one_line(run, command, arguments, message):
 @pytest.mark.parametrize("how", ["speed", "missing.csv"])
 def test_unknown_weights_are_one_line(run, how):
     line = refusal(run("--budget", "1", *FEW, "--weights", how, "--quiet"))
-    assert line == (
-        f"--weights: got '{how}'; expected run, case, fhwa-crash-types, euroncap-rating-2026, "
-        "unfallatlas:FILE, stats19:FILE, or a CSV file that exists"
+    assert (
+        line == f"--weights: got '{how}'; expected run, case, fhwa-crash-types,"
+        " euroncap-rating-2026, unfallatlas:FILE, stats19:FILE, or a CSV file that"
+        " exists"
     )
 
 
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("CBLA,east,-1", "exposure.csv: line 2: weight: got '-1'; expected a number, at least 0"),
-        ("CBLA,east,0", "exposure.csv: weight: got 0 in all rows; expected one weight more than 0"),
-        ("CPNA-25,east,1", "exposure.csv: line 2: got 'CPNA-25', 'east'; expected a case that is"),
+        (
+            "CBLA,east,-1",
+            "exposure.csv: line 2: weight: got '-1'; expected a number, at least 0",
+        ),
+        (
+            "CBLA,east,0",
+            "exposure.csv: weight: got 0 in all rows; expected one weight more than 0",
+        ),
+        (
+            "CPNA-25,east,1",
+            "exposure.csv: line 2: got 'CPNA-25', 'east'; expected a case that is",
+        ),
     ],
 )
 def test_weights_that_do_not_fit_are_one_line(run, rows, message):
@@ -163,14 +279,35 @@ def test_weights_that_do_not_fit_are_one_line(run, rows, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["CPNA"], "CPNA: got 2 runs (CPNA-25/east/40, CPNA-75/east/40); expected one run"),
-        (["CPTAns-50"], "--speeds: got 40; expected 10 to 10 km/h as the protocol drives"),
-        (["CPNA-25", "--out", "film.mov"], "--out: got 'film.mov'; expected a name that ends in"),
-        (["CPNA-25", "--out", "no/a.png"], "--out: got no/a.png: No such file or directory"),
+        (
+            ["CPNA"],
+            "CPNA: got 2 runs (CPNA-25/east/40, CPNA-75/east/40); expected one run",
+        ),
+        (
+            ["CPTAns-50"],
+            "--speeds: got 40; expected 10 to 10 km/h as the protocol drives",
+        ),
+        (
+            ["CPNA-25", "--out", "film.mov"],
+            "--out: got 'film.mov'; expected a name that ends in",
+        ),
+        (
+            ["CPNA-25", "--out", "no/a.png"],
+            "--out: got no/a.png: No such file or directory",
+        ),
     ],
 )
 def test_shows_that_cannot_be_are_one_line(run, arguments, message):
-    result = run("scenarios", "show", *arguments, "--approach", "east", "--speed", "40", "--quiet")
+    result = run(
+        "scenarios",
+        "show",
+        *arguments,
+        "--approach",
+        "east",
+        "--speed",
+        "40",
+        "--quiet",
+    )
     assert refusal(result).startswith(message)
 
 
@@ -202,7 +339,8 @@ ROWS = [
 
 
 def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
-    path, out = tmp_path / "walk.csv", tmp_path / "near.toml"
+    path = tmp_path / "walk.csv"
+    out = tmp_path / "near.toml"
     path.write_text("\n".join(["id,time,x,y,heading,class", *ROWS]))
     told = run("scenarios", "import", str(path), "--name", "a", "--out", str(out))
     assert told == (0, "1 encounter of 2 road users.\n", "") or "1 encounter" in told[2]
@@ -214,10 +352,16 @@ def test_recordings_become_cases_that_can_be_driven(run, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--ttc", "0.1"), "encounters: got none; expected a higher --ttc, or --within"),
+        (
+            ("--ttc", "0.1"),
+            "encounters: got none; expected a higher --ttc, or --within",
+        ),
         (("--ttc", "nan"), "--ttc: got nan; expected a number, more than 0"),
         (("--within", "-1"), "--within: got -1.0; expected a number, more than 0"),
-        (("--columns", "z=y"), "--columns: got 'z'; expected one of id, time, frame, x, y, headin"),
+        (
+            ("--columns", "z=y"),
+            "--columns: got 'z'; expected one of id, time, frame, x, y, headin",
+        ),
     ],
 )
 def test_imports_that_cannot_be_are_refused(run, tmp_path, options, message):

@@ -26,7 +26,9 @@ def _help_of(path, command, option="--help"):
     return CliRunner().invoke(cli, [*path, option], prog_name="place-rsus").output
 
 
-@pytest.mark.parametrize(("path", "command"), list(_commands()), ids=lambda value: str(value)[:30])
+@pytest.mark.parametrize(
+    ("path", "command"), list(_commands()), ids=lambda value: str(value)[:30]
+)
 def test_every_help_fits_80_columns_and_shows_examples(path, command):
     text = _help_of(path, command)
     assert max(map(len, text.splitlines())) <= 80
@@ -42,15 +44,32 @@ def _shown(text):
 def test_sections_hold_every_option_once():
     text = _help_of((), cli, "--help-all")
     for param in cli.params:
-        assert len(re.findall(rf"^  {max(param.opts, key=len)}(?![-\w])", text, flags=re.M)) == 1
-    assert text.index("Commands:") < text.index("What is asked:") < text.index("--budget N")
-    known = {getattr(param, "section", PROGRAM) for _, one in _commands() for param in one.params}
+        assert (
+            len(
+                re.findall(rf"^  {max(param.opts, key=len)}(?![-\w])", text, flags=re.M)
+            )
+            == 1
+        )
+    assert (
+        text.index("Commands:")
+        < text.index("What is asked:")
+        < text.index("--budget N")
+    )
+    known = {
+        getattr(param, "section", PROGRAM)
+        for _, one in _commands()
+        for param in one.params
+    }
     assert known == {"", *SECTIONS, PROGRAM}
     assert all(f"\n{title}:\n" in text for title in (*SECTIONS, PROGRAM))
 
 
-@pytest.mark.parametrize(("path", "command"), list(_commands()), ids=lambda value: str(value)[:30])
-def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(path, command):
+@pytest.mark.parametrize(
+    ("path", "command"), list(_commands()), ids=lambda value: str(value)[:30]
+)
+def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(
+    path, command
+):
     short = _shown(_help_of(path, command))
     assert len(short) <= 25
     if "--help-all" in short:
@@ -62,13 +81,19 @@ def test_the_short_help_shows_at_most_25_options_and_all_of_them_elsewhere(path,
 
 def _completed(*words):
     shell = ShellComplete(cli, {}, "place-rsus", "_PLACE_RSUS_COMPLETE")
-    return [(item.value, item.type) for item in shell.get_completions(list(words[:-1]), words[-1])]
+    return [
+        (item.value, item.type)
+        for item in shell.get_completions(list(words[:-1]), words[-1])
+    ]
 
 
 def test_a_shell_completes_commands_options_words_and_files():
     assert ("evaluate", "plain") in _completed("e")
     assert ("--budget-cost", "plain") in _completed("--bud")
-    assert _completed("export", "--format", "g") == [("geojson", "plain"), ("gpkg", "plain")]
+    assert _completed("export", "--format", "g") == [
+        ("geojson", "plain"),
+        ("gpkg", "plain"),
+    ]
     assert _completed("--fusion", "") == [("any", "plain"), ("single", "plain")]
     assert _completed("evaluate", "--layout", "carl") == [("carlancap-12", "plain")]
     assert _completed("evaluate", "--layout", "my/lay") == [("my/lay", "file")]
@@ -82,7 +107,9 @@ def test_completion_scripts_are_what_their_shell_reads(run, shell):
     assert "_PLACE_RSUS_COMPLETE" in script
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here to read it")
-    checked = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True)
+    checked = subprocess.run(
+        [shell, "-n"], input=script, capture_output=True, text=True
+    )
     assert (checked.returncode, checked.stderr) == (0, "")
 
 
@@ -114,7 +141,9 @@ def test_quiet_and_verbose_are_one_or_the_other(run):
     code, out, err = run("--budget", 1, "--verbose", "--quiet")
     assert (code, out) == (2, "")
     assert err == "place-rsus: --quiet, --verbose: got both; expected one of them\n"
-    assert not logging.getLogger("placement").isEnabledFor(logging.INFO)  # whatever comes next
+    assert not logging.getLogger("placement").isEnabledFor(
+        logging.INFO
+    )  # whatever comes next
 
 
 def test_a_number_is_not_split_from_its_unit():

@@ -22,7 +22,9 @@ def test_what_is_installed_is_told(run, tmp_path):
 def test_what_is_missing_is_told_with_what_it_costs(tmp_path, monkeypatch):
     real = doctor._version
     gone = ("requests", "cvxpy")
-    monkeypatch.setattr(doctor, "_version", lambda name: None if name in gone else real(name))
+    monkeypatch.setattr(
+        doctor, "_version", lambda name: None if name in gone else real(name)
+    )
     monkeypatch.setattr(
         "geometry.raycast.open3d_problem", lambda: "Open3D cannot load: libusb " * 4
     )

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.long  # in one process, quickly: tests/experiments/cli/test_cli.py
+pytestmark = (
+    pytest.mark.long
+)  # in one process, quickly: tests/experiments/cli/test_cli.py
 STAGES = ("detection table", "optimise", "evaluate", "write results")
 OUT = "found"
 COMMAND = [
@@ -73,7 +75,8 @@ def ends(tmp_path_factory):
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, json.dumps(STAGES), json.dumps(COMMAND)],
         cwd=folder / "work",
-        env=os.environ | {"PLACE_RSUS_CACHE": str(folder / "cache"), "PYTHONPATH": str(Path.cwd())},
+        env=os.environ
+        | {"PLACE_RSUS_CACHE": str(folder / "cache"), "PYTHONPATH": str(Path.cwd())},
         capture_output=True,
         text=True,
         check=False,
@@ -92,12 +95,18 @@ def test_ctrl_c_ends_the_program_in_every_stage_and_leaves_nothing(ends, stage):
     assert end["last"].startswith("place-rsus: interrupted in stage '")
     assert f": nothing was written to {OUT}" in end["last"]
     assert end["left"] == []
-    assert set(end["kept"]) <= {".npz", ".msgpack"}  # whole tables and runs: no temporary file
+    assert set(end["kept"]) <= {
+        ".npz",
+        ".msgpack",
+    }  # whole tables and runs: no temporary file
 
 
 def test_a_table_that_is_done_is_kept_for_the_next_call(ends):
     assert ends["detection table"]["kept"] == [".msgpack"]  # the runs
-    # The table, the runs, and the proven answers: the best layout, the front below, what is lost.
+    # The table, the runs, and the proven answers: the best layout, the front below,
+    # what is lost.
     assert ends["evaluate"]["kept"].count(".npz") == 1
     assert ".msgpack" in ends["evaluate"]["kept"]
-    assert ends["evaluate"]["last"].endswith("; the detection table is cached for the next call\n")
+    assert ends["evaluate"]["last"].endswith(
+        "; the detection table is cached for the next call\n"
+    )

@@ -81,7 +81,9 @@ def _mean_s(summary) -> float:
 # The whole command
 
 
-def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(run, run_latency, layout_file):
+def test_the_curve_at_the_studys_latency_is_what_evaluate_finds(
+    run, run_latency, layout_file
+):
     code, out, err = run_latency("--json")
     assert (code, err) == (0, "")
     summary = json.loads(out)
@@ -106,15 +108,23 @@ def test_table_figure_and_csv(run_latency):
     folder = Path("there/mine")
     folder.mkdir(parents=True)
     (folder / "notes.txt").write_text("kept")
-    code, out, err = run_latency("--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02")
+    code, out, err = run_latency(
+        "--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02"
+    )
     assert (code, err) == (0, "")
     assert out.startswith("mine on 6 runs:\n")
     assert max(map(len, out.splitlines())) <= 80
     assert re.search(r"^ +25 ms( +[<>]?[\d.]+ %){3}$", out, re.MULTILINE)
     assert re.search(r"^ +all together +42 ms +113.5 ms +185 ms$", out, re.MULTILINE)
-    assert "Kept at every latency, as their own: B 1500 ms, the VUT 20 ms." in " ".join(out.split())
+    assert "Kept at every latency, as their own: B 1500 ms, the VUT 20 ms." in " ".join(
+        out.split()
+    )
     assert out.endswith(f"Written to {folder}: latency.csv and latency.png.\n")
-    assert {path.name for path in folder.iterdir()} == {"notes.txt", "latency.csv", "latency.png"}
+    assert {path.name for path in folder.iterdir()} == {
+        "notes.txt",
+        "latency.csv",
+        "latency.png",
+    }
     with Image.open(folder / "latency.png") as picture:
         assert picture.width == 1088
     text = (folder / "latency.csv").read_text()
@@ -122,7 +132,9 @@ def test_table_figure_and_csv(run_latency):
     assert list(rows[0]) == ["latency_s", *PARTIES]
     assert len(rows) == 101
 
-    code, _, _ = run_latency("--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02")
+    code, _, _ = run_latency(
+        "--budget", "cpm-100ms", "--out", folder, "--vut-latency", "0.02"
+    )
     assert code == 0
     assert (folder / "latency.csv").read_text() == text
 
@@ -144,8 +156,10 @@ def test_one_number_is_a_budget_too(run_latency):
     [
         (
             ("--budget", "wifi"),
-            "--budget: got 'wifi'; expected study, cpm-100ms, cpm-50ms, or a .toml file with a "
-            "latency budget",
+            (
+                "--budget: got 'wifi'; expected study, cpm-100ms, cpm-50ms, or a .toml"
+                " file with a latency budget"
+            ),
         ),
         (
             ("--budget", "study", "--latency", "0.1"),
@@ -153,15 +167,24 @@ def test_one_number_is_a_budget_too(run_latency):
         ),
         (("--latency", "25"), "--latency: got 25.0; expected at most 10 seconds"),
         (("--max", "0"), "--max: got '0'; expected seconds, more than 0"),
-        (("--vut-latency", "-1"), "--vut-latency: got '-1'; expected seconds, at least 0"),
+        (
+            ("--vut-latency", "-1"),
+            "--vut-latency: got '-1'; expected seconds, at least 0",
+        ),
         (("--layout", "carlancap-12"), "--layout: got 2 layouts; expected it once"),
         (
             ("--out", "mine.txt"),
-            "--out: got mine.txt: Not a directory; expected a folder that can be written to",
+            (
+                "--out: got mine.txt: Not a directory; expected a folder that can be"
+                " written to"
+            ),
         ),
         (
             ("--out", "mine.txt/deep"),
-            "--out: got mine.txt/deep: Not a directory; expected a folder that can be written to",
+            (
+                "--out: got mine.txt/deep: Not a directory; expected a folder that can"
+                " be written to"
+            ),
         ),
     ],
 )
@@ -172,7 +195,9 @@ def test_what_cannot_be_is_one_line(run_refused, arguments, message):
 
 
 def test_a_budget_file_that_is_wrong_is_told_by_part_and_field(run_refused):
-    Path("mine.toml").write_text("[[mine.parts]]\nname = 'radio'\nfixed_s = -1\nsource = 'x'\n")
+    Path("mine.toml").write_text(
+        "[[mine.parts]]\nname = 'radio'\nfixed_s = -1\nsource = 'x'\n"
+    )
     assert run_refused("--budget", "mine.toml") == (
         2,
         "",
@@ -188,8 +213,13 @@ def test_help_has_an_example_and_is_narrow(run_refused):
 
 
 def test_nothing_heavy_is_imported_before_it_is_used():
-    code = f"import sys, experiments.cli.latency; print([m for m in {HEAVY} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = (
+        f"import sys, experiments.cli.latency; print([m for m in {HEAVY} if m in"
+        " sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "[]\n"
 
 
@@ -200,12 +230,19 @@ def test_nothing_heavy_is_imported_before_it_is_used():
     ("level", "longest_s"), [(0.4, math.inf), (0.5, 0.01), (0.9, 0.0), (1.0, -math.inf)]
 )
 def test_the_longest_latency_is_the_last_before_the_apr_falls(level, longest_s):
-    party = PartyLatency(at_best=0.9, at_mean=0.5, at_worst=0.4, apr=(0.9, 0.5, 0.5, 0.4, 0.6))
+    party = PartyLatency(
+        at_best=0.9, at_mean=0.5, at_worst=0.4, apr=(0.9, 0.5, 0.5, 0.4, 0.6)
+    )
     assert party.longest_s((0.0, 0.005, 0.01, 0.015, 0.02), level) == longest_s
 
 
 def test_curves_and_the_budgets_range_are_drawn():
-    apr = {"vut": (0.5, 0.25), "A": (0.75, 0.5), "rsu_all": (1.0, 0.5), "vut_and_rsus": (1.0, 0.5)}
+    apr = {
+        "vut": (0.5, 0.25),
+        "A": (0.75, 0.5),
+        "rsu_all": (1.0, 0.5),
+        "vut_and_rsus": (1.0, 0.5),
+    }
     parties = {
         name: PartyLatency(at_best=high, at_mean=high, at_worst=low, apr=(high, low))
         for name, (high, low) in apr.items()
@@ -213,18 +250,28 @@ def test_curves_and_the_budgets_range_are_drawn():
     axes = plot_latency((0.0, 0.5), parties, load_latency_budget("cpm-50ms"))
     lines = {line.get_gid(): line for line in axes.get_lines()}
     assert set(lines) == {*parties, "mean"}
-    assert np.array(lines["rsu_all"].get_data()).tolist() == [[0.0, 500.0], [100.0, 50.0]]
-    looks = [(lines[name].get_linestyle(), lines[name].get_linewidth()) for name in parties]
+    assert np.array(lines["rsu_all"].get_data()).tolist() == [
+        [0.0, 500.0],
+        [100.0, 50.0],
+    ]
+    looks = [
+        (lines[name].get_linestyle(), lines[name].get_linewidth()) for name in parties
+    ]
     assert len(set(looks)) == len(parties)  # not by colour alone
     (shade,) = axes.patches
-    assert (shade.get_x(), shade.get_width()) == (pytest.approx(42.0), pytest.approx(93.0))
+    assert (shade.get_x(), shade.get_width()) == (
+        pytest.approx(42.0),
+        pytest.approx(93.0),
+    )
 
 
 # Budgets in other commands
 
 
 def _short(latency_s):
-    return None if latency_s is None else f"{latency_s:.9g}"
+    if latency_s is None:
+        return None
+    return f"{latency_s:.9g}"
 
 
 @click.command()
@@ -257,8 +304,10 @@ def test_a_command_gets_the_latency_of_the_budget(arguments, expected):
         ),
         (
             "--latency-budget 25ms",
-            "latency_budget: got '25ms'; expected study, cpm-100ms, cpm-50ms, or a .toml file "
-            "with a latency budget",
+            (
+                "latency_budget: got '25ms'; expected study, cpm-100ms, cpm-50ms, or a"
+                " .toml file with a latency budget"
+            ),
         ),
     ],
 )

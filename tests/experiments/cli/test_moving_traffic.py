@@ -19,14 +19,18 @@ MIDDLE_M = np.array([-126.76, 1.89])  # of the study's junction
 @pytest.fixture
 def vans(monkeypatch):
     """In place of SUMO: two minutes of vans, one every 4 s, west at 10 m/s beside the middle."""
-    van, n_vans, step_s = load_actors()["parked-van"], 30, 0.1
+    van = load_actors()["parked-van"]
+    n_vans = 30
+    step_s = 0.1
     along_m = np.arange(95.0, -96.0, -10.0 * step_s)
     starts_s = 4.0 * np.arange(n_vans)
     driven = Trajectories(
         bodies=(van,) * n_vans,
         row_start=len(along_m) * np.arange(n_vans + 1),
         time_s=(starts_s[:, None] + step_s * np.arange(len(along_m))).ravel(),
-        position_m=np.tile(MIDDLE_M + np.column_stack([along_m, 0.0 * along_m + 6.5]), (n_vans, 1)),
+        position_m=np.tile(
+            MIDDLE_M + np.column_stack([along_m, 0.0 * along_m + 6.5]), (n_vans, 1)
+        ),
         yaw_deg=np.full(n_vans * len(along_m), 180.0),
         step_s=step_s,
         first_s=0.0,
@@ -46,14 +50,26 @@ def vans(monkeypatch):
     monkeypatch.setattr(sumo, "build_network", lambda scene, **options: None)
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: name if name == "libsumo" else real(name)
+        importlib.util,
+        "find_spec",
+        lambda name: name if name == "libsumo" else real(name),
     )
 
 
 @pytest.mark.usefixtures("vans")
 def test_traffic_drives_by_in_sampled_worlds(run, small_study, monkeypatch, request):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
-    asked = ("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet", "--workers", 1)
+    asked = (
+        "--budget",
+        1,
+        "--samples",
+        1,
+        "--traffic",
+        "sumo",
+        "--quiet",
+        "--workers",
+        1,
+    )
     code, out, _ = run(*asked, "--json", "--out", "with")
     assert code == 0
     summary = json.loads(out)
@@ -90,7 +106,9 @@ def test_what_cannot_be_asked_is_one_clear_line(run, small_study, options, messa
 def test_without_sumo_one_line_says_what_is_missing(run, small_study, monkeypatch):
     real = importlib.util.find_spec
     monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name: None if name == "libsumo" else real(name)
+        importlib.util,
+        "find_spec",
+        lambda name: None if name == "libsumo" else real(name),
     )
     code, out, err = run("--budget", 1, "--samples", 1, "--traffic", "sumo", "--quiet")
     assert (code, out) == (2, "")

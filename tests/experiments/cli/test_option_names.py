@@ -10,7 +10,10 @@ from experiments.main import cli
     [
         ("budget: got 0; expected 1", "--budget: got 0; expected 1"),
         ("yaw_step_deg: got 7; expected 5", "--yaw-step: got 7; expected 5"),
-        ("site x: got 1; expected `budget_cost`", "site x: got 1; expected --budget-cost"),
+        (
+            "site x: got 1; expected `budget_cost`",
+            "site x: got 1; expected --budget-cost",
+        ),
         ("nothing: got `unheard_of`", "nothing: got `unheard_of`"),
         ("a.toml: budget: got 0", "a.toml: budget: got 0"),
     ],

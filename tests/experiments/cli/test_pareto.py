@@ -41,8 +41,12 @@ def loosened_front():
     front = pareto_front(avoiding_problem(["1100", "0110", "0011"]), max_units=2)
     first, second = front.points
     stage = replace(second.certificate.stages[1], bound=0.75, gap=0.5)
-    certificate = replace(second.certificate, stages=(second.certificate.stages[0], stage))
-    return replace(front, points=(first, replace(second, certificate=certificate)), settled=None)
+    certificate = replace(
+        second.certificate, stages=(second.certificate.stages[0], stage)
+    )
+    return replace(
+        front, points=(first, replace(second, certificate=certificate)), settled=None
+    )
 
 
 # The whole command
@@ -55,7 +59,11 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
     code, out, err = run_pareto("--max", 3, "--all-stages", "--out", folder, "--json")
     assert (code, err) == (0, "")
     summary = json.loads(out)
-    assert (summary["by"], summary["optimised"], summary["is_proven"]) == ("units", "all", True)
+    assert (summary["by"], summary["optimised"], summary["is_proven"]) == (
+        "units",
+        "all",
+        True,
+    )
     points = summary["points"]
     assert [point["units"] for point in points] == [1, 2, 3]
     values = [(point["apr"], point["apr_one_failed"]) for point in points]
@@ -74,7 +82,9 @@ def test_every_number_of_units_has_a_proven_layout(run_pareto):
     }
     assert json.loads((folder / "pareto.json").read_text()) == summary
     rows = list(csv.DictReader(io.StringIO((folder / "pareto.csv").read_text())))
-    assert [float(row["apr_bound"]) for row in rows] == [point["apr"] for point in points]
+    assert [float(row["apr_bound"]) for row in rows] == [
+        point["apr"] for point in points
+    ]
     with Image.open(folder / "pareto.png") as picture:
         assert picture.width == 1088
 
@@ -101,13 +111,19 @@ def test_money_and_kept_units_and_the_text(run_pareto):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--max", "0"), "--max: got '0'; expected a whole number of units, at least 1"),
+        (
+            ("--max", "0"),
+            "--max: got '0'; expected a whole number of units, at least 1",
+        ),
         (("--by", "luck"), "--by: got 'luck'; expected one of units, cost"),
         (("--budget", "3"), "No such option '--budget'"),
         (("--target", "max"), "No such option '--target'"),
         (
             ("--out", "mine.txt"),
-            "--out: got mine.txt: Not a directory; expected a folder that can be written to",
+            (
+                "--out: got mine.txt: Not a directory; expected a folder that can be"
+                " written to"
+            ),
         ),
     ],
 )
@@ -123,7 +139,9 @@ def test_what_cannot_be_is_one_line(run_pareto, arguments, message):
 def test_a_wish_that_cannot_be_met_is_told(run_pareto):
     code, out, err = run_pareto("--budget-cost", 100, "--max", 2)
     assert (code, out) == (2, "")
-    assert err.startswith("place-rsus: --budget-cost: got 100.0; expected at least 1500.00 EUR")
+    assert err.startswith(
+        "place-rsus: --budget-cost: got 100.0; expected at least 1500.00 EUR"
+    )
 
 
 def test_help_has_an_example_and_is_narrow(run_pareto):
@@ -138,7 +156,9 @@ def test_help_has_an_example_and_is_narrow(run_pareto):
 def test_nothing_heavy_is_imported_before_it_is_used():
     modules = "experiments.cli.pareto"
     code = f"import sys, {modules}; print([m for m in {HEAVY} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "[]\n"
 
 
@@ -166,7 +186,9 @@ def unit_poses(camera):
     from placement.candidates import CandidatePose
 
     pose = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0, pitch_deg=-20.0)
-    return lambda name: CandidatePose(id=f"p{name}", site_id="", pose=pose, sensor=camera)
+    return lambda name: CandidatePose(
+        id=f"p{name}", site_id="", pose=pose, sensor=camera
+    )
 
 
 @pytest.fixture
@@ -174,7 +196,9 @@ def drawn(unit_poses):
     """Draws a front of a problem."""
 
     def draw(front, problem):
-        return plot_front(describe_front(front, problem, candidates_of(problem, unit_poses)))
+        return plot_front(
+            describe_front(front, problem, candidates_of(problem, unit_poses))
+        )
 
     return draw
 
@@ -182,7 +206,9 @@ def drawn(unit_poses):
 def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_study):
     problem = avoiding_problem(["1100", "0110", "0011"])
     summary = FrontResult(
-        **fields_of(describe_front(loosened_front, problem, candidates_of(problem, unit_poses))),
+        **fields_of(
+            describe_front(loosened_front, problem, candidates_of(problem, unit_poses))
+        ),
         command="place-rsus pareto",
         **fields_of(build_drives_record(small_study)),
         seconds={},
@@ -201,7 +227,9 @@ def test_the_text_says_what_is_not_proven(loosened_front, unit_poses, small_stud
     assert table["poses"].tolist() == ["p0", "p0 p2"]
 
 
-def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(loosened_front, drawn):
+def test_open_bounds_are_drawn_apart_and_kinds_differ_by_more_than_colour(
+    loosened_front, drawn
+):
     axes = drawn(loosened_front, avoiding_problem(["1100", "0110", "0011"]))
     lines = {line.get_gid(): line for line in axes.get_lines() if line.get_gid()}
     assert lines["apr"].get_ydata().tolist() == [50.0, 100.0]
@@ -242,7 +270,11 @@ def test_costs_are_drawn_as_steps_to_the_right_edge(drawn):
 
 
 def test_a_bound_is_only_ever_tightened():
-    stage = pareto_front(avoiding_problem(["1100"]), max_units=1).points[0].certificate.stages[0]
+    stage = (
+        pareto_front(avoiding_problem(["1100"]), max_units=1)
+        .points[0]
+        .certificate.stages[0]
+    )
     loose = replace(stage, bound=0.9, gap=0.8)
     assert tightened(loose, 0.7).bound == 0.7
     assert tightened(loose, 0.95).bound == 0.9

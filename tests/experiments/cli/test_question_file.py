@@ -37,14 +37,26 @@ def path(tmp_path):
 
 def test_a_file_gives_what_the_command_line_does_not(path):
     path.write_text("budget = 3\ncases = 'CBNA'\nrefine = true\nsite_cost = 10\n")
-    plain = Question(budget=3, cases="CBNA", refine=True, site_cost_eur=10.0, time_limit_s=60.0)
+    plain = Question(
+        budget=3, cases="CBNA", refine=True, site_cost_eur=10.0, time_limit_s=60.0
+    )
     assert asked(_plan, "--question", str(path)) == repr(plain)
     given = asked(
-        *(_plan, "--cases", "CBLA", "--question", str(path)),
-        *("--no-refine", "--budget", "2", "--time-limit", "1"),
+        _plan,
+        "--cases",
+        "CBLA",
+        "--question",
+        str(path),
+        "--no-refine",
+        "--budget",
+        "2",
+        "--time-limit",
+        "1",
     )
     assert given == repr(
-        Question(budget=2, cases="CBLA", refine=False, site_cost_eur=10.0, time_limit_s=1.0)
+        Question(
+            budget=2, cases="CBLA", refine=False, site_cost_eur=10.0, time_limit_s=1.0
+        )
     )
 
 
@@ -54,18 +66,37 @@ def test_what_a_command_has_no_option_for_is_not_used(path):
 
 
 def test_the_question_in_use_is_saved_and_asks_the_same_again(path):
-    arguments = ("--budget", "2", "--latency", "0.05", "--weather", "night,fog", "--refine")
+    arguments = (
+        "--budget",
+        "2",
+        "--latency",
+        "0.05",
+        "--weather",
+        "night,fog",
+        "--refine",
+    )
     said = asked(_plan, *arguments, "--save-question", str(path))
     assert repr(load_question(path)) == said
     assert asked(_plan, "--question", str(path)) == said
 
 
 def test_a_result_is_the_same_from_a_question_file(run, small_study, without_figures):
-    arguments = ("--budget", 1, "--fusion", "single", "--json", "--quiet", "--out", "out")
+    arguments = (
+        "--budget",
+        1,
+        "--fusion",
+        "single",
+        "--json",
+        "--quiet",
+        "--out",
+        "out",
+    )
     code, first, err = run(*arguments, "--save-question", "question.toml")
     assert (code, err) == (0, "")
     assert load_question(Path("question.toml")) == Question(budget=1, fusion="single")
-    code, again, err = run("--question", "question.toml", "--json", "--quiet", "--out", "out")
+    code, again, err = run(
+        "--question", "question.toml", "--json", "--quiet", "--out", "out"
+    )
     assert (code, err) == (0, "")
     assert json.loads(first)["layout"] == json.loads(again)["layout"]
 
@@ -73,12 +104,25 @@ def test_a_result_is_the_same_from_a_question_file(run, small_study, without_fig
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("budget = 0", "question.toml: budget: got 0; expected a whole number of units, at least"),
-        ("budgte = 1", "question.toml: got 'budgte'; expected one of budget, budget_cost, target"),
+        (
+            "budget = 0",
+            "question.toml: budget: got 0; expected a whole number of units, at least",
+        ),
+        (
+            "budgte = 1",
+            "question.toml: got 'budgte'; expected one of budget, budget_cost, target",
+        ),
     ],
 )
 @pytest.mark.parametrize(
-    "command", [[], ["pareto"], ["retrofit", "--layout", "a"], ["evaluate"], ["scenarios", "list"]]
+    "command",
+    [
+        [],
+        ["pareto"],
+        ["retrofit", "--layout", "a"],
+        ["evaluate"],
+        ["scenarios", "list"],
+    ],
 )
 def test_a_wrong_file_is_one_line_before_anything_is_done(run, command, text, message):
     Path("question.toml").write_text(text)
@@ -109,7 +153,8 @@ def test_an_option_that_is_gone_is_none(run, option):
 def test_a_network_that_only_the_file_names_is_refused(path, command):
     path.write_text('detector = "mail/net.onnx"\n')
     said = (
-        r"--question: detector: got 'mail/net.onnx'; expected no network, which is a program, or "
+        r"--question: detector: got 'mail/net.onnx'; expected no network, which is a"
+        r" program, or "
         r"--detector mail/net.onnx as well if you trust it"
     )
     with pytest.raises(InputError, match=said):

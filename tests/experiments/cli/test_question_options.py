@@ -46,7 +46,9 @@ def test_help_names_options_in_place_of_fields(name):
     known = question_fields()
     text = help_of(known[name])
     assert not {*re.findall("`([a-z_0-9]+)`", text)} & set(known)
-    assert set(re.findall(r"--[a-z][a-z-]*", text)) <= set(map(option_of, known.values()))
+    assert set(re.findall(r"--[a-z][a-z-]*", text)) <= set(
+        map(option_of, known.values())
+    )
 
 
 def test_an_option_is_called_by_the_key_of_the_question_file():

@@ -8,7 +8,8 @@ from placement.recordings import WrittenDrive, write_recording
 
 BOX = np.array([100.0, 200.0, 140.0, 300.0])
 BESIDE = (
-    "got it beside --recording; expected one of them: a recording has units and drives of its own"
+    "got it beside --recording; expected one of them: a recording has units and drives"
+    " of its own"
 )
 KEYS = {
     "layout",
@@ -32,7 +33,11 @@ KEYS = {
 def recording(tmp_path):
     """Unit 0 detects in the first half of a drive of 20 frames, unit 1 nowhere, the car always."""
     n_frames = 20
-    share = {"0": np.arange(n_frames) < 10, "1": np.zeros(n_frames), "car": np.ones(n_frames)}
+    share = {
+        "0": np.arange(n_frames) < 10,
+        "1": np.zeros(n_frames),
+        "car": np.ones(n_frames),
+    }
     drive = WrittenDrive(
         scenario=3,
         vru_class="bicycle",
@@ -53,7 +58,9 @@ def test_a_recording_is_evaluated(run, recording):
     summary = json.loads(out, parse_constant=pytest.fail)
     assert set(summary) >= KEYS
     evaluation = summary["evaluation"]
-    assert [evaluation[key]["all"] for key in ("vut", "rsu_all", "vut_and_rsus")] == [1.0] * 3
+    assert [evaluation[key]["all"] for key in ("vut", "rsu_all", "vut_and_rsus")] == [
+        1.0
+    ] * 3
     assert [evaluation["units"][unit]["all"] for unit in ("RSU0", "RSU1")] == [1.0, 0.0]
     assert evaluation["units"]["RSU0"]["by_case"] == {"scenario-3-bicycle": 1.0}
     assert summary["detected_share"]["units"] == {"RSU0": 0.5, "RSU1": 0.0}
@@ -64,7 +71,13 @@ def test_the_best_recorded_unit_is_chosen(run, recording):
     code, out, err = run("--budget", 1, "--recording", recording, "--json", "--quiet")
     assert (code, err) == (0, "")
     summary = json.loads(out, parse_constant=pytest.fail)
-    assert set(summary) >= KEYS | {"stages", "solver", "baseline_name", "greedy", "candidates"}
+    assert set(summary) >= KEYS | {
+        "stages",
+        "solver",
+        "baseline_name",
+        "greedy",
+        "candidates",
+    }
     assert summary["layout"] == [{"id": "RSU0", "folder": "0"}]
     assert (summary["apr"], summary["bound"], summary["gap"]) == (1.0, 1.0, 0.0)
     assert summary["baseline"]["rsu_all"]["all"] == 1.0
@@ -76,15 +89,21 @@ def test_tables_are_printed(run, recording):
     assert code == 0
     assert "RSU0" in out
     assert "Skipped: 30 frames between drives (bodies back at their starts)." in out
-    code, out, _ = run("--budget", 1, "--recording", recording, "--quiet", "--fusion", "single")
+    code, out, _ = run(
+        "--budget", 1, "--recording", recording, "--quiet", "--fusion", "single"
+    )
     assert code == 0
-    assert out.startswith("Best 1 of 2 recorded units on 1 drives (fusion single): RSU0\n")
+    assert out.startswith(
+        "Best 1 of 2 recorded units on 1 drives (fusion single): RSU0\n"
+    )
 
 
 def test_a_summary_is_written_where_asked_for(run, recording):
     proof = {"certificate.json", "instance.npz"}
     for command, more in ((["evaluate"], set()), (["--budget", 1], proof)):
-        code, out, _ = run(*command, "--recording", recording, "--out", "mine", "--json", "--quiet")
+        code, out, _ = run(
+            *command, "--recording", recording, "--out", "mine", "--json", "--quiet"
+        )
         assert code == 0
         assert {path.name for path in Path("mine").iterdir()} == {
             "summary.json",
@@ -101,11 +120,16 @@ def test_braking_and_confidence_are_heard(run, recording):
         (["--latency", 1.5], 0.0),
         (["--confirmations", 11], 0.0),
         (["--track-memory", "inf"], 1.0),
-        (["--track-memory", 0.4], 1.0),  # last seen at -1 s, 0.33 s before the last moment
+        (
+            ["--track-memory", 0.4],
+            1.0,
+        ),  # last seen at -1 s, 0.33 s before the last moment
         (["--track-memory", 0.3], 0.0),
         (["--min-confidence", 1], 1.0),
     ):
-        code, out, _ = run(*("evaluate", "--recording", recording, "--json", "--quiet"), *arguments)
+        code, out, _ = run(
+            "evaluate", "--recording", recording, "--json", "--quiet", *arguments
+        )
         assert code == 0
         assert json.loads(out)["apr"] == apr
 
@@ -124,8 +148,10 @@ def test_braking_and_confidence_are_heard(run, recording):
         ("--budget 3", "--budget: got 3; expected at most 2, the units recorded"),
         (
             "",
-            "--budget: got nothing; expected a whole number of units, at least 1 (or --target, or "
-            "--budget-cost)",
+            (
+                "--budget: got nothing; expected a whole number of units, at least 1"
+                " (or --target, or --budget-cost)"
+            ),
         ),
         (
             "evaluate --recording a --min-confidence -1",
@@ -137,7 +163,9 @@ def test_braking_and_confidence_are_heard(run, recording):
         ),
     ],
 )
-def test_what_makes_no_sense_beside_a_recording_is_one_line(run, recording, arguments, message):
+def test_what_makes_no_sense_beside_a_recording_is_one_line(
+    run, recording, arguments, message
+):
     code, out, err = run(*arguments.split(), "--recording", recording, "--quiet")
     assert (code, out, err) == (2, "", f"place-rsus: {message}\n")
 
@@ -157,7 +185,10 @@ def test_a_bad_recording_is_one_line(run, recording):
         assert run(*command, "--recording", recording, "--quiet") == (
             2,
             "",
-            f"place-rsus: {recording}/0/3_4.txt:1: max_x: got 'nan'; expected a finite number\n",
+            (
+                f"place-rsus: {recording}/0/3_4.txt:1: max_x: got 'nan'; expected a"
+                " finite number\n"
+            ),
         )
     assert run("evaluate", "--recording", "nowhere", "--quiet") == (
         2,

@@ -40,7 +40,9 @@ def layout_file(tmp_path):
 def run_retrofit(run, small_study, layout_file):
     """Runs the command on a few runs."""
     main.cli.add_command(retrofit)
-    return lambda *arguments: run("retrofit", "--quiet", "--layout", layout_file, *arguments)
+    return lambda *arguments: run(
+        "retrofit", "--quiet", "--layout", layout_file, *arguments
+    )
 
 
 # The whole command
@@ -55,8 +57,12 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     summary = json.loads(out)
     labour = load_labour()
     before = summary["before"]
-    assert [change["actions"][0]["action"] for change in summary["removals"]] == ["remove"] * 2
-    assert {change["price_eur"] for change in summary["removals"]} == {labour.remove_eur}
+    assert [change["actions"][0]["action"] for change in summary["removals"]] == [
+        "remove"
+    ] * 2
+    assert {change["price_eur"] for change in summary["removals"]} == {
+        labour.remove_eur
+    }
     assert {change["price_eur"] for change in summary["re_aims"]} == {labour.re_aim_eur}
     for change in summary["removals"]:
         assert change["apr"] <= before["apr"]
@@ -67,7 +73,8 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
         moved = {record["id"]: record for record in change["layout"]}[action["unit"]]
         assert (moved["x_m"], moved["y_m"], moved["z_m"]) == (-115.0, 8.6, 8.0)
         assert change["compared"] == 2 * 4
-    addition, combination = summary["addition"], summary["combination"]
+    addition = summary["addition"]
+    combination = summary["combination"]
     assert addition["price_eur"] == 1500.0
     assert [record["id"] for record in addition["layout"]] == ["A", "B", "N1"]
     layout_from_records("any", addition["layout"], "retrofit.json")
@@ -75,7 +82,9 @@ def test_every_kind_of_change_is_found_priced_and_proven(run_retrofit):
     assert combination["is_better"]
     every = [*summary["removals"], *summary["re_aims"], addition, combination]
     assert all(change["is_proven"] for change in every)
-    best_alone = max((c["apr"], c["apr_one_failed"]) for c in [*summary["re_aims"], addition])
+    best_alone = max(
+        (c["apr"], c["apr_one_failed"]) for c in [*summary["re_aims"], addition]
+    )
     assert (combination["apr"], combination["apr_one_failed"]) >= best_alone
 
     assert {path.name for path in folder.iterdir()} == {"retrofit.csv", "retrofit.json"}
@@ -112,7 +121,10 @@ def test_the_text_is_narrow_and_has_the_users_price(run_retrofit):
         (("--keep", "carlancap-12"), "No such option '--keep'"),
         (
             ("--out", "mine.txt"),
-            "--out: got mine.txt: Not a directory; expected a folder that can be written to",
+            (
+                "--out: got mine.txt: Not a directory; expected a folder that can be"
+                " written to"
+            ),
         ),
     ],
 )
@@ -126,7 +138,11 @@ def test_what_cannot_be_is_one_line(run_retrofit, arguments, message):
 
 def test_no_layout_is_told(run):
     main.cli.add_command(retrofit)
-    assert run("retrofit") == (2, "", "place-rsus: --layout: got nothing; expected it once\n")
+    assert run("retrofit") == (
+        2,
+        "",
+        "place-rsus: --layout: got nothing; expected it once\n",
+    )
 
 
 def test_help_has_an_example_and_is_narrow(run):
@@ -140,10 +156,13 @@ def test_help_has_an_example_and_is_narrow(run):
 # Words
 
 
-def change(words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=True, apr=0.9):
+def change(
+    words, *, better=True, gained=(), lost=(), price_eur=500.0, proven=True, apr=0.9
+):
     return {
         "actions": [
-            {"action": word.split()[0], "unit": word.split()[1], "words": word} for word in words
+            {"action": word.split()[0], "unit": word.split()[1], "words": word}
+            for word in words
         ],
         "price_eur": price_eur,
         "apr": apr,
@@ -177,12 +196,17 @@ def summary_of(**changes):
             "cost_eur": 0.0,
         },
         "budget_eur": 3000.0,
-        "labour": to_plain(load_labour()) | {"people": 0.0, "lift_eur": 500.0, "source": "a test"},
+        "labour": to_plain(load_labour())
+        | {"people": 0.0, "lift_eur": 500.0, "source": "a test"},
         "removals": [change(["remove B"], better=False, lost=["r1"])] * 2,
-        "re_aims": [change(["re-aim A to yaw 0, pitch -15"], gained=["r1", "r2"], lost=["r3"])],
+        "re_aims": [
+            change(["re-aim A to yaw 0, pitch -15"], gained=["r1", "r2"], lost=["r3"])
+        ],
         "addition": change(["add N1 at mast-e"], price_eur=1500.0, gained=["r4"]),
         "combination": change(
-            ["re-aim A to yaw 0, pitch -15", "add N1 at mast-e"], price_eur=2000.0, proven=False
+            ["re-aim A to yaw 0, pitch -15", "add N1 at mast-e"],
+            price_eur=2000.0,
+            proven=False,
         ),
         "command": "place-rsus retrofit",
         "cases": [],
@@ -219,9 +243,13 @@ def test_sentences_tell_where_nothing_is_better():
 
 def test_the_table_has_a_row_for_every_change():
     text = retrofit_text(msgspec.convert(summary_of(), RetrofitResult), Path("there"))
-    assert re.search(r"^    remove B +500 +90\.0 % +80\.0 % +0 +1 +proven$", text, re.MULTILINE)
     assert re.search(
-        r"^    add N1 at mast-e +1,500 +90\.0 % +80\.0 % +1 +0 +proven$", text, re.MULTILINE
+        r"^    remove B +500 +90\.0 % +80\.0 % +0 +1 +proven$", text, re.MULTILINE
+    )
+    assert re.search(
+        r"^    add N1 at mast-e +1,500 +90\.0 % +80\.0 % +1 +0 +proven$",
+        text,
+        re.MULTILINE,
     )
     assert text.endswith("Written to there: retrofit.csv and retrofit.json.")
     assert max(map(len, text.splitlines())) <= 80

@@ -10,7 +10,11 @@ from placement.pipeline import Assembly, place
 from placement.question import Question
 from placement.wishes import Wishes
 
-COSTS_EUR = {"carla-ncap-rgb": 1500.0, "basler-aca1920-50gc-16mm": 1900.0, "carla-ncap-lidar": 4000}
+COSTS_EUR = {
+    "carla-ncap-rgb": 1500.0,
+    "basler-aca1920-50gc-16mm": 1900.0,
+    "carla-ncap-lidar": 4000,
+}
 BUDGET_EUR = 5600.0
 
 
@@ -18,25 +22,39 @@ def model_of(unit):
     return unit.get("camera") or unit["lidar"]
 
 
-def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(run, small_study, without_figures):
+def test_cameras_a_longer_lens_and_a_lidar_compete_for_the_money(
+    run, small_study, without_figures
+):
     """No single model spends the same money better."""
     code, out, err = run(
-        *("--sensors", ",".join(COSTS_EUR), "--budget-cost", BUDGET_EUR, "--site-cost", 0),
-        *("--json", "--quiet"),
+        "--sensors",
+        ",".join(COSTS_EUR),
+        "--budget-cost",
+        BUDGET_EUR,
+        "--site-cost",
+        0,
+        "--json",
+        "--quiet",
     )
     assert code == 0, err
     found = json.loads(out)
     assert found["gap"] == 0.0
-    assert found["spent_eur"] == sum(COSTS_EUR[model_of(unit)] for unit in found["layout"])
+    assert found["spent_eur"] == sum(
+        COSTS_EUR[model_of(unit)] for unit in found["layout"]
+    )
     assert found["spent_eur"] <= BUDGET_EUR
     study = load_carlancap_layout().units  # always among the candidates
     n_candidates = len(study)
     for model in COSTS_EUR:
-        candidates = build_candidates(small_study.scene, build_grid(Question(sensors=model)))
+        candidates = build_candidates(
+            small_study.scene, build_grid(Question(sensors=model))
+        )
         n_candidates += len(candidates)
         alone = place(
             Assembly(
-                setting=small_study, candidates=candidates, wishes=Wishes(budget_eur=BUDGET_EUR)
+                setting=small_study,
+                candidates=candidates,
+                wishes=Wishes(budget_eur=BUDGET_EUR),
             )
         )
         assert alone.certificate.stages[0].objective <= found["apr"] + 1e-9

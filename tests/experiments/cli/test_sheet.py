@@ -20,7 +20,12 @@ def run_sheet(run, small_setting, monkeypatch):
 
 def test_a_page_for_each_unit(run_sheet, tmp_path):
     unit = {"site": "", "z_m": 8.0, "yaw_deg": -135.0, "pitch_deg": -25.0}
-    camera = unit | {"id": "a$b_雪", "x_m": -115.0, "y_m": 8.6, "camera": "carla-ncap-rgb"}
+    camera = unit | {
+        "id": "a$b_雪",
+        "x_m": -115.0,
+        "y_m": 8.6,
+        "camera": "carla-ncap-rgb",
+    }
     lidar = unit | {"id": "L", "x_m": -113.5, "y_m": 8.6, "lidar": "carla-ncap-lidar"}
     layout = tmp_path / "layout.json"
     layout.write_text(json.dumps({"name": "mine", "layout": [camera, lidar]}))
@@ -32,13 +37,23 @@ def test_a_page_for_each_unit(run_sheet, tmp_path):
     pdf = out.read_bytes()
     assert pdf.startswith(b"%PDF")
     assert pdf.count(b"/Type /Page\n") == 2 or pdf.count(b"/Type /Page ") == 2
-    assert max(map(len, sheet_text(msgspec.convert(summary, SheetResult)).splitlines()[:-1])) <= 80
+    assert (
+        max(
+            map(
+                len, sheet_text(msgspec.convert(summary, SheetResult)).splitlines()[:-1]
+            )
+        )
+        <= 80
+    )
 
 
 def test_bad_input_is_one_line(run_sheet, tmp_path):
     for arguments, message in (
         (["--out", tmp_path / "a.pdf"], "--layout: got nothing; expected it once"),
-        (["--layout", "carlancap-12", "--out", tmp_path], "a folder; expected a PDF file"),
+        (
+            ["--layout", "carlancap-12", "--out", tmp_path],
+            "a folder; expected a PDF file",
+        ),
         (["--layout", "gone.json", "--out", tmp_path / "a.pdf"], "gone.json"),
         (["--layout", "carlancap-12"], "Missing option '--out'"),
     ):

@@ -26,7 +26,8 @@ SIZE = SyntheticSize(
 def instance(tmp_path, solver):
     """A file with a made-up placement of which four units cannot see everything.
 
-    Where money is limited, sets cannot be walked through, and also "auto" goes by OSQP's prices.
+    Where money is limited, sets cannot be walked through, and also "auto" goes by
+    OSQP's prices.
     """
     made = build_synthetic_instance(SIZE, seed=3)
     problem = PlacementProblem(
@@ -40,7 +41,10 @@ def instance(tmp_path, solver):
         ),
         fusion="any",
         rule=AebRule(
-            deceleration_mps2=7.72, latency_s=0.025, n_confirmations=3, frame_rate_hz=10.0
+            deceleration_mps2=7.72,
+            latency_s=0.025,
+            n_confirmations=3,
+            frame_rate_hz=10.0,
         ),
     )
     path = tmp_path / "instance.npz"

@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 LARGE = {
-    *("cvxpy", "geopandas", "highspy", "jinja2", "matplotlib", "numba", "numpy", "onnxruntime"),
+    *(
+        "cvxpy",
+        "geopandas",
+        "highspy",
+        "jinja2",
+        "matplotlib",
+        "numba",
+        "numpy",
+        "onnxruntime",
+    ),
     *("open3d", "osqp", "pandas", "pyarrow", "pyproj", "rich", "scipy", "shapely"),
     *("trimesh",),
 }
@@ -22,7 +31,12 @@ for command in sys.argv[1:]:
         assert not ended.code, ended.code
 print(*{name.split(".")[0] for name in sys.modules}, file=sys.stderr)
 """
-GEOMETRY = {"numpy", "scipy", "shapely", "trimesh"}  # a unit must not hang inside a thing
+GEOMETRY = {
+    "numpy",
+    "scipy",
+    "shapely",
+    "trimesh",
+}  # a unit must not hang inside a thing
 
 
 def _loaded_by(code: str, *arguments: str) -> set[str]:
@@ -72,7 +86,8 @@ def test_a_command_loads_what_it_needs_and_nothing_else(commands, may_load):
 )
 def test_a_job_is_ready_without_what_it_does_not_use(modules, may_load):
     code = (
-        f"import sys, {modules}; print(*{{n.split('.')[0] for n in sys.modules}}, file=sys.stderr)"
+        f"import sys, {modules}; print(*{{n.split('.')[0] for n in sys.modules}},"
+        " file=sys.stderr)"
     )
     assert _loaded_by(code) <= may_load
 

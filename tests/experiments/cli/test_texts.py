@@ -25,7 +25,10 @@ def ratios(n_cases, start=0.5):
     """APR of all runs, and of each case another."""
     return {
         "all": start,
-        "by_case": {f"CBTAfs-{100 + case}": (start + 0.01 * case) % 1.0 for case in range(n_cases)},
+        "by_case": {
+            f"CBTAfs-{100 + case}": (start + 0.01 * case) % 1.0
+            for case in range(n_cases)
+        },
     }
 
 
@@ -43,15 +46,21 @@ def unit(unit_id):
 
 
 def placement_table(summary, out, *, is_verbose=True):
-    return answer_text(placement_parts(build_result(**summary), out), is_verbose=is_verbose)
+    return answer_text(
+        placement_parts(build_result(**summary), out), is_verbose=is_verbose
+    )
 
 
 def evaluation_table(summary, out, *, is_verbose=True):
-    return answer_text(evaluation_parts(build_result(**summary), out), is_verbose=is_verbose)
+    return answer_text(
+        evaluation_parts(build_result(**summary), out), is_verbose=is_verbose
+    )
 
 
 def comparison_table(summary, out, *, is_verbose=True):
-    return answer_text(comparison_parts(build_result(**summary), out), is_verbose=is_verbose)
+    return answer_text(
+        comparison_parts(build_result(**summary), out), is_verbose=is_verbose
+    )
 
 
 def evaluation_summary(n_cases, ids, name="mine"):
@@ -62,7 +71,8 @@ def evaluation_summary(n_cases, ids, name="mine"):
         "cost_eur": 4000.0 * len(ids),
         "evaluation": {
             "units": {
-                unit_id: ratios(n_cases, 0.1 + 0.02 * index) for index, unit_id in enumerate(ids)
+                unit_id: ratios(n_cases, 0.1 + 0.02 * index)
+                for index, unit_id in enumerate(ids)
             },
             "rsu_all": ratios(n_cases, 0.9),
             "vut_and_rsus": ratios(n_cases, 1.0),
@@ -104,7 +114,13 @@ def placement_summary(n_cases, ids=("U1", "U2", "U3"), gap=0.0):
         "layout": [unit(unit_id) for unit_id in ids],
         "candidates": 5772,
         "stages": [
-            {"name": name, "objective": found, "bound": bound, "gap": gap_of, "seconds": 0.1}
+            {
+                "name": name,
+                "objective": found,
+                "bound": bound,
+                "gap": gap_of,
+                "seconds": 0.1,
+            }
             for name, found, bound, gap_of in (
                 ("apr", 0.97, 0.97, 0.0),
                 ("apr_one_failed", 0.9, 0.9, 0.0),
@@ -176,7 +192,10 @@ def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
         "run_id": "CBTAfs-100/north/20",
         "on_table": True,
         "n_frames": 3,
-        "cause": "sample points and pixels differ at the limit (40.1 px high, 52 % seen, IoU 0.51)",
+        "cause": (
+            "sample points and pixels differ at the limit (40.1 px high, 52 % seen, IoU"
+            " 0.51)"
+        ),
     }
     for n_entries in (1, 5, 7):
         entries = [entry | {"on_table": index % 2 == 0} for index in range(n_entries)]
@@ -185,7 +204,9 @@ def test_the_first_five_disagreements_are_told_and_how_many_more_there_are():
         words = " ".join(text.split())
         told = "corner-ne/5m/-135/-45 in CBTAfs-100/north/20: only the"
         assert words.count(told) == min(n_entries, 5)
-        assert words.count(f"{told} table avoids; {entry['cause']}") == min((n_entries + 1) // 2, 3)
+        assert words.count(f"{told} table avoids; {entry['cause']}") == min(
+            (n_entries + 1) // 2, 3
+        )
         assert ("and 2 more in summary.json" in words) == (n_entries == 7)
 
 
@@ -197,7 +218,10 @@ def test_road_users_that_announce_themselves_have_columns_where_there_are_any():
     text = evaluation_table(summary, None)
     assert cells(text) == expected(
         evaluation["units"]["U1"],
-        *(evaluation[key] for key in ("rsu_all", "vut_and_rsus", "vut", "vam", "all_sources")),
+        *(
+            evaluation[key]
+            for key in ("rsu_all", "vut_and_rsus", "vut", "vam", "all_sources")
+        ),
     )
 
 
@@ -206,9 +230,17 @@ def test_the_cost_is_that_of_all_units_and_of_their_sites_as_far_as_known():
     text = evaluation_table(summary, None)
     assert "  sensors 12,000 EUR by the catalogue, without poles or mounting\n" in text
     summary["sites_eur"] = 7120.0
-    for prices, by in (((), "by their own prices"), (("told",), "by prices assumed for their")):
-        told = " ".join(evaluation_table(summary | {"assumed_prices": prices}, None).split())
-        assert "cost: 19,120 EUR: sensors 12,000 EUR by the catalogue, 1 site 7,120 EUR" in told
+    for prices, by in (
+        ((), "by their own prices"),
+        (("told",), "by prices assumed for their"),
+    ):
+        told = " ".join(
+            evaluation_table(summary | {"assumed_prices": prices}, None).split()
+        )
+        assert (
+            "cost: 19,120 EUR: sensors 12,000 EUR by the catalogue, 1 site 7,120 EUR"
+            in told
+        )
         assert by in told
 
 
@@ -218,7 +250,8 @@ def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
     summary = comparison_summary(n_cases, gained=gained)
     text = comparison_table(summary, OUT)
     assert all(len(line) <= 80 for line in text.splitlines())
-    evaluation, baseline = summary["evaluation"], summary["compared"][0]["evaluation"]
+    evaluation = summary["evaluation"]
+    baseline = summary["compared"][0]["evaluation"]
     assert cells(text) == expected(
         evaluation["rsu_all"],
         evaluation["vut_and_rsus"],
@@ -231,7 +264,8 @@ def test_a_comparison_shows_every_ratio_once_and_the_runs_that_differ(n_cases):
 
 
 @pytest.mark.parametrize(
-    "name", ["x" * 70, "a layout with a name of many words, none of them short", "-", "$x^{"]
+    "name",
+    ["x" * 70, "a layout with a name of many words, none of them short", "-", "$x^{"],
 )
 def test_long_names_are_broken_not_cut(name):
     text = comparison_table(comparison_summary(13, name=name), OUT)
@@ -246,7 +280,9 @@ def test_long_names_are_broken_not_cut(name):
     assert first_column.replace(" ", "") == name.replace(" ", "")
 
 
-@pytest.mark.parametrize(("n_units", "n_blocks"), [(1, 1), (3, 1), (4, 1), (5, 2), (12, 2)])
+@pytest.mark.parametrize(
+    ("n_units", "n_blocks"), [(1, 1), (3, 1), (4, 1), (5, 2), (12, 2)]
+)
 def test_columns_are_narrower_where_that_saves_a_block(n_units, n_blocks):
     ids = [f"U{index}" for index in range(n_units)]
     text = evaluation_table(evaluation_summary(13, ids), None)
@@ -262,7 +298,9 @@ def test_ids_are_cut_in_no_table():
 
 def test_a_case_without_weight_has_a_dash():
     summary = evaluation_summary(2, ["U1"])
-    for party in (summary["evaluation"][key] for key in ("rsu_all", "vut_and_rsus", "vut")):
+    for party in (
+        summary["evaluation"][key] for key in ("rsu_all", "vut_and_rsus", "vut")
+    ):
         party["by_case"]["CBTAfs-101"] = None
     summary["evaluation"]["units"]["U1"]["by_case"]["CBTAfs-101"] = None
     text = evaluation_table(summary, None)
@@ -285,7 +323,13 @@ def test_a_gap_is_proven_or_a_number_or_open(gap, words):
 
 @pytest.mark.parametrize(
     ("share", "text"),
-    [(1.0, "100.0 %"), (0.9996, ">99.9 %"), (0.9994, "99.9 %"), (0.0, "0.0 %"), (0.0004, "<0.1 %")],
+    [
+        (1.0, "100.0 %"),
+        (0.9996, ">99.9 %"),
+        (0.9994, "99.9 %"),
+        (0.0, "0.0 %"),
+        (0.0004, "<0.1 %"),
+    ],
 )
 def test_percent_never_rounds_to_all_or_nothing(share, text):
     assert percent(share) == text
@@ -298,7 +342,9 @@ def test_percent_of_nothing_is_a_dash():
 def test_what_is_left_after_a_failure_is_told_for_units_and_for_poles():
     share = PartyAprRecord(all=0.9, by_case={}, by_position={})
     shares = {"vut": share, "rsu_all": share, "vut_and_rsus": share}
-    two = EvaluationRecord(**shares, units={"a": share, "b": share}, apr_without_worst_unit=0.625)
+    two = EvaluationRecord(
+        **shares, units={"a": share, "b": share}, apr_without_worst_unit=0.625
+    )
     assert failure_notes(two) == []  # the table of all layouts has it
     on_one_pole = msgspec.structs.replace(two, apr_without_worst_site=0.0)
     assert failure_notes(on_one_pole) == [
@@ -324,5 +370,12 @@ def test_in_short_every_answer_fits_on_a_screen(n_cases):
         assert lines[-1] == "--verbose prints why, APR by case, and all else."
         assert f"Written to {OUT}: report.html and more." in lines
         assert "VUT alone" in text
-    for words in ("Proven on the detection table", "greedy", "carlancap-12", "U1", "U2", "U3"):
+    for words in (
+        "Proven on the detection table",
+        "greedy",
+        "carlancap-12",
+        "U1",
+        "U2",
+        "U3",
+    ):
         assert words in texts[0]

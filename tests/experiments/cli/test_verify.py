@@ -68,7 +68,11 @@ def test_what_was_written_is_verified_in_a_line_per_check(run, results):
     left_out = "Not checked: verdicts, bill, report (--deep), who made it (--key)."
     assert out.splitlines()[-1] == f"{len(checks)} checks: all OK. {left_out}"
     assert "FAILED" not in out
-    for words in ("instance: SHA-256", "apr: recomputed", "layout file: it shows the same 2 units"):
+    for words in (
+        "instance: SHA-256",
+        "apr: recomputed",
+        "layout file: it shows the same 2 units",
+    ):
         assert f"  OK     {words}" in out
     assert "Proven again, without a solver:\n  apr: " in out
     assert "Not checked here:\n  whether the detection table is right" in out
@@ -152,14 +156,18 @@ def test_a_file_that_is_missing_or_damaged_is_named(run, results, name):
     path.unlink()
     code, out, err = run("verify", results, "--quiet")
     assert (code, out) == (2, "")
-    assert err.startswith(f"place-rsus: {path}: got No such file or directory; expected ")
+    assert err.startswith(
+        f"place-rsus: {path}: got No such file or directory; expected "
+    )
 
 
 def test_a_folder_that_is_none_is_refused(run, tmp_path):
     for folder in (tmp_path / "none", __file__):
         code, out, err = run("verify", folder)
         assert (code, out) == (2, "")
-        assert err.endswith(f"{folder}: got no folder; expected a folder with results\n")
+        assert err.endswith(
+            f"{folder}: got no folder; expected a folder with results\n"
+        )
 
 
 def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, results):
@@ -167,14 +175,22 @@ def test_a_folder_that_does_not_say_what_was_asked_cannot_be_made_anew(run, resu
     code, out, err = run("verify", results, "--deep", "--quiet")
     assert (code, out) == (2, "")
     assert "--deep: got " in err
-    assert "which does not say what was asked; expected a placement of this version" in err
+    assert (
+        "which does not say what was asked; expected a placement of this version" in err
+    )
 
 
 def test_a_network_that_a_folder_names_is_not_run(run, results):
-    edit(results / "summary.json", lambda d: d["asked"]["question"].update(detector="x.onnx"))
+    edit(
+        results / "summary.json",
+        lambda d: d["asked"]["question"].update(detector="x.onnx"),
+    )
     code, out, err = run("verify", results, "--deep", "--quiet")
     assert (code, out) == (2, "")
-    assert "summary.json: asked: detector: got 'x.onnx'; expected no network, which is" in err
+    assert (
+        "summary.json: asked: detector: got 'x.onnx'; expected no network, which is"
+        in err
+    )
 
 
 # ---------- the scene that a result was made with
@@ -188,7 +204,9 @@ def street_map(folder):
 
 
 def road_map(folder):
-    (folder / "roads.xodr").write_text(opendrive_text.document(opendrive_text.crossing()))
+    (folder / "roads.xodr").write_text(
+        opendrive_text.document(opendrive_text.crossing())
+    )
     return folder / "roads.xodr"
 
 
@@ -210,7 +228,10 @@ def scene_archive(folder):
 
 SCENES = {
     "a map": (street_map, []),
-    "a junction of a map by its streets": (street_map, ["--junction", "Street 2 / Street 0"]),
+    "a junction of a map by its streets": (
+        street_map,
+        ["--junction", "Street 2 / Street 0"],
+    ),
     "a junction of a map at a point": (street_map, ["--at", f"{LON_DEG},{LAT_DEG}"]),
     "a map with sites of its own": (street_map, ["--sites", "kerb:30"]),
     "a map of a country that keeps left": (street_map, ["--driving-side", "left"]),
@@ -222,14 +243,18 @@ SCENES = {
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_the_scene_is_read_as_the_job_read_it(kind, run, results, tmp_path, monkeypatch):
+def test_the_scene_is_read_as_the_job_read_it(
+    kind, run, results, tmp_path, monkeypatch
+):
     """Also where the map has moved since, and without its options being said again."""
     build, options = SCENES[kind]
     solved = []
 
     def stop(question, **given):
         solved.append(load_scene(question.scene))
-        told = placement.build_asked_record(given["asked"], given["compute"], given["command"])
+        told = placement.build_asked_record(
+            given["asked"], given["compute"], given["command"]
+        )
         edit(results / "summary.json", lambda d: d.update(asked=to_plain(told)))
         raise InputError("here", "the question", "nothing more")
 
@@ -248,9 +273,12 @@ def test_the_scene_is_read_as_the_job_read_it(kind, run, results, tmp_path, monk
     _, out, _ = run("verify", results, "--scene", moved, "--quiet", "--json")
     details = {one["name"]: one["detail"] for one in json.loads(out)["checks"]}
     found = details["scene as it stands"]
-    # The poses are the study's, and not at the sites of this scene: that is told of the right one.
+    # The poses are the study's, and not at the sites of this scene: that is told of the
+    # right one.
     assert "may have changed" not in found
-    assert "is not where the others of" in found or found.endswith("poses are at its sites")
+    assert "is not where the others of" in found or found.endswith(
+        "poses are at its sites"
+    )
 
 
 @pytest.mark.long
@@ -261,9 +289,26 @@ def test_a_result_of_any_scene_is_verified_with_it(kind, run, tmp_path, monkeypa
     monkeypatch.setattr(placement, "write_report", lambda *given, **options: None)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "cache"))
     source = build(tmp_path)
-    few = ["--cases", "CBLA,CPLA-25", "--speeds", "50", "--yaw-step", "90", "--heights", "6"]
+    few = [
+        "--cases",
+        "CBLA,CPLA-25",
+        "--speeds",
+        "50",
+        "--yaw-step",
+        "90",
+        "--heights",
+        "6",
+    ]
     code, _, err = run(
-        *("--scene", source, *options, "--budget", "1", *few, "--out", tmp_path / "r", "--quiet")
+        "--scene",
+        source,
+        *options,
+        "--budget",
+        "1",
+        *few,
+        "--out",
+        tmp_path / "r",
+        "--quiet",
     )
     assert code == 0, err
     code, out, err = run("verify", tmp_path / "r", "--scene", source, "--quiet")
@@ -274,15 +319,20 @@ def test_a_result_of_any_scene_is_verified_with_it(kind, run, tmp_path, monkeypa
 def test_help_names_the_exit_codes_and_imports_nothing_heavy(run):
     code, out, _ = run("verify", "--help")
     assert code == 0
-    assert "Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong." in out
+    assert (
+        "Exit codes: 0 all checks hold, 1 a check has failed, 2 the input is wrong."
+        in out
+    )
     assert max(map(len, out.splitlines())) <= 80
     names = "numpy scipy cvxpy pandas"
     done = subprocess.run(
         [
             sys.executable,
             "-c",
-            "import sys, experiments.cli.verify; "
-            f"print([name for name in {names!r}.split() if name in sys.modules])",
+            (
+                "import sys, experiments.cli.verify; "
+                f"print([name for name in {names!r}.split() if name in sys.modules])"
+            ),
         ],
         capture_output=True,
         text=True,

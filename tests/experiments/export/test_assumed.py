@@ -10,9 +10,12 @@ from geometry.study_scene import load_study_scene
 from placement.layout import load_carlancap_layout
 
 
-@pytest.mark.parametrize("name", ["json", "csv", "geojson", "kml", "carla", "ros", "opencv"])
+@pytest.mark.parametrize(
+    "name", ["json", "csv", "geojson", "kml", "carla", "ros", "opencv"]
+)
 def test_assumed_sites_are_told_in_the_file(name):
-    layout, study = load_carlancap_layout(), load_study_scene()
+    layout = load_carlancap_layout()
+    study = load_study_scene()
     site = layout.units[0].site_id
     note = Note(what="a mast", why="no mast in the map", kind="sites", site_ids=(site,))
     write = load_format(name).write

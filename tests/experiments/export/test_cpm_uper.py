@@ -24,12 +24,17 @@ from scenarios.aeb import load_aeb_rule
 pytest.importorskip("asn1tools", reason="the extra v2x is not installed")
 
 SCENE = load_study_scene()
-# Of test_a_message_by_hand. asn1tools 0.169.0 with ETSI's modules decodes them to the same.
+# Of test_a_message_by_hand. asn1tools 0.169.0 with ETSI's modules decodes them to the
+# same.
 GOLDEN = {
-    "2.1.1": "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
-    "80109002001a7c0004000412c097df511361489040",
-    "2.4.1": "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
-    "80109002001a7c0004000412c0978af2d561489040",
+    "2.1.1": (
+        "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+        "80109002001a7c0004000412c097df511361489040"
+    ),
+    "2.4.1": (
+        "020e0000000000000000000296cdbc0380743007ffffff08eddd0f8880"
+        "80109002001a7c0004000412c0978af2d561489040"
+    ),
 }
 
 
@@ -41,7 +46,12 @@ def seen_in(run, seed, share=0.5):
 
 @pytest.fixture(scope="module")
 def runs():
-    ids = ("CPNC-50/east/40", "CBLA/east/25", "CMCscp-near/north/30x50", "CCFtap/north/10x30")
+    ids = (
+        "CPNC-50/east/40",
+        "CBLA/east/25",
+        "CMCscp-near/north/30x50",
+        "CCFtap/north/10x30",
+    )
     return [find_run(run_id, SCENE) for run_id in ids]
 
 
@@ -69,7 +79,9 @@ def test_objects_are_where_the_run_has_them(runs):
         watched = seen_in(run, 7)
         (station,) = build_stations(level_layout(0.0), SCENE, watched)
         by_time = {
-            message["payload"]["managementContainer"]["referenceTime"]: message["payload"]
+            message["payload"]["managementContainer"]["referenceTime"]: message[
+                "payload"
+            ]
             for message in station.messages
         }
         mast_m = level_layout(0.0).units[0].pose.position_m[:2]
@@ -80,8 +92,12 @@ def test_objects_are_where_the_run_has_them(runs):
             assert found["containerId"] == 5
             (one,) = found["containerData"]["perceivedObjects"]
             assert one["measurementDeltaTime"] == -25
-            at_m = [one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"]
-            np.testing.assert_allclose(at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012)
+            at_m = [
+                one["position"][f"{axis}Coordinate"]["value"] / 100.0 for axis in "xyz"
+            ]
+            np.testing.assert_allclose(
+                at_m[:2], run.vru_position_m[frame] - mast_m, atol=0.012
+            )
             # n stands for more than n - 1 and at most n centimetres.
             up_cm = np.ceil(50.0 * run.encounter.vru.height_m - 1e-6)
             assert at_m[2] == pytest.approx(up_cm / 100.0, abs=1e-9)
@@ -116,7 +132,10 @@ def test_both_releases_open_to_the_same_side():
         sensors = station.messages[0]["payload"]["cpmContainers"][1]["containerData"]
         shapes.append(sensors[0]["perceptionRegionShape"]["radial"])
     old, new = shapes
-    assert old["stationaryHorizontalOpeningAngleStart"] == 900 - new["horizontalOpeningAngleEnd"]
+    assert (
+        old["stationaryHorizontalOpeningAngleStart"]
+        == 900 - new["horizontalOpeningAngleEnd"]
+    )
     assert new["horizontalOpeningAngleStart"] == (300 - 550) % 3600
 
 
@@ -128,7 +147,10 @@ def test_the_load_of_the_channel_is_that_of_the_bytes(runs):
     bytes_per_s = sum(len(data) for _, data in messages) / span_s
     words = tell_load(content)
     assert f"{bytes_per_s:.0f} to {bytes_per_s:.0f} bytes per second" in words
-    assert f"together {100.0 * 8.0 * bytes_per_s / 6.0e6:.2f} % of a channel of 6 Mbit/s" in words
+    assert (
+        f"together {100.0 * 8.0 * bytes_per_s / 6.0e6:.2f} % of a channel of 6 Mbit/s"
+        in words
+    )
     assert "1 messages of" in tell_load(to_cpm_uper(layout, SCENE))
 
 
@@ -146,11 +168,15 @@ def test_what_units_detect_in_a_run_is_the_evaluators():
         for one in container["containerData"]["perceivedObjects"]
         for sensor_id in one["sensorIdList"]
     ]
-    assert len(told) == sum(int(frames.sum()) for frames in watched.detected.values()) > 0
+    assert (
+        len(told) == sum(int(frames.sum()) for frames in watched.detected.values()) > 0
+    )
 
 
 def test_an_unknown_release_is_refused():
-    with pytest.raises(InputError, match=r"^release: got '3'; expected one of 2.1.1, 2.4.1$"):
+    with pytest.raises(
+        InputError, match=r"^release: got '3'; expected one of 2.1.1, 2.4.1$"
+    ):
         to_cpm(level_layout(0.0), SCENE, release="3")
 
 
@@ -163,7 +189,10 @@ def random_layout(rng):
             id=f"unit {number}",
             site_id="site",
             pose=Pose(
-                position_m=[*(middle_m + rng.uniform(-3.0, 3.0, 2)), rng.uniform(2.0, 12.0)],
+                position_m=[
+                    *(middle_m + rng.uniform(-3.0, 3.0, 2)),
+                    rng.uniform(2.0, 12.0),
+                ],
                 yaw_deg=float(rng.uniform(-180.0, 180.0)),
                 pitch_deg=float(rng.uniform(-90.0, 45.0)),
             ),
@@ -181,37 +210,57 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
     to_local = Transformer.from_crs("EPSG:4326", SCENE.crs, always_xy=True)
     moving = [(run, run.encounter.vru_motion) for run in runs]
     for _ in range(count):
-        layout, release = random_layout(rng), RELEASES[rng.integers(2)]
+        layout = random_layout(rng)
+        release = RELEASES[rng.integers(2)]
         run, motion = moving[rng.integers(len(moving))]
         frame = rng.integers(len(run.time_s))
-        detected = {unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in layout.units}
+        detected = {
+            unit.id: np.zeros(len(run.time_s), dtype=bool) for unit in layout.units
+        }
         detected[layout.units[-1].id][frame] = True
         watched = WatchedRun(run=run, detected=detected, rule=load_aeb_rule())
         (station,) = build_stations(layout, SCENE, watched, release=release)
         found = [decode(encode(one, release), release) for one in station.messages]
         assert found == list(station.messages)
         (message,) = [
-            one for one in found if one["payload"]["cpmContainers"][-1]["containerId"] == 5
+            one
+            for one in found
+            if one["payload"]["cpmContainers"][-1]["containerId"] == 5
         ]
         (first, *_) = found
         place = first["payload"]["managementContainer"]["referencePosition"]
         origin_m = to_local.transform(place["longitude"] / 1e7, place["latitude"] / 1e7)
         for unit, sensor in zip(
-            layout.units, first["payload"]["cpmContainers"][1]["containerData"], strict=True
+            layout.units,
+            first["payload"]["cpmContainers"][1]["containerData"],
+            strict=True,
         ):
             shape = sensor["perceptionRegionShape"]["radial"]
-            above = [shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"]
+            above = [
+                shape["shapeReferencePoint"][f"{axis}Coordinate"] for axis in "xyz"
+            ]
             above -= 100.0 * (unit.pose.position_m - [*origin_m, 0.0])
             assert above.min() > -0.01  # n: more than n - 1 and at most n of them
             assert above.max() < 1.01
             if not is_ring(unit.sensor):
                 half_deg = 0.5 * unit.sensor.horizontal_fov_deg
-                name = next(key for key in shape if key.lower().endswith("zontalopeninganglestart"))
-                begin = 90.0 - unit.pose.yaw_deg if "stat" in name else unit.pose.yaw_deg
-                assert (
-                    -1e-3 < (shape[name] - 10.0 * (begin - half_deg) + 100.0) % 3600 - 100.0 < 1.001
+                name = next(
+                    key
+                    for key in shape
+                    if key.lower().endswith("zontalopeninganglestart")
                 )
-        (one,) = message["payload"]["cpmContainers"][-1]["containerData"]["perceivedObjects"]
+                if "stat" in name:
+                    begin = 90.0 - unit.pose.yaw_deg
+                else:
+                    begin = unit.pose.yaw_deg
+                assert (
+                    -1e-3
+                    < (shape[name] - 10.0 * (begin - half_deg) + 100.0) % 3600 - 100.0
+                    < 1.001
+                )
+        (one,) = message["payload"]["cpmContainers"][-1]["containerData"][
+            "perceivedObjects"
+        ]
         assert one["sensorIdList"] == [len(layout.units) - 1]
         at_m = [*run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m]
         above = [one["position"][f"{axis}Coordinate"]["value"] for axis in "xyz"]
@@ -223,4 +272,6 @@ def test_random_layouts_and_frames_are_read_back_to_the_resolution(runs, count):
         velocity = one["velocity"]["cartesianVelocity"]
         speeds = [velocity[f"{axis}Velocity"]["value"] for axis in "xy"]
         asked = 100.0 * way_m / 1e-3
-        assert (np.abs(speeds - asked - 0.5) < 0.6).all()  # and what a start changes in a moment
+        assert (
+            np.abs(speeds - asked - 0.5) < 0.6
+        ).all()  # and what a start changes in a moment

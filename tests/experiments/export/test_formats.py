@@ -32,7 +32,9 @@ def test_csv_reads_back_bit_by_bit(layout, tmp_path):
         assert {key: type(record[key])(value) for key, value in row.items()} == record
     # pandas' own parser may be off by the last bit.
     by_pandas = pd.read_csv(path)
-    pd.testing.assert_frame_equal(by_pandas, pd.DataFrame(layout_records(layout)), rtol=1e-15)
+    pd.testing.assert_frame_equal(
+        by_pandas, pd.DataFrame(layout_records(layout)), rtol=1e-15
+    )
 
 
 def test_layout_json_reads_back_bit_by_bit(layout, tmp_path):
@@ -56,35 +58,49 @@ def test_geojson_lies_in_the_world_frame_within_a_centimetre():
         # West of 8 degrees east: the study's junction has negative x.
         assert 7.99 < longitude < 8.0
         assert 48.99 < latitude < 49.01
-    assert [feature["properties"] for feature in document["features"]] == layout_records(layout)
+    assert [
+        feature["properties"] for feature in document["features"]
+    ] == layout_records(layout)
 
 
 def test_geojson_says_which_crs_is_unknown(layout):
     with pytest.raises(InputError) as caught:
         to_geojson(layout, "no such system")
-    assert str(caught.value) == (
-        "crs: got 'no such system'; expected a coordinate reference system that pyproj knows"
+    assert (
+        str(caught.value)
+        == "crs: got 'no such system'; expected a coordinate reference system that"
+        " pyproj knows"
     )
 
 
 def test_geojson_refuses_a_layout_outside_its_crs(layout, camera):
     far = CandidatePose(
-        id="far", site_id="", pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0), sensor=camera
+        id="far",
+        site_id="",
+        pose=Pose(position_m=[1.0e12, 0.0, 7.0], yaw_deg=0.0),
+        sensor=camera,
     )
     with pytest.raises(InputError) as caught:
         to_geojson(Layout(name="far", units=(far,)), CRS)
-    assert str(caught.value) == (
-        f"crs: got {CRS!r}; expected a coordinate reference system that contains the layout"
+    assert (
+        str(caught.value)
+        == f"crs: got {CRS!r}; expected a coordinate reference system that contains the"
+        " layout"
     )
 
 
 @pytest.mark.parametrize("build", [load_carlancap_layout, None])
 def test_carla_transforms_come_back_as_the_poses(layout, build):
-    layout = build() if build else layout
+    if build:
+        layout = build()
+    else:
+        layout = layout
     records = json.loads(to_carla(layout))
     assert [record["id"] for record in records] == [unit.id for unit in layout.units]
     for unit, record in zip(layout.units, records, strict=True):
-        location, rotation = (record["transform"][key] for key in ("location", "rotation"))
+        location, rotation = (
+            record["transform"][key] for key in ("location", "rotation")
+        )
         pose = from_carla_pose(
             position_m=[location["x"], location["y"], location["z"]],
             yaw_deg=rotation["yaw"],

@@ -35,7 +35,10 @@ def layout_with(**fields):
 )
 def test_carla_refuses_a_lens_in_one_line(lens):
     layout = layout_with(lens=lens)
-    what = "got north, whose lens, principal point or roll it cannot carry; expected ideal pinholes"
+    what = (
+        "got north, whose lens, principal point or roll it cannot carry; expected ideal"
+        " pinholes"
+    )
     with pytest.raises(InputError, match=f"carla: {what}"):
         to_carla(layout)
 
@@ -49,7 +52,11 @@ def test_a_calibration_has_principal_point_aspect_and_roll():
     layout = layout_with(principal_point=[0.55, 0.45], pixel_aspect=1.02, roll_deg=90.0)
     (found,) = calibrations(layout, "opencv").values()
     focal = 960.0
-    expected = [[focal, 0, 0.55 * 1920 - 0.5], [0, 1.02 * focal, 0.45 * 1080 - 0.5], [0, 0, 1]]
+    expected = [
+        [focal, 0, 0.55 * 1920 - 0.5],
+        [0, 1.02 * focal, 0.45 * 1080 - 0.5],
+        [0, 0, 1],
+    ]
     assert pytest.approx(np.array(expected)) == found.K
     assert found.lens == BrownConrady()
     # Turned clockwise by a right angle, its right is what was down.

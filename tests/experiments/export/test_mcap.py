@@ -46,10 +46,21 @@ def topics(watched):
 
 
 def test_a_run_alone_is_shown(run):
-    arguments = ("scenarios", "show", "CPNC-50", "--approach", "east", "--speed", "40", "--quiet")
+    arguments = (
+        "scenarios",
+        "show",
+        "CPNC-50",
+        "--approach",
+        "east",
+        "--speed",
+        "40",
+        "--quiet",
+    )
     assert run(*arguments, "--out", "a.mcap")[0] == 0
     with Path("a.mcap").open("rb") as file:
-        topics = {channel.topic for _, channel, _ in reader.make_reader(file).iter_messages()}
+        topics = {
+            channel.topic for _, channel, _ in reader.make_reader(file).iter_messages()
+        }
     assert {"/scene", "/bodies", "/state"} <= topics
 
 
@@ -64,7 +75,8 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
             ("vut", run.encounter.vut, run.vut_position_m, run.vut_yaw_deg),
             ("vru", run.encounter.vru, run.vru_position_m, run.vru_yaw_deg),
         ):
-            pose, size = boxes[name].pose, boxes[name].size
+            pose = boxes[name].pose
+            size = boxes[name].size
             np.testing.assert_allclose(
                 [pose.position.x, pose.position.y, pose.position.z],
                 [*at_m[frame], 0.5 * body.height_m],
@@ -73,13 +85,19 @@ def test_bodies_are_where_the_run_has_them(topics, watched):
             turn = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
             off_deg = math.degrees(turn) - yaw_deg[frame]
             assert (off_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9)
-            assert (size.x, size.y, size.z) == (body.length_m, body.width_m, body.height_m)
+            assert (size.x, size.y, size.z) == (
+                body.length_m,
+                body.width_m,
+                body.height_m,
+            )
 
 
 def test_detections_confirmation_and_braking_follow_the_rule(topics, watched):
     states = [state for _, state in topics["/state"]]
     first = load_carlancap_layout().units[0]
-    for frame, (state, (_, update)) in enumerate(zip(states, topics["/detections"], strict=True)):
+    for frame, (state, (_, update)) in enumerate(
+        zip(states, topics["/detections"], strict=True)
+    ):
         assert state["detecting"] == ([first.id] if frame >= 10 else [])
         points = update.entities[0].lines[0].points
         assert len(points) == 2 * state["n_detecting"]
@@ -100,15 +118,20 @@ def test_frusta_show_the_corners_of_the_image(topics):
         ends = np.array([[point.x, point.y, point.z] for point in line.points])[1:]
         pixels = ends @ matrix.T
         pixels = pixels[:, :2] / pixels[:, 2:]
-        width, height = calibration.width - 0.5, calibration.height - 0.5
+        width = calibration.width - 0.5
+        height = calibration.height - 0.5
         np.testing.assert_allclose(
-            pixels, [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]], atol=1e-6
+            pixels,
+            [[-0.5, -0.5], [width, -0.5], [width, height], [-0.5, height]],
+            atol=1e-6,
         )
 
 
 def test_the_scenes_meshes_are_whole(topics):
     ((_, update),) = topics["/scene"]
-    assert [entity.id for entity in update.entities] == [thing.id for thing in SCENE.instances]
+    assert [entity.id for entity in update.entities] == [
+        thing.id for thing in SCENE.instances
+    ]
     triangles = sum(len(entity.triangles[0].indices) // 3 for entity in update.entities)
     assert triangles == len(SCENE.triangles)
 
@@ -119,7 +142,9 @@ def test_any_layout_is_written_without_a_run(build):
     found = read_mcap(to_mcap(layout, SCENE))
     assert {"/scene", "/units", "/tf"} <= set(found)
     ((_, transforms),) = found["/tf"]
-    assert [one.child_frame_id for one in transforms.transforms] == [u.id for u in layout.units]
+    assert [one.child_frame_id for one in transforms.transforms] == [
+        u.id for u in layout.units
+    ]
     cameras = [unit for unit in layout.units if isinstance(unit.sensor, CameraModel)]
     assert sum(topic.startswith("/calibration/") for topic in found) == len(cameras)
 
@@ -133,7 +158,10 @@ def test_foxgloves_layout_names_topics_that_exist(topics):
 
     layout = json.loads(Path("docs/files/foxglove.json").read_text(encoding="utf-8"))
     shown = set(layout["configById"]["3D!scene"]["topics"])
-    plotted = {path["value"].split(".")[0] for path in layout["configById"]["Plot!state"]["paths"]}
+    plotted = {
+        path["value"].split(".")[0]
+        for path in layout["configById"]["Plot!state"]["paths"]
+    }
     assert shown | plotted <= set(topics)
 
 
@@ -141,7 +169,9 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
     layout = load_carlancap_layout()
     one = replace(layout, units=layout.units[:1])
     few = cut_run(watched.run, slice(2))
-    short = replace(watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)})
+    short = replace(
+        watched, run=few, detected={one.units[0].id: np.zeros(2, dtype=bool)}
+    )
     found = read_mcap(to_mcap(one, SCENE, short, pictures=Compute()))
     (unit,) = one.units
     ((_, calibration),) = found[f"/calibration/{unit.id}"]
@@ -154,14 +184,24 @@ def test_pictures_are_what_a_reduced_camera_draws(watched):
         assert (image.frame_id, image.format) == (unit.id, "jpeg")
         shown = np.asarray(Image.open(BytesIO(image.data)), dtype=float)
         weather = pick_weather(few.weather, "weather")
-        drawn = draw_picture(backdrop, few, frame, unit.pose, small, weather=weather).rgb
+        drawn = draw_picture(
+            backdrop, few, frame, unit.pose, small, weather=weather
+        ).rgb
         assert np.abs(shown - drawn).mean() < 3.0  # of 255: JPEG
     with pytest.raises(InputError, match="--pictures: got no run; expected --run"):
         to_mcap(one, SCENE, pictures=Compute())
 
 
 def test_pictures_of_other_formats_are_refused(run):
-    asked = ("export", "--format", "cpm", "--layout", "carlancap-12", "--run", "CPNC-50/east/40")
+    asked = (
+        "export",
+        "--format",
+        "cpm",
+        "--layout",
+        "carlancap-12",
+        "--run",
+        "CPNC-50/east/40",
+    )
     code, _, err = run(*asked, "--pictures")
     assert code == 2
     assert "--pictures: got it; expected none: cpm has no such option" in err

@@ -30,7 +30,9 @@ def written(tmp_path: Path, scene) -> Path:
 
 
 def driving(lanes) -> list[np.ndarray]:
-    return [np.asarray(lane.centreline_m)[:, :2] for lane in lanes if lane.kind == "driving"]
+    return [
+        np.asarray(lane.centreline_m)[:, :2] for lane in lanes if lane.kind == "driving"
+    ]
 
 
 def off_m(line: np.ndarray, others: list[np.ndarray]) -> float:
@@ -43,7 +45,12 @@ def off_m(line: np.ndarray, others: list[np.ndarray]) -> float:
 def with_ways(scene, source):
     """A scene whose map has the ways through the junction that another map has."""
     ways = [
-        Lane(id=way.id, kind=CONNECTING, width_m=way.width_m, centreline_m=way.centreline_m[:, :2])
+        Lane(
+            id=way.id,
+            kind=CONNECTING,
+            width_m=way.width_m,
+            centreline_m=way.centreline_m[:, :2],
+        )
         for way in source.connections
     ]
     return replace(scene, lanes=(*scene.lanes, *ways))
@@ -51,7 +58,8 @@ def with_ways(scene, source):
 
 def test_lanes_are_read_back_where_they_are(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
-    ours, theirs = driving(scene.lanes), driving(source.lanes)
+    ours = driving(scene.lanes)
+    theirs = driving(source.lanes)
     assert len(ours) == len(theirs)
     assert max(off_m(line, theirs) for line in ours) < 0.01
     (one,) = survey_junctions(source)
@@ -70,8 +78,12 @@ def test_ways_of_the_map_are_read_back_and_none_is_assumed(tmp_path, scene):
 
 def test_a_mirrored_scene_keeps_left(tmp_path, scene):
     flip = np.array([1.0, -1.0])
-    lanes = tuple(replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes)
-    turned = replace(scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True)
+    lanes = tuple(
+        replace(lane, centreline_m=lane.centreline_m * flip) for lane in scene.lanes
+    )
+    turned = replace(
+        scene, lanes=lanes, outline_m=scene.outline_m * flip, keeps_left=True
+    )
     source = read_map(written(tmp_path, turned))
     assert source.keeps_left
     theirs = driving(source.lanes)
@@ -81,13 +93,17 @@ def test_a_mirrored_scene_keeps_left(tmp_path, scene):
 def test_from_each_lane_a_way_to_each_other_arm_is_assumed(tmp_path, scene):
     arms = build_junction(scene).arms.values()
     source = read_map(written(tmp_path, scene))
-    assert len(source.connections) == sum(len(arm.entry_lanes) for arm in arms) * (len(arms) - 1)
+    assert len(source.connections) == sum(len(arm.entry_lanes) for arm in arms) * (
+        len(arms) - 1
+    )
 
 
 def test_poles_stand_where_the_units_hang(tmp_path, scene):
     source = read_map(written(tmp_path, scene))
     read = {tuple(pole.position_m[:2].round(1)) for pole in source.poles}
-    read |= {tuple(thing.vertices_m[:, :2].mean(axis=0).round(1)) for thing in source.things}
+    read |= {
+        tuple(thing.vertices_m[:, :2].mean(axis=0).round(1)) for thing in source.things
+    }
     for unit in load_carlancap_layout().units:
         place = np.asarray(unit.pose.position_m)[:2]
         assert min(np.hypot(*(np.array(one) - place)) for one in read) < 0.3
@@ -96,7 +112,9 @@ def test_poles_stand_where_the_units_hang(tmp_path, scene):
 def test_a_lane_that_widens_has_no_step(tmp_path, scene):
     """A way through begins as wide as the lane before it, and ends as wide as the one after it."""
     first = next(lane for lane in scene.lanes if lane.kind == "driving")
-    lanes = tuple(replace(lane, width_m=5.0) if lane is first else lane for lane in scene.lanes)
+    lanes = tuple(
+        replace(lane, width_m=5.0) if lane is first else lane for lane in scene.lanes
+    )
     text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=lanes))
     ways = re.findall(r'<width sOffset="0.0" a="([\d.]+)" b="(-?[\d.e-]+)"', text)
     assert any(float(a) == 5.0 and float(b) < 0.0 for a, b in ways) or any(
@@ -105,10 +123,17 @@ def test_a_lane_that_widens_has_no_step(tmp_path, scene):
 
 
 def test_a_single_straight_lane_is_a_road(tmp_path):
-    lane = Lane(id="a", kind="driving", width_m=3.0, centreline_m=np.array([[-50.0, 0], [-9, 0]]))
+    lane = Lane(
+        id="a",
+        kind="driving",
+        width_m=3.0,
+        centreline_m=np.array([[-50.0, 0], [-9, 0]]),
+    )
     scene = load_study_scene()
     square = np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]])
-    text = to_opendrive(load_carlancap_layout(), replace(scene, lanes=(lane,), outline_m=square))
+    text = to_opendrive(
+        load_carlancap_layout(), replace(scene, lanes=(lane,), outline_m=square)
+    )
     assert text.count("<road ") == 1
     assert 'length="41.0"' in text
 

@@ -10,7 +10,11 @@ import pytest
 from met_cases import MET_CASES
 from short_runs import cut_run
 
-from experiments.export.openscenario import load_xosc, to_openscenario, validate_openscenario
+from experiments.export.openscenario import (
+    load_xosc,
+    to_openscenario,
+    validate_openscenario,
+)
 from geometry.actors import Shape, load_actors
 from geometry.errors import InputError, MissingExtraError
 from geometry.study_scene import load_study_scene
@@ -52,12 +56,16 @@ def some_runs():
         for name, speed_kmh in CASES.items()
     ]
     new = [
-        replace(load_cases()[name], vut_speeds_kmh=(pair[0],), pairs_kmh=(pair,))
-        if load_cases()[name].pairs_kmh
-        else replace(load_cases()[name], vut_speeds_kmh=(pair[0],))
+        (
+            replace(load_cases()[name], vut_speeds_kmh=(pair[0],), pairs_kmh=(pair,))
+            if load_cases()[name].pairs_kmh
+            else replace(load_cases()[name], vut_speeds_kmh=(pair[0],))
+        )
         for name, pair in JUNCTION_2026.items()
     ]
-    newer, _ = build_runs(load_study_scene(), new, vut=load_actors()["vut"], rule=load_aeb_rule())
+    newer, _ = build_runs(
+        load_study_scene(), new, vut=load_actors()["vut"], rule=load_aeb_rule()
+    )
     runs, _ = build_runs(
         load_study_scene(),
         cases,
@@ -71,7 +79,9 @@ def some_runs():
         vut=load_actors()["vut"],
         rule=load_aeb_rule(),
     )
-    return {(run.case.name, run.weather): run for run in reversed([*runs, *met, *newer])}
+    return {
+        (run.case.name, run.weather): run for run in reversed([*runs, *met, *newer])
+    }
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +133,9 @@ def read_trajectories(text):
 def middles_m(track, ahead_m):
     """From reference points back to the middles of the footprints, (n, 2)."""
     yaw_rad = np.radians(track[:, 3])
-    return track[:, 1:3] - ahead_m * np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=1)
+    return track[:, 1:3] - ahead_m * np.stack(
+        [np.cos(yaw_rad), np.sin(yaw_rad)], axis=1
+    )
 
 
 def init_position(root, entity):
@@ -139,7 +151,8 @@ def init_speed_mps(root, entity):
 
 def box_of(root, entity):
     body = next(o for o in root.iter("ScenarioObject") if o.get("name") == entity)[0]
-    center, size = body.find("BoundingBox/Center"), body.find("BoundingBox/Dimensions")
+    center = body.find("BoundingBox/Center")
+    size = body.find("BoundingBox/Dimensions")
     return body, {key: float(center.get(key)) for key in "xyz"} | {
         key: float(size.get(key)) for key in ("length", "width", "height")
     }
@@ -173,7 +186,9 @@ def test_the_schema_accepts_every_kind_of_run(schema, some_runs, case, weather):
 
 @needs_library
 @pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
-def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, written, case):
+def test_trajectories_read_back_are_the_frames_to_a_millimetre(
+    some_runs, written, case
+):
     run = some_runs[case, "day"]
     tracks = read_trajectories(written(case))
     assert set(tracks) == {"vut", "vru"}
@@ -189,8 +204,12 @@ def test_trajectories_read_back_are_the_frames_to_a_millimetre(some_runs, writte
         times_s = tracks[name][:, 0] + run.time_s[0]
         is_frame = np.abs(times_s[:, None] - run.time_s).min(axis=1) < 1e-6
         track = tracks[name][is_frame]
-        np.testing.assert_allclose(track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3)
+        np.testing.assert_allclose(
+            track[:, 0], run.time_s - run.time_s[0], rtol=0.0, atol=1e-6
+        )
+        np.testing.assert_allclose(
+            middles_m(track, ahead_m[name]), position_m, rtol=0.0, atol=1e-3
+        )
         turned_deg = (track[:, 3] - yaw_deg + 180.0) % 360.0 - 180.0
         np.testing.assert_allclose(turned_deg, 0.0, atol=1e-3)
         assert (np.abs(np.diff(track[:, 3])) < 90.0).all()
@@ -209,8 +228,10 @@ def test_a_run_whose_last_frame_is_before_the_impact_still_ends_at_the_impact(
 @needs_library
 @pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
 def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written, case):
-    run, text = some_runs[case, "day"], written(case)
-    root, tracks = ET.fromstring(text), read_trajectories(text)
+    run = some_runs[case, "day"]
+    text = written(case)
+    root = ET.fromstring(text)
+    tracks = read_trajectories(text)
     for name, motion in (
         ("vut", run.encounter.vut_motion),
         ("vru", run.encounter.vru_motion),
@@ -226,15 +247,22 @@ def test_bodies_start_where_their_trajectories_do_and_as_fast(some_runs, written
 
 @needs_library
 @pytest.mark.parametrize("case", [*CASES, *MET, *JUNCTION_2026])
-def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs, written, case):
-    run, root = some_runs[case, "day"], ET.fromstring(written(case))
+def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(
+    some_runs, written, case
+):
+    run = some_runs[case, "day"]
+    root = ET.fromstring(written(case))
     bodies = {"vut": run.encounter.vut, "vru": run.encounter.vru} | {
-        f"obstruction-{index}": placed.actor for index, placed in enumerate(run.obstruction, 1)
+        f"obstruction-{index}": placed.actor
+        for index, placed in enumerate(run.obstruction, 1)
     }
     assert [o.get("name") for o in root.iter("ScenarioObject")] == list(bodies)
     for name, actor in bodies.items():
         body, box = box_of(root, name)
-        middle_m = -rear_axle_m(actor) if is_vehicle(actor) else 0.0
+        if is_vehicle(actor):
+            middle_m = -rear_axle_m(actor)
+        else:
+            middle_m = 0.0
         assert box == pytest.approx(
             {
                 "x": middle_m,
@@ -246,9 +274,13 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs,
             }
         )
         if is_vehicle(actor):
-            front, rear = body.find("Axles/FrontAxle"), body.find("Axles/RearAxle")
+            front = body.find("Axles/FrontAxle")
+            rear = body.find("Axles/RearAxle")
             assert float(rear.get("positionX")) == 0.0
-            inside_m = [middle_m - actor.length_m / 2.0, middle_m + actor.length_m / 2.0]
+            inside_m = [
+                middle_m - actor.length_m / 2.0,
+                middle_m + actor.length_m / 2.0,
+            ]
             radius_m = float(front.get("wheelDiameter")) / 2.0
             assert inside_m[0] <= -radius_m + 1e-9
             assert float(front.get("positionX")) + radius_m <= inside_m[1] + 1e-9
@@ -259,13 +291,16 @@ def test_boxes_stand_on_the_road_around_the_middle_that_the_run_gives(some_runs,
 def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
     n_seen = 0
     for case in (*CASES, *JUNCTION_2026):
-        run, root = some_runs[case, "day"], ET.fromstring(written(case))
+        run = some_runs[case, "day"]
+        root = ET.fromstring(written(case))
         for index, placed in enumerate(run.obstruction, 1):
             x_m, y_m, _, yaw_rad = init_position(root, f"obstruction-{index}")
             _, box = box_of(root, f"obstruction-{index}")
             track = np.array([[0.0, x_m, y_m, np.degrees(yaw_rad)]])
             (middle_m,) = middles_m(track, -box["x"])
-            np.testing.assert_allclose(middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0)
+            np.testing.assert_allclose(
+                middle_m, placed.pose.position_m[:2], atol=1e-3, rtol=0.0
+            )
             assert np.degrees(yaw_rad) == pytest.approx(placed.pose.yaw_deg, abs=1e-3)
             n_seen += 1
     assert n_seen >= 8
@@ -282,13 +317,17 @@ def test_parked_bodies_stand_where_the_run_has_them(some_runs, written):
         ("MEET-CAR", "Vehicle", "car"),
     ],
 )
-def test_road_users_have_the_standards_kinds_and_riders_are_named(written, case, element, category):
+def test_road_users_have_the_standards_kinds_and_riders_are_named(
+    written, case, element, category
+):
     root = ET.fromstring(written(case))
     body, _ = box_of(root, "vru")
     assert body.tag == element
     assert body.get(f"{element.lower()}Category") == category
     notes = [p.get("value") for p in body.iter("Property") if p.get("name") == "note"]
-    assert any("rider" in note for note in notes) == (category in ("bicycle", "motorbike"))
+    assert any("rider" in note for note in notes) == (
+        category in ("bicycle", "motorbike")
+    )
 
 
 @needs_library
@@ -325,7 +364,8 @@ def test_every_body_of_the_catalogue_and_every_weather_is_described(some_runs):
     everybody = tuple(replace(placed, actor=actor) for actor in load_actors().values())
     for weather in WEATHERS:
         to_openscenario(
-            replace(run, obstruction=everybody, weather=weather), road_network="Town05.xodr"
+            replace(run, obstruction=everybody, weather=weather),
+            road_network="Town05.xodr",
         )
 
 
@@ -339,7 +379,8 @@ def test_weather_sets_sun_rain_road_and_lights(written):
             float(found.find("Sun").get("elevation")) > 0.0,
             found.find("Precipitation").get("precipitationType"),
             float(found.find("Precipitation").get("precipitationIntensity")) > 0.0,
-            float(found.find("Fog").get("visualRange")) < 1000.0,  # WMO-No. 8: less is fog
+            float(found.find("Fog").get("visualRange"))
+            < 1000.0,  # WMO-No. 8: less is fog
             next(root.iter("RoadCondition")).get("wetness"),
             [light.get("vehicleLightType") for light in root.iter("VehicleLight")],
         )
@@ -369,7 +410,9 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
         "vru_speed_kmh": "5",
         "is_avoidable_by_braking": "true",
     }
-    times_s = {p.get("name"): float(p.get("value")) for p in root.iter("ParameterDeclaration")}
+    times_s = {
+        p.get("name"): float(p.get("value")) for p in root.iter("ParameterDeclaration")
+    }
     assert times_s == pytest.approx(
         {
             "impact_time_s": -run.time_s[0],
@@ -387,34 +430,47 @@ def test_the_file_says_what_the_run_is_and_when_it_would_have_to_brake(some_runs
 @pytest.mark.parametrize("case", JUNCTION_2026)
 def test_both_speeds_of_the_new_cases_stand_in_the_file(written, case):
     root = ET.fromstring(written(case))
-    said = {p.get("name"): p.get("value") for p in root.find("FileHeader").iter("Property")}
+    said = {
+        p.get("name"): p.get("value") for p in root.find("FileHeader").iter("Property")
+    }
     speeds_kmh = float(said["vut_speed_kmh"]), float(said["vru_speed_kmh"])
     assert speeds_kmh == JUNCTION_2026[case]
-    assert init_speed_mps(root, "vru") == pytest.approx(JUNCTION_2026[case][1] / 3.6, abs=2e-3)
+    assert init_speed_mps(root, "vru") == pytest.approx(
+        JUNCTION_2026[case][1] / 3.6, abs=2e-3
+    )
 
 
 @needs_library
 def test_a_run_that_no_braking_avoids_has_no_last_brake_time(some_runs):
     run = replace(some_runs["CPNA-25", "day"], last_brake_time_s=-np.inf)
     root = ET.fromstring(to_openscenario(run, road_network="Town05.xodr"))
-    assert [p.get("name") for p in root.iter("ParameterDeclaration")] == ["impact_time_s"]
+    assert [p.get("name") for p in root.iter("ParameterDeclaration")] == [
+        "impact_time_s"
+    ]
     (avoidable,) = (
-        p.get("value") for p in root.iter("Property") if p.get("name").startswith("is_avoidable")
+        p.get("value")
+        for p in root.iter("Property")
+        if p.get("name").startswith("is_avoidable")
     )
     assert avoidable == "false"
 
 
 @needs_library
-def test_the_same_run_gives_the_same_text_whatever_the_library_wrote_before(some_runs, written):
+def test_the_same_run_gives_the_same_text_whatever_the_library_wrote_before(
+    some_runs, written
+):
     from scenariogeneration import xosc
 
-    run, first = some_runs["CPNA-25", "night"], written("CPNA-25", "night")
+    run = some_runs["CPNA-25", "night"]
+    first = written("CPNA-25", "night")
     xosc.VersionBase().setVersion(minor=0)
     try:
         assert to_openscenario(run, road_network="Town05.xodr") == first
     finally:
         xosc.VersionBase().setVersion(minor=3)
-    values = [value for part in ET.fromstring(first).iter() for value in part.attrib.values()]
+    values = [
+        value for part in ET.fromstring(first).iter() for value in part.attrib.values()
+    ]
     assert "-0.0" not in values
 
 
@@ -423,7 +479,9 @@ def test_headings_do_not_jump_by_a_full_turn(some_runs, written):
     run = some_runs["CPTAfs-50", "day"]
     yaw_deg = np.array(run.vut_yaw_deg)
     yaw_deg[len(yaw_deg) // 2 :] -= 360.0
-    again = to_openscenario(replace(run, vut_yaw_deg=yaw_deg), road_network="Town05.xodr")
+    again = to_openscenario(
+        replace(run, vut_yaw_deg=yaw_deg), road_network="Town05.xodr"
+    )
     assert again == written("CPTAfs-50")
 
 
@@ -444,14 +502,20 @@ def test_words_of_a_case_are_escaped(some_runs):
 @pytest.mark.parametrize(
     ("break_it", "where", "reason"),
     [
-        (lambda text: text.partition("<Entities>")[0], "OpenSCENARIO", "no element found"),
+        (
+            lambda text: text.partition("<Entities>")[0],
+            "OpenSCENARIO",
+            "no element found",
+        ),
         (
             lambda text: text.replace('vehicleCategory="car"', ""),
             "OpenSCENARIO: /OpenSCENARIO/Entities/ScenarioObject[1]/Vehicle",
             "vehicleCategory",
         ),
         (
-            lambda text: text.replace('followingMode="position"', 'followingMode="almost"'),
+            lambda text: text.replace(
+                'followingMode="position"', 'followingMode="almost"'
+            ),
             "TrajectoryFollowingMode",
             "almost",
         ),
@@ -480,7 +544,10 @@ def test_what_cannot_be_exported_is_refused(some_runs):
         to_openscenario(replace(run, weather="hail"), road_network="Town05.xodr")
     for changes, reason in (
         ({"wheelbase_m": 0.0}, "actor vut.wheelbase_m: got 0.0; expected > 0 metres"),
-        ({"name": "x", "class_name": "tram"}, "class_name: got 'tram'; expected one of"),
+        (
+            {"name": "x", "class_name": "tram"},
+            "class_name: got 'tram'; expected one of",
+        ),
     ):
         odd = replace(run.encounter, vut=replace(run.encounter.vut, **changes))
         with pytest.raises(InputError) as caught:
@@ -492,7 +559,9 @@ def test_without_the_library_the_extra_is_named(some_runs, monkeypatch):
     monkeypatch.setitem(sys.modules, "scenariogeneration.xosc", None)
     load_xosc.cache_clear()
     try:
-        with pytest.raises(MissingExtraError, match=r"pip install place-rsus\[openscenario\]"):
+        with pytest.raises(
+            MissingExtraError, match=r"pip install place-rsus\[openscenario\]"
+        ):
             to_openscenario(some_runs["CPNA-25", "day"], road_network="Town05.xodr")
     finally:
         load_xosc.cache_clear()

@@ -31,7 +31,8 @@ def test_a_view_is_ahead_of_its_camera_within_the_field_of_view(views):
         ways = shapely.get_coordinates(view.area) - unit.pose.position_m[:2]
         off_deg = np.degrees(np.arctan2(ways[:, 1], ways[:, 0])) - unit.pose.yaw_deg
         off_deg = (off_deg + 180.0) % 360.0 - 180.0
-        # Tilted down, a camera sees farther to the sides below itself; corners stick out of cells.
+        # Tilted down, a camera sees farther to the sides below itself; corners stick
+        # out of cells.
         far = np.linalg.norm(ways, axis=1) > 25.0
         assert np.abs(off_deg[far]).max() < 0.5 * unit.sensor.horizontal_fov_deg + 12.0
         assert view.area.area > 100.0
@@ -44,7 +45,9 @@ def test_what_no_camera_sees_is_road_outside_of_all_views(views):
     assert unseen.area.area > 0.0
     for view in views[:-1]:
         assert unseen.area.intersection(view.area).area == pytest.approx(0.0, abs=1e-6)
-    nobody = find_views(replace(TWO, units=level_layout(0.0, kind="lidar").units), SCENE)
+    nobody = find_views(
+        replace(TWO, units=level_layout(0.0, kind="lidar").units), SCENE
+    )
     assert len(nobody) == 1  # LiDARs take no pictures: all of the road is unseen
     assert nobody[0].area.area > unseen.area.area
 
@@ -54,10 +57,15 @@ def test_other_programs_read_the_same_areas(name, views, tmp_path):
     path = tmp_path / f"views.{name}"
     content = load_format(name).write(TWO, SCENE, views=True)
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    table = gpd.read_file(path, layer="views") if name == "gpkg" else gpd.read_file(path)
+    if name == "gpkg":
+        table = gpd.read_file(path, layer="views")
+    else:
+        table = gpd.read_file(path)
     areas = table[table.geom_type.isin(["Polygon", "MultiPolygon"])].to_crs(SCENE.crs)
     assert len(areas) == len(views)
-    np.testing.assert_allclose(areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(
+        areas.area, [view.area.area for view in views], rtol=1e-5, atol=1e-3
+    )
     names = areas["Name" if name == "kml" else "id"].tolist()
     assert names == [*(f"view of {unit.id}" for unit in TWO.units), UNSEEN]
     assert sum(table.geom_type == "Point") == (0 if name == "gpkg" else len(TWO.units))
@@ -73,14 +81,23 @@ def test_a_drawing_has_poles_units_and_views_on_their_layers(views):
     space = drawing.modelspace()
     poles = space.query('CIRCLE[layer=="POLES"]')
     feet = np.array([list(pole.dxf.center)[:2] for pole in poles])
-    np.testing.assert_allclose(feet, [site.position_m[:2] for site in SCENE.sites], atol=1e-9)
+    np.testing.assert_allclose(
+        feet, [site.position_m[:2] for site in SCENE.sites], atol=1e-9
+    )
     for unit, arrow in zip(TWO.units, space.query('LINE[layer=="UNITS"]'), strict=True):
-        np.testing.assert_allclose(list(arrow.dxf.start), unit.pose.position_m, atol=1e-9)
+        np.testing.assert_allclose(
+            list(arrow.dxf.start), unit.pose.position_m, atol=1e-9
+        )
         way = np.array(arrow.dxf.end) - np.array(arrow.dxf.start)
         yaw_deg = np.degrees(np.arctan2(way[1], way[0]))
-        assert (yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-6)
+        assert (yaw_deg - unit.pose.yaw_deg + 180.0) % 360.0 - 180.0 == pytest.approx(
+            0.0, abs=1e-6
+        )
     for view in views:
-        layer = f"VIEWS-{view.unit}" if view.unit else "UNSEEN"
+        if view.unit:
+            layer = f"VIEWS-{view.unit}"
+        else:
+            layer = "UNSEEN"
         lines = space.query(f'LWPOLYLINE[layer=="{layer}"]')
         rings = [shapely.Polygon([point[:2] for point in line]) for line in lines]
         # A hole's ring lies within another one's.

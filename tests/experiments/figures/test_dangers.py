@@ -21,7 +21,10 @@ def marks(axes, name):
 
 
 def impacts(*points):
-    runs = [SimpleNamespace(vru_position_m=np.array([[9.0, 9.0], point])) for point in points]
+    runs = [
+        SimpleNamespace(vru_position_m=np.array([[9.0, 9.0], point]))
+        for point in points
+    ]
     return SimpleNamespace(runs=runs)
 
 
@@ -42,7 +45,9 @@ def test_every_run_is_at_one_place_and_none_is_wide(small_setting):
         assert max(np.hypot(*(a - b)) for a in points for b in points) <= 6.0
 
 
-def test_each_place_shows_its_share_by_weight_the_darker_the_more_is_left(small_setting, layout):
+def test_each_place_shows_its_share_by_weight_the_darker_the_more_is_left(
+    small_setting, layout
+):
     """Where all is avoided there is a mark without a number."""
     places = find_places(small_setting)
     weight = np.arange(1.0, small_setting.axis.n_runs + 1.0)
@@ -65,13 +70,17 @@ def test_each_place_shows_its_share_by_weight_the_darker_the_more_is_left(small_
     assert len(marks(axes, "unit")) == 2
 
 
-def test_places_that_do_not_count_are_left_out_and_a_narrow_figure_is_drawn(small_setting, layout):
+def test_places_that_do_not_count_are_left_out_and_a_narrow_figure_is_drawn(
+    small_setting, layout
+):
     places = find_places(small_setting)
     weight = np.ones(small_setting.axis.n_runs)
     weight[places[0].runs] = 0.0
     axis = replace(small_setting.axis, weight=weight / weight.sum())
     none = np.zeros(axis.n_runs, dtype=bool)
-    axes = plot_dangers(replace(small_setting, axis=axis), layout, none, width_in=NARROW_IN)
+    axes = plot_dangers(
+        replace(small_setting, axis=axis), layout, none, width_in=NARROW_IN
+    )
     assert len(marks(axes, "place")) == len(places) - 1
     assert root_figure(axes).get_figwidth() == NARROW_IN
     assert to_png(axes).startswith(b"\x89PNG")
@@ -82,5 +91,7 @@ def test_what_is_not_quite_none_or_all_is_not_shown_as_it(small_setting, layout)
     axis = SimpleNamespace(weight=np.full(1000, 1e-3), n_runs=1000)
     setting = SimpleNamespace(scene=small_setting.scene, axis=axis)
     for n_avoided, text in ((0, "0"), (1, "1"), (999, "99")):
-        axes = plot_dangers(setting, layout, np.arange(1000) < n_avoided, places=[place])
+        axes = plot_dangers(
+            setting, layout, np.arange(1000) < n_avoided, places=[place]
+        )
         assert [mark.get_text() for mark in marks(axes, "share")] == [text]

@@ -34,7 +34,8 @@ def build_evaluation(axis, camera, *, name="mine", ids=("RSU0", "RSU1"), seed=3)
 
     pose = Pose(position_m=[1.0, 2.0, 7.0], yaw_deg=30.0, pitch_deg=-20.0)
     units = tuple(
-        CandidatePose(id=unit_id, site_id="s", pose=pose, sensor=camera) for unit_id in ids
+        CandidatePose(id=unit_id, site_id="s", pose=pose, sensor=camera)
+        for unit_id in ids
     )
     return Evaluation(
         layout=Layout(name=name, units=units),
@@ -81,7 +82,9 @@ def test_heatmap_cells_are_centred_on_their_frames(evaluation):
 def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
     for run_index, last_brake_s in enumerate(evaluation.axis.last_brake_time_s[:2]):
         axes = plot_heatmaps(evaluation, [run_index])[0]
-        (line,) = [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+        (line,) = [
+            line for line in axes.get_lines() if line.get_gid() == "last brake time"
+        ]
         assert list(line.get_xdata()) == [last_brake_s] * 2
         assert line.get_color() == RED
         assert line.is_dashed()
@@ -89,7 +92,9 @@ def test_heatmap_draws_the_last_brake_time_as_a_dashed_red_line(evaluation):
 
 def test_heatmap_says_so_where_no_braking_helps(evaluation):
     axes = plot_heatmaps(evaluation, [2])[0]  # its last brake time is minus infinity
-    assert not [line for line in axes.get_lines() if line.get_gid() == "last brake time"]
+    assert not [
+        line for line in axes.get_lines() if line.get_gid() == "last brake time"
+    ]
     assert any("no braking" in text for text in texts(axes.figure))
 
 
@@ -101,16 +106,25 @@ def test_heatmap_marks_confirmations_and_names_outcomes(evaluation):
         times = [row.confirmation_time_s[run_index] for row in rows]
         assert list(marks.get_xdata()) == times
         (outcomes,) = axes.child_axes
-        for label, row, time_s in zip(outcomes.get_yticklabels(), rows, times, strict=True):
-            late = "too late" if np.isfinite(time_s) else "never confirmed"
+        for label, row, time_s in zip(
+            outcomes.get_yticklabels(), rows, times, strict=True
+        ):
+            if np.isfinite(time_s):
+                late = "too late"
+            else:
+                late = "never confirmed"
             if not row.detected[evaluation.axis.frames_of(run_index)].any():
                 late = "never seen"
-            assert label.get_text() == ("avoided" if row.is_avoided[run_index] else late)
+            assert label.get_text() == (
+                "avoided" if row.is_avoided[run_index] else late
+            )
 
 
 def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
     late = evaluation.rsu_all
-    run_index = int(np.flatnonzero(~late.is_avoided & np.isfinite(late.confirmation_time_s))[0])
+    run_index = int(
+        np.flatnonzero(~late.is_avoided & np.isfinite(late.confirmation_time_s))[0]
+    )
     onset = late.onset_time_s.copy()
     onset[run_index] = np.inf
     axes = plot_heatmaps(
@@ -121,7 +135,9 @@ def test_a_heatmap_names_tracks_that_were_lost_again(evaluation):
 
 
 def test_figures_are_the_same_bytes_each_time(evaluation):
-    assert to_png(plot_heatmaps(evaluation, [0])[0]) == to_png(plot_heatmaps(evaluation, [0])[0])
+    assert to_png(plot_heatmaps(evaluation, [0])[0]) == to_png(
+        plot_heatmaps(evaluation, [0])[0]
+    )
 
 
 def test_figures_leave_no_trace_in_pyplot(evaluation):

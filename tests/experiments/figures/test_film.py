@@ -13,7 +13,9 @@ from placement.setting import drive_one
 
 
 def run_of(case, approach="east", speeds="40"):
-    return drive_one(Question(cases=case, approaches=approach, speeds=speeds), load_study_scene())
+    return drive_one(
+        Question(cases=case, approaches=approach, speeds=speeds), load_study_scene()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -76,22 +78,32 @@ def test_bodies_stand_where_the_run_has_them(child, strip):
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
 def test_stills_are_written_in_the_form_that_the_name_asks_for(child, tmp_path, suffix):
     path = tmp_path / f"film{suffix}"
-    own = replace(child, case=replace(child.case, name="雪"))  # not in the font: as in to_png
+    own = replace(
+        child, case=replace(child.case, name="雪")
+    )  # not in the font: as in to_png
     save_film(path, load_study_scene(), own)
     begin = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
     assert path.read_bytes().startswith(begin)
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path, monkeypatch):
+def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(film_figure, "_SHOWN_S", 0.1)
     monkeypatch.setattr(film_figure, "_DPI", 40)
     run = run_of("CPNCO-50", speeds="20")
-    path, told = tmp_path / "film.gif", []
-    save_film(path, load_study_scene(), run, progress=lambda stage, *done: told.append(done))
+    path = tmp_path / "film.gif"
+    told = []
+    save_film(
+        path, load_study_scene(), run, progress=lambda stage, *done: told.append(done)
+    )
     with Image.open(path) as film:
-        n_frames, milliseconds = film.n_frames, film.info["duration"]
-    shown = run.time_s >= max(run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.1)
+        n_frames = film.n_frames
+        milliseconds = film.info["duration"]
+    shown = run.time_s >= max(
+        run.encounter.vru_motion.start_time_s, run.last_brake_time_s - 0.1
+    )
     assert n_frames == len(told) == shown.sum()
     assert milliseconds == 100
 
@@ -99,7 +111,9 @@ def test_an_animation_has_a_picture_per_frame_and_tells_its_progress(tmp_path, m
 def test_an_unknown_form_is_refused_before_anything_is_written(child, tmp_path):
     with pytest.raises(InputError) as caught:
         save_film(tmp_path / "film.mov", load_study_scene(), child)
-    assert str(caught.value) == (
-        f"--out: got '{tmp_path}/film.mov'; expected a name that ends in .png, .svg, .pdf, .gif"
+    assert (
+        str(caught.value)
+        == f"--out: got '{tmp_path}/film.mov'; expected a name that ends in .png, .svg,"
+        " .pdf, .gif"
     )
     assert list(tmp_path.iterdir()) == []

@@ -23,20 +23,30 @@ CAMERA = load_cameras()["carla-ncap-rgb"]
 
 @pytest.fixture(scope="module")
 def setting():
-    return build_setting(Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene())
+    return build_setting(
+        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0"), load_study_scene()
+    )
 
 
 def is_inside(points_m, corners_m):
     """Whether points lie in a convex counter-clockwise polygon; and how near to its edge."""
     edges = np.roll(corners_m, -1, axis=0) - corners_m
     lengths = np.hypot(*edges.T)
-    edges, starts = edges[lengths > 1e-9], corners_m[lengths > 1e-9]
-    normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
+    edges = edges[lengths > 1e-9]
+    starts = corners_m[lengths > 1e-9]
+    normals = (
+        np.stack([-edges[:, 1], edges[:, 0]], axis=1) / lengths[lengths > 1e-9, None]
+    )
     depth = ((points_m[:, None] - starts) * normals).sum(axis=2).min(axis=1)
     return depth
 
 
-@given(st.floats(-180.0, 180.0), st.floats(-85.0, 40.0), st.floats(2.0, 12.0), st.floats(5.0, 60.0))
+@given(
+    st.floats(-180.0, 180.0),
+    st.floats(-85.0, 40.0),
+    st.floats(2.0, 12.0),
+    st.floats(5.0, 60.0),
+)
 def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     yaw_deg, pitch_deg, height_m, max_range_m
 ):
@@ -45,7 +55,9 @@ def test_footprint_holds_exactly_the_ground_that_projects_into_the_image(
     corners = ground_footprint(unit, max_range_m=max_range_m)
     rng = np.random.default_rng(0)
     points = pose.position_m[:2] + rng.uniform(-1.1, 1.1, (400, 2)) * max_range_m
-    column, row, depth = project_points(np.column_stack([points, np.zeros(400)]), pose, CAMERA).T
+    column, row, depth = project_points(
+        np.column_stack([points, np.zeros(400)]), pose, CAMERA
+    ).T
     range_m = np.hypot(*(points - pose.position_m[:2]).T)
     seen = (
         (depth > 0.0)
@@ -128,7 +140,9 @@ def test_the_tip_of_a_camera_points_where_it_looks(setting):
 def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
     first = load_carlancap_layout().units[0]
     units = [
-        dataclasses.replace(first, id=f"U{i}", pose=dataclasses.replace(first.pose, yaw_deg=yaw))
+        dataclasses.replace(
+            first, id=f"U{i}", pose=dataclasses.replace(first.pose, yaw_deg=yaw)
+        )
         for i, yaw in enumerate((0.0, 5.0, 180.0))
     ]
     axes = plot_plan(setting, Layout(name="mine", units=tuple(units)))
@@ -140,13 +154,17 @@ def test_two_units_on_a_pole_are_two_arrows_from_it(setting):
         ends.append(0.5 * dart.get_markersize() * outline[:, 0] / np.abs(outline).max())
     assert ends[0].min() >= 0.0  # east of the pole, the last one west of it
     assert ends[2].max() <= 1e-9
-    assert ends[1].max() > 1.5 * ends[0].max()  # before the first one, which looks there, too
+    assert (
+        ends[1].max() > 1.5 * ends[0].max()
+    )  # before the first one, which looks there, too
     assert {"U0, U1", "U2"} <= {text.get_text() for text in axes.texts}
 
 
 def test_assumed_sites_and_arms_are_named(setting):
     unit = load_carlancap_layout().units[0]
-    note = Note(what="a mast", why="none in the map", kind="sites", site_ids=(unit.site_id,))
+    note = Note(
+        what="a mast", why="none in the map", kind="sites", site_ids=(unit.site_id,)
+    )
     scene = dataclasses.replace(setting.scene, notes=(note,))
     layout = Layout(name="mine", units=(dataclasses.replace(unit, id="U1"),))
     axes = plot_plan(dataclasses.replace(setting, scene=scene), layout)

@@ -66,14 +66,20 @@ def test_the_rings_hold_exactly_the_ground_in_view(horizontal_fov_deg, pitch_deg
     drawn = shapely.contains_xy(shapely.Polygon(outer).buffer(0.0), points)
     if len(inner):
         drawn &= ~shapely.contains_xy(shapely.Polygon(inner).buffer(0.0), points)
-    # 2 degrees between bearings, and a tenth of a metre: only what is near to a border may differ.
+    # 2 degrees between bearings, and a tenth of a metre: only what is near to a border
+    # may differ.
     assert (drawn == is_seen).mean() > 0.97
     assert 0.05 < is_seen.mean() < 0.9
 
 
 def test_cameras_and_narrow_lidars_have_no_blind_disc():
-    for sensor in (next(iter(load_cameras().values())), load_lidars()["carla-ncap-lidar"]):
-        assert len(blind_footprint(_unit(sensor, pitch_deg=-20.0), max_range_m=35.0)) == 0
+    for sensor in (
+        next(iter(load_cameras().values())),
+        load_lidars()["carla-ncap-lidar"],
+    ):
+        assert (
+            len(blind_footprint(_unit(sensor, pitch_deg=-20.0), max_range_m=35.0)) == 0
+        )
 
 
 def test_the_words_say_that_it_scans_all_round():
@@ -82,7 +88,10 @@ def test_the_words_say_that_it_scans_all_round():
         "scanning all round",
     ]
     camera = _unit(next(iter(load_cameras().values())), yaw_deg=90.0)
-    assert [compass_word(camera), looking_words(camera)] == ["north", "looking to the north"]
+    assert [compass_word(camera), looking_words(camera)] == [
+        "north",
+        "looking to the north",
+    ]
     layout = Layout(name="two", units=(_unit(), replace(camera, id="U2")))
     assert [row[12] for row in unit_table("two", layout, load_study_scene()).rows] == [
         "all round",
@@ -101,7 +110,11 @@ def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting)
     texts = [text.get_text() for text in legend.get_texts()]
     assert "two: LiDAR that scans all round" in texts
     assert any(text.startswith("two: camera") for text in texts)
-    fill = next(p for p in axes.patches if isinstance(p, PathPatch) and p.get_alpha() is not None)
+    fill = next(
+        p
+        for p in axes.patches
+        if isinstance(p, PathPatch) and p.get_alpha() is not None
+    )
     # What runs the other way round inside is a hole.
     outer, inner = fill.get_path().to_polygons()
     assert shapely.LinearRing(outer).is_ccw
@@ -113,11 +126,15 @@ def test_the_plan_marks_a_ring_by_a_disc_and_draws_its_blind_spot(small_setting)
 
 
 def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps():
-    level, tilted = _unit(yaw_deg=90.0), _unit(yaw_deg=90.0, pitch_deg=-12.0)
+    level = _unit(yaw_deg=90.0)
+    tilted = _unit(yaw_deg=90.0, pitch_deg=-12.0)
     assert _direction(level).startswith("all round: turned it sees the same")
     assert _direction(tilted).startswith("all round\nits front to the north")
     assert _tilt(level) == "none: level, its axis upright"
-    assert _tilt(tilted) == "its front 12.0\N{DEGREE SIGN} down, its back as much the other way"
+    assert (
+        _tilt(tilted)
+        == "its front 12.0\N{DEGREE SIGN} down, its back as much the other way"
+    )
     arrows = []
     for unit in (level, tilted):
         axes = new_axes(4.0, 4.0)
@@ -128,16 +145,21 @@ def test_the_sheet_says_how_a_ring_hangs_and_draws_an_arrow_only_where_it_helps(
 
 def test_the_player_gets_a_round_sign():
     camera = _unit(next(iter(load_cameras().values())), pitch_deg=-30.0, unit_id="U2")
-    ring, other = unit_records(Layout(name="two", units=(_unit(), camera)), load_study_scene())
+    ring, other = unit_records(
+        Layout(name="two", units=(_unit(), camera)), load_study_scene()
+    )
     assert (ring["kind"], other["kind"]) == ("ring", "camera")
     assert "scans all round" in ring["title"]
     assert "scans all round" not in other["title"]
 
 
 @given(st.floats(-720.0, 720.0), st.floats(-22.0, 22.0), st.floats(1.0, 60.0))
-def test_nothing_beside_a_ring_is_out_of_its_view(azimuth_deg, elevation_deg, distance_m):
+def test_nothing_beside_a_ring_is_out_of_its_view(
+    azimuth_deg, elevation_deg, distance_m
+):
     """At no azimuth, that of the seam included: what it does not detect is never to the side."""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    azimuth = math.radians(azimuth_deg)
+    elevation = math.radians(elevation_deg)
     way = [
         math.cos(elevation) * math.cos(azimuth),
         math.cos(elevation) * math.sin(azimuth),

@@ -25,8 +25,12 @@ def views(small_setting):
 
 
 def mounted(sensor=CAMERA, *, yaw_deg=90.0, pitch_deg=-12.0, site="corner-sw"):
-    foot_m = next(each for each in load_study_scene().sites if each.id == site).position_m
-    pose = Pose(position_m=foot_m + [0.0, 0.0, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    foot_m = next(
+        each for each in load_study_scene().sites if each.id == site
+    ).position_m
+    pose = Pose(
+        position_m=foot_m + [0.0, 0.0, 8.0], yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
     return CandidatePose(id="U1", site_id=site, pose=pose, sensor=sensor)
 
 
@@ -37,14 +41,20 @@ def test_a_camera_reaches_as_far_as_the_tallest_road_user_is_high_enough_in_the_
     for fov_deg in (40.0, 70.0, 110.0):
         camera = replace(CAMERA, horizontal_fov_deg=fov_deg)
         reach_m = (
-            camera.focal_length_px * tallest_m / small_setting.table_detector.min_box_height_px
+            camera.focal_length_px
+            * tallest_m
+            / small_setting.table_detector.min_box_height_px
         )
-        assert views.reach_m(camera) == pytest.approx(min(reach_m, MAX_RANGE_M), abs=0.5)
+        assert views.reach_m(camera) == pytest.approx(
+            min(reach_m, MAX_RANGE_M), abs=0.5
+        )
     blind = replace(
-        small_setting, table_detector=replace(small_setting.table_detector, min_contrast=1.0)
+        small_setting,
+        table_detector=replace(small_setting.table_detector, min_contrast=1.0),
     )
     foggy = replace(
-        blind, axis=replace(small_setting.axis, weathers=("fog",) * small_setting.axis.n_runs)
+        blind,
+        axis=replace(small_setting.axis, weathers=("fog",) * small_setting.axis.n_runs),
     )
     assert GroundViews(foggy).reach_m(CAMERA) == 0.0
     assert views.reach_m(load_lidars()["ouster-os1-128"]) == 120.0
@@ -60,7 +70,9 @@ def test_no_view_runs_through_houses(small_setting, views, yaw_deg):
         ]
     ).buffer(-2.0)
     unit = mounted(replace(CAMERA, horizontal_fov_deg=50.0), yaw_deg=yaw_deg)
-    image = shapely.Polygon(ground_footprint(unit, max_range_m=views.reach_m(unit.sensor)))
+    image = shapely.Polygon(
+        ground_footprint(unit, max_range_m=views.reach_m(unit.sensor))
+    )
     assert shapely.area(shapely.intersection(image, houses)) > 50.0
     assert shapely.area(shapely.intersection(views.shape(unit), houses)) == 0.0
 
@@ -68,17 +80,27 @@ def test_no_view_runs_through_houses(small_setting, views, yaw_deg):
 @pytest.mark.parametrize("name", ["camera", *load_lidars()])
 def test_a_view_is_what_rays_reach(small_setting, views, name):
     unit = mounted(CAMERA if name == "camera" else load_lidars()[name], pitch_deg=-10.0)
-    rng, eye_m = np.random.default_rng(0), unit.pose.position_m
-    points_m = np.column_stack([eye_m[:2] + rng.uniform(-60.0, 60.0, (4000, 2)), np.zeros(4000)])
+    rng = np.random.default_rng(0)
+    eye_m = unit.pose.position_m
+    points_m = np.column_stack(
+        [eye_m[:2] + rng.uniform(-60.0, 60.0, (4000, 2)), np.zeros(4000)]
+    )
     away_m = points_m - eye_m
     reach_m = views.reach_m(unit.sensor)
     axis = np.array([0.0, np.cos(np.radians(10.0)), -np.sin(np.radians(10.0))])
-    depth_m = away_m @ axis if name == "camera" else np.hypot(*away_m[:, :2].T)
-    caster = build_caster(small_setting.scene.vertices_m - eye_m, small_setting.scene.triangles)
+    if name == "camera":
+        depth_m = away_m @ axis
+    else:
+        depth_m = np.hypot(*away_m[:, :2].T)
+    caster = build_caster(
+        small_setting.scene.vertices_m - eye_m, small_setting.scene.triangles
+    )
     vectors_m = (away_m + [0.0, 0.0, 1.0]).astype(np.float32)
     is_hidden = caster.is_blocked(0.05 * vectors_m, 0.94 * vectors_m)
     is_seen = is_in_view(unit, points_m) & (depth_m <= reach_m) & ~is_hidden
     shape = views.shape(unit)
     is_drawn = shapely.contains_xy(shape, points_m[:, :2])
     assert is_seen.sum() > 100
-    assert (is_drawn != is_seen).mean() < 0.03  # a degree and a metre wide are the borders
+    assert (
+        is_drawn != is_seen
+    ).mean() < 0.03  # a degree and a metre wide are the borders

@@ -72,15 +72,19 @@ def answers(small_setting, tables, tmp_path_factory):
         patch.setattr(baselines, "load_candidate_grid", build_small_grid)
         patch.setattr(placement, "find_baseline", build_small_baseline)
         patch.setattr(placement, "write_report", lambda *given, **options: None)
-        return folder, {cars: asked(folder / cars, cars=cars) for cars in ("blind", "see", "0.3")}
+        return folder, {
+            cars: asked(folder / cars, cars=cars) for cars in ("blind", "see", "0.3")
+        }
 
 
 def test_answers_are_judged_by_what_cars_see(answers):
     folder, summaries = answers
     for cars, summary in summaries.items():
-        share, evaluation = summary["cars"], summary["evaluation"]
+        share = summary["cars"]
+        evaluation = summary["evaluation"]
         assert share == {"blind": 0.0, "see": 1.0, "0.3": 0.3}[cars]
-        blind, seeing = evaluation["rsu_all"]["all"], evaluation["vut_and_rsus"]["all"]
+        blind = evaluation["rsu_all"]["all"]
+        seeing = evaluation["vut_and_rsus"]["all"]
         judged = (evaluation["headline"] or evaluation["rsu_all"])["all"]
         assert judged == pytest.approx(share * seeing + (1.0 - share) * blind)
         # Table and evaluator see the same with the car's own sensors as without.
@@ -88,9 +92,12 @@ def test_answers_are_judged_by_what_cars_see(answers):
         assert summary["greedy"]["evaluation"]["headline"] is None or cars != "blind"
         assert all(stage["gap"] == 0.0 for stage in summary["stages"])
         assert failed(folder / cars) == []
-    assert summaries["see"]["apr"] >= summaries["0.3"]["apr"] >= summaries["blind"]["apr"]
     assert (
-        summaries["see"]["apr_without_worst_unit"] >= summaries["see"]["evaluation"]["vut"]["all"]
+        summaries["see"]["apr"] >= summaries["0.3"]["apr"] >= summaries["blind"]["apr"]
+    )
+    assert (
+        summaries["see"]["apr_without_worst_unit"]
+        >= summaries["see"]["evaluation"]["vut"]["all"]
     )
 
 
@@ -127,13 +134,18 @@ def test_the_table_has_what_the_evaluator_sees_from_the_car(small_study):
     rows = assembly.table.detected(list(found.pose_index))
     on_table = table_verdict(found.layout.units, rows, assembly.setting, with_vut=True)
     axis = small_study.axis
-    assert on_table.is_avoided @ axis.weight == pytest.approx(found.certificate.stages[0].objective)
+    assert on_table.is_avoided @ axis.weight == pytest.approx(
+        found.certificate.stages[0].objective
+    )
 
 
 def test_blind_cars_are_asked_about_as_before(small_study):
     without, blind, see = (
         assemble(question, compute=cached())
-        for question in (Question(budget=2), *(Question(budget=2, cars=cars) for cars in "01"))
+        for question in (
+            Question(budget=2),
+            *(Question(budget=2, cars=cars) for cars in "01"),
+        )
     )
     assert without.problem.seen_by_vut is blind.problem.seen_by_vut is None
     assert with_sight(small_study) is small_study
@@ -170,7 +182,9 @@ def test_what_units_add_is_told_one_by_one(small_study):
         assert everything.gain == pytest.approx(everything.with_units - everything.vut)
         gains = [unit.gain for unit in found.units]
         assert {unit.unit for unit in found.units} == {unit.id for unit in layout.units}
-        assert everything.vut + sum(gains) == pytest.approx(everything.with_units, abs=1e-9)
+        assert everything.vut + sum(gains) == pytest.approx(
+            everything.with_units, abs=1e-9
+        )
         assert fusion == "single" or everything.with_units == pytest.approx(
             evaluation.vut_and_rsus.is_avoided @ small_study.axis.weight
         )
@@ -188,10 +202,16 @@ def test_what_units_add_is_told_one_by_one(small_study):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cars": "some"}, "cars: got 'some'; expected blind, see, or the share of cars that see"),
+        (
+            {"cars": "some"},
+            "cars: got 'some'; expected blind, see, or the share of cars that see",
+        ),
         ({"cars": "nan"}, "cars: got 'nan'; expected blind, see, or the share"),
         ({"cars": "1.01"}, "cars: got '1.01'; expected blind, see, or the share"),
-        ({"cars": "0.5", "refine": True}, "cars: got '0.5'; expected blind or see beside `refine`"),
+        (
+            {"cars": "0.5", "refine": True},
+            "cars: got '0.5'; expected blind or see beside `refine`",
+        ),
     ],
 )
 def test_words_that_mean_nothing_are_refused(options, message):
@@ -213,7 +233,8 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
     seen = assembly.problem.seen_by_vut
     n_frames = small_study.axis.n_frames
     assert seen.shape == (2 * n_frames,)
-    worlds, planned = seen.reshape(2, n_frames), assembly.setting.seen_by_vut
+    worlds = seen.reshape(2, n_frames)
+    planned = assembly.setting.seen_by_vut
     assert worlds.any(axis=1).all()
     if detector == "response":  # each world has misses of its own
         assert not np.array_equal(*worlds)
@@ -236,7 +257,9 @@ def test_cars_see_in_sampled_worlds(small_study, tmp_path, monkeypatch, detector
 def test_a_share_of_the_cars_sees_in_sampled_worlds(small_study, tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 2)
     problems = {
-        cars: assemble(Question(budget=2, cars=cars, samples=2), compute=cached()).problem
+        cars: assemble(
+            Question(budget=2, cars=cars, samples=2), compute=cached()
+        ).problem
         for cars in ("blind", "0.3", "see")
     }
     for chosen in ([], [0], [1, 4]):
@@ -254,7 +277,9 @@ def test_nothing_is_lost_where_the_car_sees_all(small_study):
     layout = build_small_baseline(small_study.scene)
     everything = np.ones(small_study.axis.n_frames, dtype=bool)
     setting = replace(small_study, cars=1.0, seen_by_vut=everything)
-    best = table_verdict([], np.zeros((0, len(everything)), dtype=bool), setting, with_vut=True)
+    best = table_verdict(
+        [], np.zeros((0, len(everything)), dtype=bool), setting, with_vut=True
+    )
     apr = best.is_avoided @ setting.axis.weight
     standing = find_standing(setting, layout.units)
     assert standing.worst.apr == pytest.approx(apr)
@@ -273,11 +298,15 @@ def test_whose_failure_costs_what_with_and_without_the_car(small_study):
     by_units = find_failures(evaluation, small_study.rule)
     seeing = replace(evaluation, cars=1.0)
     with_car = find_failures(seeing, small_study.rule)
-    assert with_car.none_failed.apr == pytest.approx(seeing.headline.is_avoided @ axis.weight)
+    assert with_car.none_failed.apr == pytest.approx(
+        seeing.headline.is_avoided @ axis.weight
+    )
     assert with_car.one_failed[0].apr == apr_one_failed(seeing, small_study.rule)
     assert by_units.one_failed[0].apr == apr_one_failed(evaluation, small_study.rule)
     assert apr_one_failed(replace(evaluation, cars=0.3), small_study.rule) >= (
         0.3 * with_car.one_failed[0].apr + 0.7 * by_units.one_failed[0].apr - 1e-12
     )
     one = replace(seeing, layout=replace(layout, units=layout.units[:1]))
-    assert apr_one_failed(one, small_study.rule) == evaluation.vut.is_avoided @ axis.weight
+    assert (
+        apr_one_failed(one, small_study.rule) == evaluation.vut.is_avoided @ axis.weight
+    )

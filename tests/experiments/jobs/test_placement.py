@@ -137,10 +137,16 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
 ):
     asked = {"samples": samples, "budget": 2, "cars": cars, "detector": detector}
     named = load_planning_detector(detector)
-    lay_runs_of(monkeypatch, replace(small_setting, detector=named, table_detector=named))
-    is_tied, results, run = cars == "see", [], placement.run_placement
+    lay_runs_of(
+        monkeypatch, replace(small_setting, detector=named, table_detector=named)
+    )
+    is_tied = cars == "see"
+    results = []
+    run = placement.run_placement
     monkeypatch.setattr(
-        placement, "run_placement", lambda *a, **b: results.append(run(*a, **b)) or results[-1]
+        placement,
+        "run_placement",
+        lambda *a, **b: results.append(run(*a, **b)) or results[-1],
     )
     monkeypatch.setattr(placement, "MIN_FRESH_WORLDS", 3)
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "first"))
@@ -179,17 +185,28 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
     monkeypatch.setenv("PLACE_RSUS_CACHE", str(tmp_path / "second"))
     summary = place(tmp_path / "out", **asked)
     assert summary["layout"] != before["layout"]
-    assert (summary["preferred"]["first"], summary["preferred"]["second"]) == ("greedy", "found")
+    assert (summary["preferred"]["first"], summary["preferred"]["second"]) == (
+        "greedy",
+        "found",
+    )
     names = [one["name"] for one in before["stages"]]
     if detector == "response":  # more is given up than a point: it is not called sturdy
         assert summary["highest"] is None
         names.remove("apr_survived")
     assert [one["name"] for one in summary["stages"]] == names
     assert (summary["stages"][0]["gap"] == 0.0) == is_tied
-    assert ("Fresh worlds prefer this choice" in proof.words(results[-1])) == (not is_tied)
+    assert ("Fresh worlds prefer this choice" in proof.words(results[-1])) == (
+        not is_tied
+    )
     told = " ".join(answer.warnings(results[-1]))
-    assert ("60 sampled worlds, where chance decides, chose" in told) == (detector == "response")
-    assert "so it is the answer" in told if not samples else "is the answer, not the one" in told
+    assert ("60 sampled worlds, where chance decides, chose" in told) == (
+        detector == "response"
+    )
+    assert (
+        "so it is the answer" in told
+        if not samples
+        else "is the answer, not the one" in told
+    )
     assert (summary["apr"] == before["apr"]) == is_tied
     assert summary["bound"] >= before["bound"] - 1e-9
     checked = run_verification(tmp_path / "out", progress=StageProgress())
@@ -198,7 +215,9 @@ def test_greedy_choice_is_the_answer_where_fresh_worlds_prefer_it(
 
 @pytest.mark.usefixtures("small_study", "without_figures")
 def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, "find_baseline", lambda scene: None)  # the study's poses
+    monkeypatch.setattr(
+        pipeline, "find_baseline", lambda scene: None
+    )  # the study's poses
     catalogue = tmp_path / "mine.toml"
     catalogue.write_text(
         """
@@ -222,14 +241,18 @@ def test_a_layout_brings_its_own_sensors_along(tmp_path, monkeypatch):
         place(tmp_path / "out", sensors=str(catalogue))
 
 
-def test_a_budget_that_is_too_large_is_refused_before_anything_else(tmp_path, monkeypatch):
+def test_a_budget_that_is_too_large_is_refused_before_anything_else(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(pipeline, "build_setting", pytest.fail)
     with pytest.raises(InputError, match="budget: got 10000; expected a whole number"):
         place(tmp_path / "a/b", budget=10_000)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_nothing_is_written_where_no_folder_is_given(small_study, tmp_path, monkeypatch):
+def test_nothing_is_written_where_no_folder_is_given(
+    small_study, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     summary = evaluate(named("one"))
     assert list(tmp_path.iterdir()) == []
@@ -293,7 +316,11 @@ def test_a_layout_is_chosen_in_sampled_worlds_and_judged_in_fresh_ones(
     assert sampled["tail"] == 0.5
     subject, *others = sampled["layouts"]
     assert subject["name"] == "best-2"
-    assert [other["name"] for other in others] == ["greedy-2", "expert-2", "carlancap-12"]
+    assert [other["name"] for other in others] == [
+        "greedy-2",
+        "expert-2",
+        "carlancap-12",
+    ]
     assert len(subject["apr_by_sample"]) == 3
     assert subject["worst"] == min(subject["apr_by_sample"])
     assert summary["surrogate_disagreement"] is not None
@@ -319,5 +346,7 @@ def test_a_layout_chosen_in_worlds_is_verified_and_has_an_apr_there(
 
 
 def test_refinement_is_refused_where_poses_are_given(tmp_path):
-    with pytest.raises(InputError, match="refine: got it beside `within`; expected one of them"):
+    with pytest.raises(
+        InputError, match="refine: got it beside `within`; expected one of them"
+    ):
         place(tmp_path / "out", refine=True, within="carlancap-12")

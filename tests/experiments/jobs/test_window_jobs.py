@@ -15,7 +15,8 @@ def problem(frame_axis):
     """Pose 0 avoids run 1, pose 1 run 0, nothing run 2; each at a site of its own."""
     axis = replace(
         frame_axis,
-        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0]) - 0.1,
+        time_s=np.array([-0.2, -0.1, 0.0, -0.4, -0.3, -0.2, -0.1, 0.0, -0.1, 0.0])
+        - 0.1,
     )
     detected = np.zeros((2, 10), dtype=bool)
     detected[0, 3:6] = True
@@ -30,7 +31,10 @@ def problem(frame_axis):
         ),
         fusion="any",
         rule=AebRule(
-            deceleration_mps2=7.72, latency_s=0.025, n_confirmations=2, frame_rate_hz=10.0
+            deceleration_mps2=7.72,
+            latency_s=0.025,
+            n_confirmations=2,
+            frame_rate_hz=10.0,
         ),
     )
 
@@ -52,8 +56,13 @@ def test_a_placement_problem_is_solved_as_it_was_asked(run, problem, tmp_path):
 
 def test_another_question_may_be_asked(run, problem, tmp_path):
     save_problem(tmp_path / "one.npz", problem)
-    assert solve(run, tmp_path / "one.npz", "--budget", 2)["chosen_names"] == ["west", "east"]
-    assert solve(run, tmp_path / "one.npz", "--budget-cost", 5)["chosen_names"] == ["west"]
+    assert solve(run, tmp_path / "one.npz", "--budget", 2)["chosen_names"] == [
+        "west",
+        "east",
+    ]
+    assert solve(run, tmp_path / "one.npz", "--budget-cost", 5)["chosen_names"] == [
+        "west"
+    ]
     both = solve(run, tmp_path / "one.npz", "--budget-cost", 20)
     assert both["chosen_names"] == ["east"]  # the file's one unit holds
     summary = solve(run, tmp_path / "one.npz", "--target", "max")
@@ -66,9 +75,10 @@ def test_a_question_without_an_answer_says_the_best_there_is(run, problem, tmp_p
     save_problem(tmp_path / "one.npz", problem)
     code, out, err = run("solve", tmp_path / "one.npz", "--target", "0.9", "--quiet")
     assert (code, out) == (2, "")
-    assert err == (
-        "place-rsus: --target: got 0.9; expected at most 0.75, what all candidate poses together "
-        "reach\n"
+    assert (
+        err
+        == "place-rsus: --target: got 0.9; expected at most 0.75, what all candidate"
+        " poses together reach\n"
     )
 
 
@@ -88,7 +98,9 @@ def test_tracks_may_be_asked_to_live_for_another_time(run, problem, tmp_path):
     problem = replace(problem, table=table)
     save_problem(tmp_path / "one.npz", problem)
     lasting, short = (
-        solve(run, tmp_path / "one.npz", "--budget", 2, "--track-memory", memory_s)["objective"]
+        solve(run, tmp_path / "one.npz", "--budget", 2, "--track-memory", memory_s)[
+            "objective"
+        ]
         for memory_s in ("inf", "0.1")
     )
     both = replace(problem, rule=replace(problem.rule, track_memory_s=0.1))
@@ -110,15 +122,24 @@ def test_a_memory_shorter_than_a_frame_is_refused(run, problem, tmp_path):
     [
         (
             ("--budget", 3, "--target", "max"),
-            "--target: got it beside --budget; expected one of --budget, --budget-cost, --target",
+            (
+                "--target: got it beside --budget; expected one of --budget,"
+                " --budget-cost, --target"
+            ),
         ),
-        (("--budget", 0), "--budget: got '0'; expected a whole number of units, at least 1"),
+        (
+            ("--budget", 0),
+            "--budget: got '0'; expected a whole number of units, at least 1",
+        ),
         (
             ("--target", "most"),
             "--target: got 'most'; expected max, or a share of the runs, 0 to 1",
         ),
         (("--time-limit", 0), "--time-limit: got '0'; expected seconds, more than 0"),
-        (("--solver", "nonesuch"), "--solver: got 'nonesuch'; expected one of auto, exact, relax"),
+        (
+            ("--solver", "nonesuch"),
+            "--solver: got 'nonesuch'; expected one of auto, exact, relax",
+        ),
     ],
 )
 def test_wrong_options_are_told_in_one_line(run, problem, tmp_path, arguments, message):
@@ -144,12 +165,18 @@ def demanding(problem):
     """A quarter of the runs at least, also when a unit fails; with two units there is more."""
     floors = (
         Floor(name="target", share=0.2),
-        Floor(name="min_case_apr in A", share=1.0, is_counted=np.array([False, True, False])),
+        Floor(
+            name="min_case_apr in A",
+            share=1.0,
+            is_counted=np.array([False, True, False]),
+        ),
     )
     return replace(problem, floors=floors, survive=1)
 
 
-def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(run, demanding, tmp_path):
+def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(
+    run, demanding, tmp_path
+):
     save_problem(tmp_path / "one.npz", demanding)
     own = solve(run, tmp_path / "one.npz")
     assert own["chosen_names"] == ["west"]
@@ -169,16 +196,21 @@ def test_a_budget_takes_the_place_of_the_files_own_and_no_other_demand(run, dema
     assert "at most 1 unit" in cheap["question"]
 
 
-def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(run, demanding, tmp_path):
+def test_a_floor_that_a_smaller_budget_does_not_reach_is_refused(
+    run, demanding, tmp_path
+):
     floors = (Floor(name="target", share=0.7),)
     save_problem(
         tmp_path / "one.npz",
-        replace(demanding, floors=floors, limits=replace(demanding.limits, budget_units=2)),
+        replace(
+            demanding, floors=floors, limits=replace(demanding.limits, budget_units=2)
+        ),
     )
     code, out, err = run("solve", tmp_path / "one.npz", "--budget", 1, "--quiet")
     assert (code, out) == (2, "")
-    assert err == (
-        "place-rsus: --target: got 0.7; expected at most 0.5, what the best set found reaches\n"
+    assert (
+        err == "place-rsus: --target: got 0.7; expected at most 0.5, what the best set"
+        " found reaches\n"
     )
 
 
@@ -200,11 +232,15 @@ def test_a_target_takes_the_place_of_the_files_own_and_of_its_number_of_units(
 
 
 @pytest.mark.parametrize("solver", ["auto", "greedy"])
-def test_every_solver_reaches_the_files_floors_or_refuses(run, demanding, tmp_path, solver):
+def test_every_solver_reaches_the_files_floors_or_refuses(
+    run, demanding, tmp_path, solver
+):
     save_problem(tmp_path / "one.npz", demanding)
     summary = solve(run, tmp_path / "one.npz", "--solver", solver)
     assert summary["chosen_names"] == ["west"]  # east is worth more, and misses a floor
-    beyond = replace(demanding, floors=(*demanding.floors, Floor(name="more", share=0.7)))
+    beyond = replace(
+        demanding, floors=(*demanding.floors, Floor(name="more", share=0.7))
+    )
     save_problem(tmp_path / "two.npz", beyond)
     code, out, err = run("solve", tmp_path / "two.npz", "--solver", solver, "--quiet")
     assert (code, out) == (2, "")
@@ -212,14 +248,16 @@ def test_every_solver_reaches_the_files_floors_or_refuses(run, demanding, tmp_pa
     assert err.count("\n") == 1
 
 
-def test_the_first_lines_say_what_is_asked_and_what_was_replaced(run, demanding, tmp_path):
+def test_the_first_lines_say_what_is_asked_and_what_was_replaced(
+    run, demanding, tmp_path
+):
     save_problem(tmp_path / "one.npz", demanding)
     code, out, _ = run("solve", tmp_path / "one.npz", "--budget", 2, "--quiet")
     assert code == 0
     words = " ".join(out.split())
     assert words.startswith(
-        "one.npz: best layout asked: the best layout; first the highest APR that is left when "
-        "any unit fails; at most 2 units; target: an APR of at least 20 %; min_case_apr in A: an "
-        "APR of at least 100 % in 1 of 3 runs; fusion any in place of the file's own: "
-        "at most 1 unit "
+        "one.npz: best layout asked: the best layout; first the highest APR that is"
+        " left when any unit fails; at most 2 units; target: an APR of at least 20 %;"
+        " min_case_apr in A: an APR of at least 100 % in 1 of 3 runs; fusion any in"
+        " place of the file's own: at most 1 unit "
     )

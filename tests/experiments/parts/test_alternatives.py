@@ -21,7 +21,9 @@ def said(*, heavy_runs=(), by_runs=None, mounting=None):
 
 
 def standing(aim_deg, height_m, apr=1.0, lost=(), error="pitch", step=1.0):
-    worst = MountingError(unit_id="U3", kind=error, step=step, apr=apr, lost_run_ids=lost)
+    worst = MountingError(
+        unit_id="U3", kind=error, step=step, apr=apr, lost_run_ids=lost
+    )
     return Standing(aim_deg=aim_deg, height_m=height_m, worst=worst)
 
 
@@ -38,30 +40,42 @@ def test_heavy_runs_are_named_the_heaviest_first():
         "One run alone counts 20.0 % of the APR: CBTAno-50/north/0."
     ]
     assert said(heavy_runs=heavy(0.05, 0.15, *many)) == [
-        "2 runs count 5.0 % to 15.0 % of the APR each: CBTAno-50/north/1, CBTAno-50/north/0."
+        "2 runs count 5.0 % to 15.0 % of the APR each: CBTAno-50/north/1,"
+        " CBTAno-50/north/0."
     ]
 
 
 @pytest.mark.parametrize(
     ("here", "is_proven", "text"),
     [
-        (435, True, "If every run counted the same, no layout would be better than this one."),
+        (
+            435,
+            True,
+            "If every run counted the same, no layout would be better than this one.",
+        ),
         (
             435,
             False,
-            "If every run counted the same, no better layout was found in the time for it; that "
-            "there is none is not proven.",
+            (
+                "If every run counted the same, no better layout was found in the time"
+                " for it; that there is none is not proven."
+            ),
         ),
         (
             432,
             True,
-            "If every run counted the same (--weights run), another layout would be best: it "
-            "avoids 435 of 482 runs, this one 432 (on the detection table).",
+            (
+                "If every run counted the same (--weights run), another layout would be"
+                " best: it avoids 435 of 482 runs, this one 432 (on the detection"
+                " table)."
+            ),
         ),
     ],
 )
 def test_it_is_said_whether_the_layout_is_the_same_by_runs(here, is_proven, text):
-    record = ByRuns(units=("a",), runs_avoided=435, runs_avoided_here=here, is_proven=is_proven)
+    record = ByRuns(
+        units=("a",), runs_avoided=435, runs_avoided_here=here, is_proven=is_proven
+    )
     assert said(by_runs=record) == [text]
 
 
@@ -69,32 +83,49 @@ def test_what_errors_of_mounting_cost_is_said():
     def of_mounting(*given, **options):
         return said(mounting=standing(*given, **options))[0]
 
-    assert of_mounting(2.0, 0.05) == (
-        "A unit may be 2 degrees off its aim or 5 cm too high or low, and no run is lost."
+    assert (
+        of_mounting(2.0, 0.05)
+        == "A unit may be 2 degrees off its aim or 5 cm too high or low, and no run is"
+        " lost."
     )
-    assert of_mounting(0.0, 0.0, 0.931, ("a", "b")) == (
-        "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or low, already "
-        "loses a run. At worst, 1 degree or 5 cm cost 2 runs: with U3 tilted 1 degree up the APR "
-        "is 93.1 %."
+    assert (
+        of_mounting(0.0, 0.0, 0.931, ("a", "b"))
+        == "Mount exactly: half a degree off the aim of a unit, or 5 cm too high or"
+        " low, already loses a run. At worst, 1 degree or 5 cm cost 2 runs: with U3"
+        " tilted 1 degree up the APR is 93.1 %."
     )
     assert of_mounting(0.0, 0.05, 0.9, ("a",), "yaw", -1.0).endswith(
-        "5 cm too high or low loses none. At worst, 1 degree or 5 cm cost 1 run: with U3 turned 1 "
-        "degree to the right the APR is 90.0 %."
+        "5 cm too high or low loses none. At worst, 1 degree or 5 cm cost 1 run: with"
+        " U3 turned 1 degree to the right the APR is 90.0 %."
     )
-    assert of_mounting(1.0, 0.0, 0.9, ("a",), "height", -0.05) == (
-        "A unit may be 1 degree off its aim and no run is lost; 5 cm too high or low already loses "
-        "one. At worst, 1 degree or 5 cm cost 1 run: with U3 5 cm too low the APR is 90.0 %."
+    assert (
+        of_mounting(1.0, 0.0, 0.9, ("a",), "height", -0.05)
+        == "A unit may be 1 degree off its aim and no run is lost; 5 cm too high or low"
+        " already loses one. At worst, 1 degree or 5 cm cost 1 run: with U3 5 cm too"
+        " low the APR is 90.0 %."
     )
 
 
 @pytest.mark.parametrize(
     ("decided_by", "why"),
     [
-        ("apr", "APR 90.2 % against 90.0 %, and 48.2 % against 36.5 % if any one unit fails"),
-        ("apr_one_failed", "the same APR, 90.0 %, and 48.2 % against 36.5 % if any one unit fails"),
+        (
+            "apr",
+            (
+                "APR 90.2 % against 90.0 %, and 48.2 % against 36.5 % if any one unit"
+                " fails"
+            ),
+        ),
+        (
+            "apr_one_failed",
+            "the same APR, 90.0 %, and 48.2 % against 36.5 % if any one unit fails",
+        ),
         (
             "mounting",
-            "the same APR, and a unit mounted 1 degree or 5 cm off leaves 95.0 % against 93.0 %",
+            (
+                "the same APR, and a unit mounted 1 degree or 5 cm off leaves 95.0 %"
+                " against 93.0 %"
+            ),
         ),
     ],
 )
@@ -112,10 +143,14 @@ def test_the_evaluator_recommends_and_the_proof_is_about_the_other(decided_by, w
         recommended="greedy-3",
         decided_by=decided_by,
         equal_within=0.001,
-        layouts=(runner("best-3", 0.9, 0.365, 0.93), runner("greedy-3", 0.902, 0.482, 0.95)),
+        layouts=(
+            runner("best-3", 0.9, 0.365, 0.93),
+            runner("greedy-3", 0.902, 0.482, 0.95),
+        ),
     )
     assert recommended_sentences(record, is_proven=True) == [
-        f"Recommended: greedy-3, in recommended.json. The evaluator prefers it to best-3: {why}. "
-        "All else here is about best-3, which is proven best on the detection table."
+        "Recommended: greedy-3, in recommended.json. The evaluator prefers it to"
+        f" best-3: {why}. All else here is about best-3, which is proven best on the"
+        " detection table."
     ]
     assert recommended_sentences(None, is_proven=True) == []

@@ -33,10 +33,16 @@ def layout(*latencies_s):
             f"{OWN}RSU2 12.5 ms; RSU0 and RSU3 70 ms.",
         ),
         (
-            {"mine": layout(0.1, None), "old": layout(0.1, 0.1, 0.1), "new": layout(None)},
+            {
+                "mine": layout(0.1, None),
+                "old": layout(0.1, 0.1, 0.1),
+                "new": layout(None),
+            },
             f"{OWN}RSU0 of mine 100 ms; every unit of old 100 ms.",
         ),
     ],
 )
-def test_latency_names_the_units_that_have_another_of_their_own(small_setting, layouts, text):
+def test_latency_names_the_units_that_have_another_of_their_own(
+    small_setting, layouts, text
+):
     assert latency_words(small_setting.rule, layouts) == text

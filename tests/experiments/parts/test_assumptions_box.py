@@ -22,8 +22,8 @@ def result(*notes):
 def test_sites_of_which_the_same_is_assumed_share_a_sentence():
     notes = [moved(f"n{i}", away_m) for i, away_m in enumerate((12.5, 3.0, 16.8, 4.0))]
     assert assumption_sentences(result(*notes)) == [
-        "4 sites (n0, n1, n2 and 1 more): it stood on a lane: moved 3 to 16.8 m to the nearest "
-        "kerb."
+        "4 sites (n0, n1, n2 and 1 more): it stood on a lane: moved 3 to 16.8 m to the"
+        " nearest kerb."
     ]
     assert assumption_sentences(result(notes[0])) == [
         "sign n0: it stood on a lane: moved 12.5 m to the nearest kerb."
@@ -61,13 +61,17 @@ def test_the_page_has_a_box_where_something_is_assumed():
 
 
 def test_the_report_counts_the_measured_figures_of_response_tables():
-    response, table = load_detector("response"), load_detector("cnn-table")
-    assert _figures(SimpleNamespace(detector=response, table_detector=response)) == (
-        f" {response.figures_words}"
+    response = load_detector("response")
+    table = load_detector("cnn-table")
+    assert (
+        _figures(SimpleNamespace(detector=response, table_detector=response))
+        == f" {response.figures_words}"
     )
     # A network's own table stands in for it; boxes alone have no such figures.
     network = SimpleNamespace(name="cnn")
     told = _figures(SimpleNamespace(detector=network, table_detector=table))
-    assert told.startswith(" Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist")
+    assert told.startswith(
+        " Of the 14 figures of cnn-table 11 are measured; assumed: motorcyclist"
+    )
     rule = load_detector()
     assert _figures(SimpleNamespace(detector=rule, table_detector=rule)) == ""

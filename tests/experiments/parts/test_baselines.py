@@ -52,18 +52,21 @@ def study_units(n_units):
     return load_carlancap_layout().units[:n_units]
 
 
-def test_a_placement_is_shown_beside_random_layouts_and_an_experts(small_study, tmp_path):
+def test_a_placement_is_shown_beside_random_layouts_and_an_experts(
+    small_study, tmp_path
+):
     summary = place(tmp_path / "out")
-    random, expert = summary["baselines"]["random"], summary["baselines"]["expert"]
+    random = summary["baselines"]["random"]
+    expert = summary["baselines"]["expert"]
     assert (random["layouts"], random["units"]) == (100, 2)
     assert random["low"] <= random["mean"] <= random["high"] <= summary["apr"]
     assert random["in_worlds"] is None
     assert len(expert["corners"]) == len(expert["layout"]) == 2
     # The evaluator says the same of the expert's layout by itself.
     layout = layout_from_records("expert", expert["layout"], "summary")
-    (alone, *_) = compare([layout, Layout(name="other", units=study_units(1))])["evaluation"][
-        "rsu_all"
-    ].values()
+    (alone, *_) = compare([layout, Layout(name="other", units=study_units(1))])[
+        "evaluation"
+    ]["rsu_all"].values()
     assert expert["score"]["all"] == alone
     assert expert["score"]["units"] == 2
     other = place(tmp_path / "other", seed=1)["baselines"]
@@ -86,19 +89,31 @@ def test_in_sampled_worlds_they_have_intervals_too(small_study, tmp_path, monkey
     summary = place(tmp_path / "out", samples=2)
     judged = {item["name"]: item for item in summary["sampled"]["layouts"]}
     assert {"best-2", "greedy-2", "expert-2"} <= set(judged)
-    assert judged["expert-2"]["low"] <= judged["expert-2"]["mean"] <= judged["expert-2"]["high"]
-    assert judged["expert-2"]["planned"] == summary["baselines"]["expert"]["score"]["all"]
+    assert (
+        judged["expert-2"]["low"]
+        <= judged["expert-2"]["mean"]
+        <= judged["expert-2"]["high"]
+    )
+    assert (
+        judged["expert-2"]["planned"] == summary["baselines"]["expert"]["score"]["all"]
+    )
     random = summary["baselines"]["random"]
     worlds = random["in_worlds"]
     assert worlds["low"] <= worlds["mean"] <= worlds["high"]
-    assert worlds["mean"] == pytest.approx(random["mean"])  # of two worlds that weigh alike
+    assert worlds["mean"] == pytest.approx(
+        random["mean"]
+    )  # of two worlds that weigh alike
     assert worlds["worlds"] == 2
 
 
 def test_a_comparison_has_them_as_well_with_as_many_units_as_the_first(small_study):
-    layouts = [Layout(name="two", units=study_units(2)), Layout(name="one", units=study_units(1))]
+    layouts = [
+        Layout(name="two", units=study_units(2)),
+        Layout(name="one", units=study_units(1)),
+    ]
     summary = compare(layouts)
-    random, expert = summary["baselines"]["random"], summary["baselines"]["expert"]
+    random = summary["baselines"]["random"]
+    expert = summary["baselines"]["expert"]
     assert (random["layouts"], random["units"]) == (100, 2)
     assert [unit["camera"] for unit in expert["layout"]] == ["carla-ncap-rgb"] * 2
     assert {unit["site"][:7] for unit in expert["layout"]} == {"corner-"}

@@ -72,8 +72,12 @@ def test_sensors_are_counted_by_model_and_sites_are_paid_once(build, scene):
     ]
     assert [site.price_source for site in bill.sites] == ["told", "assumption"]
     assert bill.sites_eur == 800.0 + assumed_eur
-    assert bill_sentences(bill) == [f"All lines together: {7800 + assumed_eur:,.0f} EUR."]
-    assert bill.assumed[0].startswith(f"No price is known for 1 site of the kind {kind}:")
+    assert bill_sentences(bill) == [
+        f"All lines together: {7800 + assumed_eur:,.0f} EUR."
+    ]
+    assert bill.assumed[0].startswith(
+        f"No price is known for 1 site of the kind {kind}:"
+    )
     sensors, sites = bill_tables(bill)
     assert sensors.rows[-1] == ["all", "", "3", "", "7,000"]
     assert sites.rows[-1] == ["all", "", "3", f"{800 + assumed_eur:,.0f}", ""]
@@ -92,11 +96,17 @@ def test_what_is_unknown_is_never_zero(build, scene):
     assert all(row["price_eur"] == row["sum_eur"] == "" for row in rows)
 
 
-def test_a_price_for_every_site_that_was_asked_for_is_known_also_where_it_is_zero(build, scene):
+def test_a_price_for_every_site_that_was_asked_for_is_known_also_where_it_is_zero(
+    build, scene
+):
     layout = build((0, "camera"), (1, "camera"), (None, "camera"), (None, "camera"))
     for cost_eur in (0.0, 250.0):
         bill = build_bill(layout, scene, site_cost_eur=cost_eur)
-        assert [site.sum_eur for site in bill.sites] == [cost_eur, cost_eur, 2.0 * cost_eur]
+        assert [site.sum_eur for site in bill.sites] == [
+            cost_eur,
+            cost_eur,
+            2.0 * cost_eur,
+        ]
         whole = f"{6000.0 + 4.0 * cost_eur:,.0f} EUR"
         assert bill_sentences(bill) == [f"All lines together: {whole}."]
 
@@ -115,7 +125,9 @@ def test_what_hangs_there_already_is_not_paid_for(build, scene):
 def test_the_file_has_the_same_items(build, scene):
     bill = build_bill(build((0, "own"), (0, "camera"), (None, "camera")), scene)
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
-    assert [(row["part"], row["name"], row["units"], row["sum_eur"]) for row in rows] == [
+    assert [
+        (row["part"], row["name"], row["units"], row["sum_eur"]) for row in rows
+    ] == [
         ("sensor", "'=own<b>", "1", ""),
         ("sensor", "carla-ncap-rgb", "2", "3000"),
         ("site", scene.sites[0].id, "2", "800"),
@@ -132,9 +144,19 @@ def test_the_part_renders_escaped_and_says_what_is_not_in_it(build, scene):
 
 
 def test_assumed_sites_are_marked_in_table_and_file(build, scene):
-    note = Note(what="2 masts", why="none in the map", kind="sites", site_ids=(scene.sites[1].id,))
-    bill = build_bill(build((0, "camera"), (1, "camera")), replace(scene, notes=(note,)))
+    note = Note(
+        what="2 masts",
+        why="none in the map",
+        kind="sites",
+        site_ids=(scene.sites[1].id,),
+    )
+    bill = build_bill(
+        build((0, "camera"), (1, "camera")), replace(scene, notes=(note,))
+    )
     assert [item.assumed for item in bill.sites] == ["", "none in the map"]
     assert bill_tables(bill)[1].rows[1][0] == f"{scene.sites[1].id} (assumed)"
     rows = list(csv.DictReader(io.StringIO(bill_of_materials_csv(bill))))
-    assert [row["assumed"] for row in rows if row["part"] == "site"] == ["", "none in the map"]
+    assert [row["assumed"] for row in rows if row["part"] == "site"] == [
+        "",
+        "none in the map",
+    ]

@@ -16,10 +16,15 @@ from placement.layout import Layout, load_carlancap_layout
 @pytest.fixture(scope="module")
 def cameras():
     units = load_carlancap_layout().units[:2]
-    return [replace(one, sensor=replace(one.sensor, width_px=160, height_px=90)) for one in units]
+    return [
+        replace(one, sensor=replace(one.sensor, width_px=160, height_px=90))
+        for one in units
+    ]
 
 
-def test_a_camera_shows_a_road_user_near_the_middle_of_its_picture(small_setting, cameras):
+def test_a_camera_shows_a_road_user_near_the_middle_of_its_picture(
+    small_setting, cameras
+):
     for unit in cameras:
         rgb, run, time_s = draw_view(unit, small_setting)
         assert rgb.shape == (90, 160, 3)

@@ -35,7 +35,9 @@ def evaluation_of(frame_axis, camera):
         verdict = Verdict(
             detected=np.zeros(axis.n_frames, dtype=bool),
             confirmation_time_s=np.where(is_avoided, -0.2, np.inf),
-            onset_time_s=np.where(is_avoided, axis.last_brake_time_s - margin_s, np.inf),
+            onset_time_s=np.where(
+                is_avoided, axis.last_brake_time_s - margin_s, np.inf
+            ),
             is_avoided=is_avoided,
         )
         units = tuple(
@@ -66,7 +68,10 @@ def evaluations(evaluation_of):
 def sampled_of(evaluations, *aprs):
     judged = [
         SampledApr(
-            layout=item.layout, axis=item.axis, apr_by_sample=apr, avoided_share=np.ones(3) * 0.5
+            layout=item.layout,
+            axis=item.axis,
+            apr_by_sample=apr,
+            avoided_share=np.ones(3) * 0.5,
         )
         for item, apr in zip(evaluations.values(), aprs, strict=True)
     ]
@@ -76,7 +81,9 @@ def sampled_of(evaluations, *aprs):
 @pytest.fixture
 def sampled(evaluations):
     """The second is surely best; nothing is sure between the first and the third."""
-    return sampled_of(evaluations, [0.5, 0.6, 0.5, 0.4], [0.9, 0.8, 0.9, 0.4], [0.5, 0.5, 0.5, 0.5])
+    return sampled_of(
+        evaluations, [0.5, 0.6, 0.5, 0.4], [0.9, 0.8, 0.9, 0.4], [0.5, 0.5, 0.5, 0.5]
+    )
 
 
 def test_of_any_two_layouts_the_runs_that_only_one_avoids_are_named(evaluations):
@@ -115,9 +122,14 @@ def test_side_by_side_every_layout_has_its_own_numbers(evaluations, rule):
 
 def test_side_by_side_speeds_at_contact_and_the_score_have_columns(evaluations, rule):
     (name, one), *_ = evaluations.items()
-    assert side_by_side_table({name: one}, rule).columns[-1] == "mean speed at contact (km/h)"
+    assert (
+        side_by_side_table({name: one}, rule).columns[-1]
+        == "mean speed at contact (km/h)"
+    )
     left_kmh = np.array([0.0, 0.0, 8.0])
-    verdict = replace(one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh)
+    verdict = replace(
+        one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh
+    )
     levels = Levels(
         score="rating-2026",
         run_index=np.arange(3).repeat(2),
@@ -125,7 +137,9 @@ def test_side_by_side_speeds_at_contact_and_the_score_have_columns(evaluations, 
         gain=np.tile([0.25, 0.75], 3),
         deadline_s=np.full(6, -0.1),
     )
-    found = side_by_side_table({name: replace(one, rsu_all=verdict, levels=levels)}, rule)
+    found = side_by_side_table(
+        {name: replace(one, rsu_all=verdict, levels=levels)}, rule
+    )
     assert found.columns[-1] == "score (rating-2026)"
     # The last run weighs a quarter and is hit below 10 km/h.
     assert found.rows[0][-2:] == ["2.0", "93.8 %"]

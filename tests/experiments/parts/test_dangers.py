@@ -11,18 +11,26 @@ from experiments.parts.dangers import words as danger_words
 def evaluation(together, *, vut=(), cars=0.0, **units):
     return SimpleNamespace(
         headline=SimpleNamespace(is_avoided=np.array(together)),
-        units={name: SimpleNamespace(is_avoided=np.array(runs)) for name, runs in units.items()},
+        units={
+            name: SimpleNamespace(is_avoided=np.array(runs))
+            for name, runs in units.items()
+        },
         vut=SimpleNamespace(is_avoided=np.array(vut)),
         cars=cars,
     )
 
 
 def test_what_is_avoided_is_what_the_fusion_asks_for():
-    item = evaluation([True, True, False], a=[True, False, False], b=[False, False, False])
+    item = evaluation(
+        [True, True, False], a=[True, False, False], b=[False, False, False]
+    )
     assert avoided_runs(item, "any").tolist() == [True, True, False]
     assert avoided_runs(item, "single").tolist() == [True, False, False]
     of_cars = [
-        avoided_runs(evaluation([True] * 3, a=[True, False, False], vut=[0, 0, 1], cars=cars), how)
+        avoided_runs(
+            evaluation([True] * 3, a=[True, False, False], vut=[0, 0, 1], cars=cars),
+            how,
+        )
         for cars, how in ((0.3, "single"), (1.0, "single"), (1.0, "any"))
     ]
     assert [runs.tolist() for runs in of_cars] == [
@@ -32,11 +40,16 @@ def test_what_is_avoided_is_what_the_fusion_asks_for():
     ]
 
 
-def test_what_is_left_is_counted_by_case_and_position_the_largest_share_first(frame_axis):
+def test_what_is_left_is_counted_by_case_and_position_the_largest_share_first(
+    frame_axis,
+):
     axis = replace(frame_axis, positions=("0", "-15", "-15"))  # cases A, A, B
     record = build_dangers(np.array([True, True, False]), axis)
     assert record.not_avoided == 1
-    assert [(g.name, g.runs, g.not_avoided) for g in record.by_case] == [("B", 1, 1), ("A", 2, 0)]
+    assert [(g.name, g.runs, g.not_avoided) for g in record.by_case] == [
+        ("B", 1, 1),
+        ("A", 2, 0),
+    ]
     groups = [(g.name, g.runs, g.not_avoided) for g in record.by_position]
     assert groups == [("-15", 2, 1), ("0", 1, 0)]
     assert build_dangers(np.ones(3, dtype=bool), frame_axis).by_position == ()
@@ -48,7 +61,8 @@ def danger_sentences(axis, is_avoided):
 
 def test_an_answer_begins_with_what_is_not_avoided(frame_axis):
     assert danger_sentences(frame_axis, [True, False, False]) == [
-        "2 of 3 simulated encounters (runs) are not avoided: in B 1 of 1 and in A 1 of 2."
+        "2 of 3 simulated encounters (runs) are not avoided: in B 1 of 1 and in A 1"
+        " of 2."
     ]
     axis = replace(frame_axis, positions=("0", "-15", "+30"))
     assert danger_sentences(axis, [True, True, False]) == [

@@ -43,7 +43,9 @@ def explained(**parts):
     return msgspec.convert(plain | parts, ExplainedRecord)
 
 
-def missed(run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, unit="a"):
+def missed(
+    run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, unit="a"
+):
     return {
         "run": run,
         "outcome": outcome,
@@ -52,7 +54,8 @@ def missed(run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, u
         "frames_seen": 2,
         "unit": unit,
         "reasons": [
-            {"cause": cause, "thing": thing, "frames": frames} for cause, thing, frames in reasons
+            {"cause": cause, "thing": thing, "frames": frames}
+            for cause, thing, frames in reasons
         ],
         "rescue": rescue,
     }
@@ -60,8 +63,14 @@ def missed(run, outcome="never seen", *, late_s=None, reasons=(), rescue=None, u
 
 HELPER = {"unit": "c", "site": "pole", "distance_m": 12.34, "margin_s": 0.5}
 MISSED = [
-    missed("r5", reasons=[("hidden", "wall-ne-1", 20), ("out of view", "", 8)], rescue=HELPER),
-    missed("r6", reasons=[("hidden", "wall-ne-1", 28)], rescue=HELPER | {"distance_m": 0.0}),
+    missed(
+        "r5",
+        reasons=[("hidden", "wall-ne-1", 20), ("out of view", "", 8)],
+        rescue=HELPER,
+    ),
+    missed(
+        "r6", reasons=[("hidden", "wall-ne-1", 28)], rescue=HELPER | {"distance_m": 0.0}
+    ),
     missed("r7", "too late", late_s=0.125, reasons=[("too far", "", 28)]),
     missed("r8", "hopeless", unit=""),
 ]
@@ -69,10 +78,15 @@ MISSED = [
 
 def test_units_that_something_hangs_on_are_counted():
     both = explained()
-    assert contribution_sentences(both) == ["Of 2 units, 1 saves runs that no other one saves."]
-    first, other = FIRST, OTHER
+    assert contribution_sentences(both) == [
+        "Of 2 units, 1 saves runs that no other one saves."
+    ]
+    first = FIRST
+    other = OTHER
     each = explained(contributions=[first, first])
-    assert contribution_sentences(each) == ["Each unit saves runs that no other one saves."]
+    assert contribution_sentences(each) == [
+        "Each unit saves runs that no other one saves."
+    ]
     none = explained(contributions=[other, other])
     assert contribution_sentences(none)[0].startswith("No run depends on a single unit")
     assert "whichever fails, the other avoids all" in contribution_sentences(none)[0]
@@ -82,9 +96,13 @@ def test_units_that_something_hangs_on_are_counted():
     assert contribution_sentences(beside_a_car) == ["4 runs depend on this one unit."]
     alone = first | {"without": first["without"] | {"apr": 0.0}}
     one = explained(contributions=[alone])
-    assert contribution_sentences(one) == ["Everything that is avoided depends on this one unit."]
+    assert contribution_sentences(one) == [
+        "Everything that is avoided depends on this one unit."
+    ]
     idle = other | {"without": other["without"] | {"apr": 0.0}}
-    assert contribution_sentences(explained(contributions=[idle])) == ["This unit avoids nothing."]
+    assert contribution_sentences(explained(contributions=[idle])) == [
+        "This unit avoids nothing."
+    ]
     assert contribution_sentences(explained(contributions=[idle, idle])) == [
         "These units avoid nothing."
     ]
@@ -105,12 +123,16 @@ def test_units_that_something_hangs_on_are_counted():
 def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
     found = explained(not_avoided=MISSED)
     assert missed_sentences(found) == [
-        "On the detection table, 4 runs are not avoided: 2 never seen, 1 confirmed too late, "
-        "1 too short for any unit.",
+        (
+            "On the detection table, 4 runs are not avoided: 2 never seen, 1 confirmed"
+            " too late, 1 too short for any unit."
+        ),
         "The most frequent cause: hidden by wall-ne-1, in 2 runs.",
         "2 runs could each be saved by a further unit.",
     ]
-    assert missed_sentences(explained()) == ["On the detection table, every run is avoided."]
+    assert missed_sentences(explained()) == [
+        "On the detection table, every run is avoided."
+    ]
     rows = missed_table(found).rows
     assert rows[0] == [
         "r5",
@@ -121,7 +143,10 @@ def test_runs_that_are_not_avoided_are_told_with_causes_and_remedies():
     assert rows[1][3] == "c, at the same mount, 0.50 s to spare"
     assert rows[2][1:] == [
         "confirmed too late, by 0.12 s",
-        "for a: image of the road user too small, or too little of it seen in 28 of 30 frames",
+        (
+            "for a: image of the road user too small, or too little of it seen in 28 of"
+            " 30 frames"
+        ),
         "\N{EN DASH}",
     ]
     assert rows[3][2] == "the road user is there too late for any confirmation in time"
@@ -133,7 +158,10 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
 @pytest.mark.parametrize(
     ("runs", "sentences"),
     [
-        ([missed("r", "hopeless", unit="")], ["1 run is not avoided: too short for any unit."]),
+        (
+            [missed("r", "hopeless", unit="")],
+            ["1 run is not avoided: too short for any unit."],
+        ),
         (
             [missed("r", reasons=HIDDEN, rescue=HELPER)],
             [
@@ -143,8 +171,14 @@ HIDDEN = [("hidden", "wall-ne-1", 20)]
             ],
         ),
         (
-            [missed("r", reasons=HIDDEN, rescue=HELPER), missed("s", reasons=[("too far", "", 3)])],
-            ["2 runs are not avoided: all never seen.", "1 run could be saved by a further unit."],
+            [
+                missed("r", reasons=HIDDEN, rescue=HELPER),
+                missed("s", reasons=[("too far", "", 3)]),
+            ],
+            [
+                "2 runs are not avoided: all never seen.",
+                "1 run could be saved by a further unit.",
+            ],
         ),
         (
             [missed("r", reasons=HIDDEN, rescue=HELPER), missed("s", rescue=HELPER)],
@@ -218,4 +252,6 @@ def test_the_report_has_a_section_for_each_question():
     assert "hidden by wall-ne-1 in 20 of 30 frames" in page
     assert page.count("<table>") == page.count("</table>") == 2
     assert "4 runs: why, and what would save them" in page
-    assert "1 run: why, and what would save it" in render(explained(not_avoided=MISSED[:1]), {})
+    assert "1 run: why, and what would save it" in render(
+        explained(not_avoided=MISSED[:1]), {}
+    )

@@ -33,7 +33,9 @@ def candidates():
 @pytest.fixture(scope="module")
 def placement(small_setting, candidates):
     return place(
-        Assembly(setting=small_setting, candidates=candidates, wishes=Wishes(budget_units=2))
+        Assembly(
+            setting=small_setting, candidates=candidates, wishes=Wishes(budget_units=2)
+        )
     )
 
 
@@ -43,8 +45,11 @@ def summary(placement, small_setting, candidates):
     return json.loads(json.dumps(found, allow_nan=False))
 
 
-def test_the_summary_says_what_the_library_found(summary, placement, small_setting, candidates):
-    problem, chosen = placement.problem, placement.pose_index
+def test_the_summary_says_what_the_library_found(
+    summary, placement, small_setting, candidates
+):
+    problem = placement.problem
+    chosen = placement.pose_index
     ids = problem.table.pose_ids
     for record, part in zip(
         summary["contributions"], find_contributions(problem, chosen), strict=True
@@ -54,12 +59,18 @@ def test_the_summary_says_what_the_library_found(summary, placement, small_setti
         assert record["marginal_apr"] == part.marginal_apr
         assert record["without"] == part.without._asdict()
     missed = find_unavoided(small_setting, problem, candidates, chosen)
-    assert [record["run"] for record in summary["not_avoided"]] == [e.run for e in missed]
+    assert [record["run"] for record in summary["not_avoided"]] == [
+        e.run for e in missed
+    ]
 
 
 def test_what_one_unit_misses_is_explained_run_by_run(small_setting, candidates):
     placement = place(
-        Assembly(setting=small_setting, candidates=candidates[8:9], wishes=Wishes(budget_units=1))
+        Assembly(
+            setting=small_setting,
+            candidates=candidates[8:9],
+            wishes=Wishes(budget_units=1),
+        )
     )
     found = explain(placement, small_setting, candidates[8:9])
     assert len(found.not_avoided) > 0
@@ -92,7 +103,9 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     out = {*missed_runs, min(saved_runs)}
     weight = np.array([0.0 if run in out else 1.0 for run in axis.run_ids])
     weighted = replace(small_setting, axis=replace(axis, weight=weight / weight.sum()))
-    placement = place(Assembly(setting=weighted, candidates=poses, wishes=Wishes(budget_units=1)))
+    placement = place(
+        Assembly(setting=weighted, candidates=poses, wishes=Wishes(budget_units=1))
+    )
     found = explain(placement, weighted, poses)
     assert found.not_avoided == ()
     assert missed_table(found).rows == []
@@ -102,18 +115,26 @@ def test_what_no_ratio_knows_is_in_no_list(small_setting, candidates):
     assert "not avoided" not in answer_text(explanation_parts(found), is_verbose=True)
 
 
-def test_sampled_worlds_are_explained_in_the_world_as_planned(placement, small_setting, candidates):
+def test_sampled_worlds_are_explained_in_the_world_as_planned(
+    placement, small_setting, candidates
+):
     alone = list(placement.pose_index)
     table = placement.problem.table
     nominal = replace(
         placement.problem,
         table=pack_table(
-            tuple(table.pose_ids[pose] for pose in alone), table.axis, table.detected(alone) & False
+            tuple(table.pose_ids[pose] for pose in alone),
+            table.axis,
+            table.detected(alone) & False,
         ),
         limits=placement.problem.limits.of_poses(np.array(alone)),
     )
-    sampled = replace(placement, nominal=nominal, nominal_index=tuple(range(len(alone))))
+    sampled = replace(
+        placement, nominal=nominal, nominal_index=tuple(range(len(alone)))
+    )
     found = explain(sampled, small_setting, candidates)
     assert {entry.run for entry in found.not_avoided} == set(table.axis.run_ids)
     assert all(entry.rescue is None for entry in found.not_avoided)
-    assert [part.unit for part in found.contributions] == [table.pose_ids[c] for c in alone]
+    assert [part.unit for part in found.contributions] == [
+        table.pose_ids[c] for c in alone
+    ]

@@ -31,32 +31,46 @@ def left(unit_ids, apr, lost=(), margin_s=0.25):
 
 
 def build_failures(one, two=(), apr=1.0):
-    return Failures(none_failed=left("", apr), one_failed=tuple(one), two_failed=tuple(two))
+    return Failures(
+        none_failed=left("", apr), one_failed=tuple(one), two_failed=tuple(two)
+    )
 
 
 def test_one_unit_leaves_nothing():
-    (sentence,) = failure_sentences(build_failures([left("A", 0.0, ["r"], math.nan)]), LABELS)
-    assert sentence.startswith("There is one unit. If it fails, nothing is left of the 100.0 %")
+    (sentence,) = failure_sentences(
+        build_failures([left("A", 0.0, ["r"], math.nan)]), LABELS
+    )
+    assert sentence.startswith(
+        "There is one unit. If it fails, nothing is left of the 100.0 %"
+    )
 
 
 def test_units_that_can_fail_without_a_loss_are_told_so():
-    failures = build_failures([left("A", 1.0), left("B", 1.0)], [left("AB", 0.0, ["r"])])
+    failures = build_failures(
+        [left("A", 1.0), left("B", 1.0)], [left("AB", 0.0, ["r"])]
+    )
     space = "\N{NO-BREAK SPACE}"
     assert failure_sentences(failures, LABELS) == [
         "All 2 units together prevent 100.0 %.",
-        "Whichever one fails, the others avoid every run that all avoid together; the least time "
-        f"to spare is then 250{space}ms.",
+        (
+            "Whichever one fails, the others avoid every run that all avoid together;"
+            f" the least time to spare is then 250{space}ms."
+        ),
         "If both fail, only the car itself is left.",
     ]
 
 
 def test_the_smallest_margin_told_is_that_of_all_failures_whatever_comes_first():
-    failures = build_failures([left("A", 0.9, margin_s=0.5), left("B", 0.9, margin_s=0.1)], apr=0.9)
+    failures = build_failures(
+        [left("A", 0.9, margin_s=0.5), left("B", 0.9, margin_s=0.1)], apr=0.9
+    )
     assert "then 100" in failure_sentences(failures, LABELS)[1]
 
 
 def test_where_nothing_is_avoided_there_is_no_time_to_spare():
-    failures = build_failures([left(name, 0.0, margin_s=math.nan) for name in "AB"], apr=0.0)
+    failures = build_failures(
+        [left(name, 0.0, margin_s=math.nan) for name in "AB"], apr=0.0
+    )
     assert failure_sentences(failures, LABELS)[1].endswith("all avoid together.")
 
 
@@ -66,19 +80,25 @@ def test_the_worst_unit_and_pair_are_named_by_their_labels():
         [left("BC", 0.5, ["r", "s", "t"]), left("AB", 0.75, ["r"]), left("AC", 1.0)],
     )
     _, one, two = failure_sentences(failures, LABELS)
-    assert one == (
-        "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No single failure leaves "
-        "less. 2 of the 3 units can fail by themselves and no run is lost."
+    assert (
+        one
+        == "If #2 fails, the others still prevent 75.0 %; 2 runs are lost. No single"
+        " failure leaves less. 2 of the 3 units can fail by themselves and no run is"
+        " lost."
     )
-    assert two == (
-        "Of two that fail at once, #2 and #3 matter most: 50.0 % are left. 1 of the 3 pairs can "
-        "fail and no run is lost."
+    assert (
+        two
+        == "Of two that fail at once, #2 and #3 matter most: 50.0 % are left. 1 of the"
+        " 3 pairs can fail and no run is lost."
     )
 
 
 def test_a_table_lists_the_first_runs_and_says_how_many_are_left_out():
     table = failure_table(
-        [left("A", 0.5, [f"run{index}" for index in range(6)]), left("B", 0.0, (), math.nan)],
+        [
+            left("A", 0.5, [f"run{index}" for index in range(6)]),
+            left("B", 0.0, (), math.nan),
+        ],
         LABELS,
         of="unit",
     )
@@ -121,7 +141,8 @@ def build(frame_axis, camera):
             layout=Layout(
                 name="mine",
                 units=tuple(
-                    CandidatePose(id=name, site_id="", pose=pose, sensor=camera) for name in ids
+                    CandidatePose(id=name, site_id="", pose=pose, sensor=camera)
+                    for name in ids
                 ),
             ),
             axis=frame_axis,
@@ -135,7 +156,9 @@ def build(frame_axis, camera):
 
 
 @pytest.mark.parametrize(("n_units", "n_tables"), [(1, 1), (2, 1), (3, 2), (13, 1)])
-def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_units, n_tables):
+def test_the_part_has_a_table_of_pairs_where_it_says_something(
+    build, rule, n_units, n_tables
+):
     ids = [f"<b>{index}" for index in range(n_units)]
     evaluation = build(ids)
     part = failures_section(evaluation, rule, {})
@@ -144,7 +167,9 @@ def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_un
     if n_units == 3:
         expected = {" and ".join(pair) for pair in combinations(ids, 2)}
         assert {row[0] for row in tables[1].rows} == expected
-    assert part.blocks[0] == " ".join(failure_sentences(find_failures(evaluation, rule), {}))
+    assert part.blocks[0] == " ".join(
+        failure_sentences(find_failures(evaluation, rule), {})
+    )
     page = render_section(part)
     assert "<b>" not in page
     assert page.count("<table>") == n_tables
@@ -153,20 +178,34 @@ def test_the_part_has_a_table_of_pairs_where_it_says_something(build, rule, n_un
 
 def test_a_pole_with_two_units_is_told_beside_the_units():
     pole = Failure(
-        unit_ids=("A", "B"), apr=0.25, smallest_margin_s=0.1, lost_run_ids=("r1",), site_id="lamp 7"
+        unit_ids=("A", "B"),
+        apr=0.25,
+        smallest_margin_s=0.1,
+        lost_run_ids=("r1",),
+        site_id="lamp 7",
     )
     alone = Failure(
-        unit_ids=("C",), apr=1.0, smallest_margin_s=0.1, lost_run_ids=(), site_id="lamp 8"
+        unit_ids=("C",),
+        apr=1.0,
+        smallest_margin_s=0.1,
+        lost_run_ids=(),
+        site_id="lamp 8",
     )
     units = [left(name, 1.0) for name in "ABC"]
     failures = Failures(
-        none_failed=left("", 1.0), one_failed=units, two_failed=(), site_failed=(pole, alone)
+        none_failed=left("", 1.0),
+        one_failed=units,
+        two_failed=(),
+        site_failed=(pole, alone),
     )
-    assert failure_sentences(failures, LABELS)[-1] == (
-        "A pole fails with all its units (power, a crash). If that of #1 and #2 does, 25.0 %"
-        " are left and 1 run is lost; no other pole leaves less."
+    assert (
+        failure_sentences(failures, LABELS)[-1]
+        == "A pole fails with all its units (power, a crash). If that of #1 and #2"
+        " does, 25.0 % are left and 1 run is lost; no other pole leaves less."
     )
-    assert [row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows] == [
+    assert [
+        row[:3] for row in failure_table(failures.site_failed, LABELS, of="pole").rows
+    ] == [
         ["lamp 7", "#1 and #2", "25.0 %"],
         ["lamp 8", "#3", "100.0 %"],
     ]

@@ -35,13 +35,16 @@ def record_of(summary):
 def candidates(camera):
     pose = Pose(position_m=np.array([0.0, 0.0, 5.0]), yaw_deg=0.0)
     return [
-        CandidatePose(id=f"p<{index}>", site_id="", pose=pose, sensor=camera) for index in range(8)
+        CandidatePose(id=f"p<{index}>", site_id="", pose=pose, sensor=camera)
+        for index in range(8)
     ]
 
 
 def front_of(n_units):
     """Every unit of n avoids a run of its own."""
-    rows = ["".join("1" if run == unit else "0" for run in range(8)) for unit in range(8)]
+    rows = [
+        "".join("1" if run == unit else "0" for run in range(8)) for unit in range(8)
+    ]
     problem = avoiding_problem(rows, budget_units=n_units)
     solution = solve_placement(problem)
     return problem, front_below(problem, solution.pose_index, solution.certificate)
@@ -54,7 +57,9 @@ def test_any_number_of_points_is_shown_with_its_proof(n_units, candidates):
     part = front_section(record_of(summary))
     table, _ = tables_of(part)
     assert [row[0] for row in table.rows] == [str(n + 1) for n in range(n_units)]
-    assert [row[1] for row in table.rows] == [f"{12.5 * (n + 1):.1f} %" for n in range(n_units)]
+    assert [row[1] for row in table.rows] == [
+        f"{12.5 * (n + 1):.1f} %" for n in range(n_units)
+    ]
     assert {row[-1] for row in table.rows} == {"proven"}
     page = render_section(part)
     assert page.count("<img") == 1

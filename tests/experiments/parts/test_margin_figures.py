@@ -30,7 +30,8 @@ def verdict(axis, onset_s):
 
 def marks(axes, *, is_filled):
     """Margins in milliseconds of the marks in data coordinates, and how many lie at the edge."""
-    places, n_edge = [], 0
+    places = []
+    n_edge = 0
     for line in axes.get_lines():
         is_white = line.get_markerfacecolor() == "white"
         if line.get_linestyle() != "None" or is_white == is_filled:
@@ -88,7 +89,9 @@ def test_the_most_columns_and_many_directions_fit(axis):
         axis,
         run_ids=tuple(f"r{i}" for i in range(n)),
         cases=tuple(f"case-{i // 3}" for i in range(n)),
-        approaches=tuple(f"arm {i} of a long name that is told in full" for i in range(n)),
+        approaches=tuple(
+            f"arm {i} of a long name that is told in full" for i in range(n)
+        ),
         weathers=("day",) * n,
         vut_speed_kmh=np.full(n, 30.0),
         weight=np.full(n, 1.0 / n),

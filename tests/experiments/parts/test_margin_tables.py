@@ -30,7 +30,9 @@ def verdict(axis, onset_s, is_avoided=None):
         detected=np.zeros(axis.n_frames, dtype=bool),
         confirmation_time_s=onset,
         onset_time_s=onset,
-        is_avoided=onset <= axis.last_brake_time_s if is_avoided is None else is_avoided,
+        is_avoided=(
+            onset <= axis.last_brake_time_s if is_avoided is None else is_avoided
+        ),
     )
 
 
@@ -79,7 +81,9 @@ def test_metres_are_the_way_between_two_places_of_the_run_as_it_is_driven(runs):
         motion = run.encounter.vut_motion
         last_s = run.last_brake_time_s
         onset_s = max(last_s - 0.7, motion.start_time_s)
-        way_m = motion.distance_m(np.array(last_s)) - motion.distance_m(np.array(onset_s))
+        way_m = motion.distance_m(np.array(last_s)) - motion.distance_m(
+            np.array(onset_s)
+        )
         margin = (last_s - onset_s) * run.vut_speed_kmh / 3.6
         assert way_m == pytest.approx(margin, abs=1.0e-9)
 
@@ -87,26 +91,38 @@ def test_metres_are_the_way_between_two_places_of_the_run_as_it_is_driven(runs):
 @given(frame_axes(), st.data())
 def test_a_summary_is_what_counting_run_by_run_gives(axis, data):
     n = axis.n_runs
-    weight = np.array([data.draw(st.sampled_from([0.0, 1.0])) for _ in range(n - 1)] + [1.0])
+    weight = np.array(
+        [data.draw(st.sampled_from([0.0, 1.0])) for _ in range(n - 1)] + [1.0]
+    )
     axis = replace(
         axis,
         weight=weight / weight.sum(),
-        vut_speed_kmh=np.array([data.draw(st.sampled_from([18.0, 36.0])) for _ in range(n)]),
+        vut_speed_kmh=np.array(
+            [data.draw(st.sampled_from([18.0, 36.0])) for _ in range(n)]
+        ),
         last_brake_time_s=np.array(
             [data.draw(st.sampled_from([-0.7, -0.2, -np.inf])) for _ in range(n)]
         ),
     )
-    onset = np.array([data.draw(st.sampled_from([-0.9, -0.3, 0.1, np.inf])) for _ in range(n)])
+    onset = np.array(
+        [data.draw(st.sampled_from([-0.9, -0.3, 0.1, np.inf])) for _ in range(n)]
+    )
     lucky = np.array([data.draw(st.booleans()) for _ in range(n)])
     avoided = np.isfinite(onset) & np.isfinite(axis.last_brake_time_s)
     avoided &= (onset <= axis.last_brake_time_s) | lucky
     lost = ~np.isfinite(onset) & np.array([data.draw(st.booleans()) for _ in range(n)])
-    party = replace(verdict(axis, onset, avoided), confirmation_time_s=np.where(lost, -0.9, onset))
+    party = replace(
+        verdict(axis, onset, avoided), confirmation_time_s=np.where(lost, -0.9, onset)
+    )
     mask = np.array([data.draw(st.booleans()) for _ in range(n)])
     summary = summarise_margins(party, axis, mask)
 
     chosen = [run for run in range(n) if mask[run] and axis.weight[run] > 0.0]
-    margins_s, late_s, never, lost_again, hopeless = [], [], 0, 0, 0
+    margins_s = []
+    late_s = []
+    never = 0
+    lost_again = 0
+    hopeless = 0
     for run in chosen:
         last = axis.last_brake_time_s[run]
         if avoided[run]:
@@ -147,11 +163,31 @@ def test_tables_tell_groups_layouts_and_the_car_apart(build):
     ]
     assert [row[0] for row in by_speed.rows[3::3]] == ["36", "72"]
     assert [row[0] for row in by_direction.rows[3::3]] == ["north", "<i>south</i>"]
-    assert by_case.rows[0][2:] == ["3", "100", "2.0", "300", "3.5", "1", "0", "1000", "10.0"]
+    assert by_case.rows[0][2:] == [
+        "3",
+        "100",
+        "2.0",
+        "300",
+        "3.5",
+        "1",
+        "0",
+        "1000",
+        "10.0",
+    ]
     car = by_case.rows[2][2:]
     assert car == ["3", NOTHING, NOTHING, NOTHING, NOTHING, "3", "2", "100", "1.0"]
     nothing_late = by_speed.rows[3 + 3][2:]
-    assert nothing_late == ["1", "100", "2.0", "100", "2.0", "0", NOTHING, NOTHING, NOTHING]
+    assert nothing_late == [
+        "1",
+        "100",
+        "2.0",
+        "100",
+        "2.0",
+        "0",
+        NOTHING,
+        NOTHING,
+        NOTHING,
+    ]
     assert {len(row) for row in by_case.rows} == {len(by_case.columns)}
 
 
@@ -164,7 +200,9 @@ def test_notes_tell_only_what_applies(build, axis):
         weight=np.array([0.0, 0.5, 0.5]),
     )
     late = build("mine", [-0.6, 0.3, 0.0], [np.inf] * 3, axis=hopeless)
-    lucky = replace(late, rsu_all=verdict(hopeless, [-0.6, 0.3, 0.0], np.array([1, 1, 0]) > 0))
+    lucky = replace(
+        late, rsu_all=verdict(hopeless, [-0.6, 0.3, 0.0], np.array([1, 1, 0]) > 0)
+    )
     without, no_braking, luck = margin_notes({"mine": lucky})
     assert without == "Left out: 1 run of weight 0."
     assert "In 1 run no braking" in no_braking

@@ -48,7 +48,9 @@ def draw_many_lines():
     axes = new_axes(6.0, 6.0)
     rng = np.random.default_rng(0)
     for colour in ("#0072B2", "#009E73", "#CC79A7"):
-        axes.plot(rng.random(60), rng.random(60), color=colour, linewidth=1.0, alpha=0.7)
+        axes.plot(
+            rng.random(60), rng.random(60), color=colour, linewidth=1.0, alpha=0.7
+        )
     axes.plot([0.5], [0.5], "s", color="#D55E00", markersize=4.0, zorder=9)
     return to_png(axes)
 
@@ -59,7 +61,8 @@ def test_a_large_picture_gets_a_palette_that_keeps_even_the_colour_of_a_small_ma
     reduced = with_palette(png)
     assert len(reduced) < 0.5 * len(png)
     assert Image.open(io.BytesIO(reduced)).mode == "P"
-    before, after = levels_of(png), levels_of(reduced)
+    before = levels_of(png)
+    after = levels_of(reduced)
     assert np.abs(after - before).max() <= 32
     is_mark = (before == [0xD5, 0x5E, 0x00]).all(axis=2)
     assert 20 < is_mark.sum() < 400

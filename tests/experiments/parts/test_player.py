@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from interactive_pages import EVIL, build_evaluation, build_layout, page_around, with_evil_names
+from interactive_pages import (
+    EVIL,
+    build_evaluation,
+    build_layout,
+    page_around,
+    with_evil_names,
+)
 from packed_bits import unpack_bits
 
 from experiments.parts.player import (
@@ -33,7 +39,11 @@ def read(part, key="player_json"):
 # ---------------------------------------------------------------- text in scripts
 
 
-@given(st.recursive(st.text(), lambda inner: st.dictionaries(st.text(), inner), max_leaves=5))
+@given(
+    st.recursive(
+        st.text(), lambda inner: st.dictionaries(st.text(), inner), max_leaves=5
+    )
+)
 def test_no_text_breaks_out_of_a_script_and_all_come_back(value):
     text = to_script_json(value)
     assert json.loads(text) == value
@@ -73,7 +83,8 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
     ]
     axis = evaluation.axis
     for record in player["runs"]:
-        run, index = by_id[record["id"]], axis.run_ids.index(record["id"])
+        run = by_id[record["id"]]
+        index = axis.run_ids.index(record["id"])
         n = len(run.time_s)
         bits = unpack_bits(record["bits"], n_rows=len(verdicts), n=n)
         for row, verdict in zip(bits, verdicts, strict=True):
@@ -87,7 +98,11 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
             assert np.abs(shown - position).max() <= 0.00501
             assert np.abs(np.array(record[key]["yaw"]) / 10.0 - yaw).max() <= 0.0501
         for verdict, confirmed, onset, avoided in zip(
-            verdicts, record["confirmed"], record["onset"], record["avoided"], strict=True
+            verdicts,
+            record["confirmed"],
+            record["onset"],
+            record["avoided"],
+            strict=True,
         ):
             for shown, time_s in (
                 (confirmed, verdict.confirmation_time_s[index]),
@@ -99,7 +114,8 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
                     assert shown is None
             assert avoided == verdict.is_avoided[index]
         assert len(record["parked"]) == len(run.obstruction)
-        # Where the car is at the last moment: between its places in the frames around it.
+        # Where the car is at the last moment: between its places in the frames around
+        # it.
         after = int(np.searchsorted(run.time_s, run.last_brake_time_s))
         place = np.array(record["lastPlace"]) / 100.0
         ends = run.vut_position_m[after - 1 : after + 1]
@@ -112,14 +128,17 @@ def test_records_say_what_runs_and_evaluation_say(small_setting, evaluation):
 
 def test_runs_asked_for_come_first_then_those_not_avoided_each_once(small_setting):
     evaluation = build_evaluation(small_setting, build_layout(2), share=0.02, seed=1)
-    axis, verdict = evaluation.axis, evaluation.headline
+    axis = evaluation.axis
+    verdict = evaluation.headline
     first = axis.run_ids[3]
-    runs = read(interactive_part(small_setting, {"a": evaluation}, first_runs=[first, first]))[
-        "runs"
-    ]
+    runs = read(
+        interactive_part(small_setting, {"a": evaluation}, first_runs=[first, first])
+    )["runs"]
     assert sorted(run["id"] for run in runs) == sorted(axis.run_ids)
     assert (runs[0]["id"], runs[0]["group"]) == (first, SHOWN_ABOVE)
-    avoided = [bool(verdict.is_avoided[axis.run_ids.index(run["id"])]) for run in runs[1:]]
+    avoided = [
+        bool(verdict.is_avoided[axis.run_ids.index(run["id"])]) for run in runs[1:]
+    ]
     assert avoided == sorted(avoided)
     assert set(avoided) == {False, True}
     assert [run["group"] == AVOIDED for run in runs[1:]] == avoided
@@ -128,7 +147,9 @@ def test_runs_asked_for_come_first_then_those_not_avoided_each_once(small_settin
 
 def test_runs_that_do_not_fit_are_left_out(small_setting, evaluation, monkeypatch):
     monkeypatch.setattr("experiments.parts.player._MAX_BYTES", 1)
-    part = interactive_part(small_setting, {"a": evaluation}, first_runs=["CBLA/east/25"])
+    part = interactive_part(
+        small_setting, {"a": evaluation}, first_runs=["CBLA/east/25"]
+    )
     assert (part["n_runs"], part["n_all"]) == (1, evaluation.axis.n_runs)
     assert read(part)["runs"][0]["id"] == "CBLA/east/25"
 
@@ -136,7 +157,9 @@ def test_runs_that_do_not_fit_are_left_out(small_setting, evaluation, monkeypatc
 def test_plan_holds_the_units_and_the_road(small_setting):
     record = plan_record(small_setting.scene, np.array([[-127.0, 41.0]]))
     assert record["half"] >= 4100
-    assert {"lane", "junction", "building", "wall"} <= {part["name"] for part in record["classes"]}
+    assert {"lane", "junction", "building", "wall"} <= {
+        part["name"] for part in record["classes"]
+    }
     for part in record["classes"]:
         assert re.fullmatch(r"(M-?\d+ -?\d+(L-?\d+ -?\d+){2,}Z)+", part["path"])
     assert {arm["name"] for arm in record["arms"]} == {"north", "east", "south", "west"}
@@ -148,7 +171,8 @@ def test_plan_holds_the_units_and_the_road(small_setting):
 class Tags(HTMLParser):
     def __init__(self, page):
         super().__init__()
-        self.ids, self.scripts = [], 0
+        self.ids = []
+        self.scripts = 0
         self.feed(page)
         self.close()
 
@@ -160,10 +184,14 @@ class Tags(HTMLParser):
 def test_a_page_stays_whole_whatever_things_are_called(small_setting):
     setting = with_evil_names(small_setting)
     printable = EVIL.replace("\u2028", "")
-    layout = build_layout(3, name=printable, ids=[f"{printable}{index}" for index in range(3)])
+    layout = build_layout(
+        3, name=printable, ids=[f"{printable}{index}" for index in range(3)]
+    )
     evil = build_evaluation(setting, layout)
     tame = page_around(
-        interactive_part(small_setting, {"a": build_evaluation(small_setting, build_layout(3))})
+        interactive_part(
+            small_setting, {"a": build_evaluation(small_setting, build_layout(3))}
+        )
     )
     page = page_around(interactive_part(setting, {EVIL: evil, f"{EVIL}2": evil}))
     assert Tags(page).scripts == Tags(tame).scripts

@@ -33,7 +33,9 @@ def browser():
 
 @pytest.fixture(scope="module")
 def part(small_setting):
-    evaluation = build_evaluation(small_setting, build_layout(5), share=0.3, with_vam=True)
+    evaluation = build_evaluation(
+        small_setting, build_layout(5), share=0.3, with_vam=True
+    )
     other = build_evaluation(small_setting, build_layout(2, name="other"), seed=3)
     return interactive_part(small_setting, {"ours": evaluation, "other": other})
 
@@ -50,7 +52,10 @@ def write_page(part, folder):
 
 
 def seconds(milliseconds):
-    sign = "\N{MINUS SIGN}" if milliseconds < 0 else ""
+    if milliseconds < 0:
+        sign = "\N{MINUS SIGN}"
+    else:
+        sign = ""
     return f"{sign}{abs(milliseconds) / 1000.0:.2f}"
 
 
@@ -65,7 +70,9 @@ def test_the_player_shows_what_the_records_say(browser, address, part):
         assert page.locator("#player-run option").count() == len(data["runs"])
         for index, run in enumerate(data["runs"]):
             page.select_option("#player-run", str(index))
-            last = max(frame for frame, ms in enumerate(run["time"]) if ms <= run["last"])
+            last = max(
+                frame for frame, ms in enumerate(run["time"]) if ms <= run["last"]
+            )
             assert page.evaluate(f"Number({FRAME}.value)") == last
             assert (
                 page.locator("#player-timeline .mark.last")
@@ -79,12 +86,16 @@ def test_the_player_shows_what_the_records_say(browser, address, part):
             for frame in (0, last, len(run["time"]) - 1):
                 go_to(page, frame)
                 ms = run["time"][frame]
-                assert page.get_attribute("#player-frame", "aria-valuetext") == f"{seconds(ms)} s"
+                assert (
+                    page.get_attribute("#player-frame", "aria-valuetext")
+                    == f"{seconds(ms)} s"
+                )
                 words = page.inner_text("#player-status")
                 left = run["last"] - ms
-                expected = (
-                    f"{seconds(left)} s left until" if left >= 0 else f"{seconds(-left)} s ago"
-                )
+                if left >= 0:
+                    expected = f"{seconds(left)} s left until"
+                else:
+                    expected = f"{seconds(-left)} s ago"
                 assert expected in words
                 assert words.startswith("Impact." if ms == 0 else f"{seconds(ms)} s.")
 
@@ -109,7 +120,10 @@ def test_units_light_up_in_just_the_frames_in_which_they_detect(browser, address
         assert not lit[0].all()
         times = np.array(run["time"])
         for unit, confirmed in zip(lit[1], run["confirmed"][1:], strict=False):
-            expected = times >= confirmed if confirmed is not None else np.zeros(len(times), bool)
+            if confirmed is not None:
+                expected = times >= confirmed
+            else:
+                expected = np.zeros(len(times), bool)
             assert (unit == expected).all()
         # The heatmap's rows, too: what they cover is as long as the detections.
         page.click("#player-details summary")
@@ -136,7 +150,9 @@ def test_the_player_runs_and_stops_by_the_keyboard_alone(browser, address):
         go_to(page, page.evaluate(f"Number({FRAME}.max) - 1"))
         page.select_option("#player-speed", "2")
         page.click("#player-play")
-        page.wait_for_function("document.getElementById('player-play').textContent === 'Play'")
+        page.wait_for_function(
+            "document.getElementById('player-play').textContent === 'Play'"
+        )
         assert page.inner_text("#player-status").startswith("Impact.")
 
 
@@ -166,7 +182,11 @@ def test_tables_sort_by_numbers_with_units_and_back(browser, address):
         name, price, spare = page.locator("#sorted thead button").all()
         price.click()
         assert order(page) == ["unit 9", "a unit", "unit 10", "unit 1"]
-        assert page.locator("#sorted th[aria-sort=ascending]").inner_text().startswith("price")
+        assert (
+            page.locator("#sorted th[aria-sort=ascending]")
+            .inner_text()
+            .startswith("price")
+        )
         price.click()
         assert order(page) == ["unit 10", "a unit", "unit 9", "unit 1"]
         price.click()
@@ -199,7 +219,9 @@ def test_tables_and_the_player_speak_german(browser, part, tmp_path):
     with open_page(browser, path.as_uri()) as opened:
         for head, wanted in (("Name", "ÄBCZ"), ("Preis", "BCÄZ"), ("Reserve", "BZÄC")):
             opened.locator("#sorted thead button", has_text=head).click()
-            assert "".join(opened.locator("#sorted tbody th").all_inner_texts()) == wanted
+            assert (
+                "".join(opened.locator("#sorted tbody th").all_inner_texts()) == wanted
+            )
         status = opened.inner_text("#player-status")
         assert re.match(r"(\W?\d+,\d\d s|Aufprall)\. ", status)
         assert "Sensor" in status

@@ -14,7 +14,13 @@ def test_shares_by_position_and_approach(frame_axis):
         frame_axis, positions=("-15", "0", "0"), approaches=("north", "south", "north")
     )  # weights 1/2, 1/4, 1/4
     table = position_table("best", np.array([False, True, False]), axis)
-    assert table.columns == ["where", "APR", "runs avoided", "from the north", "from the south"]
+    assert table.columns == [
+        "where",
+        "APR",
+        "runs avoided",
+        "from the north",
+        "from the south",
+    ]
     assert table.rows == [
         ["15 m before the junction", "0.0 %", "0 of 1", "0.0 %", "\N{EN DASH}"],
         ["at the junction", "50.0 %", "1 of 2", "0.0 %", "100.0 %"],
@@ -40,7 +46,9 @@ def evaluation(axis, name, is_avoided):
     )
 
 
-def test_the_first_and_the_last_layout_are_drawn_side_by_side(small_setting, with_blank_pictures):
+def test_the_first_and_the_last_layout_are_drawn_side_by_side(
+    small_setting, with_blank_pictures
+):
     axis = small_setting.axis
     avoided = np.arange(axis.n_runs) > 0
     shown = {name: evaluation(axis, name, avoided) for name in ("<a>", "b", "c")}
@@ -50,7 +58,9 @@ def test_the_first_and_the_last_layout_are_drawn_side_by_side(small_setting, wit
         "Where it is still dangerous with <a>",
         "Where it is still dangerous with c",
     ]
-    assert box.blocks[0].caption.startswith("Places with runs that are not avoided: 1 of ")
+    assert box.blocks[0].caption.startswith(
+        "Places with runs that are not avoided: 1 of "
+    )
     assert tables_of(found) == []  # there is one position
     assert "&lt;a&gt;" in render_section(found)
     names = tuple("0" if row else "-15" for row in range(axis.n_runs))

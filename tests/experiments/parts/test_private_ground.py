@@ -14,7 +14,11 @@ from experiments.parts.units import (
 from geometry.errors import InputError
 from geometry.frames import to_geographic
 from geometry.study_scene import load_study_scene
-from placement.ground import load_private_ground, private_shares, respects_private_ground
+from placement.ground import (
+    load_private_ground,
+    private_shares,
+    respects_private_ground,
+)
 from placement.layout import load_carlancap_layout
 from placement.question import Question
 
@@ -47,7 +51,8 @@ def test_polygons_come_into_the_world_frame(garden, scene):
     ground = load_private_ground(garden, scene)
     assert ground.names == ("garden",)
     assert ground.area_m2 == pytest.approx([20.0], rel=1e-3)
-    low, high = ground.points_m[:, :2].min(axis=0), ground.points_m[:, :2].max(axis=0)
+    low = ground.points_m[:, :2].min(axis=0)
+    high = ground.points_m[:, :2].max(axis=0)
     assert low == pytest.approx([-109.5, 10.5], abs=0.05)
     assert high == pytest.approx([-100.5, 11.5], abs=0.05)
 
@@ -56,12 +61,16 @@ def test_polygons_come_into_the_world_frame(garden, scene):
 def test_a_map_of_no_known_place_takes_its_own_coordinates(scene, tmp_path):
     lost = replace(scene, crs="", source_origin_m=np.array([1000.0, 2000.0]))
     path = tmp_path / "a.gpkg"
-    frame = geopandas.GeoDataFrame({"name": ["a"]}, geometry=[box(1010, 2010, 1020, 2020)])
+    frame = geopandas.GeoDataFrame(
+        {"name": ["a"]}, geometry=[box(1010, 2010, 1020, 2020)]
+    )
     frame.to_file(path, driver="GPKG")
     ground = load_private_ground(path, lost)
     assert ground.points_m[:, :2].min(axis=0) == pytest.approx([10.5, 10.5])
     frame.set_crs("EPSG:25832").to_file(tmp_path / "b.gpkg", driver="GPKG")
-    with pytest.raises(InputError, match="expected a scene that says where on earth it lies"):
+    with pytest.raises(
+        InputError, match="expected a scene that says where on earth it lies"
+    ):
         load_private_ground(tmp_path / "b.gpkg", lost)
 
 
@@ -70,10 +79,15 @@ def test_poses_that_look_in_are_no_candidates(garden, scene):
     everything = assemble_without_runs(Question(budget=1), scene)
     assert 0 < len(plan.candidates) < len(everything.candidates)
     assert (private_shares(scene, plan.candidates, plan.private_ground) == 0.0).all()
-    some = assemble_without_runs(Question(budget=1, no_look=str(garden), no_look_share=0.5), scene)
+    some = assemble_without_runs(
+        Question(budget=1, no_look=str(garden), no_look_share=0.5), scene
+    )
     assert len(plan.candidates) < len(some.candidates) <= len(everything.candidates)
     summary = summarise(plan.candidates[:2], scene, plan.private_ground)
-    assert private_ground_sentence(summary) == "No camera has the private area in its picture."
+    assert (
+        private_ground_sentence(summary)
+        == "No camera has the private area in its picture."
+    )
 
 
 def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
@@ -87,21 +101,29 @@ def test_what_is_seen_is_told_and_too_much_to_ask_is_refused(garden, scene):
         assert (f"{unit.id} sees " in sentence) == (share > 0.0)
     watching = [unit for unit, share in zip(units, shares, strict=True) if share > 0.0]
     assert watching
-    with pytest.raises(InputError, match=r"no_look_share: got 0\.0 %; expected at least 0\."):
+    with pytest.raises(
+        InputError, match=r"no_look_share: got 0\.0 %; expected at least 0\."
+    ):
         respects_private_ground(private_shares(scene, watching, ground), max_share=0.0)
     with pytest.raises(InputError, match="refine: got it beside `no_look`"):
-        assemble_without_runs(Question(budget=1, no_look=str(garden), refine=True), scene)
+        assemble_without_runs(
+            Question(budget=1, no_look=str(garden), refine=True), scene
+        )
 
 
 def test_what_belongs_to_areas_needs_areas(run):
     option = "--no-look-share"
     code, _, err = run("--budget", 1, option, "0.5")
     assert code == 2
-    assert err.endswith(f"place-rsus: {option}: got it without --no-look; expected both\n")
+    assert err.endswith(
+        f"place-rsus: {option}: got it without --no-look; expected both\n"
+    )
 
 
 @pytest.mark.parametrize("command", ["evaluate", "compare"])
-def test_layouts_are_judged_by_what_they_see_of_private_ground(garden, run, small_study, command):
+def test_layouts_are_judged_by_what_they_see_of_private_ground(
+    garden, run, small_study, command
+):
     asked = ("--no-look", garden, "--quiet")
     layouts = ("--layout", "carlancap-12")
     if command == "compare":
@@ -109,7 +131,9 @@ def test_layouts_are_judged_by_what_they_see_of_private_ground(garden, run, smal
     summary = json.loads(run(command, *layouts, *asked, "--json")[1])
     seen = summary["private_ground"]["units"]
     ground = load_private_ground(garden, load_study_scene())
-    expected = private_shares(load_study_scene(), load_carlancap_layout().units, ground)[:, 0]
+    expected = private_shares(
+        load_study_scene(), load_carlancap_layout().units, ground
+    )[:, 0]
     assert [shares["garden"] for shares in seen.values()] == pytest.approx(expected)
     if command == "compare":
         assert summary["compared"][0]["private_ground"] == summary["private_ground"]
@@ -123,8 +147,10 @@ def test_layouts_are_judged_by_what_they_see_of_private_ground(garden, run, smal
         ("{}", "a.geojson"),
         ('{"type": "FeatureCollection", "features": []}', "a.geojson"),
         (
-            '{"type": "Feature", "properties": {}, "geometry": {"type": "Point", '
-            '"coordinates": [8.0, 49.0]}}',
+            (
+                '{"type": "Feature", "properties": {}, "geometry": {"type": "Point", '
+                '"coordinates": [8.0, 49.0]}}'
+            ),
             "no polygon",
         ),
     ],

@@ -14,7 +14,10 @@ def summary(shares):
     """Shares of areas by unit, as a record of the result."""
     names = list(next(iter(shares.values())))
     plain = {
-        "areas": [{"name": name, "area_m2": 10.0 + number} for number, name in enumerate(names)],
+        "areas": [
+            {"name": name, "area_m2": 10.0 + number}
+            for number, name in enumerate(names)
+        ],
         "units": shares,
     }
     return msgspec.convert(plain, PrivateGroundRecord)
@@ -26,7 +29,9 @@ def test_without_private_ground_there_is_no_part():
 
 def test_areas_are_rows_and_units_columns_what_is_seen_most_first():
     part = private_ground_section(
-        summary({"A": {"lawn": 0.0, "<yard>": 0.25}, "B": {"lawn": 0.1, "<yard>": 0.5}}),
+        summary(
+            {"A": {"lawn": 0.0, "<yard>": 0.25}, "B": {"lawn": 0.1, "<yard>": 0.5}}
+        ),
         {"A": "#1", "B": "#2"},
     )
     (table,) = tables_of(part)
@@ -53,8 +58,10 @@ def test_of_many_units_and_areas_those_that_matter_are_shown_and_it_is_told():
     ]
     assert "of 200 units the 12" in table.caption
     assert "of 100 areas the 60" in table.caption
-    assert part.blocks[0] == (
-        "199 of 200 units see something of 99 of 100 private areas; the most is 49.3 % of area99."
+    assert (
+        part.blocks[0]
+        == "199 of 200 units see something of 99 of 100 private areas; the most is 49.3"
+        " % of area99."
     )
 
 

@@ -25,7 +25,11 @@ PROVEN = [stage("apr", 0.9, 0.9, 0.0), stage("cost_eur", 6000.0, 6000.0, 0.0)]
 
 def test_after_an_open_objective_no_gap_and_no_bound_is_shown() -> None:
     rows = {row[0]: row[1:] for row in stage_table(OPEN).rows}
-    assert rows["APR if the most needed units fail"][:3] == ["89.3 %", "89.6 %", "0.3 %"]
+    assert rows["APR if the most needed units fail"][:3] == [
+        "89.3 %",
+        "89.6 %",
+        "0.3 %",
+    ]
     assert rows["APR"][:3] == ["96.9 %", "96.9 %", "proven"]
     assert rows["smallest time to spare"][:3] == ["0.225 s", NOTHING, "open"]
     assert rows["cost"][:3] == ["6,000", NOTHING, "open"]
@@ -33,9 +37,10 @@ def test_after_an_open_objective_no_gap_and_no_bound_is_shown() -> None:
 
 def test_one_sentence_says_what_the_rows_after_an_open_objective_depend_on() -> None:
     (sentence,) = stage_conditions(OPEN)
-    assert sentence == (
-        "APR if the most needed units fail is open: the rows below it compare only with choices "
-        "that are as good in it, so that they show no gap."
+    assert (
+        sentence
+        == "APR if the most needed units fail is open: the rows below it compare only"
+        " with choices that are as good in it, so that they show no gap."
     )
     assert stage_conditions(PROVEN) == []
     assert stage_conditions([*PROVEN[:1], OPEN[-1]]) == []  # nothing stands below

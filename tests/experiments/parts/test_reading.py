@@ -40,7 +40,9 @@ def folder(folder_of_one, small_study, without_figures, run, tmp_path, monkeypat
 def test_a_result_is_read_back(folder):
     result = load_result(str(folder))
     assert result.folder == folder
-    assert build_unit_records(result.layout, load_study_scene()) == result.summary.layout
+    assert (
+        build_unit_records(result.layout, load_study_scene()) == result.summary.layout
+    )
     text = (folder / "summary.json").read_text(encoding="utf-8")
     assert to_json_text(result.summary) == text
     together = result.runs.query("layout == @result.layout.name and party == 'rsu_all'")
@@ -52,7 +54,9 @@ def test_a_result_is_read_back(folder):
         "and approach == 'all' and weather == 'all' and vut_speed_kmh == 'all'"
     )
     assert of_all["apr"].tolist() == pytest.approx([share])
-    assert repr(result) == f"Result('best-2', {result.summary.runs} runs, {str(folder)!r})"
+    assert (
+        repr(result) == f"Result('best-2', {result.summary.runs} runs, {str(folder)!r})"
+    )
 
 
 def rewrite(path, change):
@@ -94,40 +98,97 @@ def drop_last_line(text):
 
 
 BROKEN = {
-    "no summary": (lambda f: (f / "summary.json").unlink(), "summary.json: got No such file"),
-    "no layout": (lambda f: (f / "layout.json").unlink(), "layout.json: got No such file"),
-    "no runs": (lambda f: (f / "runs.parquet").unlink(), "runs.parquet: got No such file"),
+    "no summary": (
+        lambda f: (f / "summary.json").unlink(),
+        "summary.json: got No such file",
+    ),
+    "no layout": (
+        lambda f: (f / "layout.json").unlink(),
+        "layout.json: got No such file",
+    ),
+    "no runs": (
+        lambda f: (f / "runs.parquet").unlink(),
+        "runs.parquet: got No such file",
+    ),
     "no ratios": (lambda f: (f / "apr.csv").unlink(), "apr.csv: got No such file"),
-    "half a summary": (cut_off("summary.json"), "expected a whole file, as place-rsus has"),
-    "no JSON": (change_text("summary.json", lambda text: "[" * 100_000), "nested too deep"),
-    "half a character": (lambda f: (f / "summary.json").write_bytes(b"\xff"), "can't decode"),
-    "a list": (change_text("summary.json", lambda text: "[]"), "got no object; expected an"),
-    "no schema": (change_summary(lambda s: s.pop("schema")), "schema: got nothing; expected"),
+    "half a summary": (
+        cut_off("summary.json"),
+        "expected a whole file, as place-rsus has",
+    ),
+    "no JSON": (
+        change_text("summary.json", lambda text: "[" * 100_000),
+        "nested too deep",
+    ),
+    "half a character": (
+        lambda f: (f / "summary.json").write_bytes(b"\xff"),
+        "can't decode",
+    ),
+    "a list": (
+        change_text("summary.json", lambda text: "[]"),
+        "got no object; expected an",
+    ),
+    "no schema": (
+        change_summary(lambda s: s.pop("schema")),
+        "schema: got nothing; expected",
+    ),
     "later": (
         change_summary(lambda s: s.update(schema="place-rsus/placement/3")),
         "schema: got 'place-rsus/placement/3'; expected place-rsus/placement/2 or ",
     ),
     "older": (
         change_summary(lambda s: s.update(schema="place-rsus/result/1")),
-        "schema: got 'place-rsus/result/1'; expected place-rsus/placement/2 or .*: an older",
+        (
+            "schema: got 'place-rsus/result/1'; expected place-rsus/placement/2 or .*:"
+            " an older"
+        ),
     ),
-    "no name": (change_summary(lambda s: s.pop("name")), "name: got nothing; expected a value"),
-    "no number": (change_summary(lambda s: s.update(runs="6")), "runs: got '6'; expected a whole"),
-    "truth": (change_summary(lambda s: s.update(runs=True)), "runs: got True; expected a whole"),
-    "no units": (change_summary(lambda s: s.update(layout=[])), r"layout: got \[\]; expected a"),
-    "no ids": (change_summary(lambda s: s.update(layout=[3])), r"layout\[0\]: got 3; expected a"),
+    "no name": (
+        change_summary(lambda s: s.pop("name")),
+        "name: got nothing; expected a value",
+    ),
+    "no number": (
+        change_summary(lambda s: s.update(runs="6")),
+        "runs: got '6'; expected a whole",
+    ),
+    "truth": (
+        change_summary(lambda s: s.update(runs=True)),
+        "runs: got True; expected a whole",
+    ),
+    "no units": (
+        change_summary(lambda s: s.update(layout=[])),
+        r"layout: got \[\]; expected a",
+    ),
+    "no ids": (
+        change_summary(lambda s: s.update(layout=[3])),
+        r"layout\[0\]: got 3; expected a",
+    ),
     "other units": (
         change_summary(lambda s: s["layout"][0].update(id="U7")),
         "layout.json: got units U1, .*; expected U7, .*, those of summary.json",
     ),
-    "half a layout": (cut_off("layout.json"), "layout.json: got .*; expected JSON in UTF-8"),
-    "half the runs": (cut_off("runs.parquet"), "runs.parquet: got .*; expected a whole file"),
-    "empty runs": (cut_off("runs.parquet", 0.0), "runs.parquet: got .*; expected a whole file"),
+    "half a layout": (
+        cut_off("layout.json"),
+        "layout.json: got .*; expected JSON in UTF-8",
+    ),
+    "half the runs": (
+        cut_off("runs.parquet"),
+        "runs.parquet: got .*; expected a whole file",
+    ),
+    "empty runs": (
+        cut_off("runs.parquet", 0.0),
+        "runs.parquet: got .*; expected a whole file",
+    ),
     "a run less": (
         change_runs(lambda runs: runs.iloc[:-1]),
-        "runs.parquet: got 5 runs of carlancap-12, vut_and_rsus; expected each of the 6 runs of",
+        (
+            "runs.parquet: got 5 runs of carlancap-12, vut_and_rsus; expected each of"
+            " the 6 runs of"
+        ),
     ),
-    "more runs": (change_summary(lambda s: s.update(runs=7)), "expected each of the 7 runs"),
+    "more runs": (
+        change_summary(lambda s: s.update(runs=7)),
+        "expected each of the 7 runs",
+    ),
     "a run twice": (
         change_runs(lambda runs: pd.concat([runs.iloc[[1]], runs.iloc[1:]])),
         "got 5 runs of best-2, vut; expected each of the 6",
@@ -153,11 +214,20 @@ BROKEN = {
         change_runs(lambda runs: runs.assign(is_avoided=1)),
         "is_avoided: got int64 values; expected true or false",
     ),
-    "half a row": (cut_off("apr.csv", 0.999), "apr.csv: got no line break at the end; expected a"),
-    "empty ratios": (cut_off("apr.csv", 0.0), "apr.csv: got no line break at the end; expected a"),
+    "half a row": (
+        cut_off("apr.csv", 0.999),
+        "apr.csv: got no line break at the end; expected a",
+    ),
+    "empty ratios": (
+        cut_off("apr.csv", 0.0),
+        "apr.csv: got no line break at the end; expected a",
+    ),
     "a row less": (
         change_text("apr.csv", drop_last_line),
-        r"apr.csv: got \d+ rows, not the same ones for every layout and party; expected those of",
+        (
+            r"apr.csv: got \d+ rows, not the same ones for every layout and party;"
+            r" expected those of"
+        ),
     ),
     "another party": (
         change_text("apr.csv", lambda text: text.replace(",rsu_all,", ",rsu_none,")),
@@ -167,8 +237,14 @@ BROKEN = {
         change_text("apr.csv", lambda text: text[:-1] + "x\n"),
         "n_avoided: got object values; expected numbers",
     ),
-    "another table": (change_text("apr.csv", lambda text: "a,b\n1,2\n"), "no column layout"),
-    "too many": (change_text("apr.csv", lambda text: text + '"\n'), "apr.csv: got .*; expected a"),
+    "another table": (
+        change_text("apr.csv", lambda text: "a,b\n1,2\n"),
+        "no column layout",
+    ),
+    "too many": (
+        change_text("apr.csv", lambda text: text + '"\n'),
+        "apr.csv: got .*; expected a",
+    ),
 }
 
 
@@ -195,7 +271,9 @@ def test_runs_that_are_cut_off_anywhere_are_refused(folder):
     data = path.read_bytes()
     for length in np.linspace(0, len(data) - 1, 40).astype(int).tolist():
         path.write_bytes(data[:length])
-        with pytest.raises(InputError, match=r"runs\.parquet: got .*; expected a whole file"):
+        with pytest.raises(
+            InputError, match=r"runs\.parquet: got .*; expected a whole file"
+        ):
             load_result(folder)
 
 
@@ -219,8 +297,15 @@ def test_runs_with_a_wrong_byte_are_refused_or_read(folder):
 def test_layouts_may_be_called_as_what_is_missing(folder):
     """ "nan" is text in apr.csv, not a number that is none."""
     for name in ("nan", "12"):
-        rewrite(folder / "summary.json", lambda summary, name=name: summary.update(name=name))
+        rewrite(
+            folder / "summary.json",
+            lambda summary, name=name: summary.update(name=name),
+        )
         old = pd.read_parquet(folder / "runs.parquet")["layout"].iloc[0]
-        change_runs(lambda runs, o=old, n=name: runs.replace({"layout": {o: n}}))(folder)
-        change_text("apr.csv", lambda text, o=old, n=name: text.replace(f"{o},", f"{n},"))(folder)
+        change_runs(lambda runs, o=old, n=name: runs.replace({"layout": {o: n}}))(
+            folder
+        )
+        change_text(
+            "apr.csv", lambda text, o=old, n=name: text.replace(f"{o},", f"{n},")
+        )(folder)
         assert set(load_result(folder).apr["layout"]) >= {name}

@@ -12,7 +12,9 @@ from placement.optimiser import Effort
 def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verified(
     small_study, run, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(alternatives, "recommend", lambda runners, mounted_wrongly: (1, "apr"))
+    monkeypatch.setattr(
+        alternatives, "recommend", lambda runners, mounted_wrongly: (1, "apr")
+    )
     out = tmp_path / "out"
     command = ("--budget", 2, "--give-up", 0, "--out", out, "--workers", 2)
     code, told, _ = run(*command, "--verbose")
@@ -20,7 +22,9 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
     summary = json.loads((out / "summary.json").read_text())
     found = summary["front_runners"]
     names = [one["name"] for one in found["layouts"]]
-    assert names[0] == summary["name"] == load_layout(out / "layout.json").name == "best-2"
+    assert (
+        names[0] == summary["name"] == load_layout(out / "layout.json").name == "best-2"
+    )
     recommended = load_layout(out / "recommended.json")
     assert recommended.name == found["recommended"] == names[1] != "best-2"
     sentence = f"Recommended: {names[1]}, in recommended.json."
@@ -36,19 +40,31 @@ def test_what_the_evaluator_recommends_is_written_and_what_is_proven_still_verif
 def test_where_the_layout_found_is_recommended_nothing_is_written_beside_it(
     run, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(alternatives, "recommend", lambda runners, mounted_wrongly: (0, "order"))
-    code, told, _ = run("--budget", 2, "--give-up", 0, "--out", tmp_path / "out", "--workers", 2)
+    monkeypatch.setattr(
+        alternatives, "recommend", lambda runners, mounted_wrongly: (0, "order")
+    )
+    code, told, _ = run(
+        "--budget", 2, "--give-up", 0, "--out", tmp_path / "out", "--workers", 2
+    )
     assert code == 0
     assert not (tmp_path / "out/recommended.json").exists()
     assert "Recommended:" not in told
 
 
-@pytest.mark.parametrize(("weights", "asks"), [("", True), ("case", True), ("run", False)])
+@pytest.mark.parametrize(
+    ("weights", "asks"), [("", True), ("case", True), ("run", False)]
+)
 def test_weights_that_somebody_chose_are_meant(weights, asks, monkeypatch):
     asked = []
-    monkeypatch.setattr(alternatives, "find_by_runs", lambda *given, **options: asked.append(1))
-    nothing = type("Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None})
-    question = type("Asked", (), {"weights": weights, "score": "avoided", "effort": Effort()})
+    monkeypatch.setattr(
+        alternatives, "find_by_runs", lambda *given, **options: asked.append(1)
+    )
+    nothing = type(
+        "Nothing", (), {"problem": None, "pose_index": (), "cache_folder": None}
+    )
+    question = type(
+        "Asked", (), {"weights": weights, "score": "avoided", "effort": Effort()}
+    )
     alternatives.find_other_weights(
         nothing, question, question, compute=nothing, progress=lambda *given: None
     )

@@ -21,7 +21,9 @@ from placement.recordings import WrittenDrive, write_recording
 from scenarios.aeb import load_aeb_rule
 
 BOX = np.array([100.0, 200.0, 140.0, 300.0])
-N_UNITS, N_DRIVES, N_FRAMES = 6, 5, 14
+N_UNITS = 6
+N_DRIVES = 5
+N_FRAMES = 14
 ALL = 2.0  # a share so large that everybody detects in every frame
 SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 
@@ -29,7 +31,11 @@ SPEEDS_MPS = (6.0, 7.0, 8.0, 9.0, 10.0)
 def _write(folder, detected, *, vut=True):
     """Pedestrians that cross; detected: (n_units + 1, n_drives, n_frames), the car comes last."""
     names = [str(unit) for unit in range(len(detected) - 1)] + ["car"]
-    seen = {name: rows for name, rows in zip(names, detected, strict=True) if vut or name != "car"}
+    seen = {
+        name: rows
+        for name, rows in zip(names, detected, strict=True)
+        if vut or name != "car"
+    }
     drives = [
         WrittenDrive(
             scenario=index % 2,
@@ -38,7 +44,9 @@ def _write(folder, detected, *, vut=True):
             vru_speed_mps=1.5,
             distance_m=2.0 + speed * np.arange(N_FRAMES)[::-1] / 10.0,
             labels_px={name: np.tile(BOX, (N_FRAMES, 1)) for name in seen},
-            detections_px={name: rows[index][:, None] * BOX for name, rows in seen.items()},
+            detections_px={
+                name: rows[index][:, None] * BOX for name, rows in seen.items()
+            },
             label_distance_m={name: np.full(N_FRAMES, 20.0) for name in seen},
         )
         for index, speed in enumerate(SPEEDS_MPS)
@@ -95,7 +103,10 @@ def _in_time(frames, speed_mps):
 def _avoided(detected, speeds_mps, units, fusion):
     """Drives that some units avoid, by the definition."""
     if fusion == "any":
-        rows = [detected[list(units)].any(axis=0)] if units else []
+        if units:
+            rows = [detected[list(units)].any(axis=0)]
+        else:
+            rows = []
     else:
         rows = list(detected[list(units)])
     return [
@@ -110,14 +121,21 @@ def _place(folder, **options):
         "out": None,
         "progress": StageProgress(),
     }
-    asked = {"budget": options.pop("budget_units", 2), "fusion": options.pop("fusion", "any")}
+    asked = {
+        "budget": options.pop("budget_units", 2),
+        "fusion": options.pop("fusion", "any"),
+    }
     question = Question(**asked, time_limit_s=60.0)
-    return to_plain(run_recording(question, folder=folder, chooses=True, **(given | options)))
+    return to_plain(
+        run_recording(question, folder=folder, chooses=True, **(given | options))
+    )
 
 
 def _evaluate(folder, question=None, **options):
     given = {"min_confidence": 0.0, "out": None, "progress": StageProgress()}
-    return to_plain(run_recording(question or Question(), folder=folder, **(given | options)))
+    return to_plain(
+        run_recording(question or Question(), folder=folder, **(given | options))
+    )
 
 
 def record_of(summary):
@@ -143,7 +161,9 @@ def test_every_partys_apr_is_that_of_the_definition(recorded):
         assert summary["detected_share"][key] == pytest.approx(frames.mean())
     for unit in everyone:
         ratios = summary["evaluation"]["units"][f"RSU{unit}"]
-        assert ratios["all"] == pytest.approx(np.mean(_avoided(detected, speeds, [unit], "any")))
+        assert ratios["all"] == pytest.approx(
+            np.mean(_avoided(detected, speeds, [unit], "any"))
+        )
     worst = min(
         np.mean(_avoided(detected, speeds, [u for u in everyone if u != failed], "any"))
         for failed in everyone
@@ -167,20 +187,28 @@ def test_no_other_choice_of_units_prevents_more(recorded, fusion, seed, share):
         assert summary["apr"] == pytest.approx(best)
         # What adds nothing is left out.
         assert len(chosen) <= budget
-        assert np.mean(_avoided(detected, speeds, chosen, fusion)) == pytest.approx(best)
+        assert np.mean(_avoided(detected, speeds, chosen, fusion)) == pytest.approx(
+            best
+        )
         assert summary["bound"] == pytest.approx(best)
         assert summary["gap"] == 0.0
         # Among the best ones, none loses less when one unit fails.
         robust = {
             units: min(
-                np.mean(_avoided(detected, speeds, [u for u in units if u != failed], fusion))
+                np.mean(
+                    _avoided(
+                        detected, speeds, [u for u in units if u != failed], fusion
+                    )
+                )
                 for failed in units
             )
             for units, apr in aprs.items()
             if apr == pytest.approx(best)
         }
         if best > 0.0:
-            assert summary["apr_without_worst_unit"] == pytest.approx(max(robust.values()))
+            assert summary["apr_without_worst_unit"] == pytest.approx(
+                max(robust.values())
+            )
         everything = np.mean(_avoided(detected, speeds, range(N_UNITS), "any"))
         assert summary["baseline"]["rsu_all"]["all"] == pytest.approx(everything)
         assert [stage["name"] for stage in summary["stages"]] == [
@@ -196,7 +224,9 @@ def test_the_chosen_units_are_evaluated_alone(recorded):
     folder, detected, speeds = recorded(2, 0.5)
     summary = _place(folder, budget_units=2)
     units = [int(unit["folder"]) for unit in summary["layout"]]
-    assert [unit["id"] for unit in summary["layout"]] == [f"RSU{unit}" for unit in units]
+    assert [unit["id"] for unit in summary["layout"]] == [
+        f"RSU{unit}" for unit in units
+    ]
     assert list(summary["evaluation"]["units"]) == [f"RSU{unit}" for unit in units]
     avoided = np.mean(_avoided(detected, speeds, [*units, N_UNITS], "any"))
     assert summary["evaluation"]["vut_and_rsus"]["all"] == pytest.approx(avoided)
@@ -207,20 +237,25 @@ def test_the_chosen_units_are_evaluated_alone(recorded):
 def test_a_budget_beyond_the_recorded_units_is_refused(recorded):
     with pytest.raises(InputError) as caught:
         _place(recorded()[0], budget_units=7)
-    assert str(caught.value) == "--budget: got 7; expected at most 6, the units recorded"
+    assert (
+        str(caught.value) == "--budget: got 7; expected at most 6, the units recorded"
+    )
 
 
 def test_how_the_vut_confirms_and_brakes_is_asked_for(recorded):
     folder, *_ = recorded(share=ALL)
     assert _evaluate(folder)["apr"] == 1.0
-    # The third of 14 frames is at -1.1 s, the onset at -1.075: v / (2 * 3.5) is less to 7.525 m/s.
+    # The third of 14 frames is at -1.1 s, the onset at -1.075: v / (2 * 3.5) is less to
+    # 7.525 m/s.
     summary = _evaluate(folder, Question(deceleration_mps2=3.5))
     assert summary["apr"] == pytest.approx(0.4)
     assert [drive["is_avoided"] for drive in summary["drives"]].count(True) == 2
 
 
 def test_weak_detections_do_not_count(recorded, tmp_path):
-    for path in (_with_own(recorded(share=ALL)[0], "Eval", tmp_path / "data") / "Eval").iterdir():
+    for path in (
+        _with_own(recorded(share=ALL)[0], "Eval", tmp_path / "data") / "Eval"
+    ).iterdir():
         path.write_text(path.read_text().replace(" 1.0\n", " 0.3\n"))
     assert _evaluate(tmp_path / "data", min_confidence=0.3)["apr"] == 1.0
     assert _evaluate(tmp_path / "data", min_confidence=0.31)["apr"] == 0.0
@@ -247,7 +282,11 @@ def test_drives_frames_and_what_was_skipped_are_told(recorded, tmp_path):
         "scenario-0-pedestrian",
         "crossing",
     )
-    assert (first["first_frame"], first["frames"], first["missing_frames"]) == (0, N_FRAMES, 1)
+    assert (first["first_frame"], first["frames"], first["missing_frames"]) == (
+        0,
+        N_FRAMES,
+        1,
+    )
     assert first["last_brake_time_s"] == pytest.approx(-6.0 / 15.44)
     assert first["closing_speed_mps"] == pytest.approx(6.0)
 
@@ -260,7 +299,9 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(tmp_path):
     assert "car" not in recording_text(record_of(summary), None).split("Read:")[0]
 
 
-def test_nothing_is_written_unless_asked_for_and_then_little(recorded, tmp_path, monkeypatch):
+def test_nothing_is_written_unless_asked_for_and_then_little(
+    recorded, tmp_path, monkeypatch
+):
     (tmp_path / "data").symlink_to(recorded()[0])
     monkeypatch.chdir(tmp_path)
     _evaluate(Path("data"))
@@ -270,16 +311,23 @@ def test_nothing_is_written_unless_asked_for_and_then_little(recorded, tmp_path,
         progress = StageProgress()
         summary = run(Path("data"), out=Path("out"), progress=progress)
         names = {path.name for path in Path("out").iterdir()}
-        proof = {"certificate.json", "instance.npz"} if run is _place else set()
+        if run is _place:
+            proof = {"certificate.json", "instance.npz"}
+        else:
+            proof = set()
         assert names == {"summary.json", "SHA256SUMS"} | proof
         assert json.loads(Path("out/summary.json").read_text()) == summary
         assert progress.kept == "the results are in out"
-    assert "Written to out: summary.json." in recording_text(record_of(summary), Path("out"))
+    assert "Written to out: summary.json." in recording_text(
+        record_of(summary), Path("out")
+    )
 
 
 def test_a_folder_with_other_things_is_not_replaced(recorded):
     folder, *_ = recorded()
-    with pytest.raises(InputError, match=r"--out: got .*data, which holds 0/.* but no SHA256SUMS"):
+    with pytest.raises(
+        InputError, match=r"--out: got .*data, which holds 0/.* but no SHA256SUMS"
+    ):
         _evaluate(folder, out=folder)
     assert (folder / "Eval/0_0.txt").exists()
 
@@ -290,13 +338,25 @@ def test_tables_fit_80_columns_and_show_every_party(recorded):
     placement = recording_text(record_of(_place(folder)), None)
     for text in (evaluation, placement):
         assert max(map(len, text.splitlines()[1:])) <= 80
-    names = [*(f"RSU{unit}" for unit in range(N_UNITS)), "RSU_all", "car", "car + RSU_all"]
+    names = [
+        *(f"RSU{unit}" for unit in range(N_UNITS)),
+        "RSU_all",
+        "car",
+        "car + RSU_all",
+    ]
     rows = [line[2:18].strip() for line in evaluation.splitlines()]
     assert [row for row in rows if row in names] == names
-    assert "Skipped: 150 frames between drives (bodies back at their starts)." in evaluation
-    assert "12 (where no unit has that number) and -1 mean car" in evaluation.replace("\n", " ")
+    assert (
+        "Skipped: 150 frames between drives (bodies back at their starts)."
+        in evaluation
+    )
+    assert "12 (where no unit has that number) and -1 mean car" in evaluation.replace(
+        "\n", " "
+    )
     assert "proven" in placement
-    assert load_aeb_rule().deceleration_mps2 == 7.72  # what the numbers of this file stand on
+    assert (
+        load_aeb_rule().deceleration_mps2 == 7.72
+    )  # what the numbers of this file stand on
 
 
 def test_a_recorded_choice_has_a_certificate_that_holds(recorded, tmp_path):
@@ -307,5 +367,7 @@ def test_a_recorded_choice_has_a_certificate_that_holds(recorded, tmp_path):
     (out / "summary.json").write_text(json.dumps(summary))
     assert not run_verification(out, progress=StageProgress()).is_verified
     (out / "summary.json").write_text("[]")
-    with pytest.raises(InputError, match=r"summary\.json: got no object; expected a summary"):
+    with pytest.raises(
+        InputError, match=r"summary\.json: got no object; expected a summary"
+    ):
         run_verification(out, progress=StageProgress())

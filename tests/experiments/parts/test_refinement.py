@@ -63,26 +63,30 @@ def test_a_turned_unit_is_told_with_all_objectives_that_changed():
         _values(1.0, 0.0, 0.433, 3.74, 1500.0),
     )
     changed, proof = _sentences(found)
-    assert changed == (
-        f"Refinement turned U1 by {MINUS}6.94\N{DEGREE SIGN}, tilted it by 0.50\N{DEGREE SIGN} "
-        "and raised it by 0.22 m: smallest time to spare 0.33 s to 0.43 s, mean time to spare "
-        "3.81 s to 3.74 s."
+    assert (
+        changed == f"Refinement turned U1 by {MINUS}6.94\N{DEGREE SIGN}, tilted it by"
+        f" 0.50\N{DEGREE SIGN} and raised it by 0.22 m: smallest time to spare 0.33"
+        " s to 0.43 s, mean time to spare 3.81 s to 3.74 s."
     )
-    assert proof == (
-        "No choice among the 5772 candidates of the grid is as good: that is proven. The bounds of "
-        "the refined layout hold for these and the 760 poses tried between them, not for every "
-        "pose there is."
+    assert (
+        proof
+        == "No choice among the 5772 candidates of the grid is as good: that is proven."
+        " The bounds of the refined layout hold for these and the 760 poses tried"
+        " between them, not for every pose there is."
     )
 
 
 def test_a_grid_that_is_not_proven_is_not_said_to_be():
     found = _refinement(
-        [_unit("U1")], [_unit("x", yaw=1.0)], _values(1.0, 0.0, 0.5, 3.81, 1500.0), gap=0.1
+        [_unit("U1")],
+        [_unit("x", yaw=1.0)],
+        _values(1.0, 0.0, 0.5, 3.81, 1500.0),
+        gap=0.1,
     )
     assert "proven" not in _sentences(found)[1]
     assert _sentences(found)[1].startswith(
-        "It is better than the best choice among the 5772 candidates of the grid that was found in "
-        "the time given."
+        "It is better than the best choice among the 5772 candidates of the grid that"
+        " was found in the time given."
     )
 
 
@@ -98,10 +102,12 @@ def test_units_that_are_new_gone_lowered_zoomed_or_renamed_are_told():
         ],
         _values(1.0, 0.25, 0.333, 3.8104, 1450.0),
     )
-    assert _sentences(found)[0] == (
-        f"Refinement zoomed U1 by {MINUS}29.60\N{DEGREE SIGN}, lowered RSU1 (now U2) by 0.50 m, "
-        "removed U3 and added U4: APR if the most needed unit fails 0.0 % to 25.0 %, mean time to "
-        "spare 3.8100 s to 3.8104 s, cost 1500 EUR to 1450 EUR."
+    assert (
+        _sentences(found)[0]
+        == f"Refinement zoomed U1 by {MINUS}29.60\N{DEGREE SIGN}, lowered RSU1 (now U2)"
+        " by 0.50 m, removed U3 and added U4: APR if the most needed unit fails 0.0"
+        " % to 25.0 %, mean time to spare 3.8100 s to 3.8104 s, cost 1500 EUR to"
+        " 1450 EUR."
     )
 
 
@@ -117,15 +123,17 @@ def test_nothing_better_is_said_as_it_is():
     found = _refinement([_unit("U1")], [_unit("x")], BEFORE)
     assert not found.is_improved
     assert _sentences(found) == [
-        "Refinement tried 760 poses between the 5772 candidates of the grid and found nothing "
-        "better."
+        "Refinement tried 760 poses between the 5772 candidates of the grid and found"
+        " nothing better."
     ]
 
 
 def test_the_summary_holds_all_numbers():
     after = _values(1.0, 0.0, 0.5, 3.0, 1500.0)
     summary = to_plain(
-        build_refinement_record(_refinement([_unit("U1")], [_unit("x", yaw=1.0)], after))
+        build_refinement_record(
+            _refinement([_unit("U1")], [_unit("x", yaw=1.0)], after)
+        )
     )
     assert summary == {
         "is_improved": True,

@@ -20,7 +20,8 @@ def evaluation(frame_axis):
 
     def verdict(avoided, left_kmh):
         return SimpleNamespace(
-            is_avoided=np.array(avoided, dtype=bool), impact_speed_kmh=np.array(left_kmh)
+            is_avoided=np.array(avoided, dtype=bool),
+            impact_speed_kmh=np.array(left_kmh),
         )
 
     return SimpleNamespace(
@@ -76,13 +77,15 @@ def test_one_sentence_says_whose_runs_count_and_who_is_left_out(evaluation):
     record = build_road_users(setting_of(refusals=refusals), {"mine": evaluation})
     assert record.unprotected == ("CCCscp",)
     assert words(record) == [
-        "Whose runs count: on foot 2 runs (APR 66.7 %), bicycle 1 run (APR 100.0 %); left out: "
-        "1 case with a car."
+        "Whose runs count: on foot 2 runs (APR 66.7 %), bicycle 1 run (APR 100.0 %);"
+        " left out: 1 case with a car."
     ]
     assert section(record) is not None
 
 
-def test_nothing_is_said_where_all_runs_meet_the_same_and_nobody_is_left_out(evaluation):
+def test_nothing_is_said_where_all_runs_meet_the_same_and_nobody_is_left_out(
+    evaluation,
+):
     record = build_road_users(setting_of(("bicycle",) * 3), {"mine": evaluation})
     assert words(record) == []
     assert section(record) is None
@@ -97,11 +100,15 @@ def test_cars_and_cases_laid_nowhere_are_not_called_impossible():
     assert "Only vulnerable road users are protected: CCFtap" in text
     assert "--protect all counts cars, too" in text
     assert "Not laid at any junction: CPRA" in text
-    assert not any("CCFtap" in one or "CPRA" in one for one in driven if "possible" in one.lower())
+    assert not any(
+        "CCFtap" in one or "CPRA" in one for one in driven if "possible" in one.lower()
+    )
 
 
 def test_a_group_of_two_classes_of_bodies_is_there_once(evaluation):
-    record = build_road_users(setting_of(("car", "car", "on foot")), {"mine": evaluation})
+    record = build_road_users(
+        setting_of(("car", "car", "on foot")), {"mine": evaluation}
+    )
     assert [(group.road_user, group.runs) for group in record.groups] == [
         ("on foot", 1),
         ("car", 2),

@@ -16,7 +16,10 @@ from placement.sampling.uncertainty import Uncertainty
 @pytest.fixture
 def judged(frame_axis, camera):
     unit = CandidatePose(
-        id="U1", site_id="", pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0), sensor=camera
+        id="U1",
+        site_id="",
+        pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0),
+        sensor=camera,
     )
     generator = np.random.default_rng(3)
     return [
@@ -36,7 +39,8 @@ def record(judged):
 
 def dots(axes):
     return [
-        (container[0].get_xdata()[0], container[0].get_ydata()[0]) for container in axes.containers
+        (container[0].get_xdata()[0], container[0].get_ydata()[0])
+        for container in axes.containers
     ]
 
 

@@ -40,7 +40,10 @@ KINDS = ("placement_result", "evaluation_result", "comparison_result")
 
 
 def messages(summary):
-    return [f"{error.json_path}: {error.message}" for error in VALIDATOR.iter_errors(summary)]
+    return [
+        f"{error.json_path}: {error.message}"
+        for error in VALIDATOR.iter_errors(summary)
+    ]
 
 
 def plain(result):
@@ -79,7 +82,9 @@ def test_the_schema_is_that_of_the_types():
 def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
     jsonschema.Draft202012Validator.check_schema(DOCUMENT)
     kinds = [DOCUMENT["$defs"][kind] for kind in KINDS]
-    assert tuple(kind["properties"]["schema"]["const"] for kind in kinds) == RESULT_SCHEMAS
+    assert (
+        tuple(kind["properties"]["schema"]["const"] for kind in kinds) == RESULT_SCHEMAS
+    )
     n_keys = 0
     for where, node in parts(DOCUMENT):
         if node.get("type") == "object" and where != "$":
@@ -94,12 +99,23 @@ def test_the_schema_is_one_and_leaves_nothing_open_or_unsaid():
 
 
 def test_names_that_end_in_a_unit_say_so_in_words_too():
-    units = {"_m": "metres", "_s": "seconds", "_deg": "degrees", "_eur": "EUR", "_kmh": "km/h"}
+    units = {
+        "_m": "metres",
+        "_s": "seconds",
+        "_deg": "degrees",
+        "_eur": "EUR",
+        "_kmh": "km/h",
+    }
     n_named = 0
     for where, node in parts(DOCUMENT):
-        properties = node.get("properties", {}) if node.get("type") == "object" else {}
+        if node.get("type") == "object":
+            properties = node.get("properties", {})
+        else:
+            properties = {}
         for name, value in properties.items():
-            unit = next((words for end, words in units.items() if name.endswith(end)), None)
+            unit = next(
+                (words for end, words in units.items() if name.endswith(end)), None
+            )
             if unit is not None:
                 n_named += 1
                 assert unit in value["description"], f"{where}.{name}"
@@ -149,7 +165,9 @@ def layout_files(tmp_path):
     for n_units in (1, 2):
         units = load_carlancap_layout().units[:n_units]
         path = tmp_path / f"layout-{n_units}.json"
-        path.write_text(to_json(Layout(name=f"first-{n_units}", units=units)), encoding="utf-8")
+        path.write_text(
+            to_json(Layout(name=f"first-{n_units}", units=units)), encoding="utf-8"
+        )
         paths.append(path)
     return paths
 
@@ -171,7 +189,9 @@ PLACEMENTS = {
 
 
 @pytest.mark.parametrize("kind", PLACEMENTS)
-def test_placements_are_as_the_schema_says(kind, small_study, without_figures, run, tmp_path):
+def test_placements_are_as_the_schema_says(
+    kind, small_study, without_figures, run, tmp_path
+):
     options, expected = PLACEMENTS[kind]
     check_placement(run, tmp_path / "out", options, expected)
 
@@ -204,7 +224,9 @@ def test_private_ground_is_in_the_schema(
     )
     assert messages(summary) == []
     assert summary["private_ground"]["areas"][0]["name"] == "garden"
-    code, printed, _ = run("compare", *layout_files, "--no-look", garden, "--json", "--quiet")
+    code, printed, _ = run(
+        "compare", *layout_files, "--no-look", garden, "--json", "--quiet"
+    )
     assert code == 0
     assert messages(json.loads(printed)) == []
     assert "private_ground" in json.loads(printed)["compared"][0]
@@ -213,7 +235,9 @@ def test_private_ground_is_in_the_schema(
 def test_weights_weathers_and_announcements_are_in_the_schema(
     small_study, without_figures, run, tmp_path, monkeypatch, layout_files
 ):
-    foggy = [replace(run, id=f"{run.id}/fog", weather="fog") for run in small_study.runs[:3]]
+    foggy = [
+        replace(run, id=f"{run.id}/fog", weather="fog") for run in small_study.runs[:3]
+    ]
     runs = (*small_study.runs, *foggy)
     weight = np.array([0.0 if item.case.name == "CBLA" else 1.0 for item in runs])
     setting = replace(
@@ -235,7 +259,9 @@ def test_weights_weathers_and_announcements_are_in_the_schema(
 
 
 @pytest.mark.usefixtures("small_study", "without_figures")
-def test_evaluations_and_comparisons_are_as_the_schema_says(run, tmp_path, layout_files):
+def test_evaluations_and_comparisons_are_as_the_schema_says(
+    run, tmp_path, layout_files
+):
     one, two = layout_files
     summary = written(run, tmp_path / "one", "evaluate", "--layout", one)
     assert messages(summary) == []
@@ -296,7 +322,14 @@ def test_what_is_changed_in_a_summary_is_noticed(run, tmp_path, monkeypatch):
     n_changed = 0
     for path in [path for path, _ in parts(summary)]:
         is_mapping = path.endswith(
-            ("seconds", "versions", "by_case", "units", "uncertainty.latency", "question")
+            (
+                "seconds",
+                "versions",
+                "by_case",
+                "units",
+                "uncertainty.latency",
+                "question",
+            )
         )
         if is_mapping or re.search(r"\[[1-9]", path):  # those after the first are alike
             continue

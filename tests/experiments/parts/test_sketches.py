@@ -9,7 +9,9 @@ from experiments.parts.accidents import SKETCHED_M, sketch_case
 
 
 def points(data):
-    return np.array([[float(x), float(y)] for x, y in re.findall(r"(-?\d+) (-?\d+)", data)])
+    return np.array(
+        [[float(x), float(y)] for x, y in re.findall(r"(-?\d+) (-?\d+)", data)]
+    )
 
 
 def test_the_car_drives_upwards_and_hits_in_the_middle(small_setting):
@@ -35,4 +37,6 @@ def test_what_hides_somebody_is_drawn_as_wide_as_it_is(small_setting):
     assert bodies
     actor = run.obstruction[0].actor
     sides = np.sort(np.hypot(*np.diff(bodies[0][[0, 1, 2]], axis=0).T))
-    assert sides == pytest.approx(np.sort([10.0 * actor.length_m, 10.0 * actor.width_m]), abs=1.5)
+    assert sides == pytest.approx(
+        np.sort([10.0 * actor.length_m, 10.0 * actor.width_m]), abs=1.5
+    )

@@ -29,7 +29,12 @@ ASKED = Question(
     track_memory_s=0.3,
 )
 PART = replace(
-    ASKED, cases="CBNA", along_arms="0", speeds="60", weights="run", track_memory_s=math.inf
+    ASKED,
+    cases="CBNA",
+    along_arms="0",
+    speeds="60",
+    weights="run",
+    track_memory_s=math.inf,
 )
 COMPUTE = Compute(workers=2)
 NOBODY = SimpleNamespace(cases=())
@@ -53,41 +58,57 @@ def layouts():
 
 @pytest.fixture(scope="module")
 def evaluations(asked, layouts):
-    return dict(zip("ab", evaluate_layouts(layouts, asked, compute=COMPUTE), strict=True))
+    return dict(
+        zip("ab", evaluate_layouts(layouts, asked, compute=COMPUTE), strict=True)
+    )
 
 
 @pytest.fixture(scope="module")
 def expected(part, layouts):
     """What an evaluation says that is asked about these cases alone."""
-    return dict(zip("ab", evaluate_layouts(layouts, part, compute=COMPUTE), strict=True))
+    return dict(
+        zip("ab", evaluate_layouts(layouts, part, compute=COMPUTE), strict=True)
+    )
 
 
 def test_layouts_are_evaluated_as_if_the_studys_cases_were_asked_about(
     asked, part, evaluations, expected, monkeypatch
 ):
     monkeypatch.setattr(study_cases, "select_cases", lambda *words, **options: NOBODY)
-    record = on_study_cases(ASKED, asked, evaluations, build=lambda _: part, compute=COMPUTE)
+    record = on_study_cases(
+        ASKED, asked, evaluations, build=lambda _: part, compute=COMPUTE
+    )
     assert record == build_study_cases(expected)
     assert [party.name for party in record.parties] == ["a", "b", "VUT alone"]
     assert record.runs == part.axis.n_runs == 2
 
 
 def test_nothing_is_said_twice(asked, part, expected):
-    same = on_study_cases(PART, part, expected, build=lambda question: part, compute=COMPUTE)
+    same = on_study_cases(
+        PART, part, expected, build=lambda question: part, compute=COMPUTE
+    )
     assert same is None
     assert not is_same_question(asked, part)
-    assert not is_same_question(part, replace(part, rule=replace(part.rule, latency_s=0.2)))
+    assert not is_same_question(
+        part, replace(part, rule=replace(part.rule, latency_s=0.2))
+    )
     heavy = replace(part.axis, weight=np.array([0.9, 0.1]))
     assert not is_same_question(part, replace(part, axis=heavy))
 
 
-def test_the_block_is_shown_of_the_studys_cases_at_its_junction_alone(asked, monkeypatch):
+def test_the_block_is_shown_of_the_studys_cases_at_its_junction_alone(
+    asked, monkeypatch
+):
     monkeypatch.setattr(study_cases, "evaluate_layouts", lambda *given, **options: [])
     monkeypatch.setattr(study_cases, "build_study_cases", lambda found: "told")
 
     def told(setting, **changes):
         return on_study_cases(
-            Question(**changes), setting, {}, build=lambda question: asked, compute=COMPUTE
+            Question(**changes),
+            setting,
+            {},
+            build=lambda question: asked,
+            compute=COMPUTE,
         )
 
     other_rule = replace(asked, rule=replace(asked.rule, latency_s=0.2))

@@ -81,7 +81,9 @@ def setting_of(axis, *refusals):
         axis=axis,
         runs=[
             SimpleNamespace(
-                case=SimpleNamespace(name=name, vru=SimpleNamespace(class_name="pedestrian")),
+                case=SimpleNamespace(
+                    name=name, vru=SimpleNamespace(class_name="pedestrian")
+                ),
                 approach=approach,
                 road_user="on foot",
             )
@@ -123,7 +125,9 @@ def test_all_runs_avoided_is_exactly_one_and_none_is_zero(evaluation_of):
             "vut_and_rsus": ratios,
             "units": {"A": ratios},
             "apr_without_worst_unit": 0.0,  # there is but one
-            **dict.fromkeys(("apr_without_worst_site", "vam", "all_sources", "headline")),
+            **dict.fromkeys(
+                ("apr_without_worst_site", "vam", "all_sources", "headline")
+            ),
         }
 
 
@@ -131,7 +135,9 @@ def test_speeds_at_contact_and_score_stand_beside_the_ratio(evaluation_of, axis)
     plain_one = evaluation_of(N_RUNS - 2)
     left_kmh = np.where(plain_one.rsu_all.is_avoided, 0.0, 20.0)
     left_kmh[-1] = 8.0
-    verdict = replace(plain_one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh)
+    verdict = replace(
+        plain_one.rsu_all, impact_speed_kmh=left_kmh, closing_speed_kmh=left_kmh
+    )
     levels = Levels(
         score="rating-2026",
         run_index=np.arange(N_RUNS).repeat(2),
@@ -156,12 +162,20 @@ def test_ratios_are_shares_of_the_runs(setting, evaluation_of):
 
 def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_of):
     single = plain(build_evaluation_result(setting, evaluation_of(3)))
-    both = plain(build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")]))
-    assert set(both) - set(single) == {"compared", "differences", "baselines", "sampled"}
+    both = plain(
+        build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")])
+    )
+    assert set(both) - set(single) == {
+        "compared",
+        "differences",
+        "baselines",
+        "sampled",
+    }
     assert set(single) <= set(both)
     assert single.pop("schema") == "place-rsus/evaluation/2"
     assert both.pop("schema") == "place-rsus/comparison/2"
-    of_one, of_both = single.pop("road_users"), both.pop("road_users")
+    of_one = single.pop("road_users")
+    of_both = both.pop("road_users")
     groups = (of_one["groups"][0], of_both["groups"][0])
     parties = [[party["name"] for party in group["parties"]] for group in groups]
     assert parties == [["mine", "VUT alone"], ["mine", "other", "VUT alone"]]
@@ -169,12 +183,11 @@ def test_an_evaluation_and_a_comparison_have_the_same_head(setting, evaluation_o
 
 
 def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
-    more, less = evaluation_of(5, "more"), evaluation_of(3, "less")
+    more = evaluation_of(5, "more")
+    less = evaluation_of(3, "less")
     differing = ["B/north/3", "A/north/4"]
-    better, worse = (
-        plain(build_comparison_result(setting, more, [less])),
-        plain(build_comparison_result(setting, less, [more])),
-    )
+    better = plain(build_comparison_result(setting, more, [less]))
+    worse = plain(build_comparison_result(setting, less, [more]))
     (other,), (one,) = better["compared"], worse["compared"]
     assert (other["runs_gained"], other["runs_lost"]) == (differing, [])
     assert (one["runs_gained"], one["runs_lost"]) == ([], differing)
@@ -183,20 +196,33 @@ def test_comparison_lists_the_runs_that_differ(setting, evaluation_of):
 
 
 def test_a_summary_is_plain_json(setting, evaluation_of):
-    text = to_json_text(build_comparison_result(setting, evaluation_of(5), [evaluation_of(3)]))
+    text = to_json_text(
+        build_comparison_result(setting, evaluation_of(5), [evaluation_of(3)])
+    )
     assert "NaN" not in text
     assert "Infinity" not in text
 
 
 def test_versions_name_what_the_numbers_depend_on():
     found = versions()
-    assert {"place-rsus", "python", "cvxpy", "highspy", "numpy", "scipy", "trimesh"} < set(found)
+    assert {
+        "place-rsus",
+        "python",
+        "cvxpy",
+        "highspy",
+        "numpy",
+        "scipy",
+        "trimesh",
+    } < set(found)
     assert sum(name.startswith("rays: ") for name in found) == 1
 
 
 def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
     refusal = Refusal(
-        case=SimpleNamespace(name="C"), approach="north", speeds_kmh=(20.0, 25.0), reason="no room"
+        case=SimpleNamespace(name="C"),
+        approach="north",
+        speeds_kmh=(20.0, 25.0),
+        reason="no room",
     )
     axis = replace(axis, weathers=("night", "day") + ("night",) * (N_RUNS - 2))
     setting = setting_of(axis, refusal)
@@ -226,8 +252,8 @@ def test_drives_are_cases_weathers_perception_and_what_is_not_driven(axis):
             "4 runs: no room (C from the north).",
         ],
         "without_effect": [
-            "Night changes nothing for cameras here: the geometric detector knows no light. "
-            "--detector response does."
+            "Night changes nothing for cameras here: the geometric detector knows no"
+            " light. --detector response does."
         ],
     }
 
@@ -247,7 +273,9 @@ def test_fog_and_other_detectors_are_not_said_to_change_nothing(axis):
 def test_a_result_says_what_was_driven(evaluation_of, axis):
     setting = setting_of(axis)
     drives = build_drives_record(setting)
-    result = build_comparison_result(setting, evaluation_of(3), [evaluation_of(5, "other")])
+    result = build_comparison_result(
+        setting, evaluation_of(3), [evaluation_of(5, "other")]
+    )
     for name in DrivesRecord.__struct_fields__:
         assert getattr(result, name) == getattr(drives, name)
     assert drives.not_driven == ()
@@ -268,7 +296,9 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
     # Two units that confirm together only.
     frames = np.array([[True, True, False, False], [False, False, True, True]])
     table = DetectionTable(
-        pose_ids=("A", "B"), axis=axis, packed=np.packbits(frames, axis=1, bitorder="little")
+        pose_ids=("A", "B"),
+        axis=axis,
+        packed=np.packbits(frames, axis=1, bitorder="little"),
     )
 
     def verdict(is_avoided: bool) -> Verdict:
@@ -289,7 +319,9 @@ def test_disagreement_is_judged_under_the_fusion_asked_for(evaluation_of, rule):
         problem = PlacementProblem(
             table=table,
             limits=Limits(
-                site_index=np.array([0, 1]), site_capacity=np.array([1, 1]), budget_units=2
+                site_index=np.array([0, 1]),
+                site_capacity=np.array([1, 1]),
+                budget_units=2,
             ),
             fusion=fusion,
             rule=rule,

@@ -38,7 +38,10 @@ def summarise(*given, **options):
 @pytest.fixture
 def judge(frame_axis, camera):
     unit = CandidatePose(
-        id="U1", site_id="", pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0), sensor=camera
+        id="U1",
+        site_id="",
+        pose=Pose(position_m=[0.0, 0.0, 6.0], yaw_deg=0.0),
+        sensor=camera,
     )
 
     def build(name, apr_by_sample, avoided_share=(1.0, 0.5, 0.25)):
@@ -80,7 +83,10 @@ def test_the_summary_holds_the_numbers_of_the_judgement(summary, judged):
     assert ours["cvar"] == pytest.approx(0.85)
     assert ours["worst"] == 0.8
     assert ours["apr_by_sample"] == [0.9, 0.8, 1.0, 0.9]
-    assert (ours["low"], ours["high"]) == (judged[0].estimate.low, judged[0].estimate.high)
+    assert (ours["low"], ours["high"]) == (
+        judged[0].estimate.low,
+        judged[0].estimate.high,
+    )
     assert ours["least_sure_runs"] == [
         {"run": "B/north/20", "avoided_share": 0.25},
         {"run": "A/north/30", "avoided_share": 0.5},
@@ -93,8 +99,12 @@ def test_a_gain_is_taken_world_by_world(summary, judge):
     assert gain["mean"] == pytest.approx(0.375)
     differences = np.array([0.4, 0.3, 0.4, 0.4])
     assert gain["standard_error"] == pytest.approx(differences.std(ddof=1) / 2.0)
-    # Worlds that are bad for both take nothing from a difference that is always the same.
-    pair = [judge("a", np.linspace(0.1, 0.9, 60) + 0.05), judge("b", np.linspace(0.1, 0.9, 60))]
+    # Worlds that are bad for both take nothing from a difference that is always the
+    # same.
+    pair = [
+        judge("a", np.linspace(0.1, 0.9, 60) + 0.05),
+        judge("b", np.linspace(0.1, 0.9, 60)),
+    ]
     (sure,) = summarise(pair, Uncertainty(), tail=1.0, seed=0).gains
     assert sure.mean == pytest.approx(0.05)
     assert 0.0 <= sure.high - sure.low < 0.15
@@ -109,7 +119,9 @@ def test_that_fresh_worlds_prefer_another_layout_is_said(judge):
         return overtaken_sentences(summarise(judged, Uncertainty(), seed=0, **options))
 
     (sentence,) = told(pair, tail=0.5, chosen_in=2)
-    assert sentence.startswith("greedy-3 does better in 4 fresh worlds: 10.0 points of APR more")
+    assert sentence.startswith(
+        "greedy-3 does better in 4 fresh worlds: 10.0 points of APR more"
+    )
     assert "in the worst 50.0 % of them 85.0 %, not 74.0 %" in sentence
     assert "the 2 worlds that best-3 was chosen in are too few" in sentence
     assert "worst" not in told(pair, tail=1.0, chosen_in=2)[0]
@@ -130,10 +142,16 @@ def test_the_summary_is_plain_json(summary):
 def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
     record = to_plain(summary)["uncertainty"]
     assert record["name"] == "default"
-    assert record["mounting"] == {"yaw_sd_deg": 1.0, "pitch_sd_deg": 1.0, "height_sd_m": 0.05}
+    assert record["mounting"] == {
+        "yaw_sd_deg": 1.0,
+        "pitch_sd_deg": 1.0,
+        "height_sd_m": 0.05,
+    }
     assert (record["packet_loss"], record["draws_detections"]) == (0.05, True)
     assert "vehicles" not in record["traffic"]
-    assert record["traffic"]["waiting_share"] == load_uncertainty().traffic.waiting_share
+    assert (
+        record["traffic"]["waiting_share"] == load_uncertainty().traffic.waiting_share
+    )
     assert list(record["vehicles"])[-1] == "bus"
     drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
     latency = to_plain(build_uncertainty_record(drawn))["latency"]
@@ -146,17 +164,21 @@ def test_what_is_uncertain_is_recorded_under_the_names_of_its_file(summary):
 def test_sentences_say_mean_interval_plan_and_what_is_least_sure(summary):
     first, chosen, unsure = uncertainty_sentences(summary)
     low, high = (getattr(summary.layouts[0], key) for key in ("low", "high"))
-    assert first.startswith("In 4 fresh sampled worlds (units off by 1\N{DEGREE SIGN} in yaw, ")
+    assert first.startswith(
+        "In 4 fresh sampled worlds (units off by 1\N{DEGREE SIGN} in yaw, "
+    )
     assert first.endswith(
-        "best-3 avoids 90.0 % of the accidents on average (95 % interval: Student's t, 4 samples: "
-        f"{100 * low:.1f} % to {100 * high:.1f} %); as planned 100.0 %."
+        "best-3 avoids 90.0 % of the accidents on average (95 % interval: Student's t,"
+        f" 4 samples: {100 * low:.1f} % to {100 * high:.1f} %); as planned 100.0 %."
     )
-    assert chosen == (
-        "In the worlds that it was chosen in, it avoids 95.0 %: a choice looks better where it "
-        "was made."
+    assert (
+        chosen
+        == "In the worlds that it was chosen in, it avoids 95.0 %: a choice looks"
+        " better where it was made."
     )
-    assert unsure == (
-        "Least sure, with the share of worlds that avoid them: B/north/20 (25.0 %), "
+    assert (
+        unsure
+        == "Least sure, with the share of worlds that avoid them: B/north/20 (25.0 %), "
         "A/north/30 (50.0 %)."
     )
 
@@ -168,9 +190,10 @@ def test_with_v2x_in_some_cars_the_accidents_of_all_are_told(judged, alone, of_a
     judged = [replace(item, alone=alone) for item in judged]
     found = summarise(judged, uncertainty, tail=1.0, seed=7)
     assert found.layouts[0].of_all == pytest.approx(of_all)
-    assert uncertainty_sentences(found)[1] == (
-        f"With V2X in 30.0 % of the cars, these are {100.0 * of_all:.1f} % of the accidents of all "
-        "cars."
+    assert (
+        uncertainty_sentences(found)[1]
+        == f"With V2X in 30.0 % of the cars, these are {100.0 * of_all:.1f} % of the"
+        " accidents of all cars."
     )
 
 
@@ -179,14 +202,19 @@ def test_a_tail_of_few_worlds_is_warned_of(judged):
         found = summarise(judged, Uncertainty(), tail=tail, seed=0, chosen_in=chosen_in)
         return " ".join(uncertainty_sentences(found))
 
-    said = "The worst 25.0 % of the 8 worlds that it was chosen in are 2: too few to choose by"
+    said = (
+        "The worst 25.0 % of the 8 worlds that it was chosen in are 2: too few to"
+        " choose by"
+    )
     assert said in sentences(0.25, 8)
     assert "too few" not in sentences(0.25, 32)  # eight of them
     assert "too few" not in sentences(1.0, 2)
     assert "too few" not in sentences(0.25, None)
 
 
-def test_the_worst_worlds_have_an_error_and_layouts_are_compared_by_what_was_asked_for(judge):
+def test_the_worst_worlds_have_an_error_and_layouts_are_compared_by_what_was_asked_for(
+    judge,
+):
     rng = np.random.default_rng(1)
     steady = judge("steady", np.full(40, 0.9))
     mixed = judge("mixed", np.where(rng.random(40) < 0.3, 0.6, 1.0) + 0.0)
@@ -195,7 +223,12 @@ def test_the_worst_worlds_have_an_error_and_layouts_are_compared_by_what_was_ask
     assert errors[1] == pytest.approx(0.0, abs=1e-12)
     assert errors[0] > 0.0
     (pair,) = found.pairs
-    assert pair.cvar_low <= found.layouts[0].cvar - found.layouts[1].cvar <= pair.cvar_high < 0.0
+    assert (
+        pair.cvar_low
+        <= found.layouts[0].cvar - found.layouts[1].cvar
+        <= pair.cvar_high
+        < 0.0
+    )
     (said,) = overtaken_sentences(found)
     assert said.startswith("steady does better in 40 fresh worlds")
     # By the mean of all worlds the same two are alike.
@@ -218,7 +251,9 @@ def test_nothing_is_least_sure_where_all_is_avoided(judge, frame_axis):
     assert not any("Least sure" in s for s in uncertainty_sentences(summary))
     # A run of no weight is nobody's worry.
     free = replace(frame_axis, weight=np.array([0.5, 0.5, 0.0]))
-    item = replace(judge("a", [1.0]), axis=free, avoided_share=np.array([1.0, 1.0, 0.0]))
+    item = replace(
+        judge("a", [1.0]), axis=free, avoided_share=np.array([1.0, 1.0, 0.0])
+    )
     alone = summarise([item], Uncertainty(), tail=1.0, seed=0)
     assert alone.layouts[0].least_sure_runs == ()
     assert math.isnan(alone.layouts[0].standard_error)
@@ -229,13 +264,15 @@ def test_every_uncertainty_has_its_words(judge):
         item = judge("a", [1.0])
         return what_is_uncertain(summarise([item], uncertainty, tail=1.0, seed=0))
 
-    assert words(load_uncertainty()) == (
-        "units off by 1\N{DEGREE SIGN} in yaw, 1\N{DEGREE SIGN} in pitch and 5 cm in height, "
-        "messages 10 ms later on average, 5.0 % of the messages lost in bursts (drawn anew after 3 "
-        "frames), detections drawn where the detector gives a probability (20.0 % of the noise for "
-        "a whole run), units out of order in 2.0 % and poles in 0.5 % of the runs, 1.0 % of the "
-        "cameras dirty, low sun in 11.5 % of the runs by day, 50.0 % of the parking places taken, "
-        "vehicles waiting in 30.0 % of the lanes"
+    assert (
+        words(load_uncertainty())
+        == "units off by 1\N{DEGREE SIGN} in yaw, 1\N{DEGREE SIGN} in pitch and 5 cm in"
+        " height, messages 10 ms later on average, 5.0 % of the messages lost in"
+        " bursts (drawn anew after 3 frames), detections drawn where the detector"
+        " gives a probability (20.0 % of the noise for a whole run), units out of"
+        " order in 2.0 % and poles in 0.5 % of the runs, 1.0 % of the cameras dirty,"
+        " low sun in 11.5 % of the runs by day, 50.0 % of the parking places taken,"
+        " vehicles waiting in 30.0 % of the lanes"
     )
     drawn = Uncertainty(latency=LatencyJitter(budget=load_latency_budget("cpm-50ms")))
     assert words(drawn) == "latency drawn from the budget cpm-50ms"
@@ -275,7 +312,11 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
     named = {(pair["first"], pair["second"]): pair for pair in summary["pairs"]}
     assert list(named) == [("a", "b"), ("a", "c"), ("b", "c")]
     first = named["a", "b"]
-    assert (first["more_share"], first["equal_share"], first["less_share"]) == (0.5, 0.25, 0.25)
+    assert (first["more_share"], first["equal_share"], first["less_share"]) == (
+        0.5,
+        0.25,
+        0.25,
+    )
     assert first["mean"] == pytest.approx(np.mean([0.4, -0.1, 0.0, 0.4]))
     json.dumps(summary)
 
@@ -283,7 +324,9 @@ def test_every_pair_of_layouts_is_compared_world_by_world(judge):
 def growth(stopped, ahead):
     def of(worlds, ahead):
         low, high = ahead
-        return Round(worlds=worlds, in_sample=0.97, bound=0.98, mean=0.95, low=low, high=high)
+        return Round(
+            worlds=worlds, in_sample=0.97, bound=0.98, mean=0.95, low=low, high=high
+        )
 
     rounds = (of(4, (None, None)), of(8, (0.001, 0.003)), of(16, ahead))
     return Growth(taken=8, compared_in=60, stopped=stopped, rounds=rounds)
@@ -292,12 +335,18 @@ def growth(stopped, ahead):
 @pytest.mark.parametrize(
     ("stopped", "ahead", "words"),
     [
-        ("same", (None, None), "8 worlds to choose in are enough (--samples 8): 16 give the same "),
+        (
+            "same",
+            (None, None),
+            "8 worlds to choose in are enough (--samples 8): 16 give the same ",
+        ),
         (
             "no better",
             (-0.001, 0.0025),
-            "8 worlds to choose in are enough (--samples 8): in 60 fresh ones the layout of 16 "
-            "prevents -0.10 to +0.25 points more (95 %)",
+            (
+                "8 worlds to choose in are enough (--samples 8): in 60 fresh ones the"
+                " layout of 16 prevents -0.10 to +0.25 points more (95 %)"
+            ),
         ),
         ("time", (0.001, 0.002), "with a longer --time-limit more are tried"),
         ("memory", (0.001, 0.002), "twice as many do not fit into the memory"),
@@ -315,11 +364,17 @@ def test_it_is_told_how_many_worlds_are_enough_and_why(stopped, ahead, words):
 
 
 def test_it_is_told_when_fresh_worlds_took_greedy_choice(judge):
-    better, worse = judge("greedy", [0.9, 0.8, 1.0, 0.9]), judge("found", [0.8, 0.75, 0.9, 0.8])
+    better = judge("greedy", [0.9, 0.8, 1.0, 0.9])
+    worse = judge("found", [0.8, 0.75, 0.9, 0.8])
     taken = build_pair_record(better, worse)
-    (planned,), (sampled,) = preferred_sentences(taken, None), preferred_sentences(taken, 8)
+    (planned,), (sampled,) = (
+        preferred_sentences(taken, None),
+        preferred_sentences(taken, 8),
+    )
     points = f"{100.0 * taken.mean:.2f} points more (95 %: {100.0 * taken.low:.2f} to "
-    assert planned.startswith("The plan knows nothing of chance: in 60 sampled worlds greedy")
+    assert planned.startswith(
+        "The plan knows nothing of chance: in 60 sampled worlds greedy"
+    )
     assert "is better in the 8 worlds to choose in" in sampled
     assert points in planned
     assert points in sampled

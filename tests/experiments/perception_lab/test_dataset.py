@@ -21,7 +21,16 @@ from experiments.perception_lab import drawing as job
 from geometry.sensors import CameraModel
 from placement.layout import load_carlancap_layout
 
-ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
+ASKED = (
+    "--cases",
+    "CPNC-50",
+    "--approaches",
+    "east",
+    "--speeds",
+    "40",
+    "--along-arms",
+    "0",
+)
 
 
 @pytest.fixture
@@ -45,10 +54,23 @@ def dataset(run, tmp_path, monkeypatch):
     units = tuple(replace(by_id[name], sensor=small) for name in ("RSU3", "RSU8"))
     (tmp_path / "two.json").write_text(to_json(replace(study, units=units)))
 
-    def run_dataset(*more, out="data", every=40, layout="two.json", units="RSU3,RSU8", asked=ASKED):
+    def run_dataset(
+        *more, out="data", every=40, layout="two.json", units="RSU3,RSU8", asked=ASKED
+    ):
         return run(
-            *("dataset", "--layout", tmp_path / layout, *asked, "--units", units),
-            *("--every", every, "--workers", 1, "--out", out, *more),
+            "dataset",
+            "--layout",
+            tmp_path / layout,
+            *asked,
+            "--units",
+            units,
+            "--every",
+            every,
+            "--workers",
+            1,
+            "--out",
+            out,
+            *more,
         )
 
     return run_dataset
@@ -80,7 +102,8 @@ def _files(folder):
 def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
     code, out, err = dataset("--masks", "--depth", "--json")
     assert code == 0, err
-    summary, manifest = json.loads(out), json.loads(Path("data/dataset.json").read_text())
+    summary = json.loads(out)
+    manifest = json.loads(Path("data/dataset.json").read_text())
     frames = [drive["frames"] for drive in manifest["drives"]]
     n_each = sum(len(range(0, n, 40)) for n in frames)
     assert (summary["pictures"], summary["drawn"]) == (2 * n_each, 2 * n_each)
@@ -91,7 +114,10 @@ def test_pictures_clouds_labels_and_a_manifest_are_written(dataset):
         assert len(list(Path("data", folder).glob("*.bin"))) == n_each
         assert len(list(Path("data", folder).glob("*.txt"))) == sum(frames)
         assert len(list(Path("data/depth", folder).glob("*.png"))) == n_each
-    with Image.open("data/0/0_0.png") as picture, Image.open("data/instances/0/0_0.png") as masks:
+    with (
+        Image.open("data/0/0_0.png") as picture,
+        Image.open("data/instances/0/0_0.png") as masks,
+    ):
         assert picture.size == masks.size == (320, 180)
     cloud = np.fromfile("data/0/0_0.bin", dtype="<f4").reshape(-1, 4)
     assert np.isfinite(cloud).all()
@@ -109,14 +135,17 @@ def test_a_calibration_projects_the_vru_into_its_label(dataset):
         Question(cases="CPNC-50", approaches="east", speeds="40", along_arms="0"),
         load_study_scene(),
     )
-    unit, n_seen = manifest["units"][0], 0
+    unit = manifest["units"][0]
+    n_seen = 0
     for run, drive in zip(setting.runs, manifest["drives"], strict=True):
         for frame in range(drive["frames"]):
             number = drive["first_number"] + frame
             text = Path(f"data/0/{drive['scenario']}_{number}.txt").read_text().split()
             if not text:
                 continue
-            middle = np.append(run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m)
+            middle = np.append(
+                run.vru_position_m[frame], 0.5 * run.encounter.vru.height_m
+            )
             seen = np.array(unit["camera_matrix"]) @ (
                 np.array(unit["world_to_camera"]) @ middle + unit["translation_m"]
             )
@@ -130,19 +159,33 @@ def test_a_calibration_projects_the_vru_into_its_label(dataset):
 
 
 def test_read_back_it_gives_the_evaluators_verdicts(dataset, run, tmp_path):
-    seen = dataset("--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8")
+    seen = dataset(
+        "--lidar", "none", every=10**6, layout="sharp.json", units="RSU2,RSU8"
+    )
     assert seen[0] == 0
     recorded = json.loads(run("evaluate", "--recording", "data", "--json")[1])
     judged = json.loads(
         run(
-            *("evaluate", "--layout", tmp_path / "sharp.json", *ASKED),
-            *("--track-memory", "inf", "--json"),
+            "evaluate",
+            "--layout",
+            tmp_path / "sharp.json",
+            *ASKED,
+            "--track-memory",
+            "inf",
+            "--json",
         )[1]
     )
-    told = {name: party["all"] for name, party in recorded["evaluation"]["units"].items()}
-    known = {name: party["all"] for name, party in judged["evaluation"]["units"].items()}
+    told = {
+        name: party["all"] for name, party in recorded["evaluation"]["units"].items()
+    }
+    known = {
+        name: party["all"] for name, party in judged["evaluation"]["units"].items()
+    }
     assert list(told.values()) == list(known.values())
-    assert recorded["evaluation"]["rsu_all"]["all"] == judged["evaluation"]["rsu_all"]["all"]
+    assert (
+        recorded["evaluation"]["rsu_all"]["all"]
+        == judged["evaluation"]["rsu_all"]["all"]
+    )
     assert any(told.values())
 
 
@@ -164,7 +207,11 @@ def test_coco_is_read_by_its_own_library(dataset, capsys):
 
 
 def _cars(path):
-    return [line.split() for line in path.read_text().splitlines() if line.startswith("car ")]
+    return [
+        line.split()
+        for line in path.read_text().splitlines()
+        if line.startswith("car ")
+    ]
 
 
 def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
@@ -182,14 +229,18 @@ def test_vehicles_are_labelled_where_they_are_seen(dataset, run):
             # Some colour in the box reaches all of its sides: that of the vehicle.
             assert any(
                 all(side.any() for side in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-                for mask in ((part == colour).all(axis=2) for colour in colours[counts >= 20])
+                for mask in (
+                    (part == colour).all(axis=2) for colour in colours[counts >= 20]
+                )
             )
             assert 2.0 < float(distance_m) < 200.0
             n_cars += 1
     assert n_cars > len(pictures) // 4
     # Frames without pictures have none, and what reads the folder is not confused.
     others = [
-        path for path in Path("data").glob("[01]/*.txt") if not path.with_suffix(".png").exists()
+        path
+        for path in Path("data").glob("[01]/*.txt")
+        if not path.with_suffix(".png").exists()
     ]
     assert others
     assert not any(_cars(path) for path in others)
@@ -207,7 +258,11 @@ def test_vehicles_are_in_coco_once(dataset):
     coco = json.loads(Path("data/coco.json").read_text())
     assert [category["name"] for category in coco["categories"]][-1] == "vehicle"
     cars = [one for one in coco["annotations"] if one["category_id"] == 5]
-    assert len(cars) == sum(len(_cars(path)) for path in Path("data").glob("[01]/*.txt")) > 0
+    assert (
+        len(cars)
+        == sum(len(_cars(path)) for path in Path("data").glob("[01]/*.txt"))
+        > 0
+    )
     ids = [one["id"] for one in coco["annotations"]]
     assert len(set(ids)) == len(ids)
     before = _files("data")
@@ -216,7 +271,16 @@ def test_vehicles_are_in_coco_once(dataset):
 
 
 MET = (
-    *("--cases", str(MET_CASES), "--protect", "all", "--approaches", "east", "--along-arms", "0"),
+    *(
+        "--cases",
+        str(MET_CASES),
+        "--protect",
+        "all",
+        "--approaches",
+        "east",
+        "--along-arms",
+        "0",
+    ),
 )
 KINDS = {"MEET-CAR": "car", "MEET-MOTORCYCLE": "motorcycle"}
 
@@ -236,7 +300,9 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
                 plain, whole = (
                     [
                         line.split()
-                        for line in Path(out, folder, f"{stem}.txt").read_text().splitlines()
+                        for line in Path(out, folder, f"{stem}.txt")
+                        .read_text()
+                        .splitlines()
                     ]
                     for out in ("plain", "all")
                 )
@@ -245,10 +311,17 @@ def test_a_car_and_a_motorcyclist_are_labelled_as_such(dataset):
                 seen[kind] += len(plain)
                 others = [label for label in whole if label[0] != "car"]
                 assert others == (plain if kind == "motorcycle" else [])
-                if plain and kind == "car" and Path("all", folder, f"{stem}.png").exists():
+                if (
+                    plain
+                    and kind == "car"
+                    and Path("all", folder, f"{stem}.png").exists()
+                ):
                     # Anew, from the picture's own pixels.
                     box = np.array(plain[0][1:5], dtype=float)
-                    near = [np.abs(np.array(one[1:5], dtype=float) - box).max() for one in whole]
+                    near = [
+                        np.abs(np.array(one[1:5], dtype=float) - box).max()
+                        for one in whole
+                    ]
                     assert sum(distance <= 2.0 for distance in near) == 1
     assert min(seen.values()) > 5
 
@@ -258,7 +331,10 @@ def test_a_car_and_a_motorcyclist_are_categories_of_coco(dataset):
     coco = json.loads(Path("data/coco.json").read_text())
     names = {one["id"]: one["name"] for one in coco["categories"]}
     runs = {image["id"]: image["run"].split("/")[0] for image in coco["images"]}
-    found = {(runs[one["image_id"]], names[one["category_id"]]) for one in coco["annotations"]}
+    found = {
+        (runs[one["image_id"]], names[one["category_id"]])
+        for one in coco["annotations"]
+    }
     assert found == set(KINDS.items())
 
 
@@ -268,7 +344,8 @@ def test_varied_looks_differ_from_run_to_run_but_not_from_call_to_call(dataset):
         code, _, err = dataset("--lidar", "none", "--vary", out=out)
         assert code == 0, err
     assert _files("one") == _files("two")
-    plain, varied = _files("data"), _files("one")
+    plain = _files("data")
+    varied = _files("one")
     assert plain.keys() == varied.keys()
     pictures = [name for name in plain if name.endswith(".png")]
     assert all(plain[name] != varied[name] for name in pictures)
@@ -323,7 +400,17 @@ def test_killed_in_the_middle_it_goes_on(dataset, tmp_path):
     command = [
         *(sys.executable, "-m", "experiments.main", "dataset"),
         *("--layout", str(tmp_path / "two.json"), *ASKED, "--units", "RSU3,RSU8"),
-        *("--every", "20", "--lidar", "none", "--workers", "1", "--out", "data", "--quiet"),
+        *(
+            "--every",
+            "20",
+            "--lidar",
+            "none",
+            "--workers",
+            "1",
+            "--out",
+            "data",
+            "--quiet",
+        ),
     ]
     root = Path(job.__file__).parents[2]
     process = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(root)})
@@ -384,9 +471,10 @@ def test_a_folder_of_another_dataset_or_of_something_else_is_left_alone(dataset)
     before = _files("data")
     code, _, err = dataset("--lidar", "none", "--seed", 1)
     assert code == 2
-    assert err.splitlines()[-1] == (
-        "place-rsus: --out: got data, a dataset with seed 0; expected a new folder, or the same "
-        "dataset"
+    assert (
+        err.splitlines()[-1]
+        == "place-rsus: --out: got data, a dataset with seed 0; expected a new folder,"
+        " or the same dataset"
     )
     assert _files("data") == before
     Path("mine").mkdir()

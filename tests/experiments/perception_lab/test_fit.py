@@ -18,14 +18,25 @@ from placement.recordings import WrittenDrive, write_recording
 from placement.setting import build_setting
 
 N_FRAMES = 60
-ASKED = ("--cases", "CPNC-50", "--approaches", "east", "--speeds", "40", "--along-arms", "0")
+ASKED = (
+    "--cases",
+    "CPNC-50",
+    "--approaches",
+    "east",
+    "--speeds",
+    "40",
+    "--along-arms",
+    "0",
+)
 
 
 def _boxes(rng):
     """Boxes (n, 4) of all heights, and whether they are found: half of them at 35 px."""
     height = np.exp(rng.uniform(np.log(15.0), np.log(120.0), N_FRAMES))
     left = rng.uniform(0.0, 900.0, N_FRAMES)
-    boxes = np.stack([left, left * 0 + 100.0, left + 0.4 * height, 100.0 + height], axis=1)
+    boxes = np.stack(
+        [left, left * 0 + 100.0, left + 0.4 * height, 100.0 + height], axis=1
+    )
     return boxes, rng.random(N_FRAMES) < 1.0 / (1.0 + (35.0 / height) ** 4)
 
 
@@ -35,7 +46,8 @@ def recording(tmp_path_factory):
     rng = np.random.default_rng(1)
     drives = []
     for scenario in range(6):
-        labels, found = {}, {}
+        labels = {}
+        found = {}
         for unit in ("0", "1", "car"):
             labels[unit], is_found = _boxes(rng)
             found[unit] = labels[unit] * is_found[:, None]
@@ -59,20 +71,30 @@ def recording(tmp_path_factory):
 def coco(tmp_path):
     """Labels and results of 300 pictures, a false alarm in every third."""
     rng = np.random.default_rng(2)
-    images, annotations, results = [], [], []
+    images = []
+    annotations = []
+    results = []
     for run in range(5):
         boxes, is_found = _boxes(rng)
-        for frame, (box, found) in enumerate(zip(boxes.tolist(), is_found, strict=True)):
+        for frame, (box, found) in enumerate(
+            zip(boxes.tolist(), is_found, strict=True)
+        ):
             bbox = [box[0], box[1], box[2] - box[0], box[3] - box[1]]
             name = f"0/{run}_{frame}.png"
-            images.append({"id": len(images), "run": f"r{run}", "frame": frame, "file_name": name})
+            images.append(
+                {"id": len(images), "run": f"r{run}", "frame": frame, "file_name": name}
+            )
             here = {"image_id": images[-1]["id"], "category_id": 1 + run % 2}
-            annotations.append({**here, "id": len(annotations), "bbox": bbox, "visible_share": 1.0})
+            annotations.append(
+                {**here, "id": len(annotations), "bbox": bbox, "visible_share": 1.0}
+            )
             if found:
                 results.append({**here, "bbox": bbox, "score": 0.9})
             results.append({**here, "bbox": bbox, "score": 0.3})
             if frame % 3 == 0:
-                results.append({**here, "bbox": [1500.0, 800.0, 20.0, 50.0], "score": 0.8})
+                results.append(
+                    {**here, "bbox": [1500.0, 800.0, 20.0, 50.0], "score": 0.8}
+                )
     names = [{"id": 1, "name": "pedestrian"}, {"id": 2, "name": "cyclist"}]
     labels = {"images": images, "annotations": annotations, "categories": names}
     paths = tmp_path / "coco.json", tmp_path / "found.json"
@@ -81,7 +103,9 @@ def coco(tmp_path):
     return paths
 
 
-def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(run, recording):
+def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(
+    run, recording
+):
     code, out, err = run("detector", "fit", "--recording", recording, "--out", "mine")
     assert code == 0, err
     assert {path.name for path in Path("mine").iterdir()} == {
@@ -97,9 +121,14 @@ def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(r
     assert 0.0 < rate.high < 1000.0
     text = " ".join(out.split())
     assert "of 1080 frames with a road user are detected" in text
-    assert "Not known from them, and as in the built-in table: share that is seen, contrast" in text
+    assert (
+        "Not known from them, and as in the built-in table: share that is seen,"
+        " contrast" in text
+    )
     told = json.loads(Path("mine/fit.json").read_text())
-    assert told["table"]["height_half_px"]["value"] == pytest.approx(table.height_half_px, rel=1e-5)
+    assert told["table"]["height_half_px"]["value"] == pytest.approx(
+        table.height_half_px, rel=1e-5
+    )
     assert told["false_alarms"]["alarms"] == 0
     again = run("detector", "fit", "--recording", recording, "--json", "--quiet")[1]
     assert json.loads(again)["table"] == told["table"]
@@ -107,7 +136,12 @@ def test_a_table_fitted_to_a_recording_is_a_detector_and_the_same_in_each_call(r
 
 @pytest.mark.parametrize(
     ("wanted", "there", "shares"),
-    [(10, [9, 9], [5, 5]), (10, [2, 9, 9], [2, 4, 4]), (10, [1, 2, 3], [1, 2, 3]), (0, [4], [0])],
+    [
+        (10, [9, 9], [5, 5]),
+        (10, [2, 9, 9], [2, 4, 4]),
+        (10, [1, 2, 3], [1, 2, 3]),
+        (0, [4], [0]),
+    ],
 )
 def test_pictures_are_shared_out_evenly(wanted, there, shares):
     assert job._share_out(wanted, there) == shares
@@ -121,34 +155,51 @@ def test_a_table_is_fitted_to_files_of_coco(run, coco):
     assert (code, err) == (0, "")
     told = json.loads(out)
     assert told["frames"] == 5 * N_FRAMES
-    assert told["found"] == sum(one["score"] == 0.9 for one in json.loads(results.read_text()))
+    assert told["found"] == sum(
+        one["score"] == 0.9 for one in json.loads(results.read_text())
+    )
     assert told["tracks"] == 5
     assert told["unknown"] == ["contrast", "aspect"]
     assert told["false_alarms"]["alarms"] == 5 * N_FRAMES // 3
     assert told["false_alarms"]["confirmed"] == 0  # never in two frames in a row
-    assert [group["name"] for group in told["groups"]["class"]] == ["pedestrian", "cyclist"]
+    assert [group["name"] for group in told["groups"]["class"]] == [
+        "pedestrian",
+        "cyclist",
+    ]
     assert list(Path().glob("response.toml")) == []
 
 
 def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
     """Found in all frames but one of five; the correlation is that at 10 Hz."""
-    tracks, found = [], []
+    tracks = []
+    found = []
     for frame in range(1, 101):
         for track in (1, 2, 3):
             line = f"{200 * track + frame},100,40,{80 + 20 * track}"
             tracks.append(f"{frame},{track},{line},1,1,1")
             if (frame // 2 + track) % 5:
                 found.append(f"{frame},-1,{line},0.9,-1,-1,-1")
-    labels, results = tmp_path / "gt.txt", tmp_path / "det.txt"
+    labels = tmp_path / "gt.txt"
+    results = tmp_path / "det.txt"
     labels.write_text("\n".join(tracks))
     results.write_text("\n".join(found))
-    command = ("detector", "fit", "--labels", labels, "--results", results, "--json", "--quiet")
+    command = (
+        "detector",
+        "fit",
+        "--labels",
+        labels,
+        "--results",
+        results,
+        "--json",
+        "--quiet",
+    )
     fits = []
     for more in ((), ("--frame-rate", "5")):
         code, out, err = run(*command, *more)
         assert (code, err) == (0, "")
         fits.append(json.loads(out))
-    slow, fast = fits[1], fits[0]
+    slow = fits[1]
+    fast = fits[0]
     assert (slow["frames"], slow["found"], slow["tracks"]) == (300, len(found), 3)
     assert slow["unknown"] == ["contrast", "aspect"]
     correlation = [one["table"]["frame_correlation"]["value"] for one in (fast, slow)]
@@ -162,17 +213,37 @@ def test_a_table_is_fitted_to_tracks_and_detections_of_others(run, tmp_path):
 def test_confidence_decides_what_counts(run, coco):
     labels, results = coco
     code, _, err = run(
-        *("detector", "fit", "--labels", labels, "--results", results, "--min-confidence", "0.2")
+        "detector",
+        "fit",
+        "--labels",
+        labels,
+        "--results",
+        results,
+        "--min-confidence",
+        "0.2",
     )
     assert code == 2
-    assert "got 300, 300 of them found; expected at least 50, with 5 found and 5 missed" in err
+    assert (
+        "got 300, 300 of them found; expected at least 50, with 5 found and 5 missed"
+        in err
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        ({"categories": [{"id": 1, "name": "car"}]}, "coco.json: categories: got car; expected"),
-        ({"annotations": [{"image_id": 999, "category_id": 1, "bbox": [0, 0, 1, 1]}]}, "got 999"),
+        (
+            {"categories": [{"id": 1, "name": "car"}]},
+            "coco.json: categories: got car; expected",
+        ),
+        (
+            {
+                "annotations": [
+                    {"image_id": 999, "category_id": 1, "bbox": [0, 0, 1, 1]}
+                ]
+            },
+            "got 999",
+        ),
         (
             {"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, -1, 1]}]},
             "bbox[2]: got -1",
@@ -201,11 +272,17 @@ def test_results_that_are_wrong_are_refused(run, coco, content):
     ("options", "line"),
     [
         ([], "got no source; expected one of"),
-        (["--recording", "a", "--labels", "b", "--results", "c"], "got --recording and --labels"),
+        (
+            ["--recording", "a", "--labels", "b", "--results", "c"],
+            "got --recording and --labels",
+        ),
         (["--labels", "b"], "--labels: got it without --results"),
         (["--results", "b"], "--results: got it without --labels"),
         (["--recording", "nowhere"], "nowhere"),
-        (["--layout", "carlancap-12"], "--detector: got 'geometric'; expected cnn, or an .onnx"),
+        (
+            ["--layout", "carlancap-12"],
+            "--detector: got 'geometric'; expected cnn, or an .onnx",
+        ),
         (
             ["--layout", "carlancap-12", "--pictures", "3"],
             "--pictures: got '3'; expected a number of pictures",
@@ -229,9 +306,13 @@ class _Oracle:
         self.boxes_px = boxes_px
 
     def detect(self, image):
-        view, row = int(image[0, 0, 0]), int(image[0, 0, 1]) * 256 + int(image[0, 0, 2])
+        view = int(image[0, 0, 0])
+        row = int(image[0, 0, 1]) * 256 + int(image[0, 0, 2])
         box = self.boxes_px[view][row]
-        boxes = [box] if row % 3 and box[3] > box[1] else []
+        if row % 3 and box[3] > box[1]:
+            boxes = [box]
+        else:
+            boxes = []
         return ImageBoxes(
             boxes_px=np.array([*boxes, [1.0, 1.0, 5.0, 9.0]]),
             class_ids=np.zeros(len(boxes) + 1, dtype=int),
@@ -261,8 +342,11 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
             self.n_views = 0
 
         def pictures(self, *args):
-            view, self.n_views = self.n_views, self.n_views + 1
-            return lambda row: np.array([[[view, row // 256, row % 256]]], dtype=np.uint8)
+            view = self.n_views
+            self.n_views = self.n_views + 1
+            return lambda row: np.array(
+                [[[view, row // 256, row % 256]]], dtype=np.uint8
+            )
 
     monkeypatch.setattr(job, "PictureSource", Numbered)
     network = NetworkDetector(
@@ -271,7 +355,9 @@ def test_a_network_is_shown_the_frames_that_its_labels_are_of(tmp_path, monkeypa
     setting = build_setting(question)
     wish = job.FitWish(layout=layout, pictures=90)
     pictures = list(
-        job._look(setting, layout, network, wish, Compute(workers=1), lambda *told: None)
+        job._look(
+            setting, layout, network, wish, Compute(workers=1), lambda *told: None
+        )
     )
     assert len(pictures) == 90
     seen, alarms = job.gather_sightings(pictures, n_confirmations=3, frame_rate_hz=10.0)
@@ -294,7 +380,7 @@ def test_a_network_that_finds_nothing_is_told_in_a_line(run, tmp_path, monkeypat
     )
     (tmp_path / "two.json").write_text(to_json(load_carlancap_layout()))
     code, _, err = run(
-        *("detector", "fit", "--layout", tmp_path / "two.json", "--pictures", "60", *ASKED)
+        "detector", "fit", "--layout", tmp_path / "two.json", "--pictures", "60", *ASKED
     )
     assert code == 2
     assert "0 of them found; expected at least 50, with 5 found" in err.splitlines()[-1]
@@ -310,7 +396,9 @@ class _Blind:
         )
 
 
-def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(monkeypatch):
+def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(
+    monkeypatch,
+):
     sizes = []
 
     class Model:
@@ -328,7 +416,9 @@ def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(monk
             )
 
     whole_picture = np.zeros((270, 480, 3), dtype=np.uint8)
-    monkeypatch.setattr(job.PictureSource, "pictures", lambda *_: lambda row: whole_picture)
+    monkeypatch.setattr(
+        job.PictureSource, "pictures", lambda *_: lambda row: whole_picture
+    )
     study = load_carlancap_layout()
     camera = replace(study.units[2].sensor, width_px=480, height_px=270)
     layout = replace(study, units=(replace(study.units[2], sensor=camera),))
@@ -355,12 +445,20 @@ def test_a_network_for_crops_is_shown_crops_and_now_and_then_whole_pictures(monk
     assert {len(one.label_px) for one in pictures} <= {0, 1}
     whole = [one for one in pictures if one.is_whole]
     assert 0 < len(whole) < len(pictures) // 2
-    halves = [(480, 270), (240, 135), (120, 67), (60, 33)]  # whole, then smaller and smaller
+    halves = [
+        (480, 270),
+        (240, 135),
+        (120, 67),
+        (60, 33),
+    ]  # whole, then smaller and smaller
     assert [sizes.count(size) for size in halves] == [len(whole)] * 4
     assert len(sizes) == 30 + 4 * len(whole)  # a crop of each
     for one in pictures:  # what it finds in the crop lies around the road user
         middle = 0.5 * (one.found_px[0, :2] + one.found_px[0, 2:])
-        label = one.label_px[0] if len(one.label_px) else None
+        if len(one.label_px):
+            label = one.label_px[0]
+        else:
+            label = None
         if label is not None and label[0] > 40 and label[2] < 440:
             assert (label[:2] - 20 < middle).all()
             assert (middle < label[2:] + 20).all()

@@ -27,7 +27,9 @@ def run_render(run, monkeypatch):
 
     def run_command(**changes):
         asked = ASKED | {f"--{key}": value for key, value in changes.items()}
-        return run("render", "--quiet", *(word for pair in asked.items() for word in pair))
+        return run(
+            "render", "--quiet", *(word for pair in asked.items() for word in pair)
+        )
 
     return run_command
 
@@ -67,17 +69,44 @@ def test_the_vut_looks_ahead_and_a_jpeg_is_smaller(run_render):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"run": "CPNC-50/east"}, "--run: got 'CPNC-50/east'; expected case/approach/speed or"),
+        (
+            {"run": "CPNC-50/east"},
+            "--run: got 'CPNC-50/east'; expected case/approach/speed or",
+        ),
         ({"run": "CPXX/east/40"}, "--run CPXX/east/40: cases: got 'CPXX'; expected"),
-        ({"run": "CPNC-50/up/40"}, "--run CPNC-50/up/40: approaches: got 'up'; expected one or"),
+        (
+            {"run": "CPNC-50/up/40"},
+            "--run CPNC-50/up/40: approaches: got 'up'; expected one or",
+        ),
         ({"run": "CPNC-50/east/99"}, "--run CPNC-50/east/99: speeds: got 99; expected"),
-        ({"run": "CPNC-50/east/40/snow"}, "--run CPNC-50/east/40/snow: weather: got 'snow'; exp"),
-        ({"weather": "snow"}, "--weather: got 'snow'; expected one of day, fog, night, rain"),
-        ({"frame": "82"}, "--frame: got 82; expected 0 to 81, or -82 to -1 from the end of CPNC-5"),
-        ({"frame": "last"}, "--frame: got 'last'; expected a frame of the run, such as 40, or -1"),
-        ({"unit": "RSU12"}, "--unit: got 'RSU12'; expected one of RSU0, RSU1, RSU2, RSU3,"),
-        ({"layout": "mine"}, "--layout: got 'mine'; expected carlancap-12, or a layout file that"),
-        ({"out": "look.bmp"}, "--out: got 'look.bmp'; expected a name that ends in .png, .jpg,"),
+        (
+            {"run": "CPNC-50/east/40/snow"},
+            "--run CPNC-50/east/40/snow: weather: got 'snow'; exp",
+        ),
+        (
+            {"weather": "snow"},
+            "--weather: got 'snow'; expected one of day, fog, night, rain",
+        ),
+        (
+            {"frame": "82"},
+            "--frame: got 82; expected 0 to 81, or -82 to -1 from the end of CPNC-5",
+        ),
+        (
+            {"frame": "last"},
+            "--frame: got 'last'; expected a frame of the run, such as 40, or -1",
+        ),
+        (
+            {"unit": "RSU12"},
+            "--unit: got 'RSU12'; expected one of RSU0, RSU1, RSU2, RSU3,",
+        ),
+        (
+            {"layout": "mine"},
+            "--layout: got 'mine'; expected carlancap-12, or a layout file that",
+        ),
+        (
+            {"out": "look.bmp"},
+            "--out: got 'look.bmp'; expected a name that ends in .png, .jpg,",
+        ),
         ({"seed": "-1"}, "--seed: got '-1'; expected a whole number, at least 0"),
     ],
 )
@@ -92,7 +121,9 @@ def test_what_cannot_be_rendered_is_one_line(run_render, changes, message):
 def test_a_folder_that_is_not_there_is_one_line(run_render):
     code, out, err = run_render(out="no/look.png")
     assert (code, out) == (2, "")
-    assert err.startswith("place-rsus: --out: got no/look.png: No such file or directory; expected")
+    assert err.startswith(
+        "place-rsus: --out: got no/look.png: No such file or directory; expected"
+    )
 
 
 def test_frames_count_from_both_ends():
@@ -107,7 +138,11 @@ def test_frames_count_from_both_ends():
 def test_the_weather_of_the_id_holds_unless_another_is_given():
     scene = load_study_scene()
     assert find_run("CBNA/east/60", scene).weather == "day"
-    for run_id in ("CPLA-50/north-15/33", "CPLA-50/north+0/25/night", "CPLA-50/north/25"):
+    for run_id in (
+        "CPLA-50/north-15/33",
+        "CPLA-50/north+0/25/night",
+        "CPLA-50/north/25",
+    ):
         assert find_run(run_id, scene).id == run_id
     assert find_run("CBNA/east/60/rain", scene).weather == "rain"
     assert find_run("CBNA/east/60/rain", scene, weather="fog").weather == "fog"
@@ -125,8 +160,17 @@ def test_colours_of_things_differ_and_the_vrus_is_the_lightest():
 def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
     import trimesh
 
-    command = ("render", "--layout", "carlancap-12", "--run", "CBLA/west/50", "--frame", "-11")
-    cloud, raw = tmp_path / "a.ply", tmp_path / "a.bin"
+    command = (
+        "render",
+        "--layout",
+        "carlancap-12",
+        "--run",
+        "CBLA/west/50",
+        "--frame",
+        "-11",
+    )
+    cloud = tmp_path / "a.ply"
+    raw = tmp_path / "a.bin"
     code, out, _ = run(*command, "--unit", "VUT-LIDAR", "--out", cloud, "--quiet")
     assert code == 0
     points = trimesh.load(cloud).vertices
@@ -137,6 +181,8 @@ def test_a_lidar_writes_points_that_others_can_read(run, tmp_path):
     numbers = np.fromfile(raw, dtype="<f4").reshape(-1, 4)
     assert numbers[:, :3] == pytest.approx(np.asarray(points), abs=1e-4)
     assert ((numbers[:, 3] > 0.0) & (numbers[:, 3] <= 1.0)).all()
-    code, _, error = run(*command, "--unit", "VUT-LIDAR", "--out", tmp_path / "a.png", "--quiet")
+    code, _, error = run(
+        *command, "--unit", "VUT-LIDAR", "--out", tmp_path / "a.png", "--quiet"
+    )
     assert code == 2
     assert error.endswith("expected a name that ends in .ply, .bin\n")

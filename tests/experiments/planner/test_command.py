@@ -30,7 +30,9 @@ def save_plan(path, *variants, scene=SCENE):
 
 
 def save_layout(path, units, **fields):
-    path.write_text(to_json(replace(STUDY, name="layout", units=tuple(units), **fields)))
+    path.write_text(
+        to_json(replace(STUDY, name="layout", units=tuple(units), **fields))
+    )
     return str(path)
 
 
@@ -39,7 +41,9 @@ def test_no_command_line_has_the_token_of_the_page(run, monkeypatch):
 
     def look(address):
         path = Path(url2pathname(urlsplit(address).path))
-        opened.append((address, path.read_text(), path.stat().st_mode, path.parent.stat().st_mode))
+        opened.append(
+            (address, path.read_text(), path.stat().st_mode, path.parent.stat().st_mode)
+        )
 
     monkeypatch.setattr(command.webbrowser, "open", look)
     monkeypatch.setattr(RunningServer, "wait", lambda self: None)
@@ -92,11 +96,15 @@ def test_what_cannot_be_begun_with_is_refused_and_stays_as_it_is(run, tmp_path):
     code, _, err = run("plan", *FEW, "--no-open", "--save", str(other))
     assert (code, other.read_text()) == (2, before)
     assert err.endswith(
-        "got one made for elsewhere; expected one of town05, the scene that is looked at\n"
+        "got one made for elsewhere; expected one of town05, the scene that is looked"
+        " at\n"
     )
     code, _, err = run("plan", "--no-open", "--save", "/dev/zero")
     assert code == 2
-    assert "/dev/zero: got a device; expected a regular file's name, or one that is free" in err
+    assert (
+        "/dev/zero: got a device; expected a regular file's name, or one that is free"
+        in err
+    )
     many = [replace(STUDY.units[0], id=f"U{index}") for index in range(1001)]
     layout = save_layout(tmp_path / "many.json", many)
     code, _, err = run("plan", "--no-open", "--layout", layout)
@@ -116,11 +124,17 @@ def test_the_last_change_is_saved_when_it_ends(run, tmp_path, monkeypatch):
     code, out, _ = run("plan", *FEW, "--no-open", "--save", str(path))
     assert code == 0
     assert out.endswith(f"; the plan is in {path}.\n")
-    assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+    assert (
+        json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+    )
 
 
 def test_tiles_of_no_server_are_refused_before_anything_is_read(run, tmp_path):
     gone = str(tmp_path / "gone.osm")
-    code, _, err = run("plan", "--no-open", "--scene", gone, "--tiles", "https://tiles.example")
+    code, _, err = run(
+        "plan", "--no-open", "--scene", gone, "--tiles", "https://tiles.example"
+    )
     assert (code, err.count("\n")) == (2, 1)
-    assert err.startswith("place-rsus: --tiles: got 'https://tiles.example'; expected an address")
+    assert err.startswith(
+        "place-rsus: --tiles: got 'https://tiles.example'; expected an address"
+    )

@@ -59,7 +59,9 @@ def expect(locator):
 
 @pytest.fixture(scope="module", params=ENGINES)
 def browser(request, tmp_path_factory):
-    with start_browser(request.param, folder=tmp_path_factory.mktemp("browser")) as opened:
+    with start_browser(
+        request.param, folder=tmp_path_factory.mktemp("browser")
+    ) as opened:
         yield opened
 
 
@@ -82,7 +84,9 @@ def garden(tmp_path, small_setting):
     """Private ground at the junction's corner."""
     scene = small_setting.scene
     x, y = scene.outline_m.mean(axis=0)
-    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
+    ring = to_geographic(
+        np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs
+    )
     shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
     feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
     path = tmp_path / "garden.geojson"
@@ -95,8 +99,13 @@ def serve(tmp_path, small_setting, few_poses):  # noqa: F811
     servers = []
 
     def start(units=(), **given):
-        variants = [Variant(name="mine", units=tuple(units))] if units else []
-        servers.append(start_server(tmp_path, small_setting, variants=variants, **given))
+        if units:
+            variants = [Variant(name="mine", units=tuple(units))]
+        else:
+            variants = []
+        servers.append(
+            start_server(tmp_path, small_setting, variants=variants, **given)
+        )
         return servers[-1]
 
     yield start
@@ -117,10 +126,13 @@ def opened(
     **options,
 ):
     """The page; it must neither complain nor ask for anything from elsewhere but `foreign`."""
-    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    context = browser.new_context(
+        viewport={"width": width, "height": height}, **options
+    )
     page = context.new_page()
     page.set_default_timeout(PATIENCE_MS)
-    complaints, asked = [], []
+    complaints = []
+    asked = []
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     home = urlsplit(server.address).netloc
@@ -188,7 +200,10 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
     browser, serve, small_setting, tmp_path
 ):
     with opened(browser, serve()) as page:
-        assert page.locator("#apr").inner_text() in ("No sensor yet", "computing \u2026")
+        assert page.locator("#apr").inner_text() in (
+            "No sensor yet",
+            "computing \u2026",
+        )
         x, y = middle(page.locator('[data-site="corner-ne"]'))
         page.mouse.move(x, y)
         page.mouse.down()
@@ -203,7 +218,9 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
         page.mouse.down()
         page.mouse.move(site_x - 60, site_y + 60, steps=12)
         page.mouse.up()
-        south_west = re.compile(r"^-13[45]\b")  # the last step's: others may be evaluated, too
+        south_west = re.compile(
+            r"^-13[45]\b"
+        )  # the last step's: others may be evaluated, too
         expect(page.locator("#yaw")).to_have_value(south_west, timeout=PATIENCE_MS)
         shown = told(page)
         assert shown != away
@@ -212,7 +229,9 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
         assert unit.site_id == "corner-ne"
         assert -180.0 < unit.pose.yaw_deg < -90.0
         evaluation = evaluate_layout(layout, small_setting, compute=Compute(workers=2))
-        record = json.loads(to_json_text(build_evaluation_record(evaluation, small_setting.rule)))
+        record = json.loads(
+            to_json_text(build_evaluation_record(evaluation, small_setting.rule))
+        )
         assert shown == percent(record["rsu_all"]["all"])
         for case, share in record["rsu_all"]["by_case"].items():
             row = page.locator("#by-case tr").filter(has_text=re.compile(f"^{case}"))
@@ -220,9 +239,14 @@ def test_a_camera_is_hung_and_dragged_by_mouse_and_the_numbers_are_those_of_eval
         met = np.array([run.road_user for run in small_setting.runs])
         for group in set(met):
             share = apr(evaluation.rsu_all, evaluation.axis, met == group)
-            row = page.locator("#by-road-user tr").filter(has_text=re.compile(f"^{group}"))
+            row = page.locator("#by-road-user tr").filter(
+                has_text=re.compile(f"^{group}")
+            )
             assert row.locator("td").inner_text() == percent(share)
-        assert percent(record["vut_and_rsus"]["all"]) in page.locator("#beside").inner_text()
+        assert (
+            percent(record["vut_and_rsus"]["all"])
+            in page.locator("#beside").inner_text()
+        )
         page.keyboard.press("Control+z")  # a drag is one step
         expect(page.locator("#yaw")).to_have_value(yaw, timeout=PATIENCE_MS)
         assert told(page) == away
@@ -237,7 +261,9 @@ def test_everything_by_keyboard(browser, serve, tmp_path):
         page.keyboard.press("Enter")
         page.wait_for_selector('[data-unit="U1"]')
         page.locator('[data-unit="U1"]').focus()
-        yaw, pitch = (float(page.locator(name).input_value()) for name in ("#yaw", "#pitch"))
+        yaw, pitch = (
+            float(page.locator(name).input_value()) for name in ("#yaw", "#pitch")
+        )
         for key in ("ArrowLeft", "Shift+ArrowLeft", "ArrowDown", "PageDown"):
             page.keyboard.press(key)  # faster than answers come
         expect(page.locator("#yaw")).to_have_value(
@@ -304,7 +330,9 @@ def test_private_areas_are_drawn_and_told_for_the_chosen_camera(browser, serve, 
         expect(title).to_have_count(1)
         shares = page.locator("#private-list li")
         expect(shares).to_have_count(1, timeout=PATIENCE_MS)
-        seeing = re.search(r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text())[1]
+        seeing = re.search(
+            r"(\S+) [\d.]+ % \(more than is allowed\)", shares.inner_text()
+        )[1]
         page.locator(f'[data-chip="{seeing}"]').click()
         assert "garden" in page.locator("#unit-private").inner_text()
         page.wait_for_selector("#plan .seen", state="attached")
@@ -348,12 +376,21 @@ def test_an_image_lies_below_the_plan_and_is_kept_with_it(browser, serve, tmp_pa
         assert fetched == [200, 100]
 
 
-def test_an_image_with_its_world_file_lies_at_its_place_and_fades(browser, serve, tmp_path):
+def test_an_image_with_its_world_file_lies_at_its_place_and_fades(
+    browser, serve, tmp_path
+):
     pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
     scene = load_study_scene()
     east, north = scene.outline_m.mean(axis=0)
     Image.new("RGB", (200, 100), (90, 120, 90)).save(tmp_path / "aerial.png")
-    numbers = (0.2, 0, 0, -0.2, east - 20.0 + 0.1, north + 10.0 - 0.1)  # in the scene's own frame
+    numbers = (
+        0.2,
+        0,
+        0,
+        -0.2,
+        east - 20.0 + 0.1,
+        north + 10.0 - 0.1,
+    )  # in the scene's own frame
     (tmp_path / "aerial.pgw").write_text("".join(f"{number}\n" for number in numbers))
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         assert page.locator("#opacity-row").is_hidden()
@@ -364,10 +401,15 @@ def test_an_image_with_its_world_file_lies_at_its_place_and_fades(browser, serve
         image = page.locator('#plan image[href^="background"]')
         image.wait_for(state="attached")
         page.locator("#image-dialog").wait_for(state="hidden")
-        words = image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
+        words = (
+            image.get_attribute("transform").removeprefix("matrix(").rstrip(")").split()
+        )
         lies = [20.0, 0.0, 0.0, -20.0, 100.0 * (east - 20.0), 100.0 * (north + 10.0)]
         assert [float(word) for word in words] == pytest.approx(lies, abs=1e-3)
-        assert (image.get_attribute("width"), image.get_attribute("height")) == ("200", "100")
+        assert (image.get_attribute("width"), image.get_attribute("height")) == (
+            "200",
+            "100",
+        )
         page.locator("#opacity").fill("30")
         assert float(image.get_attribute("opacity")) == 0.3
 
@@ -388,17 +430,23 @@ def test_all_ends_when_the_page_is_closed_but_not_when_it_is_loaded_again(
     assert not server.is_alive
 
 
-def test_a_file_that_is_too_large_is_told_before_it_is_sent(browser, serve, monkeypatch, tmp_path):
+def test_a_file_that_is_too_large_is_told_before_it_is_sent(
+    browser, serve, monkeypatch, tmp_path
+):
     from experiments.planner import plan_files
 
     monkeypatch.setattr(plan_files, "MAX_PLAN_BYTES", 1000)
     (tmp_path / "long.json").write_text("[" + " " * 1000 + "]")
     with opened(browser, serve()) as page:
         page.locator("#open-file").set_input_files(tmp_path / "long.json")
-        page.get_by_text("long.json: got 1,002 bytes; expected at most 1,000").wait_for()
+        page.get_by_text(
+            "long.json: got 1,002 bytes; expected at most 1,000"
+        ).wait_for()
 
 
-def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(browser, serve, tmp_path):
+def test_a_plan_that_is_in_no_file_is_not_closed_without_a_word(
+    browser, serve, tmp_path
+):
     with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
         asked = []
         page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
@@ -450,7 +498,8 @@ def test_a_map_is_dropped_and_a_junction_of_it_chosen(browser, serve):
 
 
 def test_a_lost_connection_is_told_and_mended(browser, serve):
-    lines, is_broken = [], []
+    lines = []
+    is_broken = []
 
     def route(line):
         if is_broken:
@@ -499,17 +548,23 @@ def test_two_hundred_units_are_shown_and_turned(browser, serve, small_setting):
         write(page.locator("#yaw"), "12")
         page.locator("#yaw").press("Tab")
         turned = page.locator('[data-unit="U0"] path').first
-        expect(turned).to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
+        expect(turned).to_have_attribute(
+            "transform", "rotate(-12)", timeout=PATIENCE_MS
+        )
         told(page, "table", "evaluator")
         x, y = middle(page.locator("[data-aim]"))
         page.mouse.move(x, y)
         page.mouse.down()
         page.mouse.move(x + 40, y + 40, steps=6)
         page.mouse.up()
-        expect(turned).not_to_have_attribute("transform", "rotate(-12)", timeout=PATIENCE_MS)
+        expect(turned).not_to_have_attribute(
+            "transform", "rotate(-12)", timeout=PATIENCE_MS
+        )
 
 
-def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(browser, serve):
+def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
+    browser, serve
+):
     with opened(browser, serve(load_carlancap_layout().units[6:8])) as page:
         told(page)
         first, second = page.locator("#units button").all()
@@ -517,7 +572,9 @@ def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
         page.mouse.move(*middle(first))
         page.mouse.down()
         for _ in range(4):
-            page.keyboard.press("Shift+ArrowLeft")  # turns the last unit, which is still chosen
+            page.keyboard.press(
+                "Shift+ArrowLeft"
+            )  # turns the last unit, which is still chosen
         expect(second).to_have_attribute("aria-pressed", "true")
         expect(second).not_to_have_text(before, timeout=PATIENCE_MS)
         told(page)
@@ -528,7 +585,8 @@ def test_a_unit_is_chosen_although_its_number_comes_while_the_button_is_pressed(
 
 def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, garden):
     library = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed"
+        "axe_playwright_python.sync_playwright",
+        reason="axe-playwright-python is not installed",
     )
     units = load_carlancap_layout().units[7:8]
     text = CROSSING.read_text()
@@ -547,7 +605,13 @@ def test_the_page_has_no_serious_fault_for_who_cannot_see_it(browser, serve, gar
             page.keyboard.press("Escape")
 
         has_no_fault()
-        for opens in ("[data-chip]", "#question summary", "#own-poles summary", "#danger", "#pole"):
+        for opens in (
+            "[data-chip]",
+            "#question summary",
+            "#own-poles summary",
+            "#danger",
+            "#pole",
+        ):
             page.locator(opens).click()
         page.locator("#danger-key").filter(has_text="within 2 m").wait_for()
         page.locator('#seen[data-smooth="1"]').wait_for()
@@ -607,7 +671,9 @@ def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
         slider = page.locator("#yaw-slide")
         slider.focus()
         slider.press("ArrowRight")
-        expect(page.locator("#yaw")).not_to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        expect(page.locator("#yaw")).not_to_have_value(
+            f"{before:g}", timeout=PATIENCE_MS
+        )
         slider.press("Control+z")
         expect(page.locator("#yaw")).to_have_value(f"{before:g}", timeout=PATIENCE_MS)
         write(page.locator("#yaw"), "12")
@@ -622,7 +688,9 @@ def test_keys_work_after_a_slider_and_escape_gives_a_drag_up(browser, serve):
             f"{round(before)}", timeout=PATIENCE_MS
         )
         page.keyboard.press("Escape")
-        expect(page.locator("#yaw-slide")).to_have_value(f"{round(before)}", timeout=PATIENCE_MS)
+        expect(page.locator("#yaw-slide")).to_have_value(
+            f"{round(before)}", timeout=PATIENCE_MS
+        )
         page.mouse.move(x + 90, y)
         page.mouse.up()
         assert page.locator("#redo").is_disabled()  # the drag has left nothing
@@ -654,7 +722,9 @@ def test_a_pole_with_a_unit_takes_a_second_one_and_what_is_moved_keeps_its_aim(
             middle(page.locator('[data-site="corner-sw"]')),
         )
         page.mouse.up()
-        expect(page.locator("#unit-site")).to_have_value("corner-sw", timeout=PATIENCE_MS)
+        expect(page.locator("#unit-site")).to_have_value(
+            "corner-sw", timeout=PATIENCE_MS
+        )
         assert middle(page.locator("[data-aim]")) == pytest.approx(aim, abs=2.0)
 
 
@@ -670,7 +740,10 @@ def test_a_lidar_that_scans_all_round_is_level_by_dragging_and_by_the_button(
         page.locator("#site").select_option("corner-sw")
         page.locator("#hang").click()
         expect(page.locator("#units button")).to_have_count(2, timeout=PATIENCE_MS)
-        assert [unit.pose.pitch_deg for unit in saved(page, tmp_path).units] == [0.0, 0.0]
+        assert [unit.pose.pitch_deg for unit in saved(page, tmp_path).units] == [
+            0.0,
+            0.0,
+        ]
 
 
 TOUCH = """([kind, fingers]) => {
@@ -681,7 +754,9 @@ TOUCH = """([kind, fingers]) => {
 }"""
 
 
-def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_turned(browser, serve):
+def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_turned(
+    browser, serve
+):
     with opened(browser, serve()) as page:
         site = page.locator('[data-site="corner-ne"]')
         far = page.locator('[data-site="corner-sw"]')
@@ -693,7 +768,9 @@ def test_the_ground_between_two_fingers_stays_and_a_wheel_goes_the_way_it_is_tur
         page.evaluate(TOUCH, ["pointermove", moved])
         page.evaluate(TOUCH, ["pointerup", moved])
         assert middle(site) == pytest.approx((x + 30, y + 20), abs=1.5)
-        assert abs(middle(far)[0] - middle(site)[0]) == pytest.approx(2.0 * apart, rel=0.01)
+        assert abs(middle(far)[0] - middle(site)[0]) == pytest.approx(
+            2.0 * apart, rel=0.01
+        )
         x, y = middle(site)
         page.mouse.move(x, y)
         page.mouse.wheel(60, 0)
@@ -724,11 +801,14 @@ def test_views_are_drawn_and_say_how_far_they_reach(browser, serve):
 
 
 def test_a_server_that_does_not_answer_makes_numbers_old(browser, serve):
-    held, lines = [], []
+    held = []
+    lines = []
 
     def route(line):
         server = line.connect_to_server()
-        line.on_message(lambda text: held.append(text) if "change" in text else server.send(text))
+        line.on_message(
+            lambda text: held.append(text) if "change" in text else server.send(text)
+        )
         lines.append(server)
 
     with opened(
@@ -750,18 +830,25 @@ def test_another_scene_is_asked_for_and_undo_leads_back(browser, serve):
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         drop(page, "crossing.osm", text)
         page.locator("#map-choice .junction-chooser").wait_for()
-        assert "Undo leads back to the plan at town05" in page.locator("#map-text").inner_text()
+        assert (
+            "Undo leads back to the plan at town05"
+            in page.locator("#map-text").inner_text()
+        )
         street = page.locator("#map-choice li button").first.inner_text().split("\n")[0]
         page.locator("#map-take").click()
         page.locator("#map-dialog").wait_for(state="hidden")
         assert page.locator("#scene-name").inner_text().startswith(f"at {street},")
         page.locator("#undo").click()
-        expect(page.locator("#scene-name")).to_contain_text("town05", timeout=PATIENCE_MS)
+        expect(page.locator("#scene-name")).to_contain_text(
+            "town05", timeout=PATIENCE_MS
+        )
         expect(page.locator("#units button")).to_have_count(1, timeout=PATIENCE_MS)
 
 
 @pytest.mark.parametrize("size", [(1280, 900), (820, 1180), (844, 390), (390, 844)])
-def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(browser, serve, size):
+def test_the_key_of_densities_and_the_page_are_no_wider_than_the_screen(
+    browser, serve, size
+):
     width, height = size
     units = load_carlancap_layout().units[:1]
     with opened(browser, serve(units), width=width, height=height) as page:
@@ -792,7 +879,9 @@ def scale_m(page):
     """Metres of a pixel of the plan, by its bar."""
     bar = page.locator('#plan path[d^="M12 "]')
     (length,) = re.findall(r"h([\d.]+)$", bar.get_attribute("d"))
-    return float(bar.locator("xpath=following-sibling::*[1]").text_content()[:-2]) / float(length)
+    return float(
+        bar.locator("xpath=following-sibling::*[1]").text_content()[:-2]
+    ) / float(length)
 
 
 def empty_place(page):
@@ -801,7 +890,9 @@ def empty_place(page):
     return box["x"] + 6, box["y"] + 6
 
 
-def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(browser, serve):
+def test_nothing_is_chosen_by_a_press_on_nothing_and_a_view_chooses_its_unit(
+    browser, serve
+):
     with opened(browser, serve(load_carlancap_layout().units[:2])) as page:
         page.wait_for_selector('[data-view="RSU0"][d]', state="attached")
         page.wait_for_selector('[data-view="RSU1"][d]', state="attached")
@@ -836,7 +927,9 @@ def test_backspace_and_delete_take_down_and_nothing_is_chosen_then(browser, serv
         for key, left in (("Backspace", 2), ("Delete", 1)):
             page.locator("[data-chip]").first.click()
             page.keyboard.press(key)
-            expect(page.locator("#units button")).to_have_count(left, timeout=PATIENCE_MS)
+            expect(page.locator("#units button")).to_have_count(
+                left, timeout=PATIENCE_MS
+            )
             assert chosen(page) == []
         page.keyboard.press("Delete")  # nothing is chosen
         page.locator("[data-chip]").first.click()
@@ -852,7 +945,9 @@ def held_back(page, line_of):
 
     def route(line):
         server = line.connect_to_server()
-        line.on_message(lambda text: held.append(text) if "change" in text else server.send(text))
+        line.on_message(
+            lambda text: held.append(text) if "change" in text else server.send(text)
+        )
         line_of.append((server, held))
 
     page.route_web_socket("**/live", route)
@@ -868,7 +963,9 @@ def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, se
         told(page)
         x, y = middle(page.locator("[data-aim]"))
         drag(page, (x, y), (x + 90, y - 60))
-        assert middle(page.locator("[data-aim]")) == pytest.approx((x + 90, y - 60), abs=1.5)
+        assert middle(page.locator("[data-aim]")) == pytest.approx(
+            (x + 90, y - 60), abs=1.5
+        )
         assert page.locator("#plan .open-view").get_attribute("d").startswith("M")
         yaw = number(page, "#yaw")
         bearing = float(page.locator("#compass").get_attribute("aria-valuenow"))
@@ -879,10 +976,14 @@ def test_ring_outline_compass_and_side_view_follow_before_any_answer(browser, se
         server, held = lines[-1]
         assert len(held) == 1  # the others wait for its answer
         server.send(held[0])
-        page.locator("#plan .open-view").wait_for(state="attached")  # the newest step is next
+        page.locator("#plan .open-view").wait_for(
+            state="attached"
+        )  # the newest step is next
 
 
-@pytest.mark.parametrize("part", ["#yaw-slide", "#compass", '#side [data-part="height"]'])
+@pytest.mark.parametrize(
+    "part", ["#yaw-slide", "#compass", '#side [data-part="height"]']
+)
 def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, part):
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         rested(page)
@@ -891,9 +992,12 @@ def test_escape_gives_up_a_drag_of_slider_compass_and_side_view(browser, serve, 
         page.locator(part).scroll_into_view_if_needed()
         x, y = middle(page.locator(part))
         if part == "#yaw-slide":
-            box, share = page.locator(part).bounding_box(), (before[0] + 180.0) / 360.0
+            box = page.locator(part).bounding_box()
+            share = (before[0] + 180.0) / 360.0
             x = box["x"] + 8 + share * (box["width"] - 16)  # the thumb
-        away = {"#yaw-slide": (x - 40, y), "#compass": (x - 30, y + 30)}.get(part, (x, y + 20))
+        away = {"#yaw-slide": (x - 40, y), "#compass": (x - 30, y + 30)}.get(
+            part, (x, y + 20)
+        )
         drag(page, (x, y), away)
         page.wait_for_function(
             """([fields, before]) => fields.some((field, index) =>
@@ -914,9 +1018,13 @@ WHEEL = """([x, y, given]) => document.querySelector("#plan svg").dispatchEvent(
 """
 
 
-def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(browser, serve):
+def test_a_trackpad_pans_while_notches_and_pinches_zoom_about_the_pointer(
+    browser, serve
+):
     with opened(browser, serve()) as page:
-        near, far = (page.locator(f'[data-site="corner-{name}"]') for name in ("ne", "sw"))
+        near, far = (
+            page.locator(f'[data-site="corner-{name}"]') for name in ("ne", "sw")
+        )
 
         def turned(*events):
             """How far the pole below the pointer has moved, and what distances have become."""
@@ -946,12 +1054,16 @@ def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
         rested(page)
         grip = page.locator('#side [data-part="height"]')
         grip.scroll_into_view_if_needed()
-        low, high = (float(grip.get_attribute(f"aria-value{end}")) for end in ("min", "max"))
+        low, high = (
+            float(grip.get_attribute(f"aria-value{end}")) for end in ("min", "max")
+        )
         before = number(page, "#height")
         x, y = middle(grip)
         drag(page, (x, y), (x, y + 24))
         page.mouse.up()
-        expect(page.locator("#height")).not_to_have_value(f"{before:g}", timeout=PATIENCE_MS)
+        expect(page.locator("#height")).not_to_have_value(
+            f"{before:g}", timeout=PATIENCE_MS
+        )
         height = number(page, "#height")
         assert low <= height < before
         assert middle(grip)[1] == pytest.approx(y + 24, abs=1.5)
@@ -961,16 +1073,21 @@ def test_height_and_tilt_are_dragged_in_the_side_view(browser, serve, tmp_path):
         expect(page.locator("#height")).to_have_value(f"{low:g}", timeout=PATIENCE_MS)
         grip.focus()
         grip.press("ArrowUp")
-        expect(page.locator("#height")).to_have_value(f"{low + 0.25:g}", timeout=PATIENCE_MS)
+        expect(page.locator("#height")).to_have_value(
+            f"{low + 0.25:g}", timeout=PATIENCE_MS
+        )
         (x, y), knob = middle(grip), page.locator('#side [data-part="tilt"]')
         drag(page, middle(knob), (x + 60, y + 60))
         page.mouse.up()
-        expect(page.locator("#pitch")).to_have_value(re.compile("^-4[45]"), timeout=PATIENCE_MS)
+        expect(page.locator("#pitch")).to_have_value(
+            re.compile("^-4[45]"), timeout=PATIENCE_MS
+        )
         told(page)
         (unit,) = saved(page, tmp_path).units
         assert unit.pose.pitch_deg == pytest.approx(-45.0, abs=1.5)
         # The picture's lower edge meets the road as far away as its angle says.
-        pose, half = unit.pose, 0.5 * unit.sensor.vertical_fov_deg
+        pose = unit.pose
+        half = 0.5 * unit.sensor.vertical_fov_deg
         away_m = (low + 0.25) / np.tan(np.radians(half - pose.pitch_deg))
         ray = page.locator("#side .ray-lower").get_attribute("d")
         x, y, x2, y2 = (float(value) for value in re.findall(r"[\d.]+", ray))
@@ -991,7 +1108,9 @@ def test_the_compass_turns_in_steps_with_shift_or_by_the_switch(browser, serve):
         page.keyboard.down("Shift")
         page.mouse.move(x + 30, y - 13)
         page.keyboard.up("Shift")
-        assert compass.get_attribute("aria-valuetext").startswith("60.0 degrees, north-east")
+        assert compass.get_attribute("aria-valuetext").startswith(
+            "60.0 degrees, north-east"
+        )
         page.mouse.up()
         expect(page.locator("#yaw")).to_have_value("30", timeout=PATIENCE_MS)
         page.locator("#snap").check()
@@ -1043,7 +1162,9 @@ def test_a_ruler_measures_between_places_and_poles(browser, serve, small_setting
         page.mouse.click(x - 90, y + 60)
         page.mouse.click(x - 90, y + 160)
         expect(said).to_have_text(re.compile(r"^[\d.]+ m$"))
-        assert float(said.inner_text()[:-2]) == pytest.approx(100.0 * scale_m(page), rel=0.01)
+        assert float(said.inner_text()[:-2]) == pytest.approx(
+            100.0 * scale_m(page), rel=0.01
+        )
         for name in ("corner-ne", "corner-sw"):
             page.locator(f'[data-site="{name}"]').focus()
             page.keyboard.press("Enter")
@@ -1073,7 +1194,10 @@ def test_what_is_locked_is_not_dragged_turned_or_taken_down(browser, serve, tmp_
         page.locator("#notice").get_by_text("RSU0 is locked").wait_for()
         assert page.locator("#yaw").is_disabled()
         assert page.locator("#remove").is_disabled()
-        (unit,), (before,) = saved(page, tmp_path).units, load_carlancap_layout().units[:1]
+        (unit,), (before,) = (
+            saved(page, tmp_path).units,
+            load_carlancap_layout().units[:1],
+        )
         assert unit.site_id == before.site_id
         assert unit.pose.yaw_deg == before.pose.yaw_deg
         assert page.locator("#undo").is_disabled()
@@ -1102,14 +1226,21 @@ def test_two_variants_are_compared_by_units_and_cases(browser, serve):
         told(page)
         expect(said.nth(0)).to_contain_text("only here, at corner-sw")
         expect(said.nth(1)).to_contain_text("RSU2: only in mine, at corner-nw")
-        expect(said.nth(2)).to_contain_text(re.compile(r"RSU1: turned by (40|39\.9|40\.1)"))
+        expect(said.nth(2)).to_contain_text(
+            re.compile(r"RSU1: turned by (40|39\.9|40\.1)")
+        )
         assert page.locator("#plan .other").count() == 2
         row = page.locator("#compare-points tbody tr").first
         row.get_by_text("APR").wait_for()
         here, there, points = row.locator("td").all_inner_texts()
-        sign = -1.0 if points.startswith("\u2212") else 1.0
+        if points.startswith("\u2212"):
+            sign = -1.0
+        else:
+            sign = 1.0
         difference = sign * float(re.sub(r"[^\d.]", "", points))
-        assert difference == pytest.approx(float(here[:-2]) - float(there[:-2]), abs=0.051)
+        assert difference == pytest.approx(
+            float(here[:-2]) - float(there[:-2]), abs=0.051
+        )
         write(page.locator("#variant-name"), "Mine!")  # reads like the other's
         page.locator("#variant-name").press("Enter")
         page.locator("#notice").get_by_text('reads like "mine"').wait_for()
@@ -1138,7 +1269,8 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
                     a.y + a.height / 2 - b.y - b.height / 2),
                     [bar.getAttribute("d"), bar.nextElementSibling.textContent]]; }"""
             )
-            length, metres = (re.search(r"h([\d.]+)$", bar[0])[1], bar[1].split()[0])
+            length = re.search(r"h([\d.]+)$", bar[0])[1]
+            metres = bar[1].split()[0]
             return pixels * float(metres) / float(length)
 
         for frame in (0, len(run.time_s) // 2, len(run.time_s) - 1):
@@ -1147,11 +1279,18 @@ def test_a_lost_run_is_shown_on_the_plan_over_time(browser, serve, small_setting
                 slider.dispatchEvent(new Event("input")); }""",
                 frame,
             )
-            true_m = np.hypot(*(run.vut_position_m[frame] - run.vru_position_m[frame])[:2])
+            true_m = np.hypot(
+                *(run.vut_position_m[frame] - run.vru_position_m[frame])[:2]
+            )
             assert apart_m() == pytest.approx(true_m, abs=0.7)
-            assert f"{abs(run.time_s[frame]):.1f} s" in page.locator("#played-time").inner_text()
+            assert (
+                f"{abs(run.time_s[frame]):.1f} s"
+                in page.locator("#played-time").inner_text()
+            )
         page.locator("#played-play").click()
-        page.wait_for_function("() => document.querySelector('#played-frame').valueAsNumber > 3")
+        page.wait_for_function(
+            "() => document.querySelector('#played-frame').valueAsNumber > 3"
+        )
         page.locator("#played-play").click()
         row = page.locator('#played-rows [aria-label^="RSU7"]')
         assert re.search("sees the road user", row.get_attribute("aria-label"))
@@ -1164,7 +1303,15 @@ def test_the_help_says_every_handling_and_every_colour(browser, serve):
     with opened(browser, serve(load_carlancap_layout().units[:1])) as page:
         page.keyboard.press("?")
         said = page.locator("#help-dialog").inner_text()
-        for word in ("compass", "side view", "Ruler", "Ctrl+V", "lock", "Backspace", "trackpad"):
+        for word in (
+            "compass",
+            "side view",
+            "Ruler",
+            "Ctrl+V",
+            "lock",
+            "Backspace",
+            "trackpad",
+        ):
             assert word in said
         for colour in ("blue", "orange", "pink", "yellow", "violet"):
             assert colour in said
@@ -1212,14 +1359,21 @@ def test_the_picture_follows_while_a_camera_is_turned_and_is_fine_when_it_stands
         assert shown.shape == (360, 640, 3)
         (turned,) = saved(page, tmp_path).units
         assert turned.pose.yaw_deg != unit.pose.yaw_deg
-        small = replace(turned, sensor=replace(turned.sensor, width_px=640, height_px=360))
+        small = replace(
+            turned, sensor=replace(turned.sensor, width_px=640, height_px=360)
+        )
         expected, run, _ = draw_view(small, small_setting, compute=Compute(workers=2))
         assert abs(shown - expected).mean() < 4.0  # JPEG's own loss
         title = small_setting.runs.index(run)
-        assert describe_run(small_setting.axis, title) in page.locator("#seen-text").inner_text()
+        assert (
+            describe_run(small_setting.axis, title)
+            in page.locator("#seen-text").inner_text()
+        )
 
 
-def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browser, serve):
+def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(
+    browser, serve
+):
     with opened(browser, serve(load_carlancap_layout().units[7:8])) as page:
         told(page)
         page.locator("#lost button").first.click()
@@ -1234,7 +1388,9 @@ def test_the_picture_has_the_road_user_of_the_run_on_the_plan_at_its_time(browse
         before = page.locator("#seen-image").get_attribute("src")
         for _ in range(10):
             page.keyboard.press("ArrowLeft")
-        expect(text).to_contain_text(f"{title}, 1.0 s before the impact", timeout=PATIENCE_MS)
+        expect(text).to_contain_text(
+            f"{title}, 1.0 s before the impact", timeout=PATIENCE_MS
+        )
         assert page.locator("#seen-image").get_attribute("src") != before
         page.locator("#played-close").click()
         expect(text).to_contain_text("nearest to where it looks", timeout=PATIENCE_MS)
@@ -1277,11 +1433,15 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
         page.locator("#ask-weights").select_option("run")
         expect(command).to_contain_text("--weights run", timeout=PATIENCE_MS)
         expect(page.locator("#apr")).to_have_attribute(
-            "title", re.compile("Share of all runs: each counts the same"), timeout=PATIENCE_MS
+            "title",
+            re.compile("Share of all runs: each counts the same"),
+            timeout=PATIENCE_MS,
         )
         write(page.locator("#ask-cases"), "CPXX")
         page.locator("#ask-cases").press("Tab")
-        expect(page.locator("#notice")).to_contain_text("cases: got 'CPXX'", timeout=PATIENCE_MS)
+        expect(page.locator("#notice")).to_contain_text(
+            "cases: got 'CPXX'", timeout=PATIENCE_MS
+        )
         expect(page.locator("#ask-cases")).to_have_value("CPNC-50")
         page.locator("#undo").click()
         expect(page.locator("#ask-weights")).to_have_value("", timeout=PATIENCE_MS)
@@ -1295,8 +1455,14 @@ def test_weather_and_weights_are_controls_and_numbers_say_what_they_mean(
 
 def screen_of(page, scene, place_m):
     """Where a place of the ground is on the screen, by two poles that are drawn there."""
-    one, other = (next(s for s in scene.sites if s.id == name) for name in ("corner-ne", "lamp-w2"))
-    at = [np.array(middle(page.locator(f'[data-site="{site.id}"]'))) for site in (one, other)]
+    one, other = (
+        next(s for s in scene.sites if s.id == name)
+        for name in ("corner-ne", "lamp-w2")
+    )
+    at = [
+        np.array(middle(page.locator(f'[data-site="{site.id}"]')))
+        for site in (one, other)
+    ]
     flip = np.array([1.0, -1.0])
     span_m = (other.position_m - one.position_m)[:2] * flip
     px_per_m = float(np.dot(at[1] - at[0], span_m) / np.dot(span_m, span_m))
@@ -1304,14 +1470,18 @@ def screen_of(page, scene, place_m):
     return tuple(at[0] + px_per_m * away_m)
 
 
-def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(browser, serve, small_setting, tmp_path):
+def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(
+    browser, serve, small_setting, tmp_path
+):
     scene = small_setting.scene
     corner = next(site for site in scene.sites if site.id == "corner-nw").position_m[:2]
     with opened(browser, serve(), may_complain=True) as page:
         page.locator("#pole").click()
         notice = page.locator("#notice")
         page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
-        expect(notice).to_contain_text("a place on the carriageway", timeout=PATIENCE_MS)
+        expect(notice).to_contain_text(
+            "a place on the carriageway", timeout=PATIENCE_MS
+        )
         page.mouse.click(*screen_of(page, scene, corner + [-8.0, 10.0]))
         expect(notice).to_contain_text("a place inside building", timeout=PATIENCE_MS)
         page.mouse.click(*screen_of(page, scene, corner + [-4.0, 0.0]))
@@ -1323,11 +1493,15 @@ def test_a_pole_of_ones_own_is_put_moved_saved_and_removed(browser, serve, small
         told(page)
         (before,) = saved(page, tmp_path).units
         assert before.site_id == ""
-        assert before.pose.position_m[:2] == pytest.approx(corner + [-4.0, 0.0], abs=0.15)
+        assert before.pose.position_m[:2] == pytest.approx(
+            corner + [-4.0, 0.0], abs=0.15
+        )
         drag(page, middle(own), screen_of(page, scene, corner + [-7.0, 0.0]))
         page.mouse.up()
         east = page.locator("#pole-east")
-        expect(east).to_have_value(re.compile(rf"^{corner[0] - 7.0:.0f}"), timeout=PATIENCE_MS)
+        expect(east).to_have_value(
+            re.compile(rf"^{corner[0] - 7.0:.0f}"), timeout=PATIENCE_MS
+        )
         shown = told(page)
         after = saved(page, tmp_path)
         (unit,) = after.units
@@ -1365,13 +1539,18 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
     )
     axis = evaluation.axis
     is_lost = [one != "avoided" for one in run_outcomes(evaluation.rsu_all, axis)]
-    ends_cm = np.array([run.vru_position_m[-1] for run in small_setting.runs])[is_lost] * 100.0
+    ends_cm = (
+        np.array([run.vru_position_m[-1] for run in small_setting.runs])[is_lost]
+        * 100.0
+    )
     weight = axis.weight[is_lost] / axis.weight.sum()
     assert 0 < len(weight) < axis.n_runs
     least = np.array([0.1, 0.05, 0.02, 0.01, 0.005, 0.0])
     west, south = np.floor(ends_cm.min(axis=0) / 50.0).astype(int) * 50 - 250
     east, north = ends_cm.max(axis=0).astype(int) + 250
-    places = np.stack(np.meshgrid(range(west + 25, east, 50), range(south + 25, north, 50)), -1)
+    places = np.stack(
+        np.meshgrid(range(west + 25, east, 50), range(south + 25, north, 50)), -1
+    )
     away_cm = np.hypot(*np.moveaxis(places[:, :, None] - np.rint(ends_cm), -1, 0))
     expected = (away_cm < 200.0) @ weight
     # On the edge of a disc, or between two bands, either is right.
@@ -1392,14 +1571,18 @@ def test_the_heat_layer_has_the_weight_of_lost_runs_around_each_place(
             column, row = (corners - (west, south)).T // 50
             drawn[row, column] = int(band)
         assert (drawn >= 0).any()
-        np.testing.assert_array_equal((drawn >= 0)[~is_edge], (expected > 0.0)[~is_edge])
+        np.testing.assert_array_equal(
+            (drawn >= 0)[~is_edge], (expected > 0.0)[~is_edge]
+        )
         is_sure = (drawn >= 0) & ~is_edge & ~is_close
         band = (expected[..., None] > least).argmax(axis=-1)
         np.testing.assert_array_equal(drawn[is_sure], band[is_sure])
         fills = page.locator("#danger-key rect").evaluate_all(
             "all => all.map(one => one.getAttribute('fill'))"
         )
-        parts = np.array([[int(fill[at : at + 2], 16) for at in (1, 3, 5)] for fill in fills])
+        parts = np.array(
+            [[int(fill[at : at + 2], 16) for at in (1, 3, 5)] for fill in fills]
+        )
         grey = parts @ [0.2126, 0.7152, 0.0722]
         assert (np.diff(grey) > 10.0).all()  # told apart in grey: the darker the more
         page.locator("#danger").uncheck()
@@ -1448,7 +1631,8 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
         page.mouse.move(*middle_)
         page.mouse.wheel(0, -300)
         page.wait_for_function(
-            "width => document.querySelector('.street-map').viewBox.baseVal.width < width",
+            "width => document.querySelector('.street-map').viewBox.baseVal.width <"
+            " width",
             arg=0.9 * whole[2],
         )
         assert view(page)[0] + view(page)[2] / 2 == pytest.approx(whole[2] / 2, abs=1.0)
@@ -1468,13 +1652,21 @@ def test_a_junction_is_chosen_on_a_map_of_streets_by_name_by_keyboard_and_again(
         assert page.locator("#map-choice circle.chosen").count() == 1
         page.locator("#map-take").press("Enter")
         page.locator("#map-dialog").wait_for(state="hidden")
-        assert page.locator("#scene-name").inner_text().startswith("at C Lane / Main Street,")
+        assert (
+            page.locator("#scene-name")
+            .inner_text()
+            .startswith("at C Lane / Main Street,")
+        )
         page.locator("#another-junction").click()
         page.locator("#map-choice .junction-chooser").wait_for()
-        assert "Undo leads back" not in page.locator("#map-text").inner_text()  # nothing is mounted
+        assert (
+            "Undo leads back" not in page.locator("#map-text").inner_text()
+        )  # nothing is mounted
 
 
-def test_reading_a_map_tells_how_far_it_is_and_is_stopped(browser, serve, streets, monkeypatch):
+def test_reading_a_map_tells_how_far_it_is_and_is_stopped(
+    browser, serve, streets, monkeypatch
+):
     def slow(self, *given, **options):
         for done in range(300):
             self._progress("read buildings", done, 300)
@@ -1482,18 +1674,25 @@ def test_reading_a_map_tells_how_far_it_is_and_is_stopped(browser, serve, street
 
     monkeypatch.setattr(Tasks, "import_junction", slow)
     named = MapFile(path=streets, name="tiny.osm")
-    with opened(browser, serve(map_file=named), may_complain=True) as page:  # of a request stopped
+    with opened(
+        browser, serve(map_file=named), may_complain=True
+    ) as page:  # of a request stopped
         page.locator("#another-junction").click()
         page.locator("#map-take:enabled").click()
         doing = page.locator("#map-doing")
-        said = r"read buildings, \d+ of 300: \d+ s so far; this step takes about \d+ s more\."
+        said = (
+            r"read buildings, \d+ of 300: \d+ s so far; this step takes about \d+ s"
+            r" more\."
+        )
         expect(doing).to_have_text(re.compile(said), timeout=PATIENCE_MS)
         assert 0 < page.locator("#map-bar").evaluate("bar => bar.position") < 1
         before = page.locator("#scene-name").inner_text()
         page.locator("#map-stop").click()
         page.locator("#map-dialog").wait_for(state="hidden")
         assert page.locator("#scene-name").inner_text() == before
-        page.locator("#another-junction").click()  # it is there again, without being read
+        page.locator(
+            "#another-junction"
+        ).click()  # it is there again, without being read
         page.locator("#map-take:enabled").wait_for()
 
 
@@ -1508,7 +1707,9 @@ def tile_server():
     class Answers(BaseHTTPRequestHandler):
         def do_GET(self):
             asked.append(self.path)
-            _, x, y = map(int, self.path.removeprefix("/aerial/").removesuffix(".png").split("/"))
+            _, x, y = map(
+                int, self.path.removeprefix("/aerial/").removesuffix(".png").split("/")
+            )
             if self.server.is_down:
                 self.send_error(404)
                 return
@@ -1523,7 +1724,8 @@ def tile_server():
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Answers)
-    server.is_down, server.asked = False, asked
+    server.is_down = False
+    server.asked = asked
     Thread(target=server.serve_forever, daemon=True).start()
     yield server
     server.shutdown()
@@ -1573,7 +1775,9 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
             "document.querySelectorAll('#plan svg > g > g:not(:has([data-tile]))')"
             ".forEach(one => { one.style.display = 'none'; })"
         )
-        picture = Image.open(io.BytesIO(page.locator("#plan").screenshot())).convert("RGB")
+        picture = Image.open(io.BytesIO(page.locator("#plan").screenshot())).convert(
+            "RGB"
+        )
         window = page.locator("#plan svg > g").first.get_attribute("transform")
         per_cm, _, _, _, east_px, north_px = map(
             float, window.removeprefix("matrix(").removesuffix(")").split()
@@ -1583,7 +1787,9 @@ def test_tiles_lie_at_their_places_and_one_that_does_not_come_is_told(
             place_m = np.array([px - 1 - east_px, north_px - (py - 1)]) / per_cm / 100.0
             merc = np.array(to_mercator.transform(*place_m))
             z = int(drawn[0][0].split("/")[0])
-            column, row = np.array([merc[0] / span_m + 0.5, 0.5 - merc[1] / span_m]) * 2**z
+            column, row = (
+                np.array([merc[0] / span_m + 0.5, 0.5 - merc[1] / span_m]) * 2**z
+            )
             if min(abs(column - round(column)), abs(row - round(row))) < 0.03:
                 continue  # on an edge
             found = np.array(picture.getpixel((px, py)), dtype=int)
@@ -1615,11 +1821,23 @@ SAID = """() => {
     }
     return [...new Set(found)]; }"""
 KEYS = {*"lnop"}
-NAMES = {"mine", "other", "garden", "crossing.osm", "Mill", "Street", "Station", "Road", *KEYS}
+NAMES = {
+    "mine",
+    "other",
+    "garden",
+    "crossing.osm",
+    "Mill",
+    "Street",
+    "Station",
+    "Road",
+    *KEYS,
+}
 NAMES |= {*load_case_sets(), *WEIGHT_WORDS}
 
 
-def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting, tmp_path):
+def test_no_word_of_the_page_is_left_over(
+    browser, serve, garden, small_setting, tmp_path
+):
     """The page speaks a language made up: all that it says at any of these moments is in it."""
     scene = small_setting.scene
     units = load_carlancap_layout().units[6:8]
@@ -1650,7 +1868,9 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
             page.locator("#variant-name").press("Enter")
             page.locator("#compare").select_option("mine")
             for name, by in (("yaw", 40), ("pitch", 5), ("height", -1)):
-                write(page.locator(f"#{name}"), f"{round(number(page, f'#{name}') + by)}")
+                write(
+                    page.locator(f"#{name}"), f"{round(number(page, f'#{name}') + by)}"
+                )
                 page.locator(f"#{name}").press("Enter")
             page.locator("#site").select_option("corner-sw")
             page.locator("#hang").click()
@@ -1660,8 +1880,12 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
             row = page.locator("#compare-points tbody tr").first
             row.wait_for()
             cells = row.locator("td").all_inner_texts()
-            here, there, by = (re.sub(r"[^\d,]", "", text).replace(",", ".") for text in cells)
-            assert float(by) == pytest.approx(abs(float(here) - float(there)), abs=0.051)
+            here, there, by = (
+                re.sub(r"[^\d,]", "", text).replace(",", ".") for text in cells
+            )
+            assert float(by) == pytest.approx(
+                abs(float(here) - float(there)), abs=0.051
+            )
             page.locator("#coverage-key svg").first.wait_for()
             look(page, "variants, density and dangers")
             page.locator('[data-ask="next"]').click()
@@ -1671,7 +1895,9 @@ def test_no_word_of_the_page_is_left_over(browser, serve, garden, small_setting,
             page.mouse.click(*screen_of(page, scene, scene.outline_m.mean(axis=0)))
             # An earlier notice may still stand there.
             refusal = re.compile("⟦pole⟧.*⟦a place on the carriageway⟧")
-            expect(page.locator("#notice")).to_contain_text(refusal, timeout=PATIENCE_MS)
+            expect(page.locator("#notice")).to_contain_text(
+                refusal, timeout=PATIENCE_MS
+            )
             look(page, "a refusal")
             page.keyboard.press("Escape")
             page.locator("#lock").click()

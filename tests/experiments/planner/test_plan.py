@@ -93,12 +93,16 @@ def test_a_unit_that_is_moved_to_another_pole_looks_where_it_looked(pitch_deg):
         (one,), (other,) = before.variant.units, after.variant.units
         np.testing.assert_allclose(target_m(other), target_m(one), atol=1e-3)
     level = changed(ChangeUnit(unit="U1", pitch_deg=0.0), state=ONE)
-    (unit,) = changed(ChangeUnit(unit="U1", site="corner-sw"), state=level).variant.units
+    (unit,) = changed(
+        ChangeUnit(unit="U1", site="corner-sw"), state=level
+    ).variant.units
     assert unit.pose.pitch_deg == 0.0
 
 
 def test_what_scans_all_round_is_level_however_it_comes():
-    (unit,) = changed(ChangeUnit(unit="U1", sensor="ouster-os1-128"), state=ONE).variant.units
+    (unit,) = changed(
+        ChangeUnit(unit="U1", sensor="ouster-os1-128"), state=ONE
+    ).variant.units
     assert unit.pose.pitch_deg == 0.0
     state = changed(AddUnit(site="corner-sw", sensor="ouster-os1-128"), state=ONE)
     assert state.variant.units[1].pose.pitch_deg == 0.0
@@ -110,7 +114,9 @@ def test_a_copy_has_height_and_lens_as_far_as_pole_and_model_have_them():
     site = next(site for site in SCENE.sites if site.id == "corner-sw")
     low_m, high_m = site.height_range_m
     for height_m, hung_m in ((6.25, 6.25), (99.0, high_m), (0.0, low_m)):
-        add = AddUnit(site="corner-sw", sensor="varifocal-1080p", height_m=height_m, fov_deg=40.0)
+        add = AddUnit(
+            site="corner-sw", sensor="varifocal-1080p", height_m=height_m, fov_deg=40.0
+        )
         (unit,) = changed(add).variant.units
         assert unit.pose.position_m[2] - site.position_m[2] == pytest.approx(hung_m)
         assert unit.sensor.horizontal_fov_deg == 40.0
@@ -120,7 +126,9 @@ def test_a_copy_has_height_and_lens_as_far_as_pole_and_model_have_them():
         ({"sensor": "carla-ncap-lidar", "fov_deg": 40.0}, "only cameras have lenses"),
     ):
         with pytest.raises(InputError, match=said):
-            changed(AddUnit(**{"site": "corner-sw", "sensor": "varifocal-1080p", **asked}))
+            changed(
+                AddUnit(**{"site": "corner-sw", "sensor": "varifocal-1080p", **asked})
+            )
 
 
 def test_no_way_leads_to_more_units_than_the_limit():
@@ -132,7 +140,9 @@ def test_no_way_leads_to_more_units_than_the_limit():
     with pytest.raises(InputError, match="units: got 1,001"):
         Variant(name="many", units=tuple(many))
     record = json.dumps({"layout": [{}] * (MAX_UNITS + 1)}).encode()
-    with pytest.raises(InputError, match=r"x\.json: units: got 1,001; expected at most 1,000"):
+    with pytest.raises(
+        InputError, match=r"x\.json: units: got 1,001; expected at most 1,000"
+    ):
         read_plan(record, "x.json")
     plan = b'{"schema": "place-rsus/plan/1", "variants": [' + record + b"]}"
     with pytest.raises(InputError, match=r"x\.json: variants\[0\]: units: got 1,001"):
@@ -149,14 +159,17 @@ def test_variants_from_files_are_told_apart():
     names = [each.name for each in state.variants[2:]]
     assert names == ["north: layout", "south: layout", "south: layout (2)"]
     (unnamed,) = read_plan(
-        json.dumps({"layout": layout_records(load_carlancap_layout())}).encode(), "../a/north.json"
+        json.dumps({"layout": layout_records(load_carlancap_layout())}).encode(),
+        "../a/north.json",
     ).variants
     assert unnamed.name == "north"
 
 
 def test_a_plan_of_another_scene_is_refused():
     text = plan_text(ONE, replace(SCENE, name="elsewhere")).encode()
-    with pytest.raises(InputError, match="got one made for elsewhere; expected one of town05"):
+    with pytest.raises(
+        InputError, match="got one made for elsewhere; expected one of town05"
+    ):
         check_plan(read_plan(text, "plan.json"), SCENE)
     check_plan(read_plan(plan_text(ONE, SCENE).encode(), "plan.json"), SCENE)
 
@@ -164,16 +177,37 @@ def test_a_plan_of_another_scene_is_refused():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (AddUnit(site="nowhere", sensor=CAMERA), "site: got 'nowhere'; expected a site of town05"),
+        (
+            AddUnit(site="nowhere", sensor=CAMERA),
+            "site: got 'nowhere'; expected a site of town05",
+        ),
         (AddUnit(site="corner-ne", sensor="x"), "sensor: got 'x'; expected one of"),
-        (ChangeUnit(unit="U9", yaw_deg=0.0), "unit: got 'U9'; expected one that is mounted there"),
-        (ChangeUnit(unit="U1", height_m=99.0), r"height: got 99.0; expected 4 \.\. 8.5 m, the ran"),
-        (ChangeUnit(unit="U1", pitch_deg=91.0), r"tilt: got 91.0; expected -90 \.\. 90 degrees"),
-        (ChangeUnit(unit="U1", yaw_deg=float("nan")), "direction: got nan; expected a finite"),
-        (ChangeUnit(unit="U1", fov_deg=50.0), "lens: got 50.0; expected .* a fixed lens"),
+        (
+            ChangeUnit(unit="U9", yaw_deg=0.0),
+            "unit: got 'U9'; expected one that is mounted there",
+        ),
+        (
+            ChangeUnit(unit="U1", height_m=99.0),
+            r"height: got 99.0; expected 4 \.\. 8.5 m, the ran",
+        ),
+        (
+            ChangeUnit(unit="U1", pitch_deg=91.0),
+            r"tilt: got 91.0; expected -90 \.\. 90 degrees",
+        ),
+        (
+            ChangeUnit(unit="U1", yaw_deg=float("nan")),
+            "direction: got nan; expected a finite",
+        ),
+        (
+            ChangeUnit(unit="U1", fov_deg=50.0),
+            "lens: got 50.0; expected .* a fixed lens",
+        ),
         (SelectVariant(index=1), "variant: got 1; expected 0 to 0"),
         (RenameVariant(name=" "), "name: got ''; expected 1 to 80 letters"),
-        (RemoveVariant(), "variant: got 'Variant 1'; expected another one: the last one stays"),
+        (
+            RemoveVariant(),
+            "variant: got 'Variant 1'; expected another one: the last one stays",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_told(change, message):
@@ -185,7 +219,9 @@ def test_a_pole_carries_two_units_and_no_third():
     add = AddUnit(site="corner-ne", sensor=CAMERA)
     two = changed(add, state=ONE)
     assert [unit.id for unit in two.variant.units] == ["U1", "U2"]
-    with pytest.raises(InputError, match="site corner-ne: got a unit more than the 2 there"):
+    with pytest.raises(
+        InputError, match="site corner-ne: got a unit more than the 2 there"
+    ):
         changed(add, state=two)
     elsewhere = changed(AddUnit(site="corner-sw", sensor=CAMERA), state=two)
     with pytest.raises(InputError, match="site corner-ne"):
@@ -193,12 +229,16 @@ def test_a_pole_carries_two_units_and_no_third():
 
 
 def test_variants_are_apart():
-    state = changed(AddVariant(), RemoveUnit(unit="U1"), RenameVariant(name="without"), state=ONE)
+    state = changed(
+        AddVariant(), RemoveUnit(unit="U1"), RenameVariant(name="without"), state=ONE
+    )
     assert [(each.name, len(each.units)) for each in state.variants] == [
         ("Variant 1", 1),
         ("without", 0),
     ]
-    assert changed(SelectVariant(index=0), state=state).variant.units == ONE.variant.units
+    assert (
+        changed(SelectVariant(index=0), state=state).variant.units == ONE.variant.units
+    )
     assert changed(RemoveVariant(), state=state).variants[0].name == "Variant 1"
     with pytest.raises(InputError, match="name: got 'Variant 1'"):
         changed(RenameVariant(name="Variant 1"), state=state)
@@ -208,21 +248,30 @@ def test_variants_are_apart():
 
 @given(st.lists(st.sampled_from(["go", "undo", "redo"]), max_size=60))
 def test_undo_and_redo_walk_through_what_was(steps):
-    history, past, future = begin_history(()), [], []
-    now, number = history.state, 0
+    history = begin_history(())
+    past = []
+    future = []
+    now = history.state
+    number = 0
     for step in steps:
         if step == "go":
             number += 1
-            past, future, now = [*past, now], [], changed(RenameVariant(name=f"{number}"))
+            past = [*past, now]
+            future = []
+            now = changed(RenameVariant(name=f"{number}"))
             history = history.went_on(now)
         elif step == "undo":
             history = history.undone()
             if past:
-                future, now, past = [now, *future], past[-1], past[:-1]
+                future = [now, *future]
+                now = past[-1]
+                past = past[:-1]
         else:
             history = history.redone()
             if future:
-                past, now, future = [*past, now], future[0], future[1:]
+                past = [*past, now]
+                now = future[0]
+                future = future[1:]
         assert history.state is now
         assert (history.can_undo, history.can_redo) == (bool(past), bool(future))
 
@@ -251,25 +300,33 @@ def test_the_oldest_steps_are_forgotten():
 
 def test_a_layout_is_saved_as_the_command_line_reads_it(tmp_path):
     study = load_carlancap_layout()
-    (tmp_path / "layout.json").write_text(layout_text(ONE.with_units(study.units), SCENE))
+    (tmp_path / "layout.json").write_text(
+        layout_text(ONE.with_units(study.units), SCENE)
+    )
     back = load_layout(tmp_path / "layout.json")
     assert layout_records(back) == layout_records(study)
     assert back.scene_name == SCENE.name
 
 
 def test_a_plan_comes_back_with_all_its_variants():
-    state = changed(AddVariant(name="more"), AddUnit(site="corner-sw", sensor=CAMERA), state=ONE)
+    state = changed(
+        AddVariant(name="more"), AddUnit(site="corner-sw", sensor=CAMERA), state=ONE
+    )
     state = changed(AddVariant(name="none"), RemoveUnit(unit="U1"), state=state)
     state = changed(RemoveUnit(unit="U2"), state=state)
     back = read_plan(plan_text(state, SCENE).encode(), "plan.json").variants
     assert [each.name for each in back] == ["Variant 1", "more", "none"]
     for one, other in zip(back, state.variants, strict=True):
         if one.units:
-            assert layout_records(one.layout(SCENE)) == layout_records(other.layout(SCENE))
+            assert layout_records(one.layout(SCENE)) == layout_records(
+                other.layout(SCENE)
+            )
         else:
             assert other.units == ()
     (alone,) = read_plan(layout_text(ONE, SCENE).encode(), "layout.json").variants
-    assert layout_records(alone.layout(SCENE)) == layout_records(ONE.variant.layout(SCENE))
+    assert layout_records(alone.layout(SCENE)) == layout_records(
+        ONE.variant.layout(SCENE)
+    )
 
 
 @pytest.mark.parametrize(
@@ -279,10 +336,15 @@ def test_a_plan_comes_back_with_all_its_variants():
         (b"\xff", "x.json: got "),
         (b"[" * 100_000, "x.json: got "),
         (b"[]", "x.json: got no list 'layout'"),
-        (b'{"schema": "place-rsus/plan/1", "variants": []}', "x.json: variants: got none"),
+        (
+            b'{"schema": "place-rsus/plan/1", "variants": []}',
+            "x.json: variants: got none",
+        ),
         (b'{"schema": "place-rsus/plan/1", "variants": [1]}', r"variants\[0\]: got 1"),
         (
-            json.dumps({"schema": "place-rsus/plan/1", "variants": [{"layout": [{}]}]}).encode(),
+            json.dumps(
+                {"schema": "place-rsus/plan/1", "variants": [{"layout": [{}]}]}
+            ).encode(),
             r"variants\[0\]: layout\[0\].id: got nothing",
         ),
     ],
@@ -309,20 +371,29 @@ def on_pole(state, *changes):
 
 
 def test_an_own_pole_is_as_most_are_and_moves_with_what_hangs_on_it():
-    (east, north), (later_east, later_north) = beside("lamp-n1", 0, 2), beside("lamp-n1", 0, 4)
+    (east, north), (later_east, later_north) = (
+        beside("lamp-n1", 0, 2),
+        beside("lamp-n1", 0, 4),
+    )
     added = AddUnit(site="own-1", sensor=CAMERA)
     state = on_pole(EMPTY, PutPole(east_m=east, north_m=north), added, AddVariant())
     (pole,) = state.poles
     assert (pole.id, pole.kind, pole.capacity_units) == ("own-1", "lamp post", 2)
     assert pole.height_range_m.tolist() == [4.0, 8.5]
-    moved = on_pole(state, PutPole(east_m=later_east, north_m=later_north, site="own-1"))
+    moved = on_pole(
+        state, PutPole(east_m=later_east, north_m=later_north, site="own-1")
+    )
     for before, after in zip(state.variants, moved.variants, strict=True):
         step_m = after.units[0].pose.position_m - before.units[0].pose.position_m
-        assert step_m == pytest.approx([0.0, 2.0, 0.0], abs=0.02)  # to whole centimetres
+        assert step_m == pytest.approx(
+            [0.0, 2.0, 0.0], abs=0.02
+        )  # to whole centimetres
         assert after.units[0].pose.yaw_deg == before.units[0].pose.yaw_deg
     with pytest.raises(InputError, match="own-1, which carries U1 of Variant 1"):
         on_pole(moved, RemovePole(site="own-1"))
-    bare = on_pole(moved, RemoveUnit(unit="U1"), SelectVariant(index=0), RemoveUnit(unit="U1"))
+    bare = on_pole(
+        moved, RemoveUnit(unit="U1"), SelectVariant(index=0), RemoveUnit(unit="U1")
+    )
     assert on_pole(bare, RemovePole(site="own-1")).poles == ()
 
 
@@ -339,9 +410,13 @@ def test_a_pole_stands_beside_the_road_in_the_open_air(place_m, said):
     if said is None:  # in the middle of each building
         for index, instance in enumerate(SCENE.instances):
             if instance.class_name == "building":
-                corners = SCENE.vertices_m[SCENE.triangles[SCENE.triangle_instance == index]]
+                corners = SCENE.vertices_m[
+                    SCENE.triangles[SCENE.triangle_instance == index]
+                ]
                 east, north, _ = corners.reshape(-1, 3).mean(axis=0)
-                with pytest.raises(InputError, match=f"a place inside building {instance.id}"):
+                with pytest.raises(
+                    InputError, match=f"a place inside building {instance.id}"
+                ):
                     on_pole(EMPTY, PutPole(east_m=float(east), north_m=float(north)))
         return
     with pytest.raises(InputError, match=said):
@@ -384,7 +459,10 @@ def test_files_have_own_poles_and_every_command_reads_what_hangs_there(tmp_path)
     ],
 )
 def test_tiles_and_places_of_the_plan_lead_to_each_other_as_by_pyproj(crs):
-    shift_m = np.array([691_000.0, 5_335_000.0]) if crs.startswith("EPSG") else np.zeros(2)
+    if crs.startswith("EPSG"):
+        shift_m = np.array([691_000.0, 5_335_000.0])
+    else:
+        shift_m = np.zeros(2)
     scene = replace(SCENE, crs=crs, outline_m=SCENE.outline_m + shift_m)
     frame = tile_frame(scene)
     away_m = np.random.default_rng(1).uniform(-1400.0, 1400.0, (200, 2))
@@ -392,16 +470,31 @@ def test_tiles_and_places_of_the_plan_lead_to_each_other_as_by_pyproj(crs):
     to_mercator = Transformer.from_crs(crs, "EPSG:3857", always_xy=True)
     whole_m = 2.0 * np.pi * 6378137.0
     east, north = np.array(to_mercator.transform(*places_m.T)) / whole_m
-    tiles = (np.column_stack([east + 0.5, 0.5 - north]) - frame["middle"]) / frame["size"]
+    tiles = (np.column_stack([east + 0.5, 0.5 - north]) - frame["middle"]) / frame[
+        "size"
+    ]
     plan = (100.0 * places_m - frame["centre"]) / frame["reach"]
 
     def fitted(given, fit):
         u, v = given.T
-        powers = [1 + 0 * u, u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3]
+        powers = [
+            1 + 0 * u,
+            u,
+            v,
+            u * u,
+            u * v,
+            v * v,
+            u**3,
+            u * u * v,
+            u * v * v,
+            v**3,
+        ]
         return np.stack(powers, 1) @ np.array(fit)
 
     np.testing.assert_allclose(fitted(tiles, frame["toPlan"]), plan, atol=1e-3 / 1500.0)
-    np.testing.assert_allclose(fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0)
+    np.testing.assert_allclose(
+        fitted(plan, frame["toTiles"]), tiles, atol=1e-3 / 1500.0
+    )
 
 
 def test_a_scene_of_no_known_place_has_no_tiles():
@@ -439,5 +532,7 @@ def test_the_page_may_ask_the_named_server_alone(template, origin):
     ],
 )
 def test_an_address_that_is_none_of_tiles_is_refused(template):
-    with pytest.raises(InputError, match=r"--tiles: got .*; expected an address such as https://"):
+    with pytest.raises(
+        InputError, match=r"--tiles: got .*; expected an address such as https://"
+    ):
         read_tile_server(template, "")

@@ -63,7 +63,10 @@ def open_client(tmp_path, small_setting, few_poses):  # noqa: F811
     clients = []
 
     def make(units=(), *, setting=small_setting, **given):
-        variants = [Variant(name="mine", units=tuple(units))] if units else []
+        if units:
+            variants = [Variant(name="mine", units=tuple(units))]
+        else:
+            variants = []
         session = small_session(tmp_path, setting, variants=variants, **given)
         app = build_app(session, token=TOKEN, hosts=frozenset({HOST}))
         client = TestClient(app, base_url=f"http://{HOST}")
@@ -145,7 +148,9 @@ def test_who_has_not_the_address_is_not_let_in(open_client, path, headers, said)
     assert "mine" not in response.text
 
 
-@pytest.mark.parametrize("headers", [{}, {"origin": "http://evil.example"}, {"origin": "null"}])
+@pytest.mark.parametrize(
+    "headers", [{}, {"origin": "http://evil.example"}, {"origin": "null"}]
+)
 def test_a_line_is_open_to_this_page_alone(open_client, headers):
     client = open_client()
     with (
@@ -158,7 +163,10 @@ def test_a_line_is_open_to_this_page_alone(open_client, headers):
 def test_nothing_is_taken_from_another_page(open_client):
     client = open_client()
     for headers in ({}, {"origin": "http://evil.example"}):
-        assert client.post(f"/{TOKEN}/open", content=b"{}", headers=headers).status_code == 403
+        assert (
+            client.post(f"/{TOKEN}/open", content=b"{}", headers=headers).status_code
+            == 403
+        )
 
 
 def test_the_page_asks_for_nothing_from_elsewhere(open_client):
@@ -179,7 +187,9 @@ def test_the_page_asks_for_nothing_from_elsewhere(open_client):
     assert "<script>" not in page.text
 
 
-@pytest.mark.parametrize("name", ["..%2f..%2fpyproject.toml", "tasks.py", "watch.html.j2", "x"])
+@pytest.mark.parametrize(
+    "name", ["..%2f..%2fpyproject.toml", "tasks.py", "watch.html.j2", "x"]
+)
 def test_no_path_of_a_browser_is_opened(open_client, name):
     assert open_client().get(f"/{TOKEN}/files/{name}").status_code == 404
 
@@ -234,7 +244,12 @@ def test_hang_turn_undo_and_the_evaluator_agrees_to_the_last_digit(
 
 
 LENSES = {
-    "brown-conrady": (480, "k1 = -0.12, p1 = 0.001", 90.0, "fov_range_deg = [50.0, 100.0]"),
+    "brown-conrady": (
+        480,
+        "k1 = -0.12, p1 = 0.001",
+        90.0,
+        "fov_range_deg = [50.0, 100.0]",
+    ),
     "fisheye": (600, "k1 = -0.02, k2 = 0.003", 190.0, "roll_deg = 3.0"),
 }
 
@@ -244,7 +259,9 @@ def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     open_client, join, few_runs, tmp_path, monkeypatch, model
 ):
     runs = tuple(run for run in few_runs.runs if run.case.name == "CBLA")
-    setting = replace(few_runs, runs=runs, axis=build_frame_axis(runs, weight_per_run(runs)))
+    setting = replace(
+        few_runs, runs=runs, axis=build_frame_axis(runs, weight_per_run(runs))
+    )
     lay_runs_of(monkeypatch, setting)
     height_px, terms, fov_deg, more = LENSES[model]
     path = tmp_path / "own.toml"
@@ -276,19 +293,26 @@ def test_a_camera_with_a_lens_is_planned_seen_and_judged(
     assert exact["record"] == json.loads(to_json_text(result.evaluation))
     assert result.evaluation.rsu_all.all > 0.0
     run_id = setting.axis.run_ids[0]
-    picture = client.get(f"/{TOKEN}/picture", params={"run": run_id, "unit": "U1", "frame": "-5"})
+    picture = client.get(
+        f"/{TOKEN}/picture", params={"run": run_id, "unit": "U1", "frame": "-5"}
+    )
     assert picture.content[:2] == b"\xff\xd8"
     assert client.get(f"/{TOKEN}/sheet.pdf").content.startswith(b"%PDF")
 
 
-def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_client, join):
+def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(
+    open_client, join
+):
     line = join(open_client())
     before = line.last["state"]["revision"]
     for message, said in (
         ({"do": "add", "site": "x", "sensor": "carla-ncap-rgb"}, "site: got 'x'"),
         ({"do": "remove", "unit": "U1"}, "unit: got 'U1'"),
         ({"do": "fly"}, "message: got"),
-        ({"do": "add", "site": "corner-ne", "sensor": "carla-ncap-rgb", "path": "/"}, "message"),
+        (
+            {"do": "add", "site": "corner-ne", "sensor": "carla-ncap-rgb", "path": "/"},
+            "message",
+        ),
         ({"do": "take", "number": 3}, "proposal: got 3"),
         ({"do": "sensors", "names": ["/etc/passwd"]}, "sensors: got '/etc/passwd'"),
     ):
@@ -296,14 +320,18 @@ def test_what_cannot_be_done_is_told_to_who_asked_and_changes_nothing(open_clien
         problem = line.until(lambda told: told["type"] == "problem")
         assert said in problem["text"]
     line.socket.send_text("x" * 70_000)
-    assert "message: got 70000 bytes" in line.until(lambda told: told["type"] == "problem")["text"]
+    assert (
+        "message: got 70000 bytes"
+        in line.until(lambda told: told["type"] == "problem")["text"]
+    )
     line.send(do="rename-variant", name="still there")
     assert line.state()["revision"] == before + 1
 
 
 def test_bytes_in_place_of_text_end_one_line_alone(open_client, join):
     client = open_client()
-    one, other = join(client), join(client)
+    one = join(client)
+    other = join(client)
     one.socket.send_bytes(b"\x00\xff")
     other.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
     assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
@@ -311,7 +339,8 @@ def test_bytes_in_place_of_text_end_one_line_alone(open_client, join):
 
 def test_two_browsers_look_at_one_desk(open_client, join):
     client = open_client()
-    one, other = join(client), join(client)
+    one = join(client)
+    other = join(client)
     one.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
     assert [unit["id"] for unit in other.state()["units"]] == ["U1"]
     other.send(do="undo")
@@ -333,29 +362,41 @@ def test_pixel_density_is_told_when_asked_for(open_client, join):
     assert list(found["shares"])[-2:] == ["coarser", "unseen"]
 
 
-def test_the_optimiser_proposes_and_is_taken_over_or_dropped(open_client, join, tmp_path):
+def test_the_optimiser_proposes_and_is_taken_over_or_dropped(
+    open_client, join, tmp_path
+):
     line = join(open_client(load_carlancap_layout().units[:1]))
     line.send(do="ask", request="next")
-    told = line.until(lambda message: message["type"] == "proposals" and message["proposals"])
+    told = line.until(
+        lambda message: message["type"] == "proposals" and message["proposals"]
+    )
     (proposal,) = told["proposals"]
     assert proposal["isProven"]
     assert len(proposal["drawn"]) == 2
-    assert proposal["words"].startswith(f"On the detection table: APR {proposal['onTable']}")
+    assert proposal["words"].startswith(
+        f"On the detection table: APR {proposal['onTable']}"
+    )
     line.send(do="take", number=proposal["number"])
     assert len(line.state()["units"]) == 2
     line.send(do="undo")
     assert len(line.state()["units"]) == 1
     line.send(do="ask", request="re-aim")
-    told = line.until(lambda message: message["type"] == "proposals" and message["proposals"])
+    told = line.until(
+        lambda message: message["type"] == "proposals" and message["proposals"]
+    )
     number = told["proposals"][0]["number"]
     line.send(do="take", number=number, as_variant=True)
     state = line.state()
-    assert [each["name"] for each in state["variants"]] == ["mine", "All re-aimed, poles kept"]
+    assert [each["name"] for each in state["variants"]] == [
+        "mine",
+        "All re-aimed, poles kept",
+    ]
     assert state["current"] == 1
     line.send(do="ask", request="complete", units=1)
     notice = line.until(lambda message: message["type"] == "notice")
     assert (
-        notice["text"] == "units in all: got 1; expected more than the 1 that are mounted already"
+        notice["text"]
+        == "units in all: got 1; expected more than the 1 that are mounted already"
     )
 
 
@@ -420,7 +461,9 @@ def test_what_is_too_large_is_refused_and_not_kept(open_client, tmp_path, monkey
     monkeypatch.setattr(server, "MAX_PLAN_BYTES", 1000)
     client = open_client()
     response = client.post(
-        f"/{TOKEN}/open", content=b"x" * 1001, headers=ORIGIN | {"x-file-name": "x.json"}
+        f"/{TOKEN}/open",
+        content=b"x" * 1001,
+        headers=ORIGIN | {"x-file-name": "x.json"},
     )
     assert "more than 1,000 bytes" in response.json()["problem"]
     assert not list(tmp_path.glob("received*"))
@@ -441,11 +484,15 @@ POINTS = {
 
 def lay(client, content=PNG, points=POINTS):
     return client.post(
-        f"/{TOKEN}/background", content=content, headers=ORIGIN | {"x-points": json.dumps(points)}
+        f"/{TOKEN}/background",
+        content=content,
+        headers=ORIGIN | {"x-points": json.dumps(points)},
     )
 
 
-def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(open_client, join, tmp_path):
+def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(
+    open_client, join, tmp_path
+):
     client = open_client()
     line = join(client)
     assert lay(client).status_code == 200
@@ -458,7 +505,9 @@ def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(open_client, join, 
     assert lay(client, b"").status_code == 200
     assert client.get(f"/{TOKEN}/background").status_code == 404
     assert "background" not in json.loads(client.get(f"/{TOKEN}/plan.json").content)
-    client.post(f"/{TOKEN}/open", content=plan, headers=ORIGIN | {"x-file-name": "p.json"})
+    client.post(
+        f"/{TOKEN}/open", content=plan, headers=ORIGIN | {"x-file-name": "p.json"}
+    )
     assert client.get(f"/{TOKEN}/background").content == PNG
     again = client.get(f"/{TOKEN}/plan.json").content
     assert json.loads(again)["background"] == json.loads(plan)["background"]
@@ -472,8 +521,16 @@ def test_an_image_is_kept_in_the_plan_and_comes_back_with_it(open_client, join, 
         (PNG, {}, "image: points: got"),
         (PNG, POINTS | {"path": "/etc/passwd"}, "image: points: got"),
         (PNG, POINTS | {"width_px": 0}, "got 0 by 100 pixels"),
-        (PNG, POINTS | {"points": [POINTS["points"][0]] * 2}, "got points 0.0 px and 0.00 m"),
-        (PNG, POINTS | {"points": [POINTS["points"][0] | {"x_px": 1e300}] * 2}, "numbers up to"),
+        (
+            PNG,
+            POINTS | {"points": [POINTS["points"][0]] * 2},
+            "got points 0.0 px and 0.00 m",
+        ),
+        (
+            PNG,
+            POINTS | {"points": [POINTS["points"][0] | {"x_px": 1e300}] * 2},
+            "numbers up to",
+        ),
     ],
 )
 def test_what_is_no_image_or_lies_nowhere_is_told(open_client, content, points, said):
@@ -506,7 +563,9 @@ def test_a_plan_whose_image_is_damaged_is_refused(open_client, image):
 def garden(tmp_path):
     scene = load_study_scene()
     x, y = scene.outline_m.mean(axis=0)
-    ring = to_geographic(np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs)
+    ring = to_geographic(
+        np.array(box(x - 20, y + 8, x - 4, y + 18).exterior.coords), scene.crs
+    )
     path = tmp_path / "garden.geojson"
     shape = {"type": "Polygon", "coordinates": [ring.tolist()]}
     feature = {"type": "Feature", "properties": {"name": "garden"}, "geometry": shape}
@@ -523,7 +582,8 @@ def test_private_areas_in_view_are_those_that_evaluate_tells(open_client, join, 
     ground = load_private_ground(garden, scene)
     told = build_private_ground_record(units, scene, ground).units
     expected = sorted(
-        ((share["garden"], unit) for unit, share in told.items() if share["garden"]), reverse=True
+        ((share["garden"], unit) for unit, share in told.items() if share["garden"]),
+        reverse=True,
     )
     (area,) = numbers["private"]
     assert area["area"] == "garden"
@@ -542,13 +602,17 @@ def test_private_areas_are_kept_when_another_scene_is_opened(open_client, join, 
     line = join(client)
     (garden.parent / "same").mkdir()
     save_scene(garden.parent / "same", load_study_scene())
-    archive = shutil.make_archive(str(garden.parent / "same"), "zip", garden.parent / "same")
+    archive = shutil.make_archive(
+        str(garden.parent / "same"), "zip", garden.parent / "same"
+    )
     content = Path(archive).read_bytes()
     headers = ORIGIN | {"x-file-name": "same.zip"}
     line.last.clear()
     response = client.post(f"/{TOKEN}/open", content=content, headers=headers)
     assert response.json()["isScene"], response.text
-    assert client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN).status_code == 200
+    assert (
+        client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN).status_code == 200
+    )
     scene = line.until(lambda told: told["type"] == "scene")
     assert [area["name"] for area in scene["private"]] == ["garden"]
 
@@ -584,15 +648,24 @@ def test_an_evaluator_that_dies_is_told_and_asked_once_more(tmp_path, small_sett
         return [message["text"] for message in told if message["type"] == "notice"]
 
     notices = asyncio.run(work())
-    assert notices == ["the process that did it was ended from outside; it is tried again"]
+    assert notices == [
+        "the process that did it was ended from outside; it is tried again"
+    ]
 
 
-def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, small_setting):
+def test_numbers_of_the_table_never_follow_those_of_the_evaluator(
+    tmp_path, small_setting
+):
     async def work():
         units = load_carlancap_layout().units[:1]
         variants = [Variant(name="mine", units=units)]
         session = small_session(tmp_path, small_setting, variants=variants)
-        sources, calls, is_judged, is_done = [], count(1), threading.Event(), asyncio.Event()
+        sources, calls, is_judged, is_done = (
+            [],
+            count(1),
+            threading.Event(),
+            asyncio.Event(),
+        )
 
         def listen(message):
             if message["type"] != "numbers":
@@ -606,7 +679,9 @@ def test_numbers_of_the_table_never_follow_those_of_the_evaluator(tmp_path, smal
                 is_done.set()
 
         def private(units):
-            if next(calls) == 2:  # the table's numbers wait for this until the evaluator is done
+            if (
+                next(calls) == 2
+            ):  # the table's numbers wait for this until the evaluator is done
                 assert is_judged.wait(100)
             return {}
 
@@ -628,7 +703,9 @@ def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
     line = join(client)
     content = (MAPS / "crossing.osm").read_bytes()
     response = client.post(
-        f"/{TOKEN}/open", content=content, headers=ORIGIN | {"x-file-name": "crossing.osm"}
+        f"/{TOKEN}/open",
+        content=content,
+        headers=ORIGIN | {"x-file-name": "crossing.osm"},
     )
     told = response.json()
     assert told["map"] == "crossing.osm"
@@ -640,7 +717,9 @@ def test_a_map_is_dropped_and_a_junction_of_it_is_planned(open_client, join):
     chosen = told["junctions"][0]
     assert response.json()["scene"] == chosen["name"]  # the streets that meet
     scene = line.until(
-        lambda message: message["type"] == "scene" and message["title"] == chosen["name"]
+        lambda message: (
+            message["type"] == "scene" and message["title"] == chosen["name"]
+        )
     )
     assert scene["name"] == f"crossing/{chosen['id']}"  # as `scene import` names it
     assert scene["runs"]
@@ -659,7 +738,9 @@ def test_a_plan_is_not_lost_when_another_scene_is_opened(open_client, join, tmp_
     line.state()
     (tmp_path / "other").mkdir()
     save_scene(tmp_path / "other", replace(load_study_scene(), name="other"))
-    archive = Path(shutil.make_archive(str(tmp_path / "other"), "zip", tmp_path / "other"))
+    archive = Path(
+        shutil.make_archive(str(tmp_path / "other"), "zip", tmp_path / "other")
+    )
     headers = ORIGIN | {"x-file-name": "other.zip"}
     client.post(f"/{TOKEN}/open", content=archive.read_bytes(), headers=headers)
     client.post(f"/{TOKEN}/import", content=b"", headers=ORIGIN)
@@ -717,7 +798,9 @@ def test_views_are_told_for_every_unit_and_follow_what_is_turned(open_client, jo
         return line.until(lambda told: told["type"] == "view" and told["unit"] == unit)
 
     before = {unit: view_of(unit) for unit in ("RSU0", "RSU1")}
-    assert all(view["view"].startswith("M") and view["reachM"] > 20 for view in before.values())
+    assert all(
+        view["view"].startswith("M") and view["reachM"] > 20 for view in before.values()
+    )
     line.send(do="change", unit="RSU1", yaw_deg=0.0)
     assert view_of("RSU1")["view"] != before["RSU1"]["view"]
 
@@ -731,7 +814,8 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     for unit in told["units"]:
         missed = sum(reason["frames"] for reason in unit["reasons"])
         assert missed + unit["detected"] == told["inTime"]
-    record, run = told["record"], small_setting.runs[0]
+    record = told["record"]
+    run = small_setting.runs[0]
     assert record["car"]["x"] == np.rint(100.0 * run.vut_position_m[:, 0]).tolist()
     assert record["road"]["y"] == np.rint(100.0 * run.vru_position_m[:, 1]).tolist()
     assert [party["kind"] for party in told["parties"]][:2] == ["vut", "unit"]
@@ -740,7 +824,8 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
     assert "startPlayer" in page.text
     assert run_id in page.text
     picture = client.get(
-        f"/{TOKEN}/picture", params={"run": run_id, "unit": study.units[7].id, "frame": "-5"}
+        f"/{TOKEN}/picture",
+        params={"run": run_id, "unit": study.units[7].id, "frame": "-5"},
     )
     assert picture.content[:2] == b"\xff\xd8"
     for values, said in (
@@ -753,14 +838,20 @@ def test_a_lost_run_is_explained_played_and_seen(open_client, small_setting):
         assert said in response.json()["problem"]
 
 
-def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client, small_setting):
+def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(
+    open_client, small_setting
+):
     unit = load_carlancap_layout().units[7]
     client = open_client([unit])
     run = small_setting.runs[0]
     for frame in (0, len(run.time_s) - 1):
         values = {"unit": unit.id, "run": run.id, "frame": frame, "width": 320}
         found = client.get(f"/{TOKEN}/seen", params=values).json()
-        assert (found["run"], found["frame"], found["size"]) == (run.id, frame, [320, 180])
+        assert (found["run"], found["frame"], found["size"]) == (
+            run.id,
+            frame,
+            [320, 180],
+        )
         assert found["timeS"] == run.time_s[frame]
         image = Image.open(io.BytesIO(base64.b64decode(found["image"])))
         assert (image.format, image.size) == ("JPEG", (320, 180))
@@ -773,7 +864,9 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client,
             left, top, right, bottom = found["box"]
             assert left - 0.01 < at[0] < right + 0.01
             assert top - 0.01 < at[1] < bottom + 0.01
-    nearest = client.get(f"/{TOKEN}/seen", params={"unit": unit.id, "width": 160}).json()
+    nearest = client.get(
+        f"/{TOKEN}/seen", params={"unit": unit.id, "width": 160}
+    ).json()
     _, expected, time_s = draw_view(unit_of_width(unit, 160), small_setting)
     assert nearest["run"] == expected.id
     assert nearest["timeS"] == time_s
@@ -790,7 +883,9 @@ def test_a_camera_that_is_aimed_is_seen_with_the_road_user_of_a_run(open_client,
 
 def unit_of_width(unit, width_px):
     height_px = round(unit.sensor.height_px * width_px / unit.sensor.width_px)
-    return replace(unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px))
+    return replace(
+        unit, sensor=replace(unit.sensor, width_px=width_px, height_px=height_px)
+    )
 
 
 def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
@@ -802,11 +897,19 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     by_day = line.numbers("evaluator")
     assert line.last["question"]["now"]["weather"] == "day"
     line.send(do="question", weather="night", cars="see")
-    line.send(do="question", detector="response")  # before the runs of the first are laid
-    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.send(
+        do="question", detector="response"
+    )  # before the runs of the first are laid
+    line.until(
+        lambda message: message["type"] == "doing" and message["who"] == "setting"
+    )
     line.until(lambda message: message["type"] == "question")
     now = line.last["question"]["now"]
-    assert (now["weather"], now["cars"], now["detector"]) == ("night", "see", "response")
+    assert (now["weather"], now["cars"], now["detector"]) == (
+        "night",
+        "see",
+        "response",
+    )
     assert now["cases"] == "CPNC-50"
     assert [unit["id"] for unit in line.state()["units"]] == [unit.id for unit in units]
     by_night = line.numbers("evaluator")
@@ -819,22 +922,29 @@ def test_another_question_is_judged_with_the_same_layout_and_undo_leads_back(
     assert code == 0, err
     assert json.loads(out)["evaluation"] == by_night["record"]
     line.send(do="question", weather="fog")
-    line.until(lambda message: message["type"] == "doing" and message["who"] == "setting")
+    line.until(
+        lambda message: message["type"] == "doing" and message["who"] == "setting"
+    )
     line.send(do="undo")  # it is not waited for any longer
     line.until(lambda message: message["type"] == "question")
     assert line.last["question"]["now"]["weather"] == "day"
     line.state()
     assert line.numbers("evaluator")["record"] == by_day["record"]
-    told = [m["stage"] for m in line.seen if m["type"] == "doing" and m["who"] == "setting"]
+    told = [
+        m["stage"] for m in line.seen if m["type"] == "doing" and m["who"] == "setting"
+    ]
     if told[-1]:
-        line.until(lambda m: m["type"] == "doing" and m["who"] == "setting" and not m["stage"])
+        line.until(
+            lambda m: m["type"] == "doing" and m["who"] == "setting" and not m["stage"]
+        )
     assert line.last["question"]["now"]["weather"] == "day"
 
 
 def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setting):
     lamp = next(site for site in small_setting.scene.sites if site.id == "lamp-n1")
     line = join(open_client(load_carlancap_layout().units[6:7]))
-    east, north = float(lamp.position_m[0]), float(lamp.position_m[1]) + 2.0
+    east = float(lamp.position_m[0])
+    north = float(lamp.position_m[1]) + 2.0
     line.send(do="pole", east_m=east, north_m=north)
     (pole,) = line.state()["poles"]
     assert (pole["id"], pole["isOwn"]) == ("own-1", True)
@@ -857,7 +967,10 @@ def test_the_optimiser_may_use_a_pole_of_ones_own(open_client, join, small_setti
         ({"weather": ""}, "weather: got"),
         ({"detector": "/etc/passwd.toml"}, "detector: got"),
         ({"weights": "unfallatlas:/etc/passwd"}, "weights: got"),
-        ({"cases": "/etc/own.toml"}, "cases: got '/etc/own.toml'; expected sets and names"),
+        (
+            {"cases": "/etc/own.toml"},
+            "cases: got '/etc/own.toml'; expected sets and names",
+        ),
         ({"cases": "CPXX"}, "cases: got 'CPXX'"),
         ({"cars": "0.5"}, "cars: got '0.5'; expected blind or see"),
         ({"vam_rate": 1.5}, "vam_rate: got 1.5"),
@@ -869,11 +982,14 @@ def test_a_question_that_cannot_be_is_refused_at_once(open_client, join, changes
     problem = line.until(lambda message: message["type"] == "problem")
     assert problem["text"].replace("question: ", "").startswith(said)
     assert not any(
-        message["type"] == "doing" and message["who"] == "setting" for message in line.seen
+        message["type"] == "doing" and message["who"] == "setting"
+        for message in line.seen
     )
 
 
-def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting, monkeypatch):
+def test_of_pictures_that_wait_only_the_newest_is_drawn(
+    tmp_path, small_setting, monkeypatch
+):
     unit = load_carlancap_layout().units[7]
     variants = [Variant(name="mine", units=(unit,))]
     session = small_session(tmp_path, small_setting, variants=variants)
@@ -898,7 +1014,9 @@ def test_of_pictures_that_wait_only_the_newest_is_drawn(tmp_path, small_setting,
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_report_and_sheet_are_those_of_the_command_line(open_client, few_runs, monkeypatch):
+def test_report_and_sheet_are_those_of_the_command_line(
+    open_client, few_runs, monkeypatch
+):
     client = open_client(load_carlancap_layout().units[:1])
     sheet = client.get(f"/{TOKEN}/sheet.pdf")
     assert sheet.content.startswith(b"%PDF")
@@ -924,7 +1042,9 @@ def test_the_plan_is_kept_in_a_file_when_it_rests(open_client, join, tmp_path):
     line.send(do="add", site="corner-ne", sensor="carla-ncap-rgb")
     line.state()
     line.numbers("evaluator")
-    assert json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+    assert (
+        json.loads(path.read_text())["variants"][0]["layout"][0]["site"] == "corner-ne"
+    )
 
 
 def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
@@ -934,25 +1054,34 @@ def test_junctions_of_the_named_map_are_offered_and_its_file_is_left_alone(
     crossing(osm, bearings=[(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0)])
     osm.parts = [part.replace("Street 1", "&lt;img src=x&gt;") for part in osm.parts]
     path = osm.write(tmp_path, "own.osm")
-    client = open_client(map_file=MapFile(path=path, name="own.osm", options={"keeps_left": True}))
+    client = open_client(
+        map_file=MapFile(path=path, name="own.osm", options={"keeps_left": True})
+    )
     line = join(client)
     assert line.last["scene"]["map"] == "own.osm"
     told = client.get(f"/{TOKEN}/junctions").json()
     (junction,) = told["junctions"]
     assert "&lt;img src=x&gt;" in told["chooser"]
     assert "<img" not in told["chooser"]
-    response = client.post(f"/{TOKEN}/import", content=junction["id"].encode(), headers=ORIGIN)
+    response = client.post(
+        f"/{TOKEN}/import", content=junction["id"].encode(), headers=ORIGIN
+    )
     assert response.status_code == 200, response.text
     scene = line.until(lambda message: message["type"] == "scene" and message["map"])
     assert scene["title"] == junction["name"]
     content = (MAPS / "crossing.osm").read_bytes()
     headers = ORIGIN | {"x-file-name": "crossing.osm"}
-    assert client.post(f"/{TOKEN}/open", content=content, headers=headers).status_code == 200
+    assert (
+        client.post(f"/{TOKEN}/open", content=content, headers=headers).status_code
+        == 200
+    )
     assert path.exists()
 
 
 def test_the_page_asks_its_own_server_and_that_of_tiles_alone(open_client):
-    client = open_client(tiles=read_tile_server("https://tiles.example/{z}/{x}/{y}.png", ""))
+    client = open_client(
+        tiles=read_tile_server("https://tiles.example/{z}/{x}/{y}.png", "")
+    )
     policy = client.get(f"/{TOKEN}/").headers["content-security-policy"]
     assert "img-src 'self' data: blob: https://tiles.example;" in policy
     assert policy.count("http") == 1

@@ -26,9 +26,16 @@ def advice(*stages, n_compared=0):
         Stage(name=name, objective=1.0, bound=bound, gap=gap, seconds=0.0)
         for name, bound, gap in stages
     ]
-    certificate = Certificate(stages=tuple(made), solver="") if made else None
+    if made:
+        certificate = Certificate(stages=tuple(made), solver="")
+    else:
+        certificate = None
     return Advice(
-        units=(), before=None, after=VALUE, certificate=certificate, n_compared=n_compared
+        units=(),
+        before=None,
+        after=VALUE,
+        certificate=certificate,
+        n_compared=n_compared,
     )
 
 
@@ -39,11 +46,17 @@ def advice(*stages, n_compared=0):
         (advice(("apr", 0.9, 0.0)), "proven: nothing of its kind is better"),
         (
             advice(("apr", 0.9, 0.0), ("mean_margin_s", 2.0, 0.5)),
-            "proven: no APR is higher; of those with the same APR not all were compared in time",
+            (
+                "proven: no APR is higher; of those with the same APR not all were"
+                " compared in time"
+            ),
         ),
         (
             advice(("cost_eur", 4040.0, 0.0), ("apr", 0.9, 0.5)),
-            "proven: none costs less; of those with the same price not all were compared in time",
+            (
+                "proven: none costs less; of those with the same price not all were"
+                " compared in time"
+            ),
         ),
         (
             advice(("apr", 0.837, 0.1)),
@@ -51,7 +64,10 @@ def advice(*stages, n_compared=0):
         ),
         (
             advice(("cost_eur", 4040.0, 0.1)),
-            "not proven in the time given: nothing for less than 4,040 EUR is possible there",
+            (
+                "not proven in the time given: nothing for less than 4,040 EUR is"
+                " possible there"
+            ),
         ),
     ],
 )
@@ -66,7 +82,9 @@ UTM = "EPSG:32632"
 
 def aerial(path, *, driver, step_m=0.25, turn_deg=0.0, **more):
     """An image of 60 m around the junction, dark but for four coloured squares, and its grid."""
-    rasterio = pytest.importorskip("rasterio", reason="place-rsus[terrain] is not installed")
+    rasterio = pytest.importorskip(
+        "rasterio", reason="place-rsus[terrain] is not installed"
+    )
     scene = load_study_scene()
     middle = transform(scene.outline_m.mean(axis=0), scene.crs, UTM)
     size = round(60.0 / step_m)
@@ -79,15 +97,21 @@ def aerial(path, *, driver, step_m=0.25, turn_deg=0.0, **more):
     pixels = np.full((3, size, size), 40, dtype=np.uint8)
     squares = {(0.25, 0.25): 0, (0.75, 0.25): 1, (0.25, 0.75): 2}
     for (across, down), band in squares.items():
-        rows, columns = (slice(int(p * size) - 6, int(p * size) + 6) for p in (down, across))
+        rows, columns = (
+            slice(int(p * size) - 6, int(p * size) + 6) for p in (down, across)
+        )
         pixels[band, rows, columns] = 250
     about = {"count": 3, "width": size, "height": size, "dtype": "uint8", **more}
-    with warnings.catch_warnings():  # one that says not where it lies is written on purpose
+    with (
+        warnings.catch_warnings()
+    ):  # one that says not where it lies is written on purpose
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path, "w", driver=driver, **about) as raster:
             raster.write(pixels)
     places = {band: grid @ (p[0] * size, p[1] * size) for p, band in squares.items()}
-    return grid, {band: transform(place, UTM, scene.crs) for band, place in places.items()}
+    return grid, {
+        band: transform(place, UTM, scene.crs) for band, place in places.items()
+    }
 
 
 def assert_lies_right(background, places):
@@ -128,7 +152,10 @@ def test_an_image_with_a_world_file_lies_where_that_says(tmp_path):
     beside = path.with_suffix(".wld")
     beside.write_text("\n".join(map(str, world)))
     assert_lies_right(tasks_of(tmp_path).lay_raster(str(path), UTM), places)
-    for crs, said in (("EPSG:0", "systems that pyproj knows"), ("", "that says where it lies")):
+    for crs, said in (
+        ("EPSG:0", "systems that pyproj knows"),
+        ("", "that says where it lies"),
+    ):
         with pytest.raises(InputError, match=said):
             tasks_of(tmp_path).lay_raster(str(path), crs)
     world[4] += 5000.0

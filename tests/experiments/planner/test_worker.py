@@ -74,10 +74,23 @@ def test_tasks_are_done_elsewhere_by_a_process_that_may_be_stopped_or_die(tmp_pa
         worker.stop()
 
 
-@pytest.mark.parametrize("is_closed", [False, True], ids=["by-ctrl-c", "by-closing-the-page"])
-def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(tmp_path, is_closed):
+@pytest.mark.parametrize(
+    "is_closed", [False, True], ids=["by-ctrl-c", "by-closing-the-page"]
+)
+def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(
+    tmp_path, is_closed
+):
     pytest.importorskip("starlette", reason="place-rsus[plan] is not installed")
-    words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
+    words = [
+        "plan",
+        "--no-open",
+        "--cases",
+        "CPNC-50",
+        "--along-arms",
+        "0",
+        "--speeds",
+        "50",
+    ]
     environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
         [sys.executable, "-m", "experiments.main", *words, "--layout", "carlancap-12"],
@@ -99,7 +112,9 @@ def test_the_command_serves_until_it_ends_and_leaves_nothing_behind(tmp_path, is
             look_at(address)
         else:
             process.send_signal(signal.SIGINT)
-        assert ("The page was closed: ended." if is_closed else "\nEnded.") in process.stdout.read()
+        assert (
+            "The page was closed: ended." if is_closed else "\nEnded."
+        ) in process.stdout.read()
         assert process.wait(timeout=60) == 0
     for _ in range(100):  # whatever it had started ends with it
         try:
@@ -122,13 +137,24 @@ def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
         replace(
             unit,
             id=f"U{index}",
-            pose=replace(unit.pose, position_m=unit.pose.position_m + [0.0, 0.0, 0.001 * index]),
+            pose=replace(
+                unit.pose, position_m=unit.pose.position_m + [0.0, 0.0, 0.001 * index]
+            ),
         )
         for index, unit in zip(range(1000), cycle(study.units), strict=False)
     ]
     layout = tmp_path / "many.json"
     layout.write_text(to_json(replace(study, units=tuple(units))))
-    words = ["plan", "--no-open", "--cases", "CPNC-50", "--along-arms", "0", "--speeds", "50"]
+    words = [
+        "plan",
+        "--no-open",
+        "--cases",
+        "CPNC-50",
+        "--along-arms",
+        "0",
+        "--speeds",
+        "50",
+    ]
     with subprocess.Popen(
         [sys.executable, "-m", "experiments.main", *words, "--layout", str(layout)],
         stdout=subprocess.PIPE,
@@ -144,7 +170,10 @@ def test_ctrl_c_ends_it_at_once_while_a_thousand_units_are_counted(tmp_path):
         with connect(live, origin=origin, max_size=None) as line:
             for text in line:
                 told = json.loads(text)
-                if told["type"] == "doing" and (told["who"], told["stage"]) == ("rays", ""):
+                if told["type"] == "doing" and (told["who"], told["stage"]) == (
+                    "rays",
+                    "",
+                ):
                     break  # it is ready to count
             process.send_signal(signal.SIGINT)
             assert process.wait(timeout=15) == 0
@@ -169,7 +198,8 @@ def look_at(address):
 def test_others_are_let_in_only_by_who_says_so(run):
     code, out, err = run("plan", "--host", "0.0.0.0")
     assert (code, out) == (2, "")
-    assert err == (
-        "place-rsus: --host: got 0.0.0.0; expected --i-know beside it: others could change the "
-        "plan\n"
+    assert (
+        err
+        == "place-rsus: --host: got 0.0.0.0; expected --i-know beside it: others could"
+        " change the plan\n"
     )

@@ -68,12 +68,14 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def setting():
     return build_setting(
-        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run"), load_study_scene()
+        Question(cases="CPNC-50,CBNA,CBLA", along_arms="0", weights="run"),
+        load_study_scene(),
     )
 
 
 def build_evaluation(setting, layout, *, seed, share=0.9):
-    axis, rule = setting.axis, setting.rule
+    axis = setting.axis
+    rule = setting.rule
     rng = np.random.default_rng(seed)
 
     def verdict(detected):
@@ -92,7 +94,9 @@ def build_evaluation(setting, layout, *, seed, share=0.9):
             detected=detected,
             confirmation_time_s=confirmation,
             onset_time_s=confirmation + rule.latency_s,
-            is_avoided=is_in_time(confirmation, axis.last_brake_time_s, latency_s=rule.latency_s),
+            is_avoided=is_in_time(
+                confirmation, axis.last_brake_time_s, latency_s=rule.latency_s
+            ),
         )
 
     detected = rng.random((len(layout.units) + 1, axis.n_frames)) < share
@@ -104,7 +108,10 @@ def build_evaluation(setting, layout, *, seed, share=0.9):
         layout=layout,
         axis=axis,
         vut=verdict(detected[0]),
-        units={unit.id: verdict(row) for unit, row in zip(layout.units, detected[1:], strict=True)},
+        units={
+            unit.id: verdict(row)
+            for unit, row in zip(layout.units, detected[1:], strict=True)
+        },
         rsu_all=verdict(detected[1:].any(axis=0)),
         vut_and_rsus=verdict(detected.any(axis=0)),
     )
@@ -154,7 +161,13 @@ def placement_result(evaluations):
         gap=0.0,
         apr_without_worst_unit=0.8125,
         stages=[
-            {"name": "apr", "objective": 0.97, "bound": 0.97, "gap": 0.0, "seconds": 2.5},
+            {
+                "name": "apr",
+                "objective": 0.97,
+                "bound": 0.97,
+                "gap": 0.0,
+                "seconds": 2.5,
+            },
             {
                 "name": "smallest_margin_s",
                 "objective": 0.0,
@@ -234,7 +247,11 @@ def test_every_table_has_a_caption_and_scoped_headers(page):
     tags = Page(page).tags
     names = [tag for tag, _ in tags]
     assert names.count("caption") == names.count("table") == names.count("thead")
-    assert all(attributes.get("scope") in ("col", "row") for tag, attributes in tags if tag == "th")
+    assert all(
+        attributes.get("scope") in ("col", "row")
+        for tag, attributes in tags
+        if tag == "th"
+    )
 
 
 def test_every_unit_and_every_run_appears(page, setting):
@@ -252,17 +269,23 @@ def test_placement_page_opens_with_the_answer(placement_page, evaluations):
     assert 0 < n_avoided < 104  # else this test is worth little
     in_full = words[words.index("The answer in full") :]
     assert f"of the simulated collisions: {n_avoided} of 104" in words
-    proven = "Proven on the detection table: no choice among 4032 candidate poses has a higher APR."
+    proven = (
+        "Proven on the detection table: no choice among 4032 candidate poses has a"
+        " higher APR."
+    )
     assert proven in in_full
 
 
 def _first_screen(page):
     """Text of the page's head, without the answer in full."""
-    start, end = page.index("<header>"), page.index("<details")
+    start = page.index("<header>")
+    end = page.index("<details")
     return " ".join(re.sub("<[^>]*>", " ", page[start:end]).split())
 
 
-def test_the_first_screen_has_one_sentence_and_four_figures(placement_page, evaluations):
+def test_the_first_screen_has_one_sentence_and_four_figures(
+    placement_page, evaluations
+):
     words = html.unescape(_first_screen(placement_page))
     found = evaluations["found"]
     share, own, together = (
@@ -270,19 +293,24 @@ def test_the_first_screen_has_one_sentence_and_four_figures(placement_page, eval
         for verdict in (found.rsu_all, found.vut, found.vut_and_rsus)
     )
     assert (
-        f"Two cameras on two poles prevent {share} of the simulated collisions, by telling cars "
-        f"when to brake, and no other choice prevents more. The cars' own sensors alone prevent "
-        f"{own}, both together {together}."
-    ) in words
+        f"Two cameras on two poles prevent {share} of the simulated collisions, by"
+        " telling cars when to brake, and no other choice prevents more. The cars' own"
+        f" sensors alone prevent {own}, both together {together}." in words
+    )
     n_avoided = int(found.rsu_all.is_avoided.sum())
     assert f"Prevented {share} of the simulated collisions: {n_avoided} of 104" in words
     assert "If a sensor fails 75.0 %" in words
-    assert "Proof proven best no other choice does better among 4,032 possible mountings" in words
+    assert (
+        "Proof proven best no other choice does better among 4,032 possible mountings"
+        in words
+    )
     assert re.search(r"Cost [\d,]+ EUR", words)
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_the_first_screen_needs_no_code_and_no_abbreviation(placement_result, setting, evaluations):
+def test_the_first_screen_needs_no_code_and_no_abbreviation(
+    placement_result, setting, evaluations
+):
     found = evaluations["found"]
     dangers = build_dangers(found.rsu_all.is_avoided, found.axis)
     page = _page_of(
@@ -300,8 +328,8 @@ def test_the_first_screen_needs_no_code_and_no_abbreviation(placement_result, se
     titles = {run.case.name: run.case.title for run in setting.runs}
     title = titles[worst.name].replace("VUT", "car")
     assert (
-        f"{title[:1].upper()}{title[1:]}: {worst.not_avoided} of {worst.runs} not prevented."
-        in words
+        f"{title[:1].upper()}{title[1:]}: {worst.not_avoided} of {worst.runs} not"
+        " prevented." in words
     )
 
 
@@ -318,7 +346,11 @@ def test_the_first_screen_tells_weights_once_and_no_proof_that_there_is_not(
         replace_fields(
             placement_result,
             bound=0.99,
-            stages=(StageRecord(name="apr", objective=0.9, bound=0.99, gap=0.1, seconds=1.0),),
+            stages=(
+                StageRecord(
+                    name="apr", objective=0.9, bound=0.99, gap=0.1, seconds=1.0
+                ),
+            ),
         ),
         weighted,
         {"found": found},
@@ -352,11 +384,15 @@ def test_a_plan_by_a_detector_that_misses_by_chance_says_so(
         {"found": evaluations["found"]},
         command=COMMAND,
     )
-    assert ("--samples 8 chooses for the mean of eight worlds" in _first_screen(page)) == is_told
+    assert (
+        "--samples 8 chooses for the mean of eight worlds" in _first_screen(page)
+    ) == is_told
 
 
 def test_a_layout_that_was_given_is_not_said_to_be_proven(evaluation_page):
-    assert "this layout was given, and not searched for" in _first_screen(evaluation_page)
+    assert "this layout was given, and not searched for" in _first_screen(
+        evaluation_page
+    )
 
 
 def test_at_most_ten_sections_are_in_sight(page):
@@ -375,9 +411,19 @@ def test_placement_page_shows_the_certificate(placement_page):
 
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
-    stages = [{"name": "apr", "objective": 0.9, "bound": 0.95, "gap": 0.055556, "seconds": 60.0}]
+    stages = [
+        {
+            "name": "apr",
+            "objective": 0.9,
+            "bound": 0.95,
+            "gap": 0.055556,
+            "seconds": 60.0,
+        }
+    ]
     page = _page_of(
-        replace_fields(placement_result, stages=(msgspec.convert(stages[0], StageRecord),)),
+        replace_fields(
+            placement_result, stages=(msgspec.convert(stages[0], StageRecord),)
+        ),
         setting,
         {"found": evaluations["found"]},
         command=COMMAND,
@@ -388,7 +434,9 @@ def test_open_gap_is_not_called_proven(placement_result, setting, evaluations):
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, evaluations):
+def test_each_by_itself_where_one_unit_must_confirm(
+    placement_result, setting, evaluations
+):
     found = evaluations["found"]
     page = _page_of(
         replace_fields(placement_result, fusion="single"),
@@ -396,11 +444,15 @@ def test_each_by_itself_where_one_unit_must_confirm(placement_result, setting, e
         {"found": found},
         command=COMMAND,
     )
-    n_avoided = int(np.any([unit.is_avoided for unit in found.units.values()], axis=0).sum())
+    n_avoided = int(
+        np.any([unit.is_avoided for unit in found.units.values()], axis=0).sum()
+    )
     assert f"of the simulated collisions: {n_avoided} of 104" in Page(page).words
 
 
-def test_page_without_optimisation_leaves_its_parts_out(evaluation_page, comparison_page):
+def test_page_without_optimisation_leaves_its_parts_out(
+    evaluation_page, comparison_page
+):
     for page in (evaluation_page, comparison_page):
         words = Page(page).words
         for part in (
@@ -416,11 +468,14 @@ def test_page_without_optimisation_leaves_its_parts_out(evaluation_page, compari
 
 def test_comparison_shows_both_layouts(comparison_page, evaluations):
     parsed = Page(comparison_page)
-    ours, theirs = (evaluations[name].rsu_all.is_avoided for name in ("found", "carlancap-12"))
+    ours, theirs = (
+        evaluations[name].rsu_all.is_avoided for name in ("found", "carlancap-12")
+    )
     assert (
         f"found avoids {int((ours & ~theirs).sum())} that carlancap-12 does not, "
         f"and carlancap-12 avoids {int((theirs & ~ours).sum())} that found does not."
-    ) in parsed.words
+        in parsed.words
+    )
     plans = [image for image in parsed.images if image["alt"].startswith("Plan")]
     assert len(plans) == 2
     assert all(f"RSU{index}" in parsed.words for index in range(12))
@@ -431,11 +486,17 @@ def test_names_are_escaped(setting, evaluations):
     unit = load_carlancap_layout().units[0]
     layout = Layout(
         name=EVIL,
-        units=(CandidatePose(id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, sensor=unit.sensor),),
+        units=(
+            CandidatePose(
+                id=f'"{EVIL}', site_id=EVIL, pose=unit.pose, sensor=unit.sensor
+            ),
+        ),
     )
     evaluation = build_evaluation(setting, layout, seed=7)
     result = plain_result(evaluation, versions={EVIL: EVIL}, seconds={EVIL: 1.0})
-    page = _page_of(result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL)
+    page = _page_of(
+        result, setting, {EVIL: evaluation, "b": evaluations["found"]}, command=EVIL
+    )
     plain = _without_scripts(page)
     assert "<script" not in plain
     parsed = Page(plain)
@@ -446,7 +507,9 @@ def test_names_are_escaped(setting, evaluations):
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_write_report_writes_the_page(tmp_path, setting, evaluations, evaluation_page):
     one = {"found": evaluations["found"]}
-    path = write_report(tmp_path, plain_result(one["found"]), setting, one, command=COMMAND)
+    path = write_report(
+        tmp_path, plain_result(one["found"]), setting, one, command=COMMAND
+    )
     assert path == tmp_path / "report.html"
     assert path.read_text(encoding="utf-8") == evaluation_page
 
@@ -459,14 +522,19 @@ def table_rows(page, caption):
         if f"<caption>{caption}" in text
     ]
     return [
-        [html.unescape(cell) for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)]
+        [
+            html.unescape(cell)
+            for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL)
+        ]
         for row in re.findall(r"<tr>.*?</tr>", table, re.DOTALL)
     ]
 
 
 def page_of(setting, layout, *, seed=5):
     evaluation = build_evaluation(setting, layout, seed=seed)
-    page = _page_of(plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND)
+    page = _page_of(
+        plain_result(evaluation), setting, {"found": evaluation}, command=COMMAND
+    )
     return page, evaluation
 
 
@@ -480,13 +548,18 @@ def with_weights(setting, weight):
 
 
 def test_every_case_is_listed_with_its_runs_and_last_moments(evaluation_page, setting):
-    head, *rows = table_rows(evaluation_page, "Cases; from all: east, north, west, south<")
+    head, *rows = table_rows(
+        evaluation_page, "Cases; from all: east, north, west, south<"
+    )
     assert "weight" not in head
     assert [row[0] for row in rows] == ["CPNC-50", "CBNA", "CBLA"]
     for name, title, who, speeds, approaches, n_runs, earliest, latest in rows:
         runs = [run for run in setting.runs if run.case.name == name]
         case = runs[0].case
-        assert (title, who) == (case.title, f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h")
+        assert (title, who) == (
+            case.title,
+            f"{case.vru.name}, {case.vru_speed_kmh:g}\xa0km/h",
+        )
         driven = [run.vut_speed_kmh for run in runs]
         assert speeds == f"{min(driven):g} to {max(driven):g} by 5"
         assert set(driven) == set(np.arange(min(driven), max(driven) + 5.0, 5.0))
@@ -506,7 +579,9 @@ def test_a_case_that_some_approaches_do_not_carry_names_the_others(setting, layo
     ]
     runs = tuple(run for run, kept in zip(setting.runs, keeps, strict=True) if kept)
     axis = build_frame_axis(runs, np.full(len(runs), 1.0 / len(runs)))
-    _, *rows = table_rows(page_of(replace(setting, runs=runs, axis=axis), layout)[0], "Cases")
+    _, *rows = table_rows(
+        page_of(replace(setting, runs=runs, axis=axis), layout)[0], "Cases"
+    )
     by_case = {row[0]: (row[3], row[4]) for row in rows}
     assert by_case == {
         "CPNC-50": ("20 to 60 by 5", "all"),
@@ -521,7 +596,9 @@ def test_what_no_braking_avoids_is_told(setting, layout):
         replace(run, last_brake_time_s=-math.inf) if run.id == "CBNA/east/60" else run
         for run in setting.runs
     )
-    hopeless = replace(setting, runs=runs, axis=build_frame_axis(runs, setting.axis.weight))
+    hopeless = replace(
+        setting, runs=runs, axis=build_frame_axis(runs, setting.axis.weight)
+    )
     page, _ = page_of(hopeless, layout)
     assert "In 1 run of CBNA no braking avoids the impact." in Page(page).words
     assert "inf" not in "".join(table_rows(page, "Cases")[2])
@@ -531,11 +608,19 @@ def test_what_no_braking_avoids_is_told(setting, layout):
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_page):
     cbna, cbla = (
-        next(run.case for run in setting.runs if run.case.name == name) for name in ("CBNA", "CBLA")
+        next(run.case for run in setting.runs if run.case.name == name)
+        for name in ("CBNA", "CBLA")
     )
     refusals = (
-        Refusal(case=cbna, approach="north", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
-        Refusal(case=cbna, approach="west", speeds_kmh=(20.0, 25.0), reason="no lane <here>"),
+        Refusal(
+            case=cbna,
+            approach="north",
+            speeds_kmh=(20.0, 25.0),
+            reason="no lane <here>",
+        ),
+        Refusal(
+            case=cbna, approach="west", speeds_kmh=(20.0, 25.0), reason="no lane <here>"
+        ),
         Refusal(case=cbna, approach="west", speeds_kmh=(30.0,), reason="too short"),
         Refusal(case=cbla, approach="south", speeds_kmh=(50.0,), reason="too short"),
     )
@@ -543,8 +628,8 @@ def test_what_is_not_driven_is_told_with_its_reason(setting, layout, evaluation_
     words = Page(page).words
     assert (
         "4 runs: no lane <here> (CBNA from the north and west). "
-        "2 runs: too short (CBNA from the west; CBLA from the south)."
-    ) in words
+        "2 runs: too short (CBNA from the west; CBLA from the south)." in words
+    )
     assert "Not driven" not in Page(evaluation_page).words
 
 
@@ -568,7 +653,10 @@ def test_unequal_weights_are_told_by_case_and_run(setting, layout):
     assert f"prevents {share} of the simulated collisions" in words
     lightest = percent(weight[weight > 0.0].min())
     assert f"from {lightest} to {percent(weight.max())} of the whole each." in words
-    assert f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted." in words
+    assert (
+        f"{int((~is_counted).sum())} runs of weight 0 are driven, but not counted."
+        in words
+    )
     head, *rows = table_rows(page, "Cases")
     share = {row[0]: row[head.index("weight")] for row in rows}
     for name in ("CPNC-50", "CBNA", "CBLA"):
@@ -576,8 +664,12 @@ def test_unequal_weights_are_told_by_case_and_run(setting, layout):
         assert share[name] == percent(float(weight[of_case].sum()))
     head, *rows = table_rows(page, "Runs")
     index_of = {run.id: index for index, run in enumerate(setting.runs)}
-    assert all(row[head.index("weight")] == percent(weight[index_of[row[0]]]) for row in rows)
-    apr_of = {row[0]: row[1:] for row in table_rows(page, "Accident prevention ratio by case")}
+    assert all(
+        row[head.index("weight")] == percent(weight[index_of[row[0]]]) for row in rows
+    )
+    apr_of = {
+        row[0]: row[1:] for row in table_rows(page, "Accident prevention ratio by case")
+    }
     assert apr_of["CBNA"] == ["\N{EN DASH}"] * 3
 
 
@@ -592,9 +684,13 @@ def test_runs_that_are_hit_come_first_and_are_counted(evaluation_page, evaluatio
 
 @pytest.mark.usefixtures("with_blank_pictures")
 def test_several_weathers_are_told_and_have_a_column(evaluation_page):
-    question = Question(cases="CBLA", along_arms="0", approaches="east", weather="day,night")
+    question = Question(
+        cases="CBLA", along_arms="0", approaches="east", weather="day,night"
+    )
     setting = build_setting(question, load_study_scene())
-    page, _ = page_of(setting, Layout(name="found", units=load_carlancap_layout().units[:1]))
+    page, _ = page_of(
+        setting, Layout(name="found", units=load_carlancap_layout().units[:1])
+    )
     words = Page(page).words
     assert "day, night. It takes contrast from cameras and pulses from LiDARs." in words
     assert "No recording at night, in rain or in fog was compared" in words
@@ -610,7 +706,10 @@ def test_several_weathers_are_told_and_have_a_column(evaluation_page):
 def test_announcements_are_in_the_table(setting, evaluations):
     found = evaluations["found"]
     others = {"vam": found.vut, "all_sources": found.vut_and_rsus}
-    announced = {"found": replace(found, others=others), "greedy": evaluations["greedy"]}
+    announced = {
+        "found": replace(found, others=others),
+        "greedy": evaluations["greedy"],
+    }
     page = _page_of(plain_result(found), setting, announced, command=COMMAND)
     head, over_all, *_ = table_rows(page, "Accident prevention ratio by case<")
     assert head[-2:] == ["road users' messages (VAM) alone", "car (VUT), found and VAM"]
@@ -625,7 +724,9 @@ def test_latency_of_a_unit_is_told(setting, layout):
 
 
 @pytest.mark.usefixtures("with_blank_pictures")
-def test_braking_and_the_moment_of_the_frames_are_told(setting, layout, evaluation_page):
+def test_braking_and_the_moment_of_the_frames_are_told(
+    setting, layout, evaluation_page
+):
     words = Page(evaluation_page).words
     assert "constant from the onset" in words
     assert "One frame falls on the moment of the impact." in words

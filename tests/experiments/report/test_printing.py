@@ -9,7 +9,17 @@ import pytest
 from experiments.report.printing import find_browser, print_page
 from geometry.errors import InputError
 
-FEW = ("--budget", "1", "--cases", "CBLA", "--approaches", "east", "--along-arms", "0", "--quiet")
+FEW = (
+    "--budget",
+    "1",
+    "--cases",
+    "CBLA",
+    "--approaches",
+    "east",
+    "--along-arms",
+    "0",
+    "--quiet",
+)
 
 
 def browser(folder, body):
@@ -21,11 +31,13 @@ def browser(folder, body):
 
 def test_what_the_browser_prints_is_the_file(tmp_path):
     body = (
-        "to = [a for a in sys.argv if a.startswith('--print-to-pdf=')][0].split('=', 1)[1]\n"
-        "open(to, 'w').write(sys.argv[-1])\n"
+        "to = [a for a in sys.argv if a.startswith('--print-to-pdf=')][0].split('=',"
+        " 1)[1]\nopen(to, 'w').write(sys.argv[-1])\n"
     )
     print_page(browser(tmp_path, body), tmp_path / "a page.html", tmp_path / "out.pdf")
-    assert (tmp_path / "out.pdf").read_text() == (tmp_path / "a page.html").resolve().as_uri()
+    assert (tmp_path / "out.pdf").read_text() == (
+        tmp_path / "a page.html"
+    ).resolve().as_uri()
 
 
 def test_a_browser_that_prints_nothing_is_told_and_nothing_is_lost(tmp_path):

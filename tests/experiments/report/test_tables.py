@@ -3,7 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.parts.accidents import apr_group_tables, apr_table, run_table, unit_apr_table
+from experiments.parts.accidents import (
+    apr_group_tables,
+    apr_table,
+    run_table,
+    unit_apr_table,
+)
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
 from placement.evaluation import Evaluation, Verdict
@@ -24,7 +29,9 @@ def verdict(axis, is_avoided):
 
 @pytest.fixture
 def build(frame_axis, camera):
-    def build_evaluation(name, all_sources=(), vam=(0, 1, 0), weathers=NIGHT, **changes):
+    def build_evaluation(
+        name, all_sources=(), vam=(0, 1, 0), weathers=NIGHT, **changes
+    ):
         axis = replace(frame_axis, weathers=weathers, **changes)
         unit = CandidatePose(
             id="RSU0",
@@ -32,7 +39,10 @@ def build(frame_axis, camera):
             pose=Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0),
             sensor=camera,
         )
-        others = {"vam": vam, "all_sources": all_sources} if all_sources else {}
+        if all_sources:
+            others = {"vam": vam, "all_sources": all_sources}
+        else:
+            others = {}
         return Evaluation(
             layout=Layout(name=name, units=(unit,)),
             axis=axis,
@@ -40,7 +50,9 @@ def build(frame_axis, camera):
             units={"RSU0": verdict(axis, [True, False, False])},
             rsu_all=verdict(axis, [True, False, False]),
             vut_and_rsus=verdict(axis, [True, False, True]),
-            others={key: verdict(axis, np.array(runs, bool)) for key, runs in others.items()},
+            others={
+                key: verdict(axis, np.array(runs, bool)) for key, runs in others.items()
+            },
         )
 
     return build_evaluation
@@ -90,7 +102,10 @@ def test_a_weather_without_weight_has_no_ratio(build):
 
 def test_road_users_who_announce_themselves_have_columns_of_their_own(build):
     table = apr_table(
-        {"mine": build("mine", all_sources=(1, 1, 1)), "old": build("old", all_sources=(1, 1, 0))}
+        {
+            "mine": build("mine", all_sources=(1, 1, 1)),
+            "old": build("old", all_sources=(1, 1, 0)),
+        }
     )
     assert table.columns[4:] == [
         "car (VUT) and mine",
@@ -114,8 +129,8 @@ def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
     by_speed, by_direction = apr_group_tables(both)
     assert by_speed.columns == ["speed (km/h)", *apr_table(both).columns[1:]]
     assert by_direction.columns[1:] == by_speed.columns[1:]
-    # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first, the VUT
-    # the last.
+    # Runs at 20, 30 and 20 km/h with weights 1/2, 1/4, 1/4; the units avoid the first,
+    # the VUT the last.
     assert by_speed.rows == [
         ["20", "66.7 %", "66.7 %", "33.3 %", "100.0 %", "100.0 %"],
         ["30", "0.0 %", "0.0 %", "0.0 %", "0.0 %", "0.0 %"],
@@ -127,7 +142,9 @@ def test_apr_by_speed_and_direction_has_the_columns_of_the_apr_by_case(build):
 
 
 def test_one_speed_or_one_direction_has_no_table(build):
-    assert [table.columns[0] for table in apr_group_tables({"mine": build("mine")})] == [
-        "speed (km/h)"
-    ]
-    assert apr_group_tables({"mine": build("mine", vut_speed_kmh=np.full(3, 20.0))}) == []
+    assert [
+        table.columns[0] for table in apr_group_tables({"mine": build("mine")})
+    ] == ["speed (km/h)"]
+    assert (
+        apr_group_tables({"mine": build("mine", vut_speed_kmh=np.full(3, 20.0))}) == []
+    )

@@ -9,10 +9,22 @@ from experiments.results.tables import csv_text, plain_cell, safe_cell
 
 
 def test_what_spreadsheets_would_run_is_text():
-    names = ["=cmd|'/C calc'!A0", "+1+1", "@SUM(1)", "-2+3", "\tx", "north", "", "-", "'"]
+    names = [
+        "=cmd|'/C calc'!A0",
+        "+1+1",
+        "@SUM(1)",
+        "-2+3",
+        "\tx",
+        "north",
+        "",
+        "-",
+        "'",
+    ]
     table = pd.DataFrame({"unit": names, "z_m": [-1.5] * len(names)})
     rows = list(csv.DictReader(io.StringIO(csv_text(table), newline="")))
-    assert [row["unit"] for row in rows] == [f"'{name}" for name in names[:5]] + names[5:]
+    assert [row["unit"] for row in rows] == [f"'{name}" for name in names[:5]] + names[
+        5:
+    ]
     assert {row["z_m"] for row in rows} == {"-1.5"}  # numbers stay numbers
 
 

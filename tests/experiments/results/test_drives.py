@@ -7,7 +7,12 @@ import pytest
 from experiments.results.drives import describe_driven
 from scenarios.runs import Refusal
 
-KINDS = {"CPNA": "pedestrian", "CPLA": "pedestrian", "CBNA": "cyclist", "CBLA": "cyclist"}
+KINDS = {
+    "CPNA": "pedestrian",
+    "CPLA": "pedestrian",
+    "CBNA": "cyclist",
+    "CBLA": "cyclist",
+}
 
 
 def case(name):
@@ -16,7 +21,9 @@ def case(name):
 
 def setting(driven, refusals, *, weathers=("day",)):
     runs = [SimpleNamespace(case=case(name), approach=arm) for name, arm in driven]
-    axis = SimpleNamespace(n_runs=len(runs) * len(weathers), weathers=weathers * len(runs))
+    axis = SimpleNamespace(
+        n_runs=len(runs) * len(weathers), weathers=weathers * len(runs)
+    )
     return SimpleNamespace(runs=runs, axis=axis, refusals=tuple(refusals))
 
 
@@ -47,20 +54,38 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
             ],
         ),
         (
-            [("CPNA", "north"), ("CPNA", "south"), ("CBNA", "north"), ("CBLA", "north")],
+            [
+                ("CPNA", "north"),
+                ("CPNA", "south"),
+                ("CBNA", "north"),
+                ("CBLA", "north"),
+            ],
             [refused("CBNA", "south"), refused("CBLA", "south", "a house.", n=2)],
             [
-                "4 of 15 possible runs could be driven: no cyclist case from the south.",
+                (
+                    "4 of 15 possible runs could be driven: no cyclist case from the"
+                    " south."
+                ),
                 "9 runs: too short (CBNA from the south).",
                 "2 runs: a house (CBLA from the south).",
             ],
         ),
         (
             [("CPNA", "north"), ("CPNA", "south"), ("CPLA", "north")],
-            [refused("CPLA", "south"), refused("CBLA", "north"), refused("CBLA", "south")],
             [
-                "3 of 30 possible runs could be driven: no CBLA at all; no CPLA from the south.",
-                "27 runs: too short (CPLA from the south; CBLA from the north and south).",
+                refused("CPLA", "south"),
+                refused("CBLA", "north"),
+                refused("CBLA", "south"),
+            ],
+            [
+                (
+                    "3 of 30 possible runs could be driven: no CBLA at all; no CPLA"
+                    " from the south."
+                ),
+                (
+                    "27 runs: too short (CPLA from the south; CBLA from the north and"
+                    " south)."
+                ),
             ],
         ),
         (
@@ -79,18 +104,26 @@ def test_nothing_is_said_where_all_that_was_asked_for_is_driven():
                 refused("CBNA", "south", n=5, limit_kmh=32.2),
             ],
             [
-                "Left out: 12 runs of the protocol faster than the map's speed limits, 50 km/h "
-                "from the north and east and 32.2 km/h from the south (--speeds all drives them).",
+                (
+                    "Left out: 12 runs of the protocol faster than the map's speed"
+                    " limits, 50 km/h from the north and east and 32.2 km/h from the"
+                    " south (--speeds all drives them)."
+                ),
             ],
         ),
         (
             [("CPNA", "north")],
-            [refused("CPNA", "north", n=2), refused("CPNA", "north", n=1, limit_kmh=30.0)],
+            [
+                refused("CPNA", "north", n=2),
+                refused("CPNA", "north", n=1, limit_kmh=30.0),
+            ],
             [
                 "1 of 3 possible runs could be driven.",
                 "2 runs: too short (CPNA from the north).",
-                "Left out: 1 run of the protocol faster than the map's speed limits, 30 km/h from "
-                "the north (--speeds all drives them).",
+                (
+                    "Left out: 1 run of the protocol faster than the map's speed"
+                    " limits, 30 km/h from the north (--speeds all drives them)."
+                ),
             ],
         ),
         (
@@ -109,7 +142,11 @@ def test_the_widest_gaps_come_first_and_each_reason_has_a_line(driven, refusals,
 
 def test_every_weather_counts():
     told = describe_driven(
-        setting([("CPNA", "north")], [refused("CPNA", "south", n=1)], weathers=("day", "fog"))
+        setting(
+            [("CPNA", "north")],
+            [refused("CPNA", "south", n=1)],
+            weathers=("day", "fog"),
+        )
     )
     assert told == [
         "2 of 4 possible runs could be driven: nothing from the south.",

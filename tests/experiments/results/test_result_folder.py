@@ -55,7 +55,8 @@ def test_an_empty_folder_is_filled(tmp_path):
 
 
 def test_results_are_as_readable_as_other_folders(tmp_path):
-    folder, other = tmp_path / "out", tmp_path / "other"
+    folder = tmp_path / "out"
+    other = tmp_path / "other"
     other.mkdir()
     fill(folder)
     assert folder.stat().st_mode == other.stat().st_mode
@@ -95,7 +96,9 @@ def test_a_name_of_the_greatest_length_is_taken(tmp_path):
     assert names(tmp_path) == ["a" * 255]
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), KeyboardInterrupt()]
+)
 def test_a_failure_leaves_everything_as_it_was(earlier, error):
     def fail(folder: Path) -> None:
         with new_result_folder(folder) as new:
@@ -109,14 +112,19 @@ def test_a_failure_leaves_everything_as_it_was(earlier, error):
     assert names(earlier.parent) == ["latest"]
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("glyph")])
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), ValueError("glyph")]
+)
 def test_an_answer_whose_report_cannot_be_written_is_kept(earlier, error):
     def fail() -> None:
         with new_result_folder(earlier) as new:
             (new / MARKER).write_text('{"apr": 1}')
             raise error
 
-    expected = InputError if isinstance(error, OSError) else type(error)
+    if isinstance(error, OSError):
+        expected = InputError
+    else:
+        expected = type(error)
     for name in ("latest.unfinished", "latest.unfinished-2"):
         with pytest.raises(expected) as caught:
             fail()
@@ -180,7 +188,8 @@ def test_two_folders_are_exchanged_in_one_step(tmp_path):
 
 @pytest.mark.usefixtures("exchange")
 def test_a_signal_during_the_exchange_comes_too_late(earlier, monkeypatch):
-    rename, swap = Path.rename, result_folder._exchange
+    rename = Path.rename
+    swap = result_folder._exchange
 
     def rename_interrupted(path: Path, target: Path) -> Path:
         signal.raise_signal(signal.SIGINT)
@@ -221,8 +230,10 @@ def test_a_file_is_no_folder(tmp_path):
     path = tmp_path / "file"
     path.write_text("mine")
     assert refusal(path) == f"--out: got '{path}'; expected a folder, not a file"
-    assert refusal(path / "below") == (
-        f"--out: got {path}/below: Not a directory; expected a folder that can be written to"
+    assert (
+        refusal(path / "below")
+        == f"--out: got {path}/below: Not a directory; expected a folder that can be"
+        " written to"
     )
     assert path.read_text() == "mine"
 
@@ -241,11 +252,20 @@ def test_a_circle_of_links_is_refused(tmp_path):
     assert refusal(link).endswith("expected a folder that can be written to")
 
 
-OURS_ONLY = "expected a new or empty folder, or one with earlier results and nothing else"
+OURS_ONLY = (
+    "expected a new or empty folder, or one with earlier results and nothing else"
+)
 
 
 @pytest.mark.parametrize(
-    "name", ["notes.txt", "site_photo.png", "layout.backup/", "layout.backup/old.json", "plot.png"]
+    "name",
+    [
+        "notes.txt",
+        "site_photo.png",
+        "layout.backup/",
+        "layout.backup/old.json",
+        "plot.png",
+    ],
 )
 def test_what_others_put_into_a_folder_is_never_replaced(earlier, name):
     path = earlier / name
@@ -259,21 +279,26 @@ def test_what_others_put_into_a_folder_is_never_replaced(earlier, name):
     assert path.exists()
 
 
-@pytest.mark.parametrize("held", [("cat.png",), ("plot.png", "runs.parquet", "summary.json")])
+@pytest.mark.parametrize(
+    "held", [("cat.png",), ("plot.png", "runs.parquet", "summary.json")]
+)
 def test_a_folder_of_somebody_else_is_refused(tmp_path, held):
     folder = tmp_path / "theirs"
     folder.mkdir()
     for name in held:
         (folder / name).write_text("mine")
-    assert refusal(folder) == (
-        f"--out: got {folder}, which holds {held[0]} but no {MANIFEST}; {OURS_ONLY}"
+    assert (
+        refusal(folder)
+        == f"--out: got {folder}, which holds {held[0]} but no {MANIFEST}; {OURS_ONLY}"
     )
 
 
 def test_results_that_somebody_changed_are_not_replaced(earlier):
     (earlier / "report.html").write_text("old, with my notes")
-    assert refusal(earlier) == (
-        f"--out: got {earlier}, which holds report.html, changed since it was written; {OURS_ONLY}"
+    assert (
+        refusal(earlier)
+        == f"--out: got {earlier}, which holds report.html, changed since it was"
+        f" written; {OURS_ONLY}"
     )
 
 
@@ -286,7 +311,9 @@ def test_what_file_managers_leave_does_not_count(earlier):
 def test_the_manifest_lists_every_file_with_its_hash(earlier):
     assert list(read_manifest(earlier)) == ["report.html", MARKER]
     assert changed_files(earlier) == {}
-    checked = subprocess.run(["sha256sum", "-c", MANIFEST], cwd=earlier, capture_output=True)
+    checked = subprocess.run(
+        ["sha256sum", "-c", MANIFEST], cwd=earlier, capture_output=True
+    )
     assert checked.returncode == 0
     (earlier / "report.html").unlink()
     (earlier / MARKER).write_text("[]")
@@ -299,7 +326,8 @@ def test_the_manifest_lists_every_file_with_its_hash(earlier):
 
 
 @pytest.mark.parametrize(
-    ("text", "line"), [("abc", 1), (f"{'0' * 64} a\n", 1), (f"{'0' * 64}  a\n{'g' * 64}  b", 2)]
+    ("text", "line"),
+    [("abc", 1), (f"{'0' * 64} a\n", 1), (f"{'0' * 64}  a\n{'g' * 64}  b", 2)],
 )
 def test_a_damaged_manifest_is_told(earlier, text, line):
     (earlier / MANIFEST).write_text(text)
@@ -308,11 +336,18 @@ def test_a_damaged_manifest_is_told(earlier, text, line):
 
 def test_a_name_that_is_no_text_is_refused_before_anything_is_computed(tmp_path):
     folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/out-\xff"))
-    assert refusal(folder) == f"--out: got '{tmp_path}/out-\\\\xff'; expected a name in UTF-8"
+    assert (
+        refusal(folder)
+        == f"--out: got '{tmp_path}/out-\\\\xff'; expected a name in UTF-8"
+    )
 
 
-def test_folders_of_a_killed_run_are_removed_by_the_next_but_not_of_one_that_is_alive(tmp_path):
-    dead, alive, young = (tmp_path / f".place-rsus.{name}.tmp" for name in ("dead", "live", "new"))
+def test_folders_of_a_killed_run_are_removed_by_the_next_but_not_of_one_that_is_alive(
+    tmp_path,
+):
+    dead, alive, young = (
+        tmp_path / f".place-rsus.{name}.tmp" for name in ("dead", "live", "new")
+    )
     for path in (dead, alive, young):
         path.mkdir()
     for path in (dead, alive):
@@ -336,6 +371,8 @@ def test_files_of_others_that_came_meanwhile_are_kept(earlier):
 def test_the_current_folder_is_not_replaced(tmp_path, monkeypatch):
     (tmp_path / "inside").mkdir()
     monkeypatch.chdir(tmp_path / "inside")
-    assert refusal(Path()) == (
-        "--out: got ., the current folder or a mounted one; expected a folder inside it"
+    assert (
+        refusal(Path())
+        == "--out: got ., the current folder or a mounted one; expected a folder"
+        " inside it"
     )

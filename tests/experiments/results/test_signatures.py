@@ -94,7 +94,13 @@ def test_a_missing_damaged_or_foreign_signature_does_not_hold(keys, signed):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("locked", "it has a passphrase; expected a private key without passphrase, or a public"),
+        (
+            "locked",
+            (
+                "it has a passphrase; expected a private key without passphrase, or a"
+                " public"
+            ),
+        ),
         ("none", "no file; expected a file with a private key"),
         ("words", "; expected a private key without passphrase"),
     ],
@@ -112,7 +118,10 @@ def test_a_key_that_cannot_sign_is_refused_in_one_line(keys, name, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("-----BEGIN OPENSSH PRIVATE KEY-----\n", "a private key; expected a file with public"),
+        (
+            "-----BEGIN OPENSSH PRIVATE KEY-----\n",
+            "a private key; expected a file with public",
+        ),
         ("no key\n", "no public key; expected a file with public keys"),
         ("", "no public key; expected a file with public keys"),
     ],
@@ -166,6 +175,10 @@ def test_what_is_added_to_a_folder_can_be_signed_too(keys, tmp_path):
     assert fault(out, keys / "mine.pub") == ""
     assert folders.changed_files(out) == {}
     folders.save_files(
-        Timed(), out, StageProgress(), lambda done: {"certified.json": "[]"}, has_manifest=True
+        Timed(),
+        out,
+        StageProgress(),
+        lambda done: {"certified.json": "[]"},
+        has_manifest=True,
     )
     assert fault(out, keys / "mine.pub") == f"there is no {SIGNATURE}"

@@ -45,7 +45,9 @@ def evaluation(layout, frame_axis, rule):
         layout=layout,
         axis=frame_axis,
         vut=verdict(detected[3]),
-        units={unit.id: verdict(detected[index]) for index, unit in enumerate(layout.units)},
+        units={
+            unit.id: verdict(detected[index]) for index, unit in enumerate(layout.units)
+        },
         rsu_all=verdict(detected[:3].any(axis=0)),
         vut_and_rsus=verdict(detected.any(axis=0)),
     )
@@ -64,7 +66,9 @@ def test_apr_table_agrees_with_the_evaluation(evaluation):
         assert rows.loc["all", "apr"] == apr(verdict, evaluation.axis)
         assert rows.loc["all", "n_runs"] == 3
         assert rows.loc["all", "n_avoided"] == verdict.is_avoided.sum()
-        assert rows.loc["A", "apr"] == apr(verdict, evaluation.axis, np.array([True, True, False]))
+        assert rows.loc["A", "apr"] == apr(
+            verdict, evaluation.axis, np.array([True, True, False])
+        )
         assert rows.loc["B", "n_avoided"] == verdict.is_avoided[2]
 
 
@@ -72,8 +76,12 @@ def test_apr_table_tells_several_weathers_apart(evaluation):
     axis = replace(evaluation.axis, weathers=("day", "night", "day"))
     evaluation = replace(evaluation, axis=axis)
     table = apr_table({"mine": evaluation})
-    assert not table.duplicated(["party", "case", "approach", "weather", "vut_speed_kmh"]).any()
-    table = table[table.vut_speed_kmh == "all"].set_index(["party", "case", "approach", "weather"])
+    assert not table.duplicated(
+        ["party", "case", "approach", "weather", "vut_speed_kmh"]
+    ).any()
+    table = table[table.vut_speed_kmh == "all"].set_index(
+        ["party", "case", "approach", "weather"]
+    )
     for party, verdict in parties(evaluation).items():
         for weather in ("day", "night"):
             mask = np.array([word == weather for word in axis.weathers])
@@ -104,12 +112,18 @@ def test_apr_table_tells_several_positions_apart(evaluation):
             mask &= (approach == "all") | (np.array(axis.approaches) == approach)
             row = rows.loc[(case, approach, position)]
             assert row.apr == apr(verdict, axis, mask)
-            assert (row.n_runs, row.n_avoided) == (mask.sum(), (verdict.is_avoided & mask).sum())
-        assert {("all", "all", "-15"), ("A", "all", "-15"), ("all", "north", "0")} <= set(
-            rows.index
-        )
+            assert (row.n_runs, row.n_avoided) == (
+                mask.sum(),
+                (verdict.is_avoided & mask).sum(),
+            )
+        assert {
+            ("all", "all", "-15"),
+            ("A", "all", "-15"),
+            ("all", "north", "0"),
+        } <= set(rows.index)
         assert apr_by_position(verdict, axis) == {
-            position: rows.loc[("all", "all", position)].apr for position in ("-15", "0")
+            position: rows.loc[("all", "all", position)].apr
+            for position in ("-15", "0")
         }
     runs = runs_table({"mine": evaluation})
     assert runs.position.tolist() == list(axis.positions) * len(parties(evaluation))
@@ -119,8 +133,12 @@ def test_apr_table_tells_several_speeds_apart(evaluation):
     table = apr_table({"mine": evaluation})
     told = table[(table.vut_speed_kmh != "all") & (table.party == "rsu_all")]
     assert set(told.approach) == set(told.weather) == {"all"}
-    verdict, axis = evaluation.rsu_all, evaluation.axis
-    got = {(row.case, row.vut_speed_kmh): (row.apr, row.n_runs) for row in told.itertuples()}
+    verdict = evaluation.rsu_all
+    axis = evaluation.axis
+    got = {
+        (row.case, row.vut_speed_kmh): (row.apr, row.n_runs)
+        for row in told.itertuples()
+    }
     runs = {
         ("all", "20"): [True, False, True],
         ("all", "30"): [False, True, False],
@@ -129,7 +147,8 @@ def test_apr_table_tells_several_speeds_apart(evaluation):
         ("B", "20"): [False, False, True],
     }
     assert got == {
-        key: (apr(verdict, axis, np.array(mask)), sum(mask)) for key, mask in runs.items()
+        key: (apr(verdict, axis, np.array(mask)), sum(mask))
+        for key, mask in runs.items()
     }
     same = replace(evaluation, axis=replace(axis, vut_speed_kmh=np.full(3, 20.0)))
     assert set(apr_table({"mine": same}).vut_speed_kmh) == {"all"}
@@ -160,7 +179,10 @@ def test_runs_table_has_one_row_per_party_and_run(evaluation, tmp_path):
         )
         np.testing.assert_allclose(
             rows.detected_share,
-            [verdict.detected[axis.frames_of(index)].mean() for index in range(axis.n_runs)],
+            [
+                verdict.detected[axis.frames_of(index)].mean()
+                for index in range(axis.n_runs)
+            ],
         )
         timely = rows[rows.margin_s.notna()]
         assert (timely.is_avoided == (timely.margin_s >= -1e-9)).all()
@@ -170,7 +192,9 @@ def test_runs_table_has_one_row_per_party_and_run(evaluation, tmp_path):
     pd.testing.assert_frame_equal(pd.read_parquet(path), table)
 
 
-def test_margin_is_minus_infinity_where_nothing_is_confirmed_or_nothing_helps(evaluation, rule):
+def test_margin_is_minus_infinity_where_nothing_is_confirmed_or_nothing_helps(
+    evaluation, rule
+):
     for verdict in parties(evaluation).values():
         margin = margin_s(verdict, evaluation.axis)
         hopeless = np.isinf(verdict.confirmation_time_s) | np.isinf(

@@ -43,7 +43,9 @@ class Result(NamedTuple):
 def command(run, monkeypatch):
     """Runs a command without spending time on pictures of scenes."""
     for name in ("plan", "view"):
-        monkeypatch.setattr(f"experiments.scene.run.plot_scene_{name}", lambda scene: None)
+        monkeypatch.setattr(
+            f"experiments.scene.run.plot_scene_{name}", lambda scene: None
+        )
     monkeypatch.setattr("experiments.scene.run.to_png", lambda figure: b"picture")
     return lambda *arguments: Result(*run(*arguments))
 
@@ -72,7 +74,9 @@ def roads(tmp_path):
     return path
 
 
-def test_a_map_becomes_a_scene_that_says_what_was_understood(scene_command, city, tmp_path):
+def test_a_map_becomes_a_scene_that_says_what_was_understood(
+    scene_command, city, tmp_path
+):
     out = tmp_path / "scene"
     result = scene_command("import", str(city), "-o", str(out), "--json", "--quiet")
     assert (result.code, result.err) == (0, "")
@@ -105,7 +109,9 @@ def test_a_map_becomes_a_scene_that_says_what_was_understood(scene_command, city
     assert load_scene_folder(archive).instances == scene.instances
 
 
-def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(scene_command, tmp_path):
+def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(
+    scene_command, tmp_path
+):
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
     far = osm.node(300.0, 0.0)
@@ -128,9 +134,13 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(scene_c
     at = f"{small['x_m']:.6f},{small['y_m']:.6f}"
     for choice in (["--at", at], ["--junction", small["id"]], ["--junction", "church"]):
         out = tmp_path / "out"
-        result = scene_command("import", str(path), *choice, "-o", str(out), "--json", "--quiet")
+        result = scene_command(
+            "import", str(path), *choice, "-o", str(out), "--json", "--quiet"
+        )
         assert json.loads(result.out)["junctions"][0]["id"] == small["id"]
-    result = scene_command("import", str(path), "-o", str(tmp_path / "out"), "--json", "--quiet")
+    result = scene_command(
+        "import", str(path), "-o", str(tmp_path / "out"), "--json", "--quiet"
+    )
     summary = json.loads(result.out)
     assert summary["junctions"][0]["id"] == listed["junctions"][0]["id"]
     assert any("other junctions" in entry["what"] for entry in summary["skipped"])
@@ -141,7 +151,9 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(scene_c
         (["--at", "1"], "--at: got '1'; expected two numbers: X,Y"),
         (["--at", at, "--junction", "x"], "--at: got it beside --junction"),
     ):
-        result = scene_command("import", str(path), *wrong, "-o", str(tmp_path / "x"), "--quiet")
+        result = scene_command(
+            "import", str(path), *wrong, "-o", str(tmp_path / "x"), "--quiet"
+        )
         assert result.code == 2
         assert message in result.err
         assert not (tmp_path / "x").exists()
@@ -150,7 +162,13 @@ def test_a_map_is_listed_and_one_of_its_junctions_taken_by_point_or_name(scene_c
 def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
     def sites(*options):
         result = scene_command(
-            "import", str(city), *options, "-o", str(tmp_path / "s"), "--json", "--quiet"
+            "import",
+            str(city),
+            *options,
+            "-o",
+            str(tmp_path / "s"),
+            "--json",
+            "--quiet",
         )
         assert result.code == 0, result.err
         return json.loads(result.out)["site_list"]
@@ -183,7 +201,9 @@ def test_sites_are_poles_kerbs_or_a_list(scene_command, city, tmp_path):
         ("somewhere", "--sites: got 'somewhere'; expected auto, map, kerb:SPACING"),
         ("gone.csv", "gone.csv: got No such file"),
     ):
-        result = scene_command("import", str(city), "--sites", wrong, "-o", str(tmp_path / "x"))
+        result = scene_command(
+            "import", str(city), "--sites", wrong, "-o", str(tmp_path / "x")
+        )
         assert (result.code, message in result.err) == (2, True)
 
 
@@ -199,8 +219,18 @@ def test_buildings_come_from_another_file(scene_command, roads, tmp_path):
     assert refused.code == 2
     assert "--unit" in refused.err
     result = scene_command(
-        *("import", *files, "--unit", "m", "--up", "z", "--offset", "25,25", "-o", str(out)),
-        *("--json", "--quiet"),
+        "import",
+        *files,
+        "--unit",
+        "m",
+        "--up",
+        "z",
+        "--offset",
+        "25,25",
+        "-o",
+        str(out),
+        "--json",
+        "--quiet",
     )
     summary = json.loads(result.out)
     assert summary["buildings"] == 1
@@ -223,7 +253,9 @@ def test_what_is_wrong_with_a_scene_is_found(scene_command, tmp_path):
     inside = load_study_scene()
     house = next(thing for thing in inside.instances if thing.class_name == "building")
     index = inside.instances.index(house)
-    corners = inside.vertices_m[np.unique(inside.triangles[inside.triangle_instance == index])]
+    corners = inside.vertices_m[
+        np.unique(inside.triangles[inside.triangle_instance == index])
+    ]
     x, y = corners[:, :2].mean(axis=0)
     first = text.index("position_m = [", text.index("[[sites]]"))
     end = text.index("]", first)
@@ -246,16 +278,25 @@ def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
         ("other.xodr", "<html/>", "OpenDRIVE"),
         ("empty.osm", "", "empty.osm"),
         ("a.txt", "hello", "got another kind of file; expected .xodr"),
-        ("bomb.xodr", '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>', "entities"),
+        (
+            "bomb.xodr",
+            '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>',
+            "entities",
+        ),
         (
             "house.xml",
             "<house/>",
-            "got <house>; expected OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad or CityGML",
+            (
+                "got <house>; expected OpenDRIVE, OpenStreetMap, Lanelet2, CommonRoad"
+                " or CityGML"
+            ),
         ),
         ("list.json", "[1, 2", "list.json"),
     ):
         (tmp_path / name).write_text(content)
-        result = scene_command("import", str(tmp_path / name), "-o", str(tmp_path / "x"))
+        result = scene_command(
+            "import", str(tmp_path / name), "-o", str(tmp_path / "x")
+        )
         assert result.code == 2, name
         line = result.err.strip().splitlines()[-1]
         assert line.startswith("place-rsus: "), line
@@ -263,7 +304,10 @@ def test_bad_maps_are_one_line(scene_command, roads, city, tmp_path):
         assert "Traceback" not in result.err
         assert not (tmp_path / "x").exists()
     for files, message in (
-        ([str(tmp_path / "gone.osm")], "gone.osm: got no such file; expected a map file"),
+        (
+            [str(tmp_path / "gone.osm")],
+            "gone.osm: got no such file; expected a map file",
+        ),
         ([str(tmp_path)], "got a folder; expected a map file"),
         ([], "FILE: got nothing; expected a map"),
         ([str(roads), str(city)], "expected roads in one of the files"),
@@ -280,7 +324,9 @@ def test_other_peoples_folders_stay(scene_command, city, tmp_path):
         ("mine", "which holds other things; expected a new folder, or a scene's"),
         ("file", "a file; expected a folder, or a .zip file"),
     ):
-        result = scene_command("import", str(city), "-o", str(tmp_path / out), "--quiet")
+        result = scene_command(
+            "import", str(city), "-o", str(tmp_path / out), "--quiet"
+        )
         assert (result.code, message in result.err) == (2, True)
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["letter.txt"]
 
@@ -291,7 +337,16 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
 ):
     out = tmp_path / "scene"
     for keeps in ("right", "left"):
-        asked = ("scene", "import", str(city), "--driving-side", keeps, "-o", str(out), "--quiet")
+        asked = (
+            "scene",
+            "import",
+            str(city),
+            "--driving-side",
+            keeps,
+            "-o",
+            str(out),
+            "--quiet",
+        )
         imported = command(*asked)
         assert imported.code == 0
         assert f"traffic keeps {keeps}" in " ".join(imported.out.split())
@@ -303,11 +358,25 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     )
     monkeypatch.setattr(poses, "load_candidate_grid", lambda **_: grid)
     results = tmp_path / "results"
-    question = ["--cases", "CPNA-25,CBNA,CPTAfs-50", "--speeds", "20,40", "--approaches", "north"]
+    question = [
+        "--cases",
+        "CPNA-25,CBNA,CPTAfs-50",
+        "--speeds",
+        "20,40",
+        "--approaches",
+        "north",
+    ]
     question += ["--along-arms", "0"]
     result = command(
-        *("--scene", str(out), "--budget", "1", *question, "--json", "--quiet"),
-        *("--out", str(results)),
+        "--scene",
+        str(out),
+        "--budget",
+        "1",
+        *question,
+        "--json",
+        "--quiet",
+        "--out",
+        str(results),
     )
     assert result.code == 0, result.err
     summary = json.loads(result.out)
@@ -315,10 +384,14 @@ def test_a_placement_on_an_imported_scene_goes_through_to_the_report(
     assert summary["apr"] > 0.0
     page = (results / "report.html").read_text()
     assert "carlancap" not in page
-    assert json.loads((results / "layout.json").read_text())["scene"].startswith("city/")
+    assert json.loads((results / "layout.json").read_text())["scene"].startswith(
+        "city/"
+    )
     rows = list(csv.DictReader(io.StringIO((results / "layout.csv").read_text())))
     (unit,) = json.loads((results / "layout.geojson").read_text())["features"]
-    assert float(rows[0]["map_x"]) == pytest.approx(unit["geometry"]["coordinates"][0], abs=1e-9)
+    assert float(rows[0]["map_x"]) == pytest.approx(
+        unit["geometry"]["coordinates"][0], abs=1e-9
+    )
     assert rows[0]["map_crs"] == "EPSG:4326"
     layout = str(results / "layout.json")
     elsewhere = command("evaluate", "--layout", layout, *question, "--quiet")
@@ -347,18 +420,36 @@ def test_a_scene_of_no_known_place_has_no_geojson(command, roads, tmp_path):
     assert command(*given, "csv").code == 0
 
 
-def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(command, tmp_path):
+def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(
+    command, tmp_path
+):
     osm = OsmText()
     crossing_streets(osm, bearings=[FOUR[0], FOUR[2], FOUR[3]], highway="residential")
     osm.node(9.0, -9.0, highway="street_lamp")
-    out, path = tmp_path / "scene", str(osm.write(tmp_path))
+    out = tmp_path / "scene"
+    path = str(osm.write(tmp_path))
     assert command("scene", "import", path, "-o", str(out), "--quiet").code == 0
-    lamp = {"id": "a", "x_m": 9.0, "y_m": -9.0, "z_m": 6.0, "yaw_deg": 90.0, "pitch_deg": -30.0}
+    lamp = {
+        "id": "a",
+        "x_m": 9.0,
+        "y_m": -9.0,
+        "z_m": 6.0,
+        "yaw_deg": 90.0,
+        "pitch_deg": -30.0,
+    }
     layout = tmp_path / "mine.json"
     layout.write_text(json.dumps({"layout": [lamp | {"camera": "carla-ncap-rgb"}]}))
-    given = ["evaluate", "--layout", str(layout), "--scene", str(out), "--quiet", "--json"]
-    # Where a street ends in another one, nobody can cross it beyond the junction: some cases
-    # remain, and those that do not are told.
+    given = [
+        "evaluate",
+        "--layout",
+        str(layout),
+        "--scene",
+        str(out),
+        "--quiet",
+        "--json",
+    ]
+    # Where a street ends in another one, nobody can cross it beyond the junction: some
+    # cases remain, and those that do not are told.
     few = ["--approaches", "east", "--cases"]
     summary = json.loads(command(*given, *few, "study").out)
     refused = {entry["case"] for entry in summary["not_driven"]} - set(summary["cases"])
@@ -368,7 +459,10 @@ def test_a_case_that_no_arm_carries_is_told_first_and_strict_makes_it_an_error(c
     assert summary["possible_runs"] >= summary["runs"]
     assert one in " ".join(summary["driven"])
     result = command(*given, *few, one)
-    assert (result.code, "which no approach carries" in result.err) == (2, True), result.err
+    assert (result.code, "which no approach carries" in result.err) == (
+        2,
+        True,
+    ), result.err
     both = f"{summary['cases'][0]},{one}"
     told = json.loads(command(*given, *few, both).out)
     assert told["cases"] == summary["cases"][:1]
@@ -399,13 +493,24 @@ def test_a_junction_of_a_map_is_imported_once_and_told(command, tmp_path, monkey
     crossing_streets(osm, bearings=[(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)], lanes="2")
     city = str(osm.write(tmp_path))
     for _ in range(2):
-        result = command("--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2")
+        result = command(
+            "--scene", city, "--junction", "Street 2 / Street 0", "--budget", "2"
+        )
         assert result.code == 2
         assert "Imported Street 0 / Street 1 / Street 2: 3 arms, 24 sites" in result.err
     assert len(list((tmp_path / "cache" / "scenes").iterdir())) == 1
-    assert {one.scene for one in asked} == {str(next((tmp_path / "cache" / "scenes").iterdir()))}
+    assert {one.scene for one in asked} == {
+        str(next((tmp_path / "cache" / "scenes").iterdir()))
+    }
     assert len(build_junction(load_scene_folder(Path(asked[0].scene))).arms) == 3
-    options = ["--sites", "kerb:30", "--driving-side", "left", "--at", f"{LON_DEG},{LAT_DEG}"]
+    options = [
+        "--sites",
+        "kerb:30",
+        "--driving-side",
+        "left",
+        "--at",
+        f"{LON_DEG},{LAT_DEG}",
+    ]
     assert command("--scene", city, *options, "--budget", "2", "--quiet").code == 2
     other = load_scene_folder(Path(asked[-1].scene))
     assert other.keeps_left
@@ -421,7 +526,14 @@ def test_lists_that_are_long_are_cut(monkeypatch):
     summary = {
         "name": "x" * 100,
         "junctions": [
-            {"id": f"j{i}", "name": "n" * 50, "x_m": 1.0, "y_m": 2.0, "arms": 3, "lanes": 6}
+            {
+                "id": f"j{i}",
+                "name": "n" * 50,
+                "x_m": 1.0,
+                "y_m": 2.0,
+                "arms": 3,
+                "lanes": 6,
+            }
             for i in range(30)
         ],
         "buildings": 1,
@@ -442,7 +554,13 @@ def chooser(scene_command, tmp_path):
     """The page on which a junction of a street with three is chosen."""
     path = write_city(tmp_path)
     result = scene_command(
-        "show", str(path), "--staggered", "40", "--out", str(tmp_path / "out"), "--quiet"
+        "show",
+        str(path),
+        "--staggered",
+        "40",
+        "--out",
+        str(tmp_path / "out"),
+        "--quiet",
     )
     assert result.code == 0
     return tmp_path / "out" / "junctions.html"
@@ -455,7 +573,8 @@ def test_the_junctions_of_a_map_stand_on_a_page_with_streets_and_names(chooser):
         assert re.search(rf"<text [^>]*>{street}</text>", page)
     circles = re.findall(r'<circle cx="(.*?)" cy="(.*?)"', page)
     places = dict(zip(("n3", "n1", "n2"), np.array(circles, dtype=float), strict=True))
-    # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on the page.
+    # Junctions are drawn 250 m and 500 m east of the first, the last 10 m north: up on
+    # the page.
     np.testing.assert_allclose(places["n2"] - places["n1"], [250.0, 0.0], atol=6.0)
     np.testing.assert_allclose(places["n3"] - places["n1"], [500.0, -10.0], atol=6.0)
     assert "--staggered 40 --junction" in page
@@ -472,14 +591,18 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
         assert page.inner_text(".map-count") == "1 / 3"
         page.locator("li button:visible").press("Enter")
         assert "--junction n2 " in page.inner_text("#command")
-        box = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
+        box = [
+            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
+        ]
         x, y = (
             float(page.locator(".street-map circle").nth(2).get_attribute(name))
             for name in ("cx", "cy")
         )
         assert [box[0] + 0.5 * box[2], box[1] + 0.5 * box[3]] == pytest.approx([x, y])
         page.click(".map-nearer")
-        nearer = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
+        nearer = [
+            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
+        ]
         assert nearer[2] == pytest.approx(0.6 * box[2])
         assert nearer[0] + 0.5 * nearer[2] == pytest.approx(x)
         middle = page.locator(".street-map").bounding_box()
@@ -494,6 +617,8 @@ def test_a_junction_is_chosen_on_the_map_or_in_the_list(chooser):
         page.mouse.down()
         page.mouse.move(at[0] + 60.0, at[1])
         page.mouse.up()
-        moved = [float(part) for part in page.get_attribute(".street-map", "viewBox").split()]
+        moved = [
+            float(part) for part in page.get_attribute(".street-map", "viewBox").split()
+        ]
         assert moved[0] < 0.0
         assert moved[1] == pytest.approx(0.0, abs=1e-6)

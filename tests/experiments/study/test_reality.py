@@ -25,11 +25,12 @@ from placement.detectors.evidence import linked_noise
 from placement.recordings.formats import read_wildtrack
 
 TSAI = (  # 7 m above the road, looking along it
-    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="5e-3"/><Intrinsic focal="5.5" '
-    'kappa1="5e-3" cx="380" cy="290" sx="1.05"/><Extrinsic tx="0" ty="6500" tz="2600" '
-    'rx="1.9" ry="0" rz="0"/></Camera>'
+    '<Camera><Geometry width="768" height="576" dpx="5e-3" dpy="5e-3"/><Intrinsic'
+    ' focal="5.5" kappa1="5e-3" cx="380" cy="290" sx="1.05"/><Extrinsic tx="0"'
+    ' ty="6500" tz="2600" rx="1.9" ry="0" rz="0"/></Camera>'
 )
-N_PEOPLE, N_FRAMES = 10, 60
+N_PEOPLE = 10
+N_FRAMES = 60
 
 
 def put(path, text):
@@ -43,24 +44,43 @@ def pets(folder, rng):
     put(data / "calibration" / "View_001.xml", TSAI)
     camera = read_tsai(data / "calibration" / "View_001.xml")
     frames = np.arange(N_FRAMES)
-    frame_texts, found = [[] for _ in frames], []
+    frame_texts = [[] for _ in frames]
+    found = []
     table = load_detector("response")
     for person in range(N_PEOPLE):
-        far, way = 12.0 + 2.0 * person, (-1.0) ** person
-        foot = np.column_stack([way * (-2.0 + 0.1 * frames), np.full(N_FRAMES, far), 0 * frames])
+        far = 12.0 + 2.0 * person
+        way = (-1.0) ** person
+        foot = np.column_stack(
+            [way * (-2.0 + 0.1 * frames), np.full(N_FRAMES, far), 0 * frames]
+        )
         heading = np.full(N_FRAMES, 0.0 if way > 0 else 180.0)
         walked = (0.1 * frames / 1.4 * 8).round().astype(int)
-        boxes = body_boxes(foot, heading, walked, lambda p: project_distorted(p, camera))
+        boxes = body_boxes(
+            foot, heading, walked, lambda p: project_distorted(p, camera)
+        )
         height = box_height_px(boxes)
         draws = linked_noise(frames, table.frame_correlation, rng)
-        chance = 0.924 / (1.0 + (table.height_half_px / height) ** table.height_steepness)
-        for frame, (box, is_found) in enumerate(zip(boxes, ndtr(draws) < chance, strict=True)):
-            x, y, w, h = box[0] + box[2], box[1] + box[3], box[2] - box[0], box[3] - box[1]
+        chance = 0.924 / (
+            1.0 + (table.height_half_px / height) ** table.height_steepness
+        )
+        for frame, (box, is_found) in enumerate(
+            zip(boxes, ndtr(draws) < chance, strict=True)
+        ):
+            x = box[0] + box[2]
+            y = box[1] + box[3]
+            w = box[2] - box[0]
+            h = box[3] - box[1]
             frame_texts[frame].append(
-                f'<object id="{person}"><box h="{h}" w="{w}" xc="{x / 2}" yc="{y / 2}"/></object>'
+                f'<object id="{person}"><box h="{h}" w="{w}" xc="{x / 2}"'
+                f' yc="{y / 2}"/></object>'
             )
             if is_found:
-                found.append((frame + 1, f"{frame + 1},-1,{box[0]},{box[1]},{w},{h},0.9,-1,-1,-1"))
+                found.append(
+                    (
+                        frame + 1,
+                        f"{frame + 1},-1,{box[0]},{box[1]},{w},{h},0.9,-1,-1,-1",
+                    )
+                )
     text = "".join(
         f'<frame number="{n}"><objectlist>{"".join(one)}</objectlist></frame>'
         for n, one in enumerate(frame_texts)
@@ -74,18 +94,25 @@ def kitti(folder, rng):
     """Two sequences of people and cyclists, each found in seven or eight of ten frames."""
     data = folder / "OpenTraj" / "datasets" / "KITTI" / "data"
     for sequence in (0, 16):
-        labels, points, pictures = [], {"Pedestrian": [], "Cyclist": []}, []
+        labels = []
+        points = {"Pedestrian": [], "Cyclist": []}
+        pictures = []
         for frame in range(50):
             for track, kind in enumerate(["Pedestrian"] * 4 + ["Cyclist"] * 4):
                 far = 8.0 + 3.0 * track + 0.02 * frame
-                top, left = 173 - 180 / far, 150 * track + 20
+                top = 173 - 180 / far
+                left = 150 * track + 20
                 box = f"{left} {top:.1f} {left + 300 / far:.1f} {top + 1300 / far:.1f}"
                 level = track % 3
                 labels.append(
-                    f"{frame} {track} {kind} 0 {level} 0 {box} 1.8 0.5 0.5 {track - 3} 1.6 {far} 0"
+                    f"{frame} {track} {kind} 0 {level} 0 {box} 1.8 0.5 0.5"
+                    f" {track - 3} 1.6 {far} 0"
                 )
                 commas = box.replace(" ", ",")
-                number = 1 if kind == "Pedestrian" else 3
+                if kind == "Pedestrian":
+                    number = 1
+                else:
+                    number = 3
                 if rng.random() < 0.75:
                     points[kind].append(
                         f"{frame},{number},{commas},2.0,1.8,0.5,0.5,{track - 3},1.6,{far},0,0"
@@ -116,7 +143,10 @@ def wildtrack(folder):
         shift = turn.apply([-200.0, -300.0, -250.0])
         words = " ".join(map(str, turn.as_rotvec())), " ".join(map(str, shift))
         extrinsic = data / "calibrations" / "extrinsic" / f"extr_{name}.xml"
-        put(extrinsic, f"<opencv><rvec>{words[0]}</rvec><tvec>{words[1]}</tvec></opencv>")
+        put(
+            extrinsic,
+            f"<opencv><rvec>{words[0]}</rvec><tvec>{words[1]}</tvec></opencv>",
+        )
         for kind, terms in (("original", "-0.05 0.01 0 0 0"), ("zero", "0 0 0 0 0")):
             path = data / "calibrations" / f"intrinsic_{kind}" / f"intr_{name}.xml"
             k = "<camera_matrix><data>900 0 960 0 900 540 0 0 1</data></camera_matrix>"
@@ -127,13 +157,17 @@ def wildtrack(folder):
     people = []
     for number in range(40):
         cell = 480 * (40 + 30 * number) + 5 + 11 * number
-        x, y = -3.0 + 0.025 * (cell % 480), -9.0 + 0.025 * (cell // 480)
+        x = -3.0 + 0.025 * (cell % 480)
+        y = -9.0 + 0.025 * (cell // 480)
         views = []
         for view, camera in enumerate(cameras):
             (at,) = project_distorted([[x, y, 0.9]], camera)
             inside = 0 <= at[0] < 1920 and 0 <= at[1] < 1080
             names = ("xmin", "ymin", "xmax", "ymax")
-            sides = (1, 2, 30, 40) if inside else (-1, -1, -1, -1)
+            if inside:
+                sides = (1, 2, 30, 40)
+            else:
+                sides = (-1, -1, -1, -1)
             views.append({"viewNum": view} | dict(zip(names, sides, strict=True)))
         people.append({"personID": number, "positionID": cell, "views": views})
     import json
@@ -144,7 +178,8 @@ def wildtrack(folder):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    place, rng = tmp_path_factory.mktemp("recordings"), np.random.default_rng(3)
+    place = tmp_path_factory.mktemp("recordings")
+    rng = np.random.default_rng(3)
     pets(place, rng)
     kitti(place, rng)
     wildtrack(place)
@@ -194,11 +229,20 @@ def test_a_camera_tilted_down_shows_the_same_point_higher_up(folder):
     )
 
 
-def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(folder, measured):
+def test_flags_by_the_middles_of_bodies_agree_with_the_lens_that_made_them(
+    folder, measured
+):
     flags = measured.flags
     assert [flag.agreed for flag in flags] == [1.0] * 7
     assert min(flag.agreed_pinhole for flag in flags) < 1.0
-    assert len(read_wildtrack(folder / "OpenTraj/datasets/Wild-Track/annotations_positions")) == 7
+    assert (
+        len(
+            read_wildtrack(
+                folder / "OpenTraj/datasets/Wild-Track/annotations_positions"
+            )
+        )
+        == 7
+    )
 
 
 def test_what_was_drawn_is_counted(folder, measured):
@@ -217,10 +261,13 @@ def test_what_was_drawn_is_counted(folder, measured):
 
 
 def test_phi_is_that_of_two_states_and_their_chances():
-    rng, n = np.random.default_rng(1), 4000
+    rng = np.random.default_rng(1)
+    n = 4000
     states = np.empty(n, dtype=bool)
     states[0] = True
-    for index in range(1, n):  # stays found with 0.9, stays missed with 0.6: phi 0.9 + 0.6 - 1
+    for index in range(
+        1, n
+    ):  # stays found with 0.9, stays missed with 0.6: phi 0.9 + 0.6 - 1
         states[index] = rng.random() < (0.9 if states[index - 1] else 0.4)
     some = response.Sightings(
         height_px=np.full(n, 80.0),
@@ -238,11 +285,19 @@ def test_phi_is_that_of_two_states_and_their_chances():
     assert found.value == pytest.approx(0.5, abs=0.06)
 
 
-def test_the_command_writes_page_figures_and_tables(folder, measured, tmp_path, monkeypatch):
+def test_the_command_writes_page_figures_and_tables(
+    folder, measured, tmp_path, monkeypatch
+):
     monkeypatch.setattr(command, "measure", {folder: measured}.__getitem__)
     result = CliRunner().invoke(
         command.main,
-        [str(folder), "--out", str(tmp_path / "out"), "--tables", str(tmp_path / "tables")],
+        [
+            str(folder),
+            "--out",
+            str(tmp_path / "out"),
+            "--tables",
+            str(tmp_path / "tables"),
+        ],
     )
     assert result.exit_code == 0, result.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -262,6 +317,8 @@ def test_the_command_writes_page_figures_and_tables(folder, measured, tmp_path, 
 
 
 def test_a_missing_recording_is_told_in_one_line(tmp_path):
-    result = CliRunner().invoke(command.main, [str(tmp_path), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(
+        command.main, [str(tmp_path), "--out", str(tmp_path / "out")]
+    )
     assert result.exit_code == 2
     assert "PETS2009-S2L1.xml: got No such file or directory" in result.output

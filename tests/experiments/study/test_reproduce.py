@@ -36,13 +36,18 @@ def small():
         runs = tuple(run for run in variant.setting.runs if run.id in SOME)
         axis = build_frame_axis(runs, weight_per_run(runs))
         setting = replace(variant.setting, runs=runs, axis=axis)
-        variants.append(Variant(name=variant.name, setting=setting, layout=variant.layout))
+        variants.append(
+            Variant(name=variant.name, setting=setting, layout=variant.layout)
+        )
     return tuple(variants)
 
 
 def test_the_published_figures_are_those_of_the_study():
     # CarlaNCAP study, results in daylight.
-    figures = {(figure.quantity, figure.case): figure.value for figure in load_published().figures}
+    figures = {
+        (figure.quantity, figure.case): figure.value
+        for figure in load_published().figures
+    }
     assert figures["frames of the VUT", "CPNC-50"] == 0.1397
     assert figures["frames of the VUT", "CBLA"] == 0.8920
     assert figures["frames of the VUT", "CBNA"] == 0.0512
@@ -59,7 +64,9 @@ def test_quantities_are_shares_by_case(small):
     for case in ("CPNC-50", "CBNA", "CBLA"):
         mask = np.array(axis.cases) == case
         assert found["APR of the VUT", case] == apr(evaluation.vut, axis, mask)
-        assert found["frames of any RSU", case] == detected_share(evaluation.rsu_all, axis, mask)
+        assert found["frames of any RSU", case] == detected_share(
+            evaluation.rsu_all, axis, mask
+        )
         assert found["APR of RSU3", case] == apr(evaluation.units["RSU3"], axis, mask)
 
 
@@ -73,13 +80,20 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
     )
     text = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     for figure in load_published().figures:
-        assert f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |" in text
+        assert (
+            f"| {figure.quantity} | {figure.case} | {100 * figure.value:.2f} % |"
+            in text
+        )
     assert "| field of view 90 deg, not 110 |" in text
     assert "## Predictions" in text
-    published = next(line for line in text.splitlines() if line.startswith("| published |"))
+    published = next(
+        line for line in text.splitlines() if line.startswith("| published |")
+    )
     for figure in load_published().additional:
         assert figure.published in published
-    assert "| as it is | - | - | - | - |" in text  # the small variants do not drive these cases
+    assert (
+        "| as it is | - | - | - | - |" in text
+    )  # the small variants do not drive these cases
     assert (tmp_path / "reproduction_heatmaps.png").read_bytes().startswith(b"\x89PNG")
     assert stages[0] == ("evaluate variants", 0, 3)
     assert sorted(path.name for path in Path(tmp_path).iterdir()) == [
@@ -89,7 +103,13 @@ def test_the_page_has_every_published_figure_and_a_range(small, tmp_path, monkey
 
 
 def test_a_use_that_does_not_exist_is_named(monkeypatch):
-    entry = {"quantity": "x", "case": "y", "value": 0.5, "use": "fitted", "depends_on": "z"}
+    entry = {
+        "quantity": "x",
+        "case": "y",
+        "value": 0.5,
+        "use": "fitted",
+        "depends_on": "z",
+    }
     monkeypatch.setattr(
         reproduction, "load_data", lambda *path: {"figures": [entry], "additional": []}
     )
@@ -100,7 +120,9 @@ def test_a_use_that_does_not_exist_is_named(monkeypatch):
 
 
 def test_the_additional_cases_are_changed_in_one_thing_at_a_time():
-    variants = {variant.name: variant.setting for variant in build_additional_variants()}
+    variants = {
+        variant.name: variant.setting for variant in build_additional_variants()
+    }
     base = variants["as it is"]
     assert set(base.axis.cases) == {"CPNCO-50", "CPLA-50", "CBTAno-50", "CBTAfo-50"}
     assert set(base.axis.positions) == {"0"}

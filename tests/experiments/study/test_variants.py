@@ -28,7 +28,8 @@ def test_walls_move_towards_the_middle_and_nothing_else_does():
     # The end of each wall at its corner comes nearer to the middle of the junction.
     middle = scene.outline_m.mean(axis=0)
     near, far = (
-        np.linalg.norm(s.vertices_m[walls, :2] - middle, axis=1).min() for s in (moved, scene)
+        np.linalg.norm(s.vertices_m[walls, :2] - middle, axis=1).min()
+        for s in (moved, scene)
     )
     assert near < far
     back = move_walls(moved, -0.5)

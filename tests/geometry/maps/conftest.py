@@ -13,7 +13,9 @@ def real_input() -> Callable[[str], Path]:
     def find(name: str) -> Path:
         path = _FOLDER / name
         if not path.exists():
-            pytest.skip(f"{name} is not at hand: ../shared/inputs is not part of the project")
+            pytest.skip(
+                f"{name} is not at hand: ../shared/inputs is not part of the project"
+            )
         return path
 
     return find

@@ -21,12 +21,15 @@ def read(osm: OsmText, folder: Path) -> SourceMap:
 def dual_carriageway(stub_m: float) -> OsmText:
     """A T junction of a street with two carriageways, cut in two at its crosswalk to the north.
 
-    As at Northgate: the carriageways have two lanes north of the cut and three south of it.
+    As at Northgate: the carriageways have two lanes north of the cut and three south of
+    it.
     """
     osm = OsmText()
-    west_node, east_node = osm.node(-5.0, 0.0), osm.node(5.0, 0.0)
+    west_node = osm.node(-5.0, 0.0)
+    east_node = osm.node(5.0, 0.0)
     cut_m = 10.0 + stub_m
-    down_cut, up_cut = osm.node(-5.0, cut_m), osm.node(5.0, cut_m)
+    down_cut = osm.node(-5.0, cut_m)
+    up_cut = osm.node(5.0, cut_m)
     avenue = {"name": "Avenue", "oneway": "yes", "highway": "secondary"}
     osm.road([(-5.0, 120.0), down_cut], lanes="2", **avenue)
     osm.road([down_cut, west_node, (-5.0, -120.0)], lanes="3", **avenue)
@@ -37,10 +40,16 @@ def dual_carriageway(stub_m: float) -> OsmText:
 
 
 @pytest.mark.parametrize("stub_m", [1.5, 3.0, 6.0])
-def test_a_stub_between_crosswalk_and_junction_is_no_arm(stub_m: float, tmp_path: Path) -> None:
+def test_a_stub_between_crosswalk_and_junction_is_no_arm(
+    stub_m: float, tmp_path: Path
+) -> None:
     source = read(dual_carriageway(stub_m), tmp_path)
     (junction,) = source.junctions
-    assert arm_lanes(source, junction) == {"north": (2, 2), "west": (1, 1), "south": (3, 3)}
+    assert arm_lanes(source, junction) == {
+        "north": (2, 2),
+        "west": (1, 1),
+        "south": (3, 3),
+    }
     assert not list(compare_arms(arms_of(source, junction), junction.roads))
 
 
@@ -53,9 +62,10 @@ def test_a_road_that_the_cut_out_clips_is_no_arm_and_told(tmp_path: Path) -> Non
     source = read(osm, tmp_path)
     (junction,) = source.junctions
     assert set(arm_lanes(source, junction)) == {"east", "west", "south"}
-    assert (f"way {stub}", "it ends nowhere, less than 10 m beyond a junction: no arm") in [
-        (skip.what, skip.why) for skip in source.skipped
-    ]
+    assert (
+        f"way {stub}",
+        "it ends nowhere, less than 10 m beyond a junction: no arm",
+    ) in [(skip.what, skip.why) for skip in source.skipped]
     assert len(junction.roads) == 3
 
 
@@ -64,7 +74,10 @@ def test_carriageways_with_tracks_between_them_are_one_arm(
     keeps_left: bool, tmp_path: Path
 ) -> None:
     osm = OsmText()
-    sign = -1.0 if keeps_left else 1.0
+    if keeps_left:
+        sign = -1.0
+    else:
+        sign = 1.0
     nodes = [osm.node(-11.0, 0.0), osm.node(11.0, 0.0)]
     tags = {"name": "Avenue", "oneway": "yes", "highway": "secondary", "lanes": "2"}
     osm.road([(-11.0, 120.0 * sign), nodes[0], (-11.0, -120.0 * sign)], **tags)
@@ -76,7 +89,9 @@ def test_carriageways_with_tracks_between_them_are_one_arm(
     assert lanes == {"east": (1, 1), "north": (2, 2), "west": (1, 1), "south": (2, 2)}
 
 
-def road(name: str, direction: tuple[float, float], n_in: int, n_out: int) -> LeadingRoad:
+def road(
+    name: str, direction: tuple[float, float], n_in: int, n_out: int
+) -> LeadingRoad:
     unit = np.array(direction)
     return LeadingRoad(
         name=name, point_m=12.0 * unit, direction=unit, lanes_in=n_in, lanes_out=n_out
@@ -96,7 +111,10 @@ def test_what_arms_lack_is_told(tmp_path: Path) -> None:
         road("High Street", (-1.0, 0.0), 1, 1),
     ]
     assert [(one.what, one.why) for one in compare_arms(junction, roads)] == [
-        ("road Mill Lane from the north", "it leads to the junction, but no arm has a lane of it"),
+        (
+            "road Mill Lane from the north",
+            "it leads to the junction, but no arm has a lane of it",
+        ),
         (
             "arm east",
             "it has 1 lanes in and 1 out; by the map High Street has 2 in and 1 out",
@@ -122,7 +140,11 @@ def town(tmp_path: Path) -> SourceMap:
 
 def test_junctions_are_chosen_by_their_streets_in_any_order(town: SourceMap) -> None:
     surveyed = survey_junctions(town)
-    for name in ("High Street / Church Lane", "church lane / High Street", "Church Lane"):
+    for name in (
+        "High Street / Church Lane",
+        "church lane / High Street",
+        "Church Lane",
+    ):
         assert "Church Lane" in choose_junction(town, surveyed, name=name).junction.name
     whole = choose_junction(town, surveyed, name="Station Road / Mill Lane")
     assert "Station Road" in whole.junction.name
@@ -135,14 +157,20 @@ def test_streets_that_meet_twice_are_told_with_their_places(tmp_path: Path) -> N
     for index in range(2):
         osm.road([nodes[index], (300.0 * index, 90.0)], name="Mill Lane")
     source = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
-    with pytest.raises(InputError, match=r"\(High Street / Mill Lane at 13\.4\d*,52\.5\d*\)"):
-        choose_junction(source, survey_junctions(source), name="Mill Lane / High Street")
+    with pytest.raises(
+        InputError, match=r"\(High Street / Mill Lane at 13\.4\d*,52\.5\d*\)"
+    ):
+        choose_junction(
+            source, survey_junctions(source), name="Mill Lane / High Street"
+        )
 
 
 def test_junctions_are_sorted_by_what_they_have(town: SourceMap) -> None:
     surveyed = survey_junctions(town)
     by_name = sort_junctions(surveyed, "name")
-    assert [one.junction.name for one in by_name] == sorted(one.junction.name for one in surveyed)
+    assert [one.junction.name for one in by_name] == sorted(
+        one.junction.name for one in surveyed
+    )
     by_lanes = [one.n_lanes for one in sort_junctions(surveyed, "lanes")]
     assert by_lanes == sorted(by_lanes, reverse=True)
     assert sort_junctions(surveyed, "arms") == surveyed

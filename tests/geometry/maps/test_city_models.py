@@ -21,7 +21,10 @@ SHELL = [
     [[0, 2, 6, 4]],
     [[1, 5, 7, 3]],
 ]
-HOUSE = {"type": "Building", "geometry": [{"type": "Solid", "lod": "2", "boundaries": [SHELL]}]}
+HOUSE = {
+    "type": "Building",
+    "geometry": [{"type": "Solid", "lod": "2", "boundaries": [SHELL]}],
+}
 FOOTPRINT = {"type": "MultiSurface", "lod": "0", "boundaries": [[[0, 4, 6, 2]]]}
 CITY = {
     "type": "CityJSON",
@@ -51,7 +54,11 @@ def volume(thing):
 def test_a_solid_is_read_where_it_stands(tmp_path, version):
     source = read_cityjson(write(tmp_path, CITY | {"version": version}))
     (thing,) = source.things
-    assert (source.crs, source.heights, thing.class_name) == ("EPSG:25833", "absolute", "building")
+    assert (source.crs, source.heights, thing.class_name) == (
+        "EPSG:25833",
+        "absolute",
+        "building",
+    )
     assert np.allclose(thing.vertices_m.min(axis=0), [390_000.0, 5_819_000.0, 30.0])
     assert volume(thing) == pytest.approx(240.0)
     assert is_closed(thing.triangles)
@@ -83,7 +90,10 @@ def test_every_kind_of_geometry_gives_the_same_solid(tmp_path, kind, boundaries)
 def test_the_level_of_detail_that_serves_best_is_taken(tmp_path, levels, best):
     geometries = []
     for index, level in enumerate(levels):
-        shell = SHELL if index == best else SHELL[:3]
+        if index == best:
+            shell = SHELL
+        else:
+            shell = SHELL[:3]
         geometries.append({"type": "MultiSurface", "lod": level, "boundaries": shell})
     house = {"type": "Building", "geometry": geometries}
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
@@ -91,7 +101,11 @@ def test_the_level_of_detail_that_serves_best_is_taken(tmp_path, levels, best):
 
 
 def test_footprints_are_raised_by_their_measured_height(tmp_path):
-    house = {"type": "Building", "attributes": {"measuredHeight": 7.5}, "geometry": [FOOTPRINT]}
+    house = {
+        "type": "Building",
+        "attributes": {"measuredHeight": 7.5},
+        "geometry": [FOOTPRINT],
+    }
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
     assert volume(thing) == pytest.approx(48.0 * 7.5)
     assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(7.5)
@@ -100,10 +114,16 @@ def test_footprints_are_raised_by_their_measured_height(tmp_path):
 
 @pytest.mark.parametrize("height", [None, -3.0, 0.0, 1e9, "tall", True])
 def test_footprints_without_a_possible_height_get_the_default(tmp_path, height):
-    house = {"type": "Building", "attributes": {"measuredHeight": height}, "geometry": [FOOTPRINT]}
+    house = {
+        "type": "Building",
+        "attributes": {"measuredHeight": height},
+        "geometry": [FOOTPRINT],
+    }
     (thing,) = read_cityjson(write(tmp_path, city_of(house=house))).things
     assert thing.is_height_assumed
-    assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(kind_of_class("building").height_m)
+    assert np.ptp(thing.vertices_m[:, 2]) == pytest.approx(
+        kind_of_class("building").height_m
+    )
 
 
 def test_a_footprint_gives_way_to_the_parts_of_its_building(tmp_path):
@@ -117,7 +137,8 @@ def test_classes_follow_types_and_the_names_of_furniture(tmp_path):
     objects = {
         "tree": HOUSE | {"type": "SolitaryVegetationObject"},
         "kiosk": HOUSE | {"type": "CityFurniture"},
-        "lamp": HOUSE | {"type": "CityFurniture", "attributes": {"function": "street lamp"}},
+        "lamp": HOUSE
+        | {"type": "CityFurniture", "attributes": {"function": "street lamp"}},
         "tower": HOUSE | {"type": "OtherConstruction"},
         "deck": HOUSE | {"type": "Bridge"},
         "meadow": HOUSE | {"type": "LandUse"},
@@ -157,7 +178,11 @@ def test_templates_stand_where_they_are_placed(tmp_path):
 
 
 def test_sequences_read_as_the_file_they_came_from(tmp_path):
-    head = {key: value for key, value in CITY.items() if key not in ("CityObjects", "vertices")}
+    head = {
+        key: value
+        for key, value in CITY.items()
+        if key not in ("CityObjects", "vertices")
+    }
     lines = [head | {"CityObjects": {}, "vertices": []}]
     for name in "ab":
         lines.append(
@@ -197,7 +222,10 @@ def house_with(boundaries, kind="Solid"):
         (broken(type="FeatureCollection"), "type"),
         (broken(version="3.7"), "version"),
         (broken(transform={"scale": [1, 1]}), "transform.scale"),
-        (broken(transform={"scale": [1, 1, 1], "translate": [0, 0, None]}), "transform.translate"),
+        (
+            broken(transform={"scale": [1, 1, 1], "translate": [0, 0, None]}),
+            "transform.translate",
+        ),
         (broken(vertices=[[1, 2]]), "vertices"),
         (
             broken(
@@ -221,7 +249,9 @@ def test_broken_files_are_refused_in_one_line(tmp_path, city, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\n\n", "1", "\ufeff{}", '{"type": NaN}'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[" * 100_000, "\n\n", "1", "\ufeff{}", '{"type": NaN}']
+)
 def test_what_is_no_city_is_refused(tmp_path, text):
     path = tmp_path / "city.json"
     path.write_text(text)
@@ -255,7 +285,9 @@ def test_real_houses_have_the_volumes_that_their_source_gives(real_input):
         if entry["type"] == "Building"
     ]
     assert source.crs == "EPSG:28992"
-    assert sorted(volume(thing) for thing in source.things) == pytest.approx(sorted(said), rel=1e-3)
+    assert sorted(volume(thing) for thing in source.things) == pytest.approx(
+        sorted(said), rel=1e-3
+    )
 
 
 def test_real_city_without_reference_system(real_input):

@@ -10,12 +10,28 @@ from geometry.maps.source_map import is_closed, volume_m3
 
 ORIGIN = np.array([390_000.0, 5_819_000.0, 30.0])
 BOX = np.array([[x, y, z] for x in (0, 6) for y in (0, 8) for z in (0, 5)], dtype=float)
-FACES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+FACES = [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+]
 KINDS = ["Wall", "Wall", "Wall", "Wall", "Ground", "Roof"]
 NAMESPACES = {
-    "1.0": ("http://www.opengis.net/citygml/1.0", "http://www.opengis.net/citygml/building/1.0"),
-    "2.0": ("http://www.opengis.net/citygml/2.0", "http://www.opengis.net/citygml/building/2.0"),
-    "3.0": ("http://www.opengis.net/citygml/3.0", "http://www.opengis.net/citygml/building/3.0"),
+    "1.0": (
+        "http://www.opengis.net/citygml/1.0",
+        "http://www.opengis.net/citygml/building/1.0",
+    ),
+    "2.0": (
+        "http://www.opengis.net/citygml/2.0",
+        "http://www.opengis.net/citygml/building/2.0",
+    ),
+    "3.0": (
+        "http://www.opengis.net/citygml/3.0",
+        "http://www.opengis.net/citygml/building/3.0",
+    ),
 }
 
 
@@ -46,7 +62,9 @@ def polygon(points, *, holes=(), write=pos_list, attributes=""):
 
 
 def members(polygons):
-    return "".join(f"<gml:surfaceMember>{text}</gml:surfaceMember>" for text in polygons)
+    return "".join(
+        f"<gml:surfaceMember>{text}</gml:surfaceMember>" for text in polygons
+    )
 
 
 def faces(**options):
@@ -68,17 +86,21 @@ def multi_surface(polygons, level=2, name="MultiSurface"):
     )
 
 
-def city(body, *, version="2.0", srs="urn:ogc:def:crs:EPSG::25833", feature="bldg:Building"):
+def city(
+    body, *, version="2.0", srs="urn:ogc:def:crs:EPSG::25833", feature="bldg:Building"
+):
     core, building = NAMESPACES[version]
-    envelope = (
-        f'<gml:boundedBy><gml:Envelope srsName="{srs}"><gml:lowerCorner>0 0 0</gml:lowerCorner>'
-        "</gml:Envelope></gml:boundedBy>"
-        if srs
-        else ""
-    )
+    if srs:
+        envelope = (
+            f'<gml:boundedBy><gml:Envelope srsName="{srs}"><gml:lowerCorner>0 0'
+            " 0</gml:lowerCorner></gml:Envelope></gml:boundedBy>"
+        )
+    else:
+        envelope = ""
     return (
         f'<CityModel xmlns="{core}" xmlns:bldg="{building}" '
-        'xmlns:gml="http://www.opengis.net/gml" xmlns:xlink="http://www.w3.org/1999/xlink">'
+        'xmlns:gml="http://www.opengis.net/gml"'
+        ' xmlns:xlink="http://www.w3.org/1999/xlink">'
         f'{envelope}<cityObjectMember><{feature} gml:id="house">{body}</{feature}>'
         "</cityObjectMember></CityModel>"
     )
@@ -109,7 +131,8 @@ REFERRED = "".join(
     + "".join(f'<gml:surfaceMember xlink:href="#p{index}"/>' for index in range(6)),
 )
 TURNED = multi_surface(
-    f'<gml:OrientableSurface orientation="-"><gml:baseSurface>{polygon((BOX[face] + ORIGIN)[::-1])}'
+    "<gml:OrientableSurface"
+    f' orientation="-"><gml:baseSurface>{polygon((BOX[face] + ORIGIN)[::-1])}'
     "</gml:baseSurface></gml:OrientableSurface>"
     for face in FACES
 )
@@ -147,9 +170,13 @@ def test_a_house_is_the_same_however_it_is_written(tmp_path, version, body):
 def test_holes_are_left_out(tmp_path):
     floor = BOX[FACES[4]] + ORIGIN
     hole = ORIGIN + np.array([[2, 2, 0], [4, 2, 0], [4, 4, 0], [2, 4, 0]])
-    (thing,) = read(tmp_path, city(multi_surface([polygon(floor, holes=[hole])]))).things
+    (thing,) = read(
+        tmp_path, city(multi_surface([polygon(floor, holes=[hole])]))
+    ).things
     a, b, c = np.swapaxes(thing.vertices_m[thing.triangles], 0, 1)
-    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(44.0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(
+        44.0
+    )
 
 
 @pytest.mark.parametrize("name", ["FootPrint", "RoofEdge"])
@@ -169,7 +196,8 @@ def test_footprints_in_two_dimensions_are_read_as_such(tmp_path):
     ring = [*square, square[0], square[0]]  # 12 numbers: also four points of three
     text = f"<gml:posList>{numbers(ring)}</gml:posList>"
     flat = (
-        '<bldg:lod0FootPrint><gml:MultiSurface srsDimension="2"><gml:surfaceMember><gml:Polygon>'
+        "<bldg:lod0FootPrint><gml:MultiSurface"
+        ' srsDimension="2"><gml:surfaceMember><gml:Polygon>'
         f"<gml:exterior><gml:LinearRing>{text}</gml:LinearRing></gml:exterior></gml:Polygon>"
         "</gml:surfaceMember></gml:MultiSurface></bldg:lod0FootPrint>"
     )
@@ -183,7 +211,9 @@ def test_parts_are_things_and_their_buildings_footprint_is_none(tmp_path):
         '<bldg:consistsOfBuildingPart><bldg:BuildingPart gml:id="part">'
         f"{solid()}</bldg:BuildingPart></bldg:consistsOfBuildingPart>"
     )
-    flat = multi_surface([polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name="FootPrint")
+    flat = multi_surface(
+        [polygon(BOX[[0, 4, 6, 2]] + ORIGIN)], level=0, name="FootPrint"
+    )
     source = read(tmp_path, city(flat + part))
     assert [thing.id for thing in source.things] == ["part"]
 
@@ -197,11 +227,18 @@ def test_northing_first_is_turned(tmp_path):
 
 
 def test_geographic_coordinates_become_metres(tmp_path):
-    lat_lon = np.array([[35.68, 139.76, 0.0], [35.68, 139.761, 0.0], [35.681, 139.761, 0.0]])
+    lat_lon = np.array(
+        [[35.68, 139.76, 0.0], [35.68, 139.761, 0.0], [35.681, 139.761, 0.0]]
+    )
     flat = multi_surface([polygon(lat_lon)], level=0, name="FootPrint")
-    source = read(tmp_path, city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697"))
+    source = read(
+        tmp_path, city(flat, srs="http://www.opengis.net/def/crs/EPSG/0/6697")
+    )
     width, depth = np.ptp(source.things[0].vertices_m[:, :2], axis=0)
-    assert (width, depth) == (pytest.approx(90.5, rel=0.01), pytest.approx(111.0, rel=0.01))
+    assert (width, depth) == (
+        pytest.approx(90.5, rel=0.01),
+        pytest.approx(111.0, rel=0.01),
+    )
 
 
 def test_bridges_and_rooms_are_left_out_and_counted(tmp_path):
@@ -234,8 +271,14 @@ DOUBLING = "".join(
         (city(solid()).replace("390006.000", "far"), "numbers"),
         (city(solid()).replace("390006.000", "NaN"), "finite"),
         (city(solid()).replace("390006.000", ""), "3 for every point"),
-        (city(solid() + '<a srsName="EPSG:25832"/>'), "several coordinate reference systems"),
-        (city(f"<bldg:lod2MultiSurface>{DOUBLING}</bldg:lod2MultiSurface>"), "nested too deeply"),
+        (
+            city(solid() + '<a srsName="EPSG:25832"/>'),
+            "several coordinate reference systems",
+        ),
+        (
+            city(f"<bldg:lod2MultiSurface>{DOUBLING}</bldg:lod2MultiSurface>"),
+            "nested too deeply",
+        ),
         (
             '<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]>'
             + city("<gml:name>&c;</gml:name>"),
@@ -255,8 +298,8 @@ def test_broken_files_are_refused_in_one_line(tmp_path, text, message):
 
 def test_references_in_a_circle_are_refused(tmp_path):
     ring = (
-        '<bldg:lod2MultiSurface><gml:MultiSurface gml:id="m"><gml:surfaceMember xlink:href="#m"/>'
-        "</gml:MultiSurface></bldg:lod2MultiSurface>"
+        '<bldg:lod2MultiSurface><gml:MultiSurface gml:id="m"><gml:surfaceMember'
+        ' xlink:href="#m"/></gml:MultiSurface></bldg:lod2MultiSurface>'
     )
     with pytest.raises(InputError, match="nested too deeply"):
         read(tmp_path, city(ring))
@@ -274,7 +317,9 @@ def test_both_encodings_of_a_real_model_give_the_same_houses(real_input):
     gml = read_citygml(real_input("buildings/lod2_buildings_v3.gml"))
     in_json = {
         thing.id: thing
-        for thing in read_cityjson(real_input("buildings/lod2_buildings_v2.city.json")).things
+        for thing in read_cityjson(
+            real_input("buildings/lod2_buildings_v2.city.json")
+        ).things
     }
     assert gml.crs == ""
     assert "EPSG:3068" in gml.skipped[0].what

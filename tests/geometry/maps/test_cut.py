@@ -26,7 +26,9 @@ UTM = "EPSG:25832"
 AT_M = np.array([691_000.0, 5_334_000.0])  # Munich, more or less
 
 
-def lane(name, begin, end, *, kind="driving", to="", start="", height_m=0.0, n_points=2):
+def lane(
+    name, begin, end, *, kind="driving", to="", start="", height_m=0.0, n_points=2
+):
     share = np.linspace(0.0, 1.0, n_points)[:, None]
     points = np.array(begin) + share * (np.array(end, dtype=float) - begin)
     return MapLane(
@@ -42,7 +44,9 @@ def lane(name, begin, end, *, kind="driving", to="", start="", height_m=0.0, n_p
 def thing(name, middle, *, class_name="building", bottom_m=0.0, top_m=6.0):
     corners = np.array(middle) + 2.0 * SQUARE_M / 8.0 + AT_M
     vertices, triangles = extrude(corners, bottom_m=bottom_m, top_m=top_m)
-    return Thing(id=name, class_name=class_name, vertices_m=vertices, triangles=triangles)
+    return Thing(
+        id=name, class_name=class_name, vertices_m=vertices, triangles=triangles
+    )
 
 
 JUNCTION = MapJunction(id="j", name="A / B", outline_m=SQUARE_M + AT_M, height_m=5.0)
@@ -68,11 +72,15 @@ ROADS = SourceMap(
     ),
     poles=(
         Pole(
-            id="lamp, 1", kind="lamp post", position_m=[*(AT_M + [10.0, 10.0]), 5.0], height_m=6.0
+            id="lamp, 1",
+            kind="lamp post",
+            position_m=[*(AT_M + [10.0, 10.0]), 5.0],
+            height_m=6.0,
         ),
         Pole(id="off", kind="sign", position_m=[*(AT_M + [500.0, 0.0]), 5.0]),
     ),
-    crosswalks_m=np.array([[[12.0, -4.0], [12.0, 4.0]], [[90.0, -4.0], [90.0, 4.0]]]) + AT_M,
+    crosswalks_m=np.array([[[12.0, -4.0], [12.0, 4.0]], [[90.0, -4.0], [90.0, 4.0]]])
+    + AT_M,
 )
 
 
@@ -121,8 +129,11 @@ def test_distances_are_metres_on_the_ground_and_places_stay(east_m, north_m):
     here = frame.take(point, ROADS)
     lon_lat = transform(here, frame.crs, "EPSG:4326")
     assert transform(lon_lat, "EPSG:4326", UTM) == pytest.approx(point, abs=1e-4)
-    # UTM shrinks by up to 0.04 % there and is turned by the convergence of its meridians.
-    assert np.hypot(*here) == pytest.approx(np.hypot(east_m, north_m), rel=5e-4, abs=0.01)
+    # UTM shrinks by up to 0.04 % there and is turned by the convergence of its
+    # meridians.
+    assert np.hypot(*here) == pytest.approx(
+        np.hypot(east_m, north_m), rel=5e-4, abs=0.01
+    )
 
 
 def test_a_map_of_no_known_place_is_moved_to_the_junction():
@@ -140,20 +151,32 @@ def test_other_files_lie_where_they_say_or_where_the_roads_are():
     other_crs = "EPSG:3857"
     there = transform(lon_lat, "EPSG:4326", other_crs)
     vertices, triangles = extrude(there + SQUARE_M, bottom_m=500.0, top_m=510.0)
-    house = Thing(id="near", class_name="building", vertices_m=vertices, triangles=triangles)
+    house = Thing(
+        id="near", class_name="building", vertices_m=vertices, triangles=triangles
+    )
     city = SourceMap(name="c.gml", crs=other_crs, heights="absolute", things=(house,))
     found = cut_out([ROADS, city], JUNCTION, radius_m=50.0)
     assert [one.id for one in found.things] == ["near", "c.gml-near"]
     corners = found.things[1].vertices_m
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    assert middle[:2] == pytest.approx(found.frame.take(AT_M + [30.0, -30.0], ROADS), abs=0.05)
-    assert found.things[1].vertices_m[:, 2].min() == pytest.approx(0.0)  # its own lowest point
+    assert middle[:2] == pytest.approx(
+        found.frame.take(AT_M + [30.0, -30.0], ROADS), abs=0.05
+    )
+    assert found.things[1].vertices_m[:, 2].min() == pytest.approx(
+        0.0
+    )  # its own lowest point
     given_m = cut_out([ROADS, city], JUNCTION, radius_m=50.0, ground_m=499.0)
     assert given_m.things[1].vertices_m[:, 2].min() == pytest.approx(1.0)
-    silent = replace(city, crs="", things=(thing("x", (0.0, 30.0)),), heights="above ground")
+    silent = replace(
+        city, crs="", things=(thing("x", (0.0, 30.0)),), heights="above ground"
+    )
     found = cut_out([ROADS, silent], JUNCTION, radius_m=50.0)
-    assert found.things[1].vertices_m[:, :2].mean(axis=0) == pytest.approx([0.0, 30.0], abs=1.0)
-    with pytest.raises(InputError, match=r"c\.gml: got coordinates in EPSG:3857; expected a file"):
+    assert found.things[1].vertices_m[:, :2].mean(axis=0) == pytest.approx(
+        [0.0, 30.0], abs=1.0
+    )
+    with pytest.raises(
+        InputError, match=r"c\.gml: got coordinates in EPSG:3857; expected a file"
+    ):
         cut_out([replace(ROADS, crs=""), city], JUNCTION, radius_m=50.0)
 
 
@@ -175,16 +198,32 @@ def crossing_map(*, goes_on=True, aside_m=0.0):
     ]
     if goes_on:
         lanes += [
-            lane("far in", (300.0, 1.5 + aside_m), (40.0, 1.5 + aside_m), to="k", height_m=5.0),
-            lane("far out", (40.0, aside_m - 1.5), (80.0, aside_m - 1.5), start="k", height_m=5.0),
+            lane(
+                "far in",
+                (300.0, 1.5 + aside_m),
+                (40.0, 1.5 + aside_m),
+                to="k",
+                height_m=5.0,
+            ),
+            lane(
+                "far out",
+                (40.0, aside_m - 1.5),
+                (80.0, aside_m - 1.5),
+                start="k",
+                height_m=5.0,
+            ),
         ]
     other = replace(JUNCTION, id="k", outline_m=JUNCTION.outline_m + [34.0, 0.0])
-    return replace(ROADS, lanes=tuple(lanes), junctions=(JUNCTION, other), things=(), poles=())
+    return replace(
+        ROADS, lanes=tuple(lanes), junctions=(JUNCTION, other), things=(), poles=()
+    )
 
 
 def imported(source):
     surroundings = cut_out([source], JUNCTION, radius_m=80.0)
-    return surroundings, build_scene(surroundings, name="s", source_crs="", sites=(), radius_m=80.0)
+    return surroundings, build_scene(
+        surroundings, name="s", source_crs="", sites=(), radius_m=80.0
+    )
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 1.0])
@@ -213,7 +252,9 @@ def test_lanes_are_led_straight_on_through_another_junction(aside_m):
 
 def test_where_the_map_ends_a_lane_is_assumed_and_told():
     surroundings, scene = imported(crossing_map(goes_on=False))
-    assert "other junctions around it" not in {skip.what for skip in surroundings.skipped}
+    assert "other junctions around it" not in {
+        skip.what for skip in surroundings.skipped
+    }
     (assumed,) = (one for one in scene.lanes if one.kind == "assumed")
     (entry,) = (one.centreline_m for one in scene.lanes if one.id == "near in")
     assert assumed.centreline_m[-1] == pytest.approx(entry[0])
@@ -233,9 +274,12 @@ def test_a_lane_that_only_turns_at_another_junction_is_not_led_on():
 
 def test_through_junctions_lead_the_maps_own_lanes_and_through_others_the_straight_ones():
     def through(name, junction, *points):
-        made = lane(name, points[0], points[-1], start=junction, to=junction, height_m=5.0)
+        made = lane(
+            name, points[0], points[-1], start=junction, to=junction, height_m=5.0
+        )
         return replace(
-            made, centreline_m=np.column_stack([points + AT_M, np.full(len(points), 5.0)])
+            made,
+            centreline_m=np.column_stack([points + AT_M, np.full(len(points), 5.0)]),
         )
 
     source = crossing_map()
@@ -245,23 +289,33 @@ def test_through_junctions_lead_the_maps_own_lanes_and_through_others_the_straig
         connections=(
             through("own turn", "j", (1.5, 8.0), (2.0, 3.0), (8.0, -1.5)),
             through("their way", "k", *bend),
-            through("their turn", "k", (28.0, -1.5), (33.0, -1.5), (34.0, -0.5), (34.0, 8.0)),
+            through(
+                "their turn", "k", (28.0, -1.5), (33.0, -1.5), (34.0, -0.5), (34.0, 8.0)
+            ),
             through("far away", "k", (928.0, -1.5), (940.0, -1.5)),
         ),
     )
     surroundings, scene = imported(source)
-    found = {one.id: one.centreline_m for one in scene.lanes if one.kind == "connecting"}
+    found = {
+        one.id: one.centreline_m for one in scene.lanes if one.kind == "connecting"
+    }
     assert found.keys() == {"own turn", "their way"}
     assert len(found["their way"]) == len(bend)
-    assert "other junctions around it" not in {skip.what for skip in surroundings.skipped}
+    assert "other junctions around it" not in {
+        skip.what for skip in surroundings.skipped
+    }
     (arm,) = build_junction(scene).arms.values()
-    assert len(arm.exit_lanes[0].centreline_m) == 5  # from here, over that way, and beyond
+    assert (
+        len(arm.exit_lanes[0].centreline_m) == 5
+    )  # from here, over that way, and beyond
 
 
 def with_houses(*middles):
     """The lane from the east ends 20 m from the middle; houses of 4 m stand there."""
     source = crossing_map(goes_on=False)
-    houses = [thing(f"house {x} {y}", (x, y), bottom_m=5.0, top_m=11.0) for x, y in middles]
+    houses = [
+        thing(f"house {x} {y}", (x, y), bottom_m=5.0, top_m=11.0) for x, y in middles
+    ]
     scene = imported(replace(source, things=tuple(houses)))[1]
     road = [one for one in scene.lanes if one.kind == "assumed"]
     strips = [
@@ -285,14 +339,17 @@ def test_an_assumed_road_bends_past_a_house(side, radius_m):
     (entry,) = junction.arms["east"].entry_lanes
     # On a circle that touches the lane at its begin, about a point away from the house.
     line = Line(
-        point_m=entry.centreline_m[0], direction=entry.centreline_m[0] - entry.centreline_m[-1]
+        point_m=entry.centreline_m[0],
+        direction=entry.centreline_m[0] - entry.centreline_m[-1],
     )
     ahead, left = line.coordinates(road.centreline_m[:-1]).T
     assert (ahead**2 + left**2) / (2.0 * left) == pytest.approx(-side * radius_m)
     assert junction.is_led_on(entry)
     followed = junction.followed(entry)
     assert followed.centreline_m[0] == pytest.approx(road.centreline_m[0])
-    assert followed.centreline_m[-len(entry.centreline_m) :] == pytest.approx(entry.centreline_m)
+    assert followed.centreline_m[-len(entry.centreline_m) :] == pytest.approx(
+        entry.centreline_m
+    )
     ((_, why),) = arms_that_end(scene)
     assert "comes round a bend, past the buildings there" in why
 
@@ -300,7 +357,9 @@ def test_an_assumed_road_bends_past_a_house(side, radius_m):
 def test_an_assumed_road_ends_where_no_bend_leads_past_houses():
     row = [(50.0, float(north)) for north in range(-60, 61, 3)]
     _, (road,) = with_houses(*row)  # their fronts are at 48 m
-    assert np.hypot(*(road.centreline_m[0] - road.centreline_m[1])) == pytest.approx(19.7, abs=0.02)
+    assert np.hypot(*(road.centreline_m[0] - road.centreline_m[1])) == pytest.approx(
+        19.7, abs=0.02
+    )
     assert len(road.centreline_m) == 2
     close = [(31.0, float(north)) for north in range(-60, 61, 3)]
     scene, roads = with_houses(*close)

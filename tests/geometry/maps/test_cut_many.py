@@ -29,7 +29,9 @@ def same(one, other):
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
     if hasattr(one, "__dataclass_fields__"):
-        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+        return all(
+            same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)
+        )
     return one == other
 
 
@@ -45,7 +47,8 @@ def test_a_junctions_surroundings_make_the_scene_of_the_whole_map(city):
         whole = import_scene([city], options)
         cut = cut_scene(part, one, options)
         known, told = (
-            replace(scene, notes=assumptions(scene.notes)) for scene in (whole.scene, cut.scene)
+            replace(scene, notes=assumptions(scene.notes))
+            for scene in (whole.scene, cut.scene)
         )
         assert same(told, known)
         assert cut.scene.roads
@@ -59,5 +62,9 @@ def test_lanes_through_other_junctions_come_along(real_input):
     assert len(part[0].connections) < len(maps[0].connections)
     assert len(part[0].junctions) < len(maps[0].junctions)
     options = ImportOptions(sites="kerb:15", radius_m=40.0)
-    cut, whole = (cut_scene(source, junctions[0], options).scene for source in (part, maps))
-    assert same(*(replace(scene, notes=assumptions(scene.notes)) for scene in (cut, whole)))
+    cut, whole = (
+        cut_scene(source, junctions[0], options).scene for source in (part, maps)
+    )
+    assert same(
+        *(replace(scene, notes=assumptions(scene.notes)) for scene in (cut, whole))
+    )

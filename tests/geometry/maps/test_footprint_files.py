@@ -8,14 +8,22 @@ import shapely
 from damage import damaged, read_or_refuse
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from shapely.geometry import GeometryCollection, LineString, MultiPolygon, Point, Polygon, box
+from shapely.geometry import (
+    GeometryCollection,
+    LineString,
+    MultiPolygon,
+    Point,
+    Polygon,
+    box,
+)
 
 from geometry.errors import InputError
 from geometry.maps import gis_files
 from geometry.maps.gis_files import read_footprints
 from geometry.maps.source_map import is_closed, kind_of_class, thing_defaults, volume_m3
 
-X, Y = 390_000.0, 5_819_000.0
+X = 390_000.0
+Y = 5_819_000.0
 HOUSE = box(X, Y, X + 10, Y + 8)
 YARD = Polygon(
     box(X + 20, Y, X + 40, Y + 20).exterior.coords,
@@ -33,12 +41,17 @@ def write(tmp_path, rows, geometries, name="a.gpkg", crs="EPSG:25833", **options
 
 def write_json(tmp_path, *features, name="a.geojson", **members):
     path = tmp_path / name
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": features} | members))
+    path.write_text(
+        json.dumps({"type": "FeatureCollection", "features": features} | members)
+    )
     return path
 
 
 def feature(geometry, **properties):
-    table = None if geometry is None else json.loads(shapely.to_geojson(geometry))
+    if geometry is None:
+        table = None
+    else:
+        table = json.loads(shapely.to_geojson(geometry))
     return {"type": "Feature", "properties": properties, "geometry": table}
 
 
@@ -57,10 +70,16 @@ def top(thing):
 
 @pytest.mark.parametrize("name", list(DRIVERS))
 def test_what_geopandas_writes_is_read_back(tmp_path, name):
-    two = MultiPolygon([box(X, Y + 30, X + 5, Y + 35), box(X + 10, Y + 30, X + 15, Y + 35)])
+    two = MultiPolygon(
+        [box(X, Y + 30, X + 5, Y + 35), box(X + 10, Y + 30, X + 15, Y + 35)]
+    )
     rows = {"id": ["a", "b", "c"], "height": [6.0, 12.0, 3.0]}
     source = read_footprints(write(tmp_path, rows, [HOUSE, YARD, two], name))
-    assert (source.crs, source.heights, source.skipped) == ("EPSG:25833", "above ground", ())
+    assert (source.crs, source.heights, source.skipped) == (
+        "EPSG:25833",
+        "above ground",
+        (),
+    )
     assert [thing.id for thing in source.things] == ["a", "b", "c"]
     areas = [80.0, 375.0, 50.0]
     for thing, area, height in zip(source.things, areas, rows["height"], strict=True):
@@ -75,7 +94,8 @@ def test_zipped_shapefiles_are_read(tmp_path):
         for file in tmp_path.glob("a.*"):
             if file.suffix != ".zip":
                 archive.write(file, f"houses/{file.name}")
-    zipped, plain = read_footprints(tmp_path / "a.zip"), read_footprints(path)
+    zipped = read_footprints(tmp_path / "a.zip")
+    plain = read_footprints(path)
     assert np.array_equal(zipped.things[0].vertices_m, plain.things[0].vertices_m)
     assert zipped.crs == plain.crs
 
@@ -83,7 +103,9 @@ def test_zipped_shapefiles_are_read(tmp_path):
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:3857", "EPSG:25833"])
 def test_houses_have_their_size_on_the_ground_in_every_reference_system(tmp_path, crs):
     frame = gpd.GeoSeries([HOUSE, YARD], crs="EPSG:25833").to_crs(crs)
-    source = read_footprints(write(tmp_path, {"height": [6.0, 12.0]}, list(frame), crs=crs))
+    source = read_footprints(
+        write(tmp_path, {"height": [6.0, 12.0]}, list(frame), crs=crs)
+    )
     for thing, volume_there in zip(source.things, (480.0, 4500.0), strict=True):
         assert volume(thing) == pytest.approx(volume_there, rel=2e-3)
 
@@ -111,7 +133,9 @@ def test_houses_have_their_size_on_the_ground_in_every_reference_system(tmp_path
 )
 def test_columns_say_from_where_to_where(tmp_path, columns, bottom_m, top_m):
     (thing,) = read_footprints(in_utm(tmp_path, HOUSE, **columns)).things
-    assert (thing.vertices_m[:, 2].min(), top(thing)) == pytest.approx((bottom_m, top_m))
+    assert (thing.vertices_m[:, 2].min(), top(thing)) == pytest.approx(
+        (bottom_m, top_m)
+    )
     assert not thing.is_height_assumed
 
 
@@ -139,7 +163,10 @@ def test_impossible_heights_give_way_to_the_default(tmp_path, columns):
 
 
 def test_lines_become_walls_where_something_says_so(tmp_path):
-    lines = [LineString([(X, Y), (X + 10, Y)]), LineString([(X, Y + 5), (X + 10, Y + 5)])]
+    lines = [
+        LineString([(X, Y), (X + 10, Y)]),
+        LineString([(X, Y + 5), (X + 10, Y + 5)]),
+    ]
     path = write(tmp_path, {"barrier": ["hedge", "kerb"], "height": [None, 2.0]}, lines)
     source = read_footprints(path)
     (hedge,) = source.things
@@ -155,7 +182,10 @@ def test_points_and_rows_without_geometry_are_counted(tmp_path):
     path = write(tmp_path, {"n": [1, 2, 3, 4]}, [HOUSE, Point(X, Y), None, Point(X, Y)])
     source = read_footprints(path)
     assert len(source.things) == 1
-    assert [skip.what for skip in source.skipped] == ["2 points", "1 rows without geometry"]
+    assert [skip.what for skip in source.skipped] == [
+        "2 points",
+        "1 rows without geometry",
+    ]
 
 
 def test_polygons_in_collections_are_taken(tmp_path):
@@ -164,7 +194,9 @@ def test_polygons_in_collections_are_taken(tmp_path):
     assert volume(thing) == pytest.approx(400.0)
 
 
-def test_footprints_that_cross_themselves_are_mended_and_those_without_area_are_told(tmp_path):
+def test_footprints_that_cross_themselves_are_mended_and_those_without_area_are_told(
+    tmp_path,
+):
     bow = Polygon([(X, Y), (X + 10, Y + 10), (X + 10, Y), (X, Y + 10)])
     flat = Polygon([(X, Y), (X + 10, Y), (X + 5, Y)])
     source = read_footprints(
@@ -193,7 +225,10 @@ def test_layers_are_chosen_by_name(tmp_path):
 @pytest.mark.filterwarnings("ignore:.crs. was not provided")
 def test_files_without_a_reference_system_have_none(tmp_path):
     for name in ("a.gpkg", "a.shp"):
-        assert read_footprints(write(tmp_path, {"h": [2.0]}, [HOUSE], name, crs=None)).crs == ""
+        assert (
+            read_footprints(write(tmp_path, {"h": [2.0]}, [HOUSE], name, crs=None)).crs
+            == ""
+        )
 
 
 DEGREES = box(13.37, 52.5, 13.371, 52.501)
@@ -206,12 +241,18 @@ DEGREES = box(13.37, 52.5, 13.371, 52.501)
         ([feature(None)], "no areas"),
         ([feature(Point(13.0, 52.0))], "no areas: 1 points"),
         ([feature(HOUSE)], "metres or another CRS where degrees are expected"),
-        ([feature(box(52.5, 133.37, 52.501, 133.371))], "latitude and longitude swapped"),
+        (
+            [feature(box(52.5, 133.37, 52.501, 133.371))],
+            "latitude and longitude swapped",
+        ),
         ([feature(Polygon([(1, 1)] * 4))], "no footprint with an area"),
         ([3], r"features\[0\]"),
         ([{"type": "Feature", "geometry": 3}], r"features\[0\].geometry"),
         ([{"geometry": {"type": "Circle"}}], r"features\[0\].geometry"),
-        ([{"geometry": {"type": "Polygon", "coordinates": [[1]]}}], r"features\[0\].geometry"),
+        (
+            [{"geometry": {"type": "Polygon", "coordinates": [[1]]}}],
+            r"features\[0\].geometry",
+        ),
         ([{"geometry": {"type": "Polygon"}}], r"features\[0\].geometry"),
         ([{"properties": 3, "geometry": None}], r"features\[0\].properties"),
     ],
@@ -245,7 +286,9 @@ def test_degrees_where_metres_are_meant_are_refused(tmp_path, crs):
 
 @pytest.mark.parametrize("name", ["a.gpkg", "a.shp"])
 def test_what_is_not_what_its_ending_says_is_refused(tmp_path, name):
-    (tmp_path / name).write_text('<OGRVRTDataSource><OGRVRTLayer name="a"/></OGRVRTDataSource>')
+    (tmp_path / name).write_text(
+        '<OGRVRTDataSource><OGRVRTLayer name="a"/></OGRVRTDataSource>'
+    )
     with pytest.raises(InputError, match="something else"):
         read_footprints(tmp_path / name)
     with pytest.raises(InputError, match="readable"):

@@ -11,13 +11,19 @@ BERLIN_UTM = np.array([[390_000.0, 5_819_000.0], [390_300.0, 5_819_400.0]])
 
 
 def in_wgs84(crs, points):
-    lon, lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(*points.T)
+    lon, lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(
+        *points.T
+    )
     return np.stack([lon, lat], axis=1)
 
 
 def test_projected_metres_stay():
     place = georeference(BERLIN_UTM, "EPSG:25833", where="f")
-    assert (place.crs, place.source_crs, place.notes) == ("EPSG:25833", "EPSG:25833", ())
+    assert (place.crs, place.source_crs, place.notes) == (
+        "EPSG:25833",
+        "EPSG:25833",
+        (),
+    )
     assert np.array_equal(place.to_metres(BERLIN_UTM, "f"), BERLIN_UTM)
 
 
@@ -66,7 +72,10 @@ def test_feet_become_metres_also_upwards():
 def test_northing_comes_first_where_the_definition_says_so():
     east_north = np.array([[4_590_000.0, 5_820_000.0], [4_590_100.0, 5_820_300.0]])
     place = georeference(
-        east_north[:, ::-1], "urn:ogc:def:crs:EPSG::31468", where="f", follows_authority=True
+        east_north[:, ::-1],
+        "urn:ogc:def:crs:EPSG::31468",
+        where="f",
+        follows_authority=True,
     )
     assert np.array_equal(place.to_metres(east_north[:, ::-1], "f"), east_north)
 
@@ -81,7 +90,9 @@ def test_the_other_order_is_taken_if_only_it_lies_where_the_reference_system_is_
 
 def test_latitude_comes_first_where_the_definition_says_so():
     points = np.array([[35.68, 139.76], [35.681, 139.762]])
-    place = georeference(points, "urn:ogc:def:crs:EPSG::6697", where="f", follows_authority=True)
+    place = georeference(
+        points, "urn:ogc:def:crs:EPSG::6697", where="f", follows_authority=True
+    )
     back = in_wgs84(place.crs, place.to_metres(points, "f"))
     assert np.allclose(back, points[:, ::-1], atol=1e-5)
 
@@ -93,11 +104,16 @@ def test_coordinates_from_nowhere_lose_their_reference_system_with_a_note():
 
 
 def test_data_beside_an_area_of_use_keep_their_reference_system():
-    passau = [[830_000.0, 5_390_000.0], [830_100.0, 5_390_100.0]]  # 13.4 E; UTM 32 ends at 12
+    passau = [
+        [830_000.0, 5_390_000.0],
+        [830_100.0, 5_390_100.0],
+    ]  # 13.4 E; UTM 32 ends at 12
     assert georeference(passau, "EPSG:25832", where="f").crs == "EPSG:25832"
 
 
-@pytest.mark.parametrize("declared", ["EPSG:999999", "somewhere", "EPSG:5783", "+proj=nonsense"])
+@pytest.mark.parametrize(
+    "declared", ["EPSG:999999", "somewhere", "EPSG:5783", "+proj=nonsense"]
+)
 def test_unknown_reference_systems_are_noted(declared):
     place = georeference(BERLIN_UTM, declared, where="f")
     assert place.crs == ""
@@ -113,10 +129,18 @@ def test_no_reference_system_needs_no_note(declared):
 @pytest.mark.parametrize(
     ("points", "declared", "message"),
     [
-        ([[13.4, 52.5], [13.41, 52.51]], "EPSG:25833", "degrees where metres are meant"),
+        (
+            [[13.4, 52.5], [13.41, 52.51]],
+            "EPSG:25833",
+            "degrees where metres are meant",
+        ),
         ([[13.4, 52.5], [13.41, 52.51]], "", "degrees where metres are meant"),
         (BERLIN_UTM, "EPSG:4326", "metres or another CRS where degrees are expected"),
-        ([[35.6, 139.7], [35.61, 139.71]], "EPSG:4326", "latitude and longitude swapped"),
+        (
+            [[35.6, 139.7], [35.61, 139.71]],
+            "EPSG:4326",
+            "latitude and longitude swapped",
+        ),
         ([[np.nan, 1.0]], "EPSG:25833", "not finite"),
         ([[np.inf, 1.0]], "", "not finite"),
         ([[1e15, 1.0], [0.0, 0.0]], "", "places on earth"),

@@ -5,7 +5,12 @@ import pytest
 
 from geometry.errors import InputError
 from geometry.maps.georeferences import WGS84, transform
-from geometry.maps.importing import ReadingOptions, choose_junction, read_map, survey_junctions
+from geometry.maps.importing import (
+    ReadingOptions,
+    choose_junction,
+    read_map,
+    survey_junctions,
+)
 from geometry.maps.source_map import MapJunction, MapLane, SourceMap
 
 SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
@@ -14,7 +19,9 @@ SQUARE_M = 8.0 * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 def junction(name, middle, n_arms):
     turns = np.radians(90.0 * np.arange(n_arms))
     lanes = []
-    for index, (east, north) in enumerate(np.stack([np.cos(turns), np.sin(turns)], axis=1)):
+    for index, (east, north) in enumerate(
+        np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    ):
         for is_in, side in ((True, 1.5), (False, -1.5)):
             near, far = (
                 np.array([r * east - side * north, r * north + side * east]) + middle
@@ -31,7 +38,10 @@ def junction(name, middle, n_arms):
                     from_junction="" if is_in else name,
                 )
             )
-    return MapJunction(id=name, name=f"{name} Street", outline_m=SQUARE_M + middle), lanes
+    return (
+        MapJunction(id=name, name=f"{name} Street", outline_m=SQUARE_M + middle),
+        lanes,
+    )
 
 
 @pytest.fixture
@@ -65,17 +75,26 @@ def test_junctions_are_listed_by_arms_and_the_first_is_taken(source):
 @pytest.mark.parametrize(
     "name",
     [
-        *("Main St / N 3rd Ave", "3RD AVENUE NORTH & main street", "main st. and 3rd ave n"),
+        *(
+            "Main St / N 3rd Ave",
+            "3RD AVENUE NORTH & main street",
+            "main st. and 3rd ave n",
+        ),
         *("Hauptstr. / Sankt-Georg-Platz", "St. Georg Pl. x Hauptstraße"),
     ],
 )
 def test_streets_go_by_their_short_names(source, name):
     is_german = "aupt" in name
-    named = "Hauptstraße / St.-Georg-Platz" if is_german else "Main Street / North 3rd Avenue"
+    if is_german:
+        named = "Hauptstraße / St.-Georg-Platz"
+    else:
+        named = "Main Street / North 3rd Avenue"
     if name.startswith("3RD") or name.endswith(" n"):
         named = "3rd Avenue North / Main Street"
     one, *rest = source.junctions
-    found = survey_junctions(replace(source, junctions=(replace(one, name=named), *rest)))
+    found = survey_junctions(
+        replace(source, junctions=(replace(one, name=named), *rest))
+    )
     assert choose_junction(source, found, name=name).junction.name == named
 
 
@@ -100,7 +119,9 @@ def test_a_junction_is_chosen_by_latitude_and_longitude(source):
     lon_deg, lat_deg = transform(np.array([500_905.0, 5_800_010.0]), crs, WGS84)
     chosen = choose_junction(moved, found, name=f"{lat_deg:.6f}, {lon_deg:.6f}")
     assert chosen.junction.id == "other"
-    with pytest.raises(InputError, match=r"junction: got 10\.5,20\.5; expected a point within"):
+    with pytest.raises(
+        InputError, match=r"junction: got 10\.5,20\.5; expected a point within"
+    ):
         choose_junction(moved, found, name="10.5,20.5")
     with pytest.raises(InputError, match="does not say where it lies"):
         choose_junction(source, survey_junctions(source), name="52.5,13.4")
@@ -122,7 +143,9 @@ def test_who_is_not_meant_is_told(source, choice, message):
 
 def test_a_map_without_junctions_is_told(source):
     empty = replace(source, junctions=())
-    with pytest.raises(InputError, match=r"m\.xodr: got no junction; expected a map in which"):
+    with pytest.raises(
+        InputError, match=r"m\.xodr: got no junction; expected a map in which"
+    ):
         choose_junction(empty, survey_junctions(empty))
 
 

@@ -31,7 +31,9 @@ def test_sites_line_both_kerbs_from_the_corners_outwards():
     x = [8.5, 23.5, 38.5, 53.5]  # half a metre off the outline, to 60 m from it
     for side, name in ((1.0, "in"), (-1.0, "out")):
         kerb = found[np.sign(found[:, 1]) == side]
-        assert kerb == pytest.approx(np.column_stack([x, np.full(4, side * (3.0 + SETBACK_M))]))
+        assert kerb == pytest.approx(
+            np.column_stack([x, np.full(4, side * (3.0 + SETBACK_M))])
+        )
         assert sum(site.id.startswith(f"kerb {name} ") for site in sites) == 4
     assert {site.kind for site in sites} == {"kerb"}
     assert len({site.id for site in sites}) == 8
@@ -45,9 +47,14 @@ def test_the_direction_of_a_lane_does_not_matter():
 
 def test_parked_cars_are_beside_the_kerb_and_paths_are_not():
     lanes = [east("a", 0.0), east("p", 2.5, width_m=2.0, kind="parking")]
-    lanes += [east("w", 4.5, width_m=2.0, kind="walking"), east("c", -2.5, kind="cycling")]
+    lanes += [
+        east("w", 4.5, width_m=2.0, kind="walking"),
+        east("c", -2.5, kind="cycling"),
+    ]
     found = positions(kerb_sites(lanes, SQUARE, 20.0))
-    assert sorted(set(found[:, 1])) == pytest.approx([-1.5 - SETBACK_M, 3.5 + SETBACK_M])
+    assert sorted(set(found[:, 1])) == pytest.approx(
+        [-1.5 - SETBACK_M, 3.5 + SETBACK_M]
+    )
 
 
 @pytest.mark.parametrize("gap_m", [0.0, 0.5, 2.0, 5.0])
@@ -100,12 +107,15 @@ def test_no_site_stands_on_the_road_and_neighbours_on_a_kerb_keep_their_distance
     for road in lanes:
         begin, end = road.centreline_m[:, :2]
         way = (end - begin) / np.hypot(*(end - begin))
-        along, across = (found - begin) @ way, (found - begin) @ [-way[1], way[0]]
+        along = (found - begin) @ way
+        across = (found - begin) @ [-way[1], way[0]]
         beside = (along > 0.0) & (along < 78.0)
         assert (np.abs(across[beside]) >= 0.5 * road.width_m + SETBACK_M - 0.06).all()
     for road in lanes:
         for side in ("left", "right"):
-            kerb = positions([s for s in sites if s.id.startswith(f"kerb {road.id} {side} ")])
+            kerb = positions(
+                [s for s in sites if s.id.startswith(f"kerb {road.id} {side} ")]
+            )
             if len(kerb) > 1:
                 assert np.hypot(*np.diff(kerb, axis=0).T).min() >= spacing_m - 1e-2
 
@@ -118,11 +128,18 @@ def house(name="h", *, class_name="building", holes=()):
     vertices, triangles = extrude(
         [(0, 0), (10, 0), (10, 10), (0, 10)], bottom_m=0.0, top_m=6.0, holes_m=holes
     )
-    return Thing(id=name, class_name=class_name, vertices_m=vertices, triangles=triangles)
+    return Thing(
+        id=name, class_name=class_name, vertices_m=vertices, triangles=triangles
+    )
 
 
 def test_of_sites_at_one_place_the_one_with_more_said_stays():
-    sites = [wish("a", 0, 0), wish("b", 0.6, 0, cost_eur=5.0), wish("c", 3, 0), wish("d", 3, 0)]
+    sites = [
+        wish("a", 0, 0),
+        wish("b", 0.6, 0, cost_eur=5.0),
+        wish("c", 3, 0),
+        wish("d", 3, 0),
+    ]
     kept, skipped = tidy_sites(sites)
     assert [site.id for site in kept] == ["b", "c"]
     assert [skip.what for skip in skipped] == ["site a", "site d"]
@@ -130,7 +147,12 @@ def test_of_sites_at_one_place_the_one_with_more_said_stays():
 
 
 def test_sites_in_buildings_are_dropped_with_the_building_named():
-    sites = [wish("in", 5, 5), wish("edge", 5, 5.5), wish("out", 12, 5), wish("on", 10, 5)]
+    sites = [
+        wish("in", 5, 5),
+        wish("edge", 5, 5.5),
+        wish("out", 12, 5),
+        wish("on", 10, 5),
+    ]
     kept, skipped = tidy_sites(sites, things=[house()], snap_m=0.0)
     assert [site.id for site in kept] == ["out", "on"]
     assert {skip.why for skip in skipped} == {"inside building h"}
@@ -139,11 +161,16 @@ def test_sites_in_buildings_are_dropped_with_the_building_named():
 def test_courtyards_walls_and_trees_are_no_buildings():
     yard = [[(3, 3), (7, 3), (7, 7), (3, 7)]]
     assert len(tidy_sites([wish("a", 5, 5)], things=[house(holes=yard)])[0]) == 1
-    assert len(tidy_sites([wish("a", 5, 5)], things=[house(class_name="vegetation")])[0]) == 1
+    assert (
+        len(tidy_sites([wish("a", 5, 5)], things=[house(class_name="vegetation")])[0])
+        == 1
+    )
 
 
 @given(
-    st.lists(st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25),
+    st.lists(
+        st.tuples(st.floats(0, 10), st.floats(0, 10), st.integers(0, 3)), max_size=25
+    ),
     st.floats(0.1, 3.0),
 )
 def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows, snap_m):
@@ -158,7 +185,9 @@ def test_what_is_kept_is_apart_and_what_is_dropped_is_near_something_kept(rows, 
     for skip in skipped:
         gone = by_id[skip.what.removeprefix("site ")]
         better = [site for site in kept if site.n_said >= gone.n_said]
-        assert any(np.hypot(*(gone.position_m - s.position_m)) <= snap_m for s in better)
+        assert any(
+            np.hypot(*(gone.position_m - s.position_m)) <= snap_m for s in better
+        )
 
 
 def test_no_sites_give_no_sites():

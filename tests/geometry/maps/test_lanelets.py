@@ -7,7 +7,12 @@ import pytest
 from lanelet_text import HALF_M, WIDTH_M, commonroad, crossing, lanelet2
 
 from geometry.errors import InputError
-from geometry.maps.importing import ImportOptions, import_scene, read_map, survey_junctions
+from geometry.maps.importing import (
+    ImportOptions,
+    import_scene,
+    read_map,
+    survey_junctions,
+)
 
 
 def read(tmp_path: Path, text: str, name: str = "map.osm"):
@@ -22,7 +27,8 @@ def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path: Path) -> None:
     assert set(one.arms) == {"north", "east", "south", "west"}
     assert (one.n_lanes, one.n_driven, len(source.connections)) == (8, 4, 4)
     assert not source.keeps_left
-    # The union of two strips, 16 m long and 6 m wide, reaches 8 m from the middle each way.
+    # The union of two strips, 16 m long and 6 m wide, reaches 8 m from the middle each
+    # way.
     assert np.abs(one.junction.outline_m).max() == pytest.approx(HALF_M, abs=0.1)
     assert one.junction.position_m == pytest.approx([0.0, 0.0], abs=0.1)
     for lane in source.lanes:
@@ -35,11 +41,17 @@ def test_a_crossing_has_its_arms_lanes_and_ways_through(tmp_path: Path) -> None:
 def test_commonroad_says_the_same(tmp_path: Path) -> None:
     ours, theirs = (
         read(tmp_path, text, name)
-        for text, name in ((lanelet2(crossing()), "a.osm"), (commonroad(crossing()), "a.xml"))
+        for text, name in (
+            (lanelet2(crossing()), "a.osm"),
+            (commonroad(crossing()), "a.xml"),
+        )
     )
     for one, other in zip(ours.lanes, theirs.lanes, strict=True):
         assert np.array_equal(one.centreline_m, other.centreline_m)
-        assert (one.from_junction, one.to_junction) == (other.from_junction, other.to_junction)
+        assert (one.from_junction, one.to_junction) == (
+            other.from_junction,
+            other.to_junction,
+        )
     assert np.array_equal(ours.junctions[0].outline_m, theirs.junctions[0].outline_m)
 
 
@@ -83,7 +95,10 @@ def test_crosswalks_lights_and_houses_are_there(tmp_path: Path) -> None:
         "<tag k='subtype' v='building'/></relation>"
     )
     source = read(tmp_path, lanelet2(lanes, more=more))
-    assert np.sort(source.crosswalks_m[0], axis=0).tolist() == [[-10.5, -5.0], [-10.5, 5.0]]
+    assert np.sort(source.crosswalks_m[0], axis=0).tolist() == [
+        [-10.5, -5.0],
+        [-10.5, 5.0],
+    ]
     (pole,) = source.poles
     assert (pole.kind, pole.position_m.tolist()) == ("traffic light", [25.0, 20.0, 0.0])
     (house,) = source.things
@@ -112,6 +127,8 @@ def test_a_crossing_becomes_a_scene(tmp_path: Path) -> None:
          "no lanelet for cars"),
     ],
 )  # fmt: skip
-def test_what_is_no_map_is_refused(tmp_path: Path, text: str, name: str, told: str) -> None:
+def test_what_is_no_map_is_refused(
+    tmp_path: Path, text: str, name: str, told: str
+) -> None:
     with pytest.raises(InputError, match=told):
         read(tmp_path, text, name)

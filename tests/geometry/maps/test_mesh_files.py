@@ -41,7 +41,9 @@ def street():
 
 def up_is_y(scene):
     turned = scene.copy()
-    turned.apply_transform(trimesh.transformations.rotation_matrix(-0.5 * np.pi, [1, 0, 0]))
+    turned.apply_transform(
+        trimesh.transformations.rotation_matrix(-0.5 * np.pi, [1, 0, 0])
+    )
     return turned
 
 
@@ -59,7 +61,12 @@ def write_gltf(tmp_path, points=((0, 0, 0), (5, 0, 0), (0, 5, 0)), **changes):
         "nodes": [{"mesh": 0, "name": "sheet"}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
         "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3"}
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": len(points),
+                "type": "VEC3",
+            }
         ],
         "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
         "buffers": [{"byteLength": len(data), "uri": "a.bin"}],
@@ -92,7 +99,9 @@ def test_other_formats_are_read_in_the_unit_and_axis_that_are_named(tmp_path, su
     for unit, up in (("m", "z"), ("cm", "z"), ("ft", "-x")):
         source = read_mesh(path, unit=unit, up=up)
         total = sum(volume(thing) for thing in source.things)
-        assert total == pytest.approx((480.0 + 10.0 + 20.0 + 1.0) * UNITS_M[unit] ** 3, rel=1e-5)
+        assert total == pytest.approx(
+            (480.0 + 10.0 + 20.0 + 1.0) * UNITS_M[unit] ** 3, rel=1e-5
+        )
 
 
 def test_objects_of_an_obj_file_are_things(tmp_path):
@@ -157,10 +166,14 @@ def test_boxes_and_trees_are_not_judged_by_their_roofs(tmp_path):
     assert read_mesh(tmp_path / "a.ply", unit="m", up="-z").things
     cone = trimesh.creation.cone(2, 5)
     trimesh.Scene({"tree": cone}).export(tmp_path / "b.obj")
-    assert read_mesh(tmp_path / "b.obj", unit="m", up="-z", class_name="vegetation").things
+    assert read_mesh(
+        tmp_path / "b.obj", unit="m", up="-z", class_name="vegetation"
+    ).things
 
 
-@pytest.mark.parametrize(("unit", "message"), [("km", "another `unit`"), ("mm", "another `unit`")])
+@pytest.mark.parametrize(
+    ("unit", "message"), [("km", "another `unit`"), ("mm", "another `unit`")]
+)
 def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
     box((40, 40, 6), (0, 0, 0)).export(tmp_path / "a.stl")
     with pytest.raises(InputError, match=message):
@@ -178,10 +191,18 @@ def test_sizes_of_another_unit_are_refused(tmp_path, unit, message):
         ("a.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "off"),
         ("a.off", "OFF\n9999999999 1 0\n0 0 0\n", "off"),
         ("a.stl", "solid a\nendsolid a\n", "stl"),
-        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 9999999999\nend_header\n", "ply"),
+        (
+            "a.ply",
+            "ply\nformat ascii 1.0\nelement vertex 9999999999\nend_header\n",
+            "ply",
+        ),
         ("a.ply", "nothing of the kind", "ply"),
         ("a.stl", b"\0" * 80 + struct.pack("<I", 4_000_000_000), "stl"),
-        ("a.glb", b"glTF" + struct.pack("<4I", 2, 100, 4_000_000_000, 0x4E4F534A), "glTF"),
+        (
+            "a.glb",
+            b"glTF" + struct.pack("<4I", 2, 100, 4_000_000_000, 0x4E4F534A),
+            "glTF",
+        ),
         ("a.glb", b"glTF" + struct.pack("<4I", 1, 100, 4, 0x4E4F534A), "version"),
         ("a.gltf", "{", "glTF"),
         ("a.3mf", "", "one of"),
@@ -210,8 +231,14 @@ NODE = {"mesh": 0}
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"accessors": [{"componentType": 5126, "count": 10**10, "type": "VEC3"}]}, "accessors"),
-        ({"accessors": [{"componentType": 5126, "count": -1, "type": "VEC3"}]}, "accessors"),
+        (
+            {"accessors": [{"componentType": 5126, "count": 10**10, "type": "VEC3"}]},
+            "accessors",
+        ),
+        (
+            {"accessors": [{"componentType": 5126, "count": -1, "type": "VEC3"}]},
+            "accessors",
+        ),
         ({"accessors": 3}, "accessors"),
         ({"bufferViews": [{"buffer": 0, "byteLength": -4}]}, "bufferViews"),
         ({"nodes": [NODE | {"children": [1]}, {"children": [0]}]}, "its own ancestor"),
@@ -221,7 +248,10 @@ NODE = {"mesh": 0}
         ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "compression"),
         ({"buffers": [{"byteLength": 36, "uri": "../a.bin"}]}, "own folder"),
         ({"buffers": [{"byteLength": 36, "uri": "/etc/passwd"}]}, "own folder"),
-        ({"buffers": [{"byteLength": 36, "uri": "http://example.com/a.bin"}]}, "own folder"),
+        (
+            {"buffers": [{"byteLength": 36, "uri": "http://example.com/a.bin"}]},
+            "own folder",
+        ),
         ({"buffers": [{"byteLength": 36, "uri": "b.bin"}]}, "readable"),
         ({"meshes": []}, "gltf"),
     ],
@@ -234,7 +264,9 @@ def test_gltf_that_claims_or_refers_too_far_is_refused(tmp_path, changes, messag
 
 def test_materials_of_obj_files_are_never_opened(tmp_path):
     path = tmp_path / "a.obj"
-    path.write_text("mtllib ../../etc/passwd\nusemtl x\nv 0 0 0\nv 5 0 0\nv 0 5 0\nf 1 2 3\n")
+    path.write_text(
+        "mtllib ../../etc/passwd\nusemtl x\nv 0 0 0\nv 5 0 0\nv 0 5 0\nf 1 2 3\n"
+    )
     assert len(read_mesh(path, unit="m", up="z").things) == 1
 
 
@@ -252,10 +284,20 @@ def test_damaged_files_are_read_or_refused(tmp_path, data, suffix):
     if suffix == "gltf":
         write_gltf(tmp_path)
     elif not path.exists():
-        street().export(path) if suffix in ("obj", "glb") else street().to_geometry().export(path)
+        (
+            street().export(path)
+            if suffix
+            in (
+                "obj",
+                "glb",
+            )
+            else street().to_geometry().export(path)
+        )
     sound = path.read_bytes()
     wounded = data.draw(damaged(sound))
-    source = read_or_refuse(path, wounded, lambda file: read_mesh(file, unit="m", up="z"))
+    source = read_or_refuse(
+        path, wounded, lambda file: read_mesh(file, unit="m", up="z")
+    )
     path.write_bytes(sound)
     assert source is None or source.things
     if source is not None:

@@ -24,8 +24,12 @@ from geometry.maps.opendrive import read_opendrive
 _SHAPES = (
     geometry(length=20.0)
     + geometry('<arc curvature="0.01"/>', s=20.0, x=20.0, length=20.0)
-    + geometry('<spiral curvStart="0.01" curvEnd="-0.02"/>', s=40.0, x=40.0, y=2.0, length=20.0)
-    + geometry('<poly3 a="0" b="0" c="0.01" d="0"/>', s=60.0, x=60.0, y=2.0, length=20.0)
+    + geometry(
+        '<spiral curvStart="0.01" curvEnd="-0.02"/>', s=40.0, x=40.0, y=2.0, length=20.0
+    )
+    + geometry(
+        '<poly3 a="0" b="0" c="0.01" d="0"/>', s=60.0, x=60.0, y=2.0, length=20.0
+    )
     + geometry(
         '<paramPoly3 aU="0" bU="20" cU="0" dU="0" aV="0" bV="0" cV="1" dV="0"'
         ' pRange="normalized"/>',
@@ -36,25 +40,25 @@ _SHAPES = (
     )
 )
 _OBJECTS = (
-    '<object id="1" type="building" s="50" t="20" length="9" width="5" height="4" hdg="0.2"/>'
-    '<object id="2" type="tree" s="10" t="8" height="6" radius="2">'
-    '<repeat s="10" length="40" distance="10" tStart="8" tEnd="9" heightStart="5" heightEnd="6"/>'
-    "</object>"
-    '<object id="3" type="barrier" s="0" t="7"><repeat s="0" length="60" distance="0" tStart="7"'
-    ' tEnd="8" widthStart="0.3" widthEnd="0.3" heightStart="1" heightEnd="1"/></object>'
-    '<object id="4" type="crosswalk" s="90" t="0"><outline closed="true">'
-    '<cornerRoad s="88" t="-4"/><cornerRoad s="92" t="-4"/><cornerRoad s="92" t="4"/>'
-    '<cornerRoad s="88" t="4"/></outline></object>'
-    '<object id="5" type="building" s="70" t="-20"><outlines><outline outer="true">'
-    '<cornerLocal u="0" v="0" z="0" height="4"/><cornerLocal u="8" v="0" z="0" height="5"/>'
-    '<cornerLocal u="8" v="6" z="0" height="6"/></outline></outlines></object>'
-    '<object id="6" type="parkingSpace" s="30" t="-6" length="5" width="2"/>'
-    '<object id="7" type="streetLamp" s="30" t="-9" height="6"/>'
+    '<object id="1" type="building" s="50" t="20" length="9" width="5" height="4"'
+    ' hdg="0.2"/><object id="2" type="tree" s="10" t="8" height="6" radius="2"><repeat'
+    ' s="10" length="40" distance="10" tStart="8" tEnd="9" heightStart="5"'
+    ' heightEnd="6"/></object><object id="3" type="barrier" s="0" t="7"><repeat s="0"'
+    ' length="60" distance="0" tStart="7" tEnd="8" widthStart="0.3" widthEnd="0.3"'
+    ' heightStart="1" heightEnd="1"/></object><object id="4" type="crosswalk" s="90"'
+    ' t="0"><outline closed="true"><cornerRoad s="88" t="-4"/><cornerRoad s="92"'
+    ' t="-4"/><cornerRoad s="92" t="4"/><cornerRoad s="88"'
+    ' t="4"/></outline></object><object id="5" type="building" s="70"'
+    ' t="-20"><outlines><outline outer="true"><cornerLocal u="0" v="0" z="0"'
+    ' height="4"/><cornerLocal u="8" v="0" z="0" height="5"/><cornerLocal u="8" v="6"'
+    ' z="0" height="6"/></outline></outlines></object><object id="6"'
+    ' type="parkingSpace" s="30" t="-6" length="5" width="2"/><object id="7"'
+    ' type="streetLamp" s="30" t="-9" height="6"/>'
 )
 _SIGNALS = (
-    '<signal id="1" name="a" dynamic="yes" type="1000001" s="95" t="-6" zOffset="3" height="1"/>'
-    '<signal id="2" name="b" dynamic="no" type="206" s="95" t="6" zOffset="2" height="1">'
-    '<positionInertial x="9" y="9" z="2" hdg="0"/></signal>'
+    '<signal id="1" name="a" dynamic="yes" type="1000001" s="95" t="-6" zOffset="3"'
+    ' height="1"/><signal id="2" name="b" dynamic="no" type="206" s="95" t="6"'
+    ' zOffset="2" height="1"><positionInertial x="9" y="9" z="2" hdg="0"/></signal>'
 )
 _WHOLE = document(
     road(
@@ -64,14 +68,22 @@ _WHOLE = document(
         offset=cubic("laneOffset", 0.0, 0.1, 0.01),
         elevation=cubic("elevation", 0.0, 1.0, 0.01),
         lateral=cubic("superelevation", 0.0, 0.01),
-        sections=section(left=[lane(1, after=1)], right=[lane(-1, after=-1), lane(-2, "sidewalk")])
-        + section(s=50.0, left=[lane(1, width=cubic("border", 0.0, 4.0))], right=[lane(-1)]),
+        sections=section(
+            left=[lane(1, after=1)], right=[lane(-1, after=-1), lane(-2, "sidewalk")]
+        )
+        + section(
+            s=50.0, left=[lane(1, width=cubic("border", 0.0, 4.0))], right=[lane(-1)]
+        ),
         objects=_OBJECTS,
         signals=_SIGNALS,
     ),
-    crossing().replace('id="1"', 'id="21"', 1).replace('elementId="1"', 'elementId="21"'),
-    header="<geoReference>+proj=utm +zone=32 +datum=WGS84</geoReference>"
-    '<offset x="500000" y="5400000" z="3" hdg="0.1"/>',
+    crossing()
+    .replace('id="1"', 'id="21"', 1)
+    .replace('elementId="1"', 'elementId="21"'),
+    header=(
+        "<geoReference>+proj=utm +zone=32 +datum=WGS84</geoReference>"
+        '<offset x="500000" y="5400000" z="3" hdg="0.1"/>'
+    ),
 )
 
 
@@ -232,13 +244,16 @@ def _plan(*pieces: str, length: float = 100.0) -> str:
         ),
     ],
 )  # fmt: skip
-def test_each_wrong_file_is_refused_in_one_line_that_names_the_element(tmp_path, text, message):
+def test_each_wrong_file_is_refused_in_one_line_that_names_the_element(
+    tmp_path, text, message
+):
     assert _refused(tmp_path, text) == message
 
 
 def test_a_curve_that_winds_up_is_refused(tmp_path):
-    assert _refused(tmp_path, _plan(geometry('<arc curvature="-1e6"/>'))) == (
-        "made.xodr: road 5 geometry[0]: got a curve that turns by 1e+08 rad; "
+    assert (
+        _refused(tmp_path, _plan(geometry('<arc curvature="-1e6"/>')))
+        == "made.xodr: road 5 geometry[0]: got a curve that turns by 1e+08 rad; "
         "expected at most 200 rad"
     )
 
@@ -253,8 +268,8 @@ def test_widths_that_nobody_can_follow_are_refused(tmp_path):
 def test_too_many_points_altogether_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("geometry.maps.opendrive.MAX_POINTS", 100)
     message = _refused(tmp_path, document(road("5"), road("6")))
-    assert message == (
-        "made.xodr: road 6: got more than 100 points up to here; "
+    assert (
+        message == "made.xodr: road 6: got more than 100 points up to here; "
         "expected a smaller file: cut it out first"
     )
 
@@ -262,8 +277,8 @@ def test_too_many_points_altogether_are_refused(tmp_path, monkeypatch):
 def test_too_many_objects_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("geometry.maps.opendrive.objects._MAX_PLACES", 3)
     message = _refused(tmp_path, _WHOLE)
-    assert message == (
-        "made.xodr: road 1 object 2: got more than 3 objects up to here; "
+    assert (
+        message == "made.xodr: road 1 object 2: got more than 3 objects up to here; "
         "expected a smaller file: cut it out first"
     )
 
@@ -274,7 +289,10 @@ def test_too_many_objects_are_refused(tmp_path, monkeypatch):
         "",
         "road",
         _WHOLE[:-200],
-        '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><OpenDRIVE>&b;</OpenDRIVE>',
+        (
+            '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b'
+            ' "&a;&a;">]><OpenDRIVE>&b;</OpenDRIVE>'
+        ),
     ],
 )
 def test_what_is_no_xml_or_a_bomb_is_refused(tmp_path, text):
@@ -290,14 +308,45 @@ def test_the_whole_file_is_read(tmp_path):
     source = read_text(tmp_path, _WHOLE)
     assert len(source.junctions) == 1
     assert len(source.things) == 8
-    assert {pole.kind for pole in source.poles} == {"lamp post", "traffic light", "sign"}
+    assert {pole.kind for pole in source.poles} == {
+        "lamp post",
+        "traffic light",
+        "sign",
+    }
     assert len(source.crosswalks_m) == 1
     assert source.crs == "+proj=utm +zone=32 +datum=WGS84"
 
 
 _VALUES = st.sampled_from(
-    ["", "0", "-1", "1", "nan", "inf", "-inf", "1e12", "-1e12", "1e-12", "1e300", "x", "9", "-0.5"]
-    + ["true", "false", "junction", "road", "start", "end", "LHT", "50", "1_0", "\u0663", "100.0"]
+    [
+        "",
+        "0",
+        "-1",
+        "1",
+        "nan",
+        "inf",
+        "-inf",
+        "1e12",
+        "-1e12",
+        "1e-12",
+        "1e300",
+        "x",
+        "9",
+        "-0.5",
+    ]
+    + [
+        "true",
+        "false",
+        "junction",
+        "road",
+        "start",
+        "end",
+        "LHT",
+        "50",
+        "1_0",
+        "\u0663",
+        "100.0",
+    ]
 )
 
 
@@ -305,23 +354,27 @@ _VALUES = st.sampled_from(
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_changed_attributes_give_a_map_or_one_line(tmp_path, data):
     attributes = list(re.finditer(r'([A-Za-z]+)="([^"]*)"', _WHOLE))
-    text, chosen = (
-        _WHOLE,
-        data.draw(
-            st.lists(st.integers(30, len(attributes) - 1), min_size=1, max_size=4, unique=True)
-        ),
+    text = _WHOLE
+    chosen = data.draw(
+        st.lists(
+            st.integers(30, len(attributes) - 1), min_size=1, max_size=4, unique=True
+        )
     )
     for index in sorted(chosen, reverse=True):
         found = attributes[index]
         value = data.draw(_VALUES)
-        change = data.draw(st.sampled_from([f'{found[1]}="{value}"', "", f'zz="{found[2]}"']))
+        change = data.draw(
+            st.sampled_from([f'{found[1]}="{value}"', "", f'zz="{found[2]}"'])
+        )
         text = text[: found.start()] + change + text[found.end() :]
     _read_or_refuse(tmp_path, text.encode())
 
 
 @given(seed=st.integers(0, 2**32), n_changes=st.integers(1, 4))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(tmp_path, seed, n_changes):
+def test_dropped_doubled_and_moved_elements_give_a_map_or_one_line(
+    tmp_path, seed, n_changes
+):
     from xml.etree import ElementTree as ET
 
     rng = random.Random(seed)

@@ -5,11 +5,16 @@ from opendrive_text import document, read_text, road
 
 _DEGREES = "degrees or geocentric, while roads are in metres on a plane"
 _WKT = (
-    'PROJCRS["x",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",ELLIPSOID["WGS 84",'
-    '6378137,298.257223563]]],CONVERSION["tm",METHOD["Transverse Mercator"],PARAMETER["Latitude of '
-    'natural origin",49,ANGLEUNIT["degree",0.0174532925199433]],PARAMETER["Longitude of natural '
-    'origin",8,ANGLEUNIT["degree",0.0174532925199433]],PARAMETER["Scale factor at natural origin",'
-    '1],PARAMETER["False easting",0],PARAMETER["False northing",0]],CS[Cartesian,2],AXIS["e",east],'
+    'PROJCRS["x",BASEGEOGCRS["WGS 84",DATUM["World Geodetic System 1984",ELLIPSOID["WGS'
+    ' 84",'
+    '6378137,298.257223563]]],CONVERSION["tm",METHOD["Transverse'
+    ' Mercator"],PARAMETER["Latitude of '
+    'natural origin",49,ANGLEUNIT["degree",0.0174532925199433]],PARAMETER["Longitude of'
+    " natural "
+    'origin",8,ANGLEUNIT["degree",0.0174532925199433]],PARAMETER["Scale factor at'
+    ' natural origin",'
+    '1],PARAMETER["False easting",0],PARAMETER["False'
+    ' northing",0]],CS[Cartesian,2],AXIS["e",east],'
     'AXIS["n",north],LENGTHUNIT["metre",1]]'
 )
 
@@ -21,7 +26,12 @@ def _read(tmp_path, reference):
 
 @pytest.mark.parametrize(
     "reference",
-    ["EPSG:32632", "+proj=tmerc +lat_0=49 +lon_0=8 +datum=WGS84", "+init=epsg:25832", _WKT],
+    [
+        "EPSG:32632",
+        "+proj=tmerc +lat_0=49 +lon_0=8 +datum=WGS84",
+        "+init=epsg:25832",
+        _WKT,
+    ],
 )
 def test_a_projection_in_metres_is_taken(tmp_path, reference):
     source = _read(tmp_path, f"\n  {reference}\n ")

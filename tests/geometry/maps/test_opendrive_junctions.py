@@ -21,7 +21,9 @@ from geometry.maps.source_map import SourceMap
 
 
 def _off_outline_m(source: SourceMap) -> float:
-    rings = {one.id: shapely.Polygon(one.outline_m).exterior for one in source.junctions}
+    rings = {
+        one.id: shapely.Polygon(one.outline_m).exterior for one in source.junctions
+    }
     return max(
         rings[junction].distance(shapely.Point(tip))
         for one in source.lanes
@@ -35,7 +37,8 @@ def _off_outline_m(source: SourceMap) -> float:
 
 
 def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
-    radius_m, length_m = 9.0, 4.5 * np.pi
+    radius_m = 9.0
+    length_m = 4.5 * np.pi
     curve = geometry(f'<arc curvature="{1.0 / radius_m}"/>', length=length_m)
     turn = road(
         "20",
@@ -52,7 +55,13 @@ def test_a_curved_connecting_road_is_a_lane_on_its_circle(tmp_path):
         sections=section(right=[lane(-1, width=cubic("width", 0.0, 0.0, 0.2))]),
     )
     source = read_text(tmp_path, document(crossing(), turn, widens))
-    assert [one.id for one in source.connections] == ["11/1", "11/-1", "12/1", "12/-1", "20/-1"]
+    assert [one.id for one in source.connections] == [
+        "11/1",
+        "11/-1",
+        "12/1",
+        "12/-1",
+        "20/-1",
+    ]
     # The lane 21/-1 begins without a width: it does not lead from end to end.
     assert not {one.id for one in source.connections} & {one.id for one in source.lanes}
     found = source.connections[-1]
@@ -73,13 +82,25 @@ def test_two_streets_that_cross_make_four_arms(tmp_path, rule):
     (junction,) = source.junctions
     assert junction.name == "East Street / North Street"
     # A cross of two strips 7 m wide and 20 m long.
-    assert shapely.Polygon(junction.outline_m).area == pytest.approx(2 * 140 - 49, rel=1e-2)
-    assert arms_of(source, junction) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
-    assert {one.id for one in source.lanes} == {f"{n}/{k}" for n in "1234" for k in ("1", "-1")}
-    into = "1" if rule == "RHT" else "-1"  # roads lead away from the junction
+    assert shapely.Polygon(junction.outline_m).area == pytest.approx(
+        2 * 140 - 49, rel=1e-2
+    )
+    assert arms_of(source, junction) == dict.fromkeys(
+        ("east", "north", "west", "south"), (1, 1)
+    )
+    assert {one.id for one in source.lanes} == {
+        f"{n}/{k}" for n in "1234" for k in ("1", "-1")
+    }
+    # roads lead away from the junction
+    if rule == "RHT":
+        into = "1"
+    else:
+        into = "-1"
     for one in source.lanes:
         is_into = one.id.endswith(f"/{into}")
-        assert (one.to_junction, one.from_junction) == (("9", "") if is_into else ("", "9"))
+        assert (one.to_junction, one.from_junction) == (
+            ("9", "") if is_into else ("", "9")
+        )
 
 
 def test_the_outline_is_where_the_lanes_of_the_arms_end(tmp_path):
@@ -97,7 +118,9 @@ def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
         )
         for n, (x, y, angle) in enumerate(plan)
     )
-    (junction,) = read_text(tmp_path, document(ring, '<junction id="9" name="ring"/>')).junctions
+    (junction,) = read_text(
+        tmp_path, document(ring, '<junction id="9" name="ring"/>')
+    ).junctions
     assert junction.outline_m[:, 0].max() < 100.0
     shape = shapely.Polygon(junction.outline_m)
     assert shape.contains(shapely.Point(40.0, 20.0))
@@ -107,7 +130,8 @@ def test_holes_are_filled_and_the_largest_part_counts(tmp_path):
 def test_the_height_is_that_of_the_middle(tmp_path):
     text = document(crossing()).replace(
         "<elevationProfile></elevationProfile>",
-        '<elevationProfile><elevation s="0" a="7" b="0" c="0" d="0"/></elevationProfile>',
+        '<elevationProfile><elevation s="0" a="7" b="0" c="0"'
+        ' d="0"/></elevationProfile>',
     )
     assert read_text(tmp_path, text).junctions[0].height_m == pytest.approx(7.0)
 
@@ -130,7 +154,9 @@ def test_an_arm_far_away_does_not_end_there(tmp_path):
     text = document(crossing()).replace('x="10.0" y="0.0"', 'x="300.0" y="0.0"')
     source = read_text(tmp_path, text)
     assert not any(
-        one.to_junction or one.from_junction for one in source.lanes if one.id.startswith("1/")
+        one.to_junction or one.from_junction
+        for one in source.lanes
+        if one.id.startswith("1/")
     )
     assert [note.what for note in source.skipped] == [
         "2 lanes that end far from their junction, such as "
@@ -208,7 +234,9 @@ def test_a_stub_of_a_road_at_the_mouth_belongs_to_the_road_beyond(tmp_path):
     assert arms_of(source, source.junctions[0])["east"] == (1, 1)
     lanes = {one.id: one for one in source.lanes}
     assert not {"5/1", "5/-1"} & set(lanes)
-    np.testing.assert_allclose(lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]])
+    np.testing.assert_allclose(
+        lanes["1/1"].centreline_m[[0, -1], :2], [[61, 1.75], [10, 1.75]]
+    )
     assert (lanes["1/1"].from_junction, lanes["1/1"].to_junction) == ("", "9")
     np.testing.assert_allclose(lanes["1/-1"].centreline_m[[0, -1], 0], [10, 61])
     assert (np.diff(lanes["1/-1"].centreline_m[:, 0]) > 0).all()
@@ -233,13 +261,18 @@ def test_paths_across_a_junction_are_crosswalks(tmp_path):
         "</junction>", '<crossPath crossingRoad="30" id="0"/></junction>'
     )
     source = read_text(tmp_path, text)
-    np.testing.assert_allclose(source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9)
+    np.testing.assert_allclose(
+        source.crosswalks_m, [[[12.0, -4.0], [12.0, 4.0]]], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("length_m", [2.0e-7, 5.0e-4])
 def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, length_m):
     def crossroads(*, joint):
-        leads = to_road("successor", "8", "start") if joint else to_junction("successor", "9")
+        if joint:
+            leads = to_road("successor", "8", "start")
+        else:
+            leads = to_junction("successor", "9")
         parts = [
             road("1", length=50.0, link=leads),
             road(
@@ -260,22 +293,35 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
         if joint:
             link = to_road("predecessor", "1", "end") + to_junction("successor", "9")
             parts.insert(
-                1, road("8", plan=geometry(x=50.0, length=length_m), length=length_m, link=link)
+                1,
+                road(
+                    "8",
+                    plan=geometry(x=50.0, length=length_m),
+                    length=length_m,
+                    link=link,
+                ),
             )
-        incoming = "8" if joint else "1"
+        if joint:
+            incoming = "8"
+        else:
+            incoming = "1"
         parts.append(
-            f'<junction id="9"><connection id="0" incomingRoad="{incoming}" connectingRoad="3" '
-            'contactPoint="start"/></junction>'
+            f'<junction id="9"><connection id="0" incomingRoad="{incoming}"'
+            ' connectingRoad="3" contactPoint="start"/></junction>'
         )
         return read_text(tmp_path, document(*parts))
 
-    joined, plain = crossroads(joint=True), crossroads(joint=False)
+    joined = crossroads(joint=True)
+    plain = crossroads(joint=False)
     assert [(one.id, one.to_junction, one.from_junction) for one in joined.lanes] == [
         (one.id, one.to_junction, one.from_junction) for one in plain.lanes
     ]
     assert any(one.to_junction == "9" for one in joined.lanes)
     (told,) = joined.skipped
-    assert (told.what, told.why) == ("road 8", "shorter than 1 mm: its neighbours are joined")
+    assert (told.what, told.why) == (
+        "road 8",
+        "shorter than 1 mm: its neighbours are joined",
+    )
 
 
 @pytest.mark.parametrize(
@@ -287,13 +333,17 @@ def test_a_road_without_a_length_is_a_joint_between_its_neighbours(tmp_path, len
         ('<type s="0" type="town"><speed max="no limit"/></type>', None),
         ('<type s="0" type="town"/>', None),
         (
-            '<type s="30" type="rural"><speed max="70" unit="km/h"/></type>'
-            '<type s="0" type="town"><speed max="30" unit="km/h"/></type>',
+            (
+                '<type s="30" type="rural"><speed max="70" unit="km/h"/></type>'
+                '<type s="0" type="town"><speed max="30" unit="km/h"/></type>'
+            ),
             30.0,
         ),
     ],
 )
-def test_roads_have_speed_limits_where_they_lead_into_the_junction(tmp_path, types, limit_kmh):
+def test_roads_have_speed_limits_where_they_lead_into_the_junction(
+    tmp_path, types, limit_kmh
+):
     text = document(crossing()).replace("<planView>", f"{types}<planView>", 1)
     lanes = {lane.id: lane for lane in read_text(tmp_path, text).lanes}
     assert lanes["1/1"].to_junction == "9"
@@ -312,9 +362,12 @@ def test_a_lanes_own_speed_limit_is_before_its_roads(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("n_motorways", "sidewalk", "n_junctions"), [(4, False, 0), (4, True, 1), (3, False, 1)]
+    ("n_motorways", "sidewalk", "n_junctions"),
+    [(4, False, 0), (4, True, 1), (3, False, 1)],
 )
-def test_where_motorways_meet_is_no_junction(tmp_path, n_motorways, sidewalk, n_junctions):
+def test_where_motorways_meet_is_no_junction(
+    tmp_path, n_motorways, sidewalk, n_junctions
+):
     motorway = '<type s="0" type="motorway"/><planView>'
     text = document(crossing()).replace("<planView>", motorway, n_motorways)
     if sidewalk:
@@ -322,4 +375,6 @@ def test_where_motorways_meet_is_no_junction(tmp_path, n_motorways, sidewalk, n_
     source = read_text(tmp_path, text)
     assert len(source.junctions) == n_junctions
     assert len(source.connections) == 4
-    assert {note.what for note in source.skipped} == (set() if n_junctions else {"junction 9"})
+    assert {note.what for note in source.skipped} == (
+        set() if n_junctions else {"junction 9"}
+    )

@@ -22,7 +22,9 @@ def test_right_lanes_follow_the_road_and_left_ones_come_back(tmp_path):
     np.testing.assert_allclose(
         lanes["1/-1"].centreline_m[[0, -1]], [[0, -1.75, 0], [100, -1.75, 0]]
     )
-    np.testing.assert_allclose(lanes["1/1"].centreline_m[[0, -1]], [[100, 1.75, 0], [0, 1.75, 0]])
+    np.testing.assert_allclose(
+        lanes["1/1"].centreline_m[[0, -1]], [[100, 1.75, 0], [0, 1.75, 0]]
+    )
     assert lanes["1/1"].width_m == pytest.approx(3.5)
 
 
@@ -44,11 +46,19 @@ def test_a_mirrored_road_in_left_hand_traffic_has_the_mirrored_lanes(tmp_path):
 
     right = _lanes(
         tmp_path,
-        road(plan=geometry('<arc curvature="0.02"/>', hdg=0.3), sections=sides(1), rule="RHT"),
+        road(
+            plan=geometry('<arc curvature="0.02"/>', hdg=0.3),
+            sections=sides(1),
+            rule="RHT",
+        ),
     )
     left = _lanes(
         tmp_path,
-        road(plan=geometry('<arc curvature="-0.02"/>', hdg=-0.3), sections=sides(-1), rule="LHT"),
+        road(
+            plan=geometry('<arc curvature="-0.02"/>', hdg=-0.3),
+            sections=sides(-1),
+            rule="LHT",
+        ),
     )
     for name, other in (("1/1", "1/-1"), ("1/-1", "1/1")):
         np.testing.assert_allclose(
@@ -57,15 +67,23 @@ def test_a_mirrored_road_in_left_hand_traffic_has_the_mirrored_lanes(tmp_path):
 
 
 def test_a_reversed_lane_is_driven_the_other_way(tmp_path):
-    lanes = _lanes(tmp_path, road(sections=section(right=[lane(-1, extra='direction="reversed"')])))
+    lanes = _lanes(
+        tmp_path, road(sections=section(right=[lane(-1, extra='direction="reversed"')]))
+    )
     np.testing.assert_allclose(lanes["1/-1"].centreline_m[0], [100, -1.75, 0])
 
 
 @pytest.mark.parametrize(
     ("written", "kind"),
     [
-        *((name, "driving") for name in ("driving", "entry", "exit", "onRamp", "offRamp", "bus")),
-        *((name, "driving") for name in ("connectingRamp", "bidirectional", "taxi", "HOV")),
+        *(
+            (name, "driving")
+            for name in ("driving", "entry", "exit", "onRamp", "offRamp", "bus")
+        ),
+        *(
+            (name, "driving")
+            for name in ("connectingRamp", "bidirectional", "taxi", "HOV")
+        ),
         ("parking", "parking"),
         ("biking", "cycling"),
         ("sidewalk", "walking"),
@@ -97,7 +115,9 @@ def test_linked_pieces_are_one_lane_also_under_new_numbers(tmp_path):
     np.testing.assert_allclose(through[:, 1], -1.75)
     np.testing.assert_allclose(through[[0, -1], 0], [0.0, 100.0])
     assert (np.diff(through[:, 0]) > 0.0).all()
-    np.testing.assert_allclose(lanes["1/-1/1"].centreline_m[[0, -1], :2], [[40, 1.75], [100, 1.75]])
+    np.testing.assert_allclose(
+        lanes["1/-1/1"].centreline_m[[0, -1], :2], [[40, 1.75], [100, 1.75]]
+    )
 
 
 def test_pieces_that_only_the_later_one_links_are_joined_too(tmp_path):
@@ -112,7 +132,9 @@ def test_pieces_without_links_stay_apart(tmp_path):
 
 
 def test_links_to_lanes_that_are_not_there_end_a_lane(tmp_path):
-    sections = section(right=[lane(-1, after=-7)]) + section(s=40.0, right=[lane(-1, before=9)])
+    sections = section(right=[lane(-1, after=-7)]) + section(
+        s=40.0, right=[lane(-1, before=9)]
+    )
     assert len(_lanes(tmp_path, road(sections=sections))) == 2
 
 
@@ -123,7 +145,9 @@ def test_a_lane_is_there_only_where_it_has_a_width(tmp_path):
         + cubic("width", 50.0, 3.0)
         + cubic("width", 80.0, 0.0)
     )
-    (one,) = _lanes(tmp_path, road(sections=section(right=[lane(-1, width=widths)]))).values()
+    (one,) = _lanes(
+        tmp_path, road(sections=section(right=[lane(-1, width=widths)]))
+    ).values()
     assert 20.0 <= one.centreline_m[0, 0] <= 26.0
     assert 75.0 <= one.centreline_m[-1, 0] <= 80.0
     assert not one.from_junction
@@ -131,7 +155,9 @@ def test_a_lane_is_there_only_where_it_has_a_width(tmp_path):
 
 
 def test_heights_follow_the_elevation(tmp_path):
-    elevation = cubic("elevation", 0.0, 10.0, 0.05) + cubic("elevation", 50.0, 12.5, 0.0, 0.01)
+    elevation = cubic("elevation", 0.0, 10.0, 0.05) + cubic(
+        "elevation", 50.0, 12.5, 0.0, 0.01
+    )
     one = _lanes(tmp_path, road(elevation=elevation))["1/-1"]
     x, _, z = one.centreline_m.T
     expected = np.where(x < 50.0, 10.0 + 0.05 * x, 12.5 + 0.01 * (x - 50.0) ** 2)
@@ -139,11 +165,17 @@ def test_heights_follow_the_elevation(tmp_path):
 
 
 def test_superelevation_raises_the_left_side_and_lowers_the_right(tmp_path):
-    roll = cubic("superelevation", 0.0, 0.02, 0.0005) + cubic("superelevation", 60.0, 0.05)
+    roll = cubic("superelevation", 0.0, 0.02, 0.0005) + cubic(
+        "superelevation", 60.0, 0.05
+    )
     climb = cubic("elevation", 0.0, 10.0, 0.05)
     sides = section(left=[lane(1, width=3.0)], right=[lane(-1, width=3.5)])
-    read = read_text(tmp_path, document(road("1", sections=sides, lateral=roll, elevation=climb)))
-    lines = [(one.centreline_m, {"1/1": 1.5, "1/-1": -1.75}[one.id]) for one in read.lanes]
+    read = read_text(
+        tmp_path, document(road("1", sections=sides, lateral=roll, elevation=climb))
+    )
+    lines = [
+        (one.centreline_m, {"1/1": 1.5, "1/-1": -1.75}[one.id]) for one in read.lanes
+    ]
     edge = read.ground_m[np.abs(read.ground_m[:, 1] + 3.5) < 1e-9]
     for (x, y, z), t_m in ((points.T, t_m) for points, t_m in [*lines, (edge, -3.5)]):
         assert len(x) > 10
@@ -160,7 +192,9 @@ def test_shapes_of_cross_sections_are_left_out_and_noted(tmp_path):
 
 
 def test_a_last_section_without_length_does_not_hide_the_end(tmp_path):
-    sections = section(right=[lane(-1, after=-1)]) + section(s=100.0, right=[lane(-1, before=-1)])
+    sections = section(right=[lane(-1, after=-1)]) + section(
+        s=100.0, right=[lane(-1, before=-1)]
+    )
     lanes = _lanes(tmp_path, road(sections=sections))
     assert set(lanes) == {"1/-1"}
 
@@ -172,7 +206,8 @@ def test_a_namespace_makes_no_difference(tmp_path):
 
 def test_most_roads_say_which_side_traffic_keeps(tmp_path):
     read = read_text(
-        tmp_path, document(road("1", rule="LHT"), road("2", rule="LHT"), road("3", rule="RHT"))
+        tmp_path,
+        document(road("1", rule="LHT"), road("2", rule="LHT"), road("3", rule="RHT")),
     )
     assert read.keeps_left
     assert [note.what for note in read.skipped] == ["rule of 1 of 3 roads"]

@@ -20,7 +20,9 @@ def _road(text: str, offset: Offset | None = None) -> Road:
     return read_road(ET.fromstring(text), "made.xodr", offset or Offset())
 
 
-def _line(shape: str, length: float, s: np.ndarray, **start: float) -> tuple[np.ndarray, ...]:
+def _line(
+    shape: str, length: float, s: np.ndarray, **start: float
+) -> tuple[np.ndarray, ...]:
     plan = geometry(shape, length=length, **start)
     return _road(road(plan=plan, length=length)).line.at(s)
 
@@ -75,12 +77,18 @@ def test_both_ranges_of_a_parametric_cubic_draw_the_same_curve():
     drawn = [
         _line(
             "<paramPoly3 "
-            + " ".join(f'{key}="{value!r}"' for key, value in zip(keys, map(float, k), strict=True))
+            + " ".join(
+                f'{key}="{value!r}"'
+                for key, value in zip(keys, map(float, k), strict=True)
+            )
             + f' pRange="{p_range}"/>',
             20.0,
             s,
         )
-        for k, p_range in ((coefficients, "arcLength"), (coefficients * powers, "normalized"))
+        for k, p_range in (
+            (coefficients, "arcLength"),
+            (coefficients * powers, "normalized"),
+        )
     ]
     u = s + 0.001 * s**2 - 1e-4 * s**3
     v = 0.02 * s**2 + 1e-4 * s**3
@@ -103,7 +111,9 @@ def test_a_parametric_cubic_that_starts_standing_still_looks_where_it_goes():
 
 
 def test_a_cubic_over_its_own_axis_is_measured_along_the_curve():
-    points, heading = _line('<poly3 a="0" b="0.75" c="0" d="0"/>', 10.0, np.array([5.0, 10.0]))
+    points, heading = _line(
+        '<poly3 a="0" b="0.75" c="0" d="0"/>', 10.0, np.array([5.0, 10.0])
+    )
     np.testing.assert_allclose(points, [[4.0, 3.0], [8.0, 6.0]], atol=1e-6)
     np.testing.assert_allclose(heading, np.arctan(0.75))
 
@@ -118,13 +128,17 @@ def test_where_two_pieces_meet_the_later_one_holds():
 
 
 def test_a_piece_of_no_length_is_passed_over():
-    plan = geometry(length=0.0, hdg=2.0) + geometry('<arc curvature="0.1"/>', length=20.0)
+    plan = geometry(length=0.0, hdg=2.0) + geometry(
+        '<arc curvature="0.1"/>', length=20.0
+    )
     assert len(_road(road(plan=plan, length=20.0)).line.starts_m) == 1
 
 
 def test_the_header_moves_and_turns_a_road():
     offset = Offset(x_m=1000.0, y_m=2000.0, z_m=30.0, heading_rad=np.pi / 2)
-    moved = _road(road(plan=geometry(x=5.0), elevation=cubic("elevation", 0.0, 2.0, 0.1)), offset)
+    moved = _road(
+        road(plan=geometry(x=5.0), elevation=cubic("elevation", 0.0, 2.0, 0.1)), offset
+    )
     points, heading = moved.place(np.array([10.0]), np.array([1.0]))
     np.testing.assert_allclose(points, [[999.0, 2015.0, 33.0]])
     np.testing.assert_allclose(heading, np.pi / 2)
@@ -137,12 +151,13 @@ def test_the_header_moves_and_turns_a_road():
     offset=st.floats(-4.0, 4.0),
     kind=st.sampled_from(["arc", "spiral"]),
 )
-def test_samples_follow_the_line_closely_and_keep_their_distance(start, end, length, offset, kind):
-    shape = (
-        f'<arc curvature="{start!r}"/>'
-        if kind == "arc"
-        else f'<spiral curvStart="{start!r}" curvEnd="{end!r}"/>'
-    )
+def test_samples_follow_the_line_closely_and_keep_their_distance(
+    start, end, length, offset, kind
+):
+    if kind == "arc":
+        shape = f'<arc curvature="{start!r}"/>'
+    else:
+        shape = f'<spiral curvStart="{start!r}" curvEnd="{end!r}"/>'
     text = road(
         plan=geometry(shape, length=length),
         length=length,
@@ -165,7 +180,8 @@ def test_samples_follow_the_line_closely_and_keep_their_distance(start, end, len
         curve = on_line + t_m[:1] * left
         chord = edge[1:] - edge[:-1]
         distance = np.abs(
-            chord[:, 0] * (curve - edge[:-1])[:, 1] - chord[:, 1] * (curve - edge[:-1])[:, 0]
+            chord[:, 0] * (curve - edge[:-1])[:, 1]
+            - chord[:, 1] * (curve - edge[:-1])[:, 0]
         ) / np.maximum(np.hypot(*chord.T), 1e-9)
         assert distance.max() <= 0.03
 
@@ -174,7 +190,13 @@ def test_edges_are_the_offset_and_the_widths_added_up():
     text = road(
         offset=cubic("laneOffset", 0.0, 1.0) + cubic("laneOffset", 40.0, 1.0, 0.05),
         sections=section(
-            left=[lane(1, width=cubic("width", 0.0, 3.0) + cubic("width", 50.0, 3.0, 0.02, 0.001))],
+            left=[
+                lane(
+                    1,
+                    width=cubic("width", 0.0, 3.0)
+                    + cubic("width", 50.0, 3.0, 0.02, 0.001),
+                )
+            ],
             right=[lane(-2, width=2.0), lane(-1, width=3.5)],
         ),
     )
@@ -205,7 +227,9 @@ def test_borders_are_edges_whichever_sign_is_used_on_the_right(sign):
 
 def test_widths_hold_where_a_lane_has_borders_too():
     both = cubic("width", 0.0, 3.0) + cubic("border", 0.0, -9.0)
-    (sampled,) = sample_road(_road(road(sections=section(right=[lane(-1, width=both)]))))
+    (sampled,) = sample_road(
+        _road(road(sections=section(right=[lane(-1, width=both)])))
+    )
     np.testing.assert_allclose(sampled.lanes[-1].outer_m, -3.0)
 
 

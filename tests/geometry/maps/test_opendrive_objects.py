@@ -17,7 +17,9 @@ def _object(
     kind: str, *, s: float = 50.0, t: float = 10.0, inside: str = "", **more: object
 ) -> str:
     attributes = " ".join(f'{key}="{value}"' for key, value in more.items())
-    return f'<object id="7" type="{kind}" s="{s}" t="{t}" {attributes}>{inside}</object>'
+    return (
+        f'<object id="7" type="{kind}" s="{s}" t="{t}" {attributes}>{inside}</object>'
+    )
 
 
 def _outline(corners: str, **more: object) -> str:
@@ -28,7 +30,8 @@ def _outline(corners: str, **more: object) -> str:
 def _local(*points: tuple[float, ...]) -> str:
     keys = ("u", "v", "z", "height")
     return "".join(
-        f"<cornerLocal {' '.join(f'{k}={str(p)!r}' for k, p in zip(keys, point, strict=False))}/>"
+        "<cornerLocal"
+        f" {' '.join(f'{k}={str(p)!r}' for k, p in zip(keys, point, strict=False))}/>"
         for point in points
     )
 
@@ -36,7 +39,8 @@ def _local(*points: tuple[float, ...]) -> str:
 def _on_road(*points: tuple[float, ...]) -> str:
     keys = ("s", "t", "dz", "height")
     return "".join(
-        f"<cornerRoad {' '.join(f'{k}={str(p)!r}' for k, p in zip(keys, point, strict=False))}/>"
+        "<cornerRoad"
+        f" {' '.join(f'{k}={str(p)!r}' for k, p in zip(keys, point, strict=False))}/>"
         for point in points
     )
 
@@ -66,7 +70,9 @@ def test_a_box_stands_on_the_road_plane_turned_with_it(tmp_path):
         elevation=_SLOPE,
     )
     assert (thing.class_name, thing.is_height_assumed) == ("building", False)
-    np.testing.assert_allclose(_mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9)
+    np.testing.assert_allclose(
+        _mesh(thing).bounds, [[47, 0, 11], [53, 20, 15]], atol=1e-9
+    )
     assert _is_solid(thing)
 
 
@@ -79,21 +85,31 @@ def test_a_building_without_height_gets_one_and_says_so(tmp_path):
 def test_a_cylinder_has_its_radius(tmp_path):
     thing = _thing(tmp_path, _object("barrier", radius=2, height=3))
     assert thing.class_name == "wall"
-    np.testing.assert_allclose(_mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9)
+    np.testing.assert_allclose(
+        _mesh(thing).bounds, [[48, 8, 0], [52, 12, 3]], atol=1e-9
+    )
     assert _is_solid(thing)
 
 
 def test_outlines_in_the_objects_frame(tmp_path):
-    corners = _local((0, 0, 0, 6), (4, 0, 0, 6), (4, 2, 0, 6), (0, 2, 0, 6), (0, 0, 0, 6))
-    thing = _thing(tmp_path, _object("building", hdg=np.pi / 2, inside=_outline(corners)))
-    np.testing.assert_allclose(_mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9)
+    corners = _local(
+        (0, 0, 0, 6), (4, 0, 0, 6), (4, 2, 0, 6), (0, 2, 0, 6), (0, 0, 0, 6)
+    )
+    thing = _thing(
+        tmp_path, _object("building", hdg=np.pi / 2, inside=_outline(corners))
+    )
+    np.testing.assert_allclose(
+        _mesh(thing).bounds, [[48, 10, 0], [50, 14, 6]], atol=1e-9
+    )
     assert not thing.is_height_assumed
     assert _mesh(thing).volume == pytest.approx(48.0)
 
 
 def test_outlines_on_the_road_follow_it(tmp_path):
     corners = _on_road((10, 5, 1, 4), (30, 5, 1, 4), (30, 9, 1, 4), (10, 9, 1, 4))
-    text = _object("building", s=0, t=0, inside=f"<outlines>{_outline(corners)}</outlines>")
+    text = _object(
+        "building", s=0, t=0, inside=f"<outlines>{_outline(corners)}</outlines>"
+    )
     thing = _thing(tmp_path, text, elevation=_SLOPE)
     mesh = _mesh(thing)
     np.testing.assert_allclose(mesh.bounds, [[10, 5, 7], [30, 9, 13]], atol=1e-9)
@@ -128,10 +144,13 @@ def test_an_open_outline_is_a_thin_wall(tmp_path):
 def test_a_repeat_without_distance_is_swept_along_the_road(tmp_path):
     repeat = (
         '<repeat s="0" length="100" distance="0" tStart="5" tEnd="5" heightStart="1"'
-        ' heightEnd="3" widthStart="0.5" widthEnd="0.5" zOffsetStart="0" zOffsetEnd="0"/>'
+        ' heightEnd="3" widthStart="0.5" widthEnd="0.5" zOffsetStart="0"'
+        ' zOffsetEnd="0"/>'
     )
     thing = _thing(
-        tmp_path, _object("barrier", inside=repeat), plan=geometry('<arc curvature="0.01"/>')
+        tmp_path,
+        _object("barrier", inside=repeat),
+        plan=geometry('<arc curvature="0.01"/>'),
     )
     assert _is_solid(thing)
     # The line 5 m to the left of an arc of 100 m radius is 5 % shorter.
@@ -155,7 +174,9 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(tmp_path):
         ' heightEnd="8"/>'
     )
     things = _read(tmp_path, _object("tree", radius=1, inside=repeat)).things
-    assert [thing.id for thing in things] == [f"road 1 object 7/{index}" for index in range(3)]
+    assert [thing.id for thing in things] == [
+        f"road 1 object 7/{index}" for index in range(3)
+    ]
     tops = [thing.vertices_m[:, 2].max() for thing in things]
     np.testing.assert_allclose(tops, [4, 6, 8])
     feet = [0.5 * np.sum(_mesh(thing).bounds[:, :2], axis=0) for thing in things]
@@ -165,8 +186,12 @@ def test_copies_stand_at_their_distance_and_change_on_the_way(tmp_path):
 def test_outlines_go_with_their_copies(tmp_path):
     corners = _on_road((50, 10), (52, 10), (52, 12), (50, 12))
     repeat = '<repeat s="20" length="30" distance="30" tStart="10" tEnd="10"/>'
-    things = _read(tmp_path, _object("building", inside=repeat + _outline(corners))).things
-    np.testing.assert_allclose([thing.vertices_m[:, 0].min() for thing in things], [20, 50])
+    things = _read(
+        tmp_path, _object("building", inside=repeat + _outline(corners))
+    ).things
+    np.testing.assert_allclose(
+        [thing.vertices_m[:, 0].min() for thing in things], [20, 50]
+    )
 
 
 def test_copies_beyond_the_road_are_left_out(tmp_path):
@@ -213,18 +238,24 @@ def test_names_say_what_types_do_not(tmp_path, kind, name, class_name):
     assert thing.class_name == class_name
 
 
-@pytest.mark.parametrize("kind", ["gantry", "trafficIsland", "roadMark", "busStop", "carpet", ""])
+@pytest.mark.parametrize(
+    "kind", ["gantry", "trafficIsland", "roadMark", "busStop", "carpet", ""]
+)
 def test_kinds_that_hide_nothing_are_counted(tmp_path, kind):
     source = _read(tmp_path, 2 * _object(kind, length=4, width=2, height=2))
     assert not source.things
-    assert source.skipped[0].what == (
-        f"2 objects ({kind or 'no type'}), such as road 1 object 7 and road 1 object 7 #2"
+    assert (
+        source.skipped[0].what
+        == f"2 objects ({kind or 'no type'}), such as road 1 object 7 and road 1 object"
+        " 7 #2"
     )
 
 
 def test_what_has_no_size_is_noted(tmp_path):
     flat = _outline(_local((0, 0), (1, 0), (2, 0)))
-    source = _read(tmp_path, _object("building", height=3) + _object("building", inside=flat))
+    source = _read(
+        tmp_path, _object("building", height=3) + _object("building", inside=flat)
+    )
     assert not source.things
     assert source.skipped[0].what.startswith("2 objects (building) without size")
 
@@ -241,7 +272,9 @@ def test_what_has_no_size_is_noted(tmp_path):
     ],
 )
 def test_poles(tmp_path, kind, name, expected):
-    source = _read(tmp_path, _object(kind, name=name, height=5, zOffset=0.5), elevation=_SLOPE)
+    source = _read(
+        tmp_path, _object(kind, name=name, height=5, zOffset=0.5), elevation=_SLOPE
+    )
     (pole,) = source.poles
     assert pole.kind == expected
     np.testing.assert_allclose(pole.position_m, [50, 10, 10])
@@ -256,7 +289,9 @@ def test_a_pole_without_height_says_nothing_about_it(tmp_path):
 def test_a_row_of_lamps_is_one_pole_each(tmp_path):
     repeat = '<repeat s="0" length="100" distance="25"/>'
     poles = _read(tmp_path, _object("streetLamp", height=5, inside=repeat)).poles
-    np.testing.assert_allclose([pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100])
+    np.testing.assert_allclose(
+        [pole.position_m[0] for pole in poles], [0, 25, 50, 75, 100]
+    )
 
 
 @pytest.mark.parametrize(
@@ -270,13 +305,19 @@ def test_a_row_of_lamps_is_one_pole_each(tmp_path):
     ],
 )
 def test_crosswalks_lead_the_long_way(tmp_path, inside, more):
-    (ends,) = _read(tmp_path, _object("crosswalk", t=0, inside=inside, **more)).crosswalks_m
+    (ends,) = _read(
+        tmp_path, _object("crosswalk", t=0, inside=inside, **more)
+    ).crosswalks_m
     np.testing.assert_allclose(sorted(ends.tolist()), [[50, -4], [50, 4]], atol=1e-9)
 
 
 def test_a_crosswalk_that_is_nearly_square_leads_across_the_road(tmp_path):
-    (ends,) = _read(tmp_path, _object("crosswalk", t=0, length=4, width=3.5)).crosswalks_m
-    np.testing.assert_allclose(sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9)
+    (ends,) = _read(
+        tmp_path, _object("crosswalk", t=0, length=4, width=3.5)
+    ).crosswalks_m
+    np.testing.assert_allclose(
+        sorted(ends.tolist()), [[50, -1.75], [50, 1.75]], atol=1e-9
+    )
 
 
 def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
@@ -287,7 +328,9 @@ def test_parking_spaces_side_by_side_are_one_lane(tmp_path):
     lanes = [one for one in _read(tmp_path, spaces).lanes if one.kind == "parking"]
     assert [one.id for one in lanes] == ["1/parking 1", "1/parking 2", "1/parking 3"]
     row, along, alone = lanes
-    np.testing.assert_allclose(row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]])
+    np.testing.assert_allclose(
+        row.centreline_m[[0, -1], :2], [[18.75, -6], [46.25, -6]]
+    )
     assert row.width_m == pytest.approx(5.0)
     # To the left of the road traffic comes back.
     np.testing.assert_allclose(along.centreline_m[[0, -1], :2], [[33, 6], [27, 6]])
@@ -310,11 +353,15 @@ def test_bridges_tunnels_and_references_are_counted(tmp_path):
 
 
 @given(
-    angles=st.lists(st.floats(0.0, 6.28), min_size=3, max_size=9, unique_by=lambda a: round(a, 1)),
+    angles=st.lists(
+        st.floats(0.0, 6.28), min_size=3, max_size=9, unique_by=lambda a: round(a, 1)
+    ),
     heights=st.lists(st.floats(0.5, 9.0), min_size=9, max_size=9),
     clockwise=st.booleans(),
 )
-def test_prisms_over_stars_are_closed_whatever_their_corners_heights(angles, heights, clockwise):
+def test_prisms_over_stars_are_closed_whatever_their_corners_heights(
+    angles, heights, clockwise
+):
     angles = np.sort(angles)[:: -1 if clockwise else 1]
     if np.max(np.diff(np.append(np.sort(angles), np.min(angles) + 2 * np.pi))) > 2.8:
         return  # the middle lies outside: the outline may cross itself
@@ -322,7 +369,9 @@ def test_prisms_over_stars_are_closed_whatever_their_corners_heights(angles, hei
     reach = 5.0 + np.arange(n) % 3
     outline = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     tops = np.array(heights[:n])
-    vertices, triangles = build_prism(outline, bottom_m=np.zeros(n), top_m=tops, where="made")
+    vertices, triangles = build_prism(
+        outline, bottom_m=np.zeros(n), top_m=tops, where="made"
+    )
     mesh = trimesh.Trimesh(vertices, triangles)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -350,4 +399,6 @@ def test_a_crosswalk_may_be_written_as_a_road_mark(tmp_path, names):
     text = _object("roadMark", t=0, length=3, width=8, **names)
     (ends,) = _read(tmp_path, text).crosswalks_m
     assert np.hypot(*(ends[1] - ends[0])) == pytest.approx(8.0)
-    assert not len(_read(tmp_path, _object("roadMark", t=0, length=3, width=8)).crosswalks_m)
+    assert not len(
+        _read(tmp_path, _object("roadMark", t=0, length=3, width=8)).crosswalks_m
+    )

@@ -30,12 +30,14 @@ def test_town05_has_its_junctions(town05):
 def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
     study = load_study_scene()
     middle = 0.5 * (study.outline_m.min(axis=0) + study.outline_m.max(axis=0))
-    junction = min(town05.junctions, key=lambda one: np.hypot(*(one.position_m - middle)))
+    junction = min(
+        town05.junctions, key=lambda one: np.hypot(*(one.position_m - middle))
+    )
     np.testing.assert_allclose(junction.position_m, [-126.5, -1.0], atol=0.5)
     arms = arms_of(town05, junction)
     assert arms == dict.fromkeys(("east", "north", "west", "south"), (2, 2))
-    # The scene's lanes come from the same map through another reader; its junction is a little
-    # larger.
+    # The scene's lanes come from the same map through another reader; its junction is a
+    # little larger.
     for kind in ("driving", "parking"):
         lines = shapely.union_all(
             [
@@ -46,7 +48,9 @@ def test_the_studys_junction_has_the_lanes_of_its_scene(town05):
         )
         for lane in study.lanes:
             if lane.kind == kind:
-                gaps = [lines.distance(shapely.Point(point)) for point in lane.centreline_m]
+                gaps = [
+                    lines.distance(shapely.Point(point)) for point in lane.centreline_m
+                ]
                 assert max(gaps) < 0.1, lane.id
 
 
@@ -100,4 +104,6 @@ def test_lanes_meet_their_continuation_at_the_roads_end(real_input):
     starts = np.array([one.centreline_m[0] for one in inner])
     for one in loose:
         if not one.to_junction:
-            assert np.linalg.norm(starts - one.centreline_m[-1], axis=1).min() < 0.5, one.id
+            assert np.linalg.norm(starts - one.centreline_m[-1], axis=1).min() < 0.5, (
+                one.id
+            )

@@ -10,10 +10,14 @@ from geometry.maps.opendrive.objects import merge_poles
 from geometry.maps.source_map import POLE_KINDS, Pole
 
 
-def _signal(name: str = "", *, s: float = 50.0, t: float = -6.0, inside: str = "", **more) -> str:
+def _signal(
+    name: str = "", *, s: float = 50.0, t: float = -6.0, inside: str = "", **more
+) -> str:
     given_attributes = {"dynamic": "no", "type": "-1", "zOffset": 3, "height": 1} | more
     attributes = " ".join(f'{key}="{value}"' for key, value in given_attributes.items())
-    return f'<signal id="5" name="{name}" s="{s}" t="{t}" {attributes}>{inside}</signal>'
+    return (
+        f'<signal id="5" name="{name}" s="{s}" t="{t}" {attributes}>{inside}</signal>'
+    )
 
 
 def _read(tmp_path, signals, header="", **more):
@@ -24,7 +28,11 @@ def _read(tmp_path, signals, header="", **more):
     ("name", "more", "kind"),
     [
         ("", {"type": "1000001", "dynamic": "yes"}, "traffic light"),
-        ("", {"type": "1000002", "dynamic": "yes", "country": "OpenDRIVE"}, "traffic light"),
+        (
+            "",
+            {"type": "1000002", "dynamic": "yes", "country": "OpenDRIVE"},
+            "traffic light",
+        ),
         ("", {"type": "1000013", "dynamic": "yes"}, "traffic light"),
         ("Signal_3Light_Post01", {"dynamic": "yes"}, "traffic light"),
         ("TrafficLight_12", {"dynamic": "yes"}, "traffic light"),
@@ -37,7 +45,9 @@ def _read(tmp_path, signals, header="", **more):
     ],
 )
 def test_kinds_of_signals(tmp_path, name, more, kind):
-    source = _read(tmp_path, _signal(name, **more), elevation=cubic("elevation", 0.0, 7.0))
+    source = _read(
+        tmp_path, _signal(name, **more), elevation=cubic("elevation", 0.0, 7.0)
+    )
     (pole,) = source.poles
     assert pole.kind == kind
     assert pole.id == "road 1 signal 5"
@@ -69,8 +79,12 @@ def test_a_painted_crosswalk_is_a_crosswalk(tmp_path):
 
 
 def test_a_painted_crosswalk_without_width_spans_the_driving_lanes(tmp_path):
-    (ends,) = _read(tmp_path, _signal(type="1000003", t=0, zOffset=0, height=0)).crosswalks_m
-    np.testing.assert_allclose(sorted(ends.tolist()), [[50, -3.5], [50, 3.5]], atol=1e-9)
+    (ends,) = _read(
+        tmp_path, _signal(type="1000003", t=0, zOffset=0, height=0)
+    ).crosswalks_m
+    np.testing.assert_allclose(
+        sorted(ends.tolist()), [[50, -3.5], [50, 3.5]], atol=1e-9
+    )
 
 
 def test_the_height_of_a_head_near_the_ground_says_nothing_about_its_pole(tmp_path):
@@ -123,14 +137,17 @@ def test_where_a_signal_stands_may_be_on_another_road(tmp_path):
 
 
 _POLES = st.lists(
-    st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.sampled_from(POLE_KINDS)), max_size=12
+    st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 3.0), st.sampled_from(POLE_KINDS)),
+    max_size=12,
 )
 
 
 @given(_POLES)
 def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
     poles = [
-        Pole(id=str(index), kind=kind, position_m=[x, y, 0.0], height_m=float(index + 1))
+        Pole(
+            id=str(index), kind=kind, position_m=[x, y, 0.0], height_m=float(index + 1)
+        )
         for index, (x, y, kind) in enumerate(rows)
     ]
     group = list(range(len(poles)))
@@ -144,17 +161,23 @@ def test_merged_poles_are_the_groups_of_those_close_to_one_another(rows):
     merged = merge_poles(poles)
     assert len(merged) == len(set(group))
     assert sorted(pole.height_m for pole in merged) == sorted(
-        max(i + 1.0 for i, number in enumerate(group) if number == wanted) for wanted in set(group)
+        max(i + 1.0 for i, number in enumerate(group) if number == wanted)
+        for wanted in set(group)
     )
     for pole in merged:
         members = [
-            one for one, number in zip(poles, group, strict=True) if number == group[int(pole.id)]
+            one
+            for one, number in zip(poles, group, strict=True)
+            if number == group[int(pole.id)]
         ]
-        assert ("traffic light" in {one.kind for one in members}) == (pole.kind == "traffic light")
+        assert ("traffic light" in {one.kind for one in members}) == (
+            pole.kind == "traffic light"
+        )
 
 
 def test_thousands_of_poles_at_one_place_are_one():
     poles = [
-        Pole(id=str(index), kind="sign", position_m=[0.0, 0.0, 0.0]) for index in range(20_000)
+        Pole(id=str(index), kind="sign", position_m=[0.0, 0.0, 0.0])
+        for index in range(20_000)
     ]
     assert len(merge_poles(poles)) == 1

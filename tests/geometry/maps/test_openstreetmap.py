@@ -50,9 +50,13 @@ def small_map() -> OsmText:
     osm.way([(-20.0, 40.0), (-40.0, 45.0)], {"natural": "tree_row"})
     osm.node(-20.0, -20.0, natural="tree", diameter_crown="4")
     osm.node(-30.0, -20.0, highway="street_lamp", height="8")
-    signal = osm.node(-30.0, -40.0, highway="traffic_signals", traffic_signals__direction="both")
+    signal = osm.node(
+        -30.0, -40.0, highway="traffic_signals", traffic_signals__direction="both"
+    )
     walk = osm.node(-40.0, -40.0, highway="crossing")
-    osm.road([(-60.0, -40.0), walk, signal, (-10.0, -40.0)], highway="service", layer="1")
+    osm.road(
+        [(-60.0, -40.0), walk, signal, (-10.0, -40.0)], highway="service", layer="1"
+    )
     return osm
 
 
@@ -76,7 +80,10 @@ def test_a_packed_file_is_the_same_map(tmp_path: Path) -> None:
         ("map.osm.gz", gzip.compress(packed)),
         ("map.osm.bz2", bz2.compress(packed)),
         ("map", packed),  # what it is shows in the file itself
-        ("utf16.osm", SMALL.replace('"1.0"?', '"1.0" encoding="UTF-16"?').encode("utf-16")),
+        (
+            "utf16.osm",
+            SMALL.replace('"1.0"?', '"1.0" encoding="UTF-16"?').encode("utf-16"),
+        ),
     ):
         other = read_text(content, tmp_path, name)
         assert [lane.id for lane in other.lanes] == [lane.id for lane in plain.lanes]
@@ -89,7 +96,8 @@ def test_the_map_lies_around_its_roads_and_says_where(tmp_path: Path) -> None:
     assert source.source_crs == "EPSG:4326"
     assert source.heights == "above ground"
     assert re.fullmatch(
-        r"\+proj=tmerc \+lat_0=52\.5\d+ \+lon_0=13\.4\d+ \+k=1 \+x_0=0 \+y_0=0 \+datum=WGS84 "
+        r"\+proj=tmerc \+lat_0=52\.5\d+ \+lon_0=13\.4\d+ \+k=1 \+x_0=0 \+y_0=0"
+        r" \+datum=WGS84 "
         r"\+units=m \+no_defs",
         source.crs,
     )
@@ -115,12 +123,17 @@ def test_ids_are_unique(tmp_path: Path) -> None:
         (SMALL.replace('version="0.6"', ""), "without version"),
         (SMALL.replace('id="2"', 'id="two"'), "got illegal id: 'two'"),
         (SMALL.replace('id="2"', f'id="{10**30}"'), "illegal id"),
-        (re.sub(r'lat="52\.\d+"', 'lat="north"', SMALL, count=1), "coordinate: 'north'"),
+        (
+            re.sub(r'lat="52\.\d+"', 'lat="north"', SMALL, count=1),
+            "coordinate: 'north'",
+        ),
         (re.sub(r'lat="52\.\d+"', 'lat="nan"', SMALL, count=1), "coordinate: 'nan'"),
         (
             re.sub(r'lat="52\.\d+"', 'lat="95"', SMALL, count=1),
-            "map.osm: node 1: got latitude 95.0, longitude 13.4; expected latitude -90..90 and "
-            "longitude -180..180",
+            (
+                "map.osm: node 1: got latitude 95.0, longitude 13.4; expected latitude"
+                " -90..90 and longitude -180..180"
+            ),
         ),
         (re.sub(r'lat="52\.\d+"', "", SMALL, count=1), "node 1: got no coordinates"),
         (
@@ -137,19 +150,25 @@ def test_ids_are_unique(tmp_path: Path) -> None:
             "XML entities are not supported",
         ),
         (
-            '<osm version="0.6"><way id="1"><nd ref="1"/><nd ref="2"/>'
-            '<tag k="highway" v="primary"/></way></osm>',
+            (
+                '<osm version="0.6"><way id="1"><nd ref="1"/><nd ref="2"/>'
+                '<tag k="highway" v="primary"/></way></osm>'
+            ),
             "got no nodes; expected a map with roads",
         ),
         (
-            '<osm version="0.6"><node id="1" lat="1" lon="1"/><way id="1"><nd ref="1"/>'
-            '<nd ref="1"/><tag k="highway" v="primary"/></way></osm>',
+            (
+                '<osm version="0.6"><node id="1" lat="1" lon="1"/><way id="1"><nd'
+                ' ref="1"/><nd ref="1"/><tag k="highway" v="primary"/></way></osm>'
+            ),
             "got no road with two nodes; expected a map with roads",
         ),
         (SMALL.replace("Street 0", "S" * 70_000), "too long"),
     ],
 )
-def test_what_is_no_map_is_told_in_one_line(text: str, message: str, tmp_path: Path) -> None:
+def test_what_is_no_map_is_told_in_one_line(
+    text: str, message: str, tmp_path: Path
+) -> None:
     with pytest.raises(InputError) as caught:
         read_text(text, tmp_path)
     assert message in str(caught.value)
@@ -158,7 +177,10 @@ def test_what_is_no_map_is_told_in_one_line(text: str, message: str, tmp_path: P
 
 
 def test_damaged_archives_are_told(tmp_path: Path) -> None:
-    for content in (gzip.compress(SMALL.encode())[:-20], bz2.compress(SMALL.encode())[:-20]):
+    for content in (
+        gzip.compress(SMALL.encode())[:-20],
+        bz2.compress(SMALL.encode())[:-20],
+    ):
         with pytest.raises(InputError, match="a whole archive"):
             read_text(content, tmp_path)
 
@@ -171,7 +193,9 @@ def test_what_grows_without_end_is_not_unpacked(
         read_text(gzip.compress(b"<osm>" + bytes(4_000_000)), tmp_path)
 
 
-def test_too_many_elements_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_elements_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(DEFAULTS["reading"], "max_nodes", 20)
     with pytest.raises(InputError, match="more than 20 elements; expected fewer"):
         read_text(SMALL, tmp_path)
@@ -193,9 +217,13 @@ def test_what_was_deleted_is_not_there(tmp_path: Path) -> None:
 
 def test_of_a_node_that_comes_twice_the_last_counts(tmp_path: Path) -> None:
     text = '<osm version="0.6">' + "".join(
-        f'<node id="{one}" lat="{lat}" lon="1"/>' for one, lat in ((1, 1.0), (2, 1.5), (2, 1.001))
+        f'<node id="{one}" lat="{lat}" lon="1"/>'
+        for one, lat in ((1, 1.0), (2, 1.5), (2, 1.001))
     )
-    text += '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="primary"/></way></osm>'
+    text += (
+        '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway"'
+        ' v="primary"/></way></osm>'
+    )
     lane = read_text(text, tmp_path).lanes[0]
     assert np.ptp(lane.centreline_m[:, 1]) == pytest.approx(110.6, abs=0.1)
 
@@ -203,7 +231,8 @@ def test_of_a_node_that_comes_twice_the_last_counts(tmp_path: Path) -> None:
 def test_elements_may_come_in_any_order(tmp_path: Path) -> None:
     head, *elements, tail = SMALL.strip().split("\n")[1:]
     backwards = "\n".join([head, *elements[::-1], tail])
-    source, other = read_text(SMALL, tmp_path), read_text(backwards, tmp_path)
+    source = read_text(SMALL, tmp_path)
+    other = read_text(backwards, tmp_path)
     assert {thing.id for thing in source.things} == {thing.id for thing in other.things}
     for one, two in zip(source.junctions, other.junctions, strict=True):
         assert (one.id, one.name) == (two.id, two.name)
@@ -231,14 +260,38 @@ def test_lengths_are_understood_as_people_write_them() -> None:
         ("12 in", 0.3048),
     ):
         assert parse_length_m(text) == pytest.approx(length_m), text
-    for text in ("", "m", "wide", "-3", "3 parsecs", "1e9", "nan", "3..", "٣", "9" * 50):
+    for text in (
+        "",
+        "m",
+        "wide",
+        "-3",
+        "3 parsecs",
+        "1e9",
+        "nan",
+        "3..",
+        "٣",
+        "9" * 50,
+    ):
         assert parse_length_m(text) is None, text
 
 
 # ---------------------------------------------------------------- fuzzing
 
 _FUZZ = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-_ODD = ["", "0", "-1", "yes", "no", "1e308", "NaN", "3|4|", "🙂", "12'3\"", "99999999999", "left"]
+_ODD = [
+    "",
+    "0",
+    "-1",
+    "yes",
+    "no",
+    "1e308",
+    "NaN",
+    "3|4|",
+    "🙂",
+    "12'3\"",
+    "99999999999",
+    "left",
+]
 
 
 def _read_or_refuse(content: bytes, folder: Path) -> None:
@@ -258,7 +311,9 @@ def _read_or_refuse(content: bytes, folder: Path) -> None:
 
 @_FUZZ
 @given(
-    at=st.lists(st.tuples(st.integers(0, len(SMALL) - 1), st.integers(0, 255)), max_size=8),
+    at=st.lists(
+        st.tuples(st.integers(0, len(SMALL) - 1), st.integers(0, 255)), max_size=8
+    ),
     cut=st.integers(0, 2 * len(SMALL)),
 )
 def test_changed_bytes_are_read_or_refused(
@@ -267,21 +322,29 @@ def test_changed_bytes_are_read_or_refused(
     content = bytearray(SMALL.encode())
     for index, value in at:
         content[index] = value
-    _read_or_refuse(bytes(content[:cut]) if cut < len(content) else bytes(content), tmp_path)
+    _read_or_refuse(
+        bytes(content[:cut]) if cut < len(content) else bytes(content), tmp_path
+    )
 
 
 @_FUZZ
 @given(data=st.data())
-def test_changed_attributes_are_read_or_refused(data: st.DataObject, tmp_path: Path) -> None:
+def test_changed_attributes_are_read_or_refused(
+    data: st.DataObject, tmp_path: Path
+) -> None:
     attributes = list(re.finditer(r'(k|v|ref|id|lat|lon|role|type)="([^"]*)"', SMALL))
     values = [match[2] for match in attributes] + _ODD
-    text, shift = SMALL, 0
-    chosen = sorted(data.draw(st.sets(st.integers(0, len(attributes) - 1), max_size=12)))
+    text = SMALL
+    shift = 0
+    chosen = sorted(
+        data.draw(st.sets(st.integers(0, len(attributes) - 1), max_size=12))
+    )
     for index in chosen:
         match = attributes[index]
         value = data.draw(st.sampled_from(values)).replace('"', "&quot;")
         new = data.draw(st.sampled_from([f'{match[1]}="{value}"', ""]))
-        begin, end = match.start() + shift, match.end() + shift
+        begin = match.start() + shift
+        end = match.end() + shift
         text = text[:begin] + new + text[end:]
         shift += len(new) - (match.end() - match.start())
     _read_or_refuse(text.encode(), tmp_path)
@@ -302,7 +365,9 @@ def test_changed_attributes_are_read_or_refused(data: st.DataObject, tmp_path: P
     ),
     seed=st.integers(0, 10**6),
 )  # fmt: skip
-def test_roads_that_lie_anyhow_are_read(tags: dict[str, str], seed: int, tmp_path: Path) -> None:
+def test_roads_that_lie_anyhow_are_read(
+    tags: dict[str, str], seed: int, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(seed)
     osm = OsmText()
     nodes = [osm.node(*rng.uniform(-60.0, 60.0, 2)) for _ in range(12)]
@@ -339,15 +404,20 @@ def small_pbf(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def test_pbf_is_the_same_map(small_pbf: bytes, tmp_path: Path) -> None:
-    one, two = read_text(SMALL, tmp_path), read_text(small_pbf, tmp_path, "map.osm.pbf")
+    one = read_text(SMALL, tmp_path)
+    two = read_text(small_pbf, tmp_path, "map.osm.pbf")
     assert [lane.id for lane in one.lanes] == [lane.id for lane in two.lanes]
     assert [thing.id for thing in one.things] == [thing.id for thing in two.things]
 
 
-def test_a_zero_byte_in_a_text_never_reaches_osmium(small_pbf: bytes, tmp_path: Path) -> None:
+def test_a_zero_byte_in_a_text_never_reaches_osmium(
+    small_pbf: bytes, tmp_path: Path
+) -> None:
     # It would read on behind its memory, and the process would end there.
     with pytest.raises(InputError, match="a zero byte in a text"):
-        read_text(small_pbf.replace(b"residential", b"resi\0ential"), tmp_path, "map.osm.pbf")
+        read_text(
+            small_pbf.replace(b"residential", b"resi\0ential"), tmp_path, "map.osm.pbf"
+        )
 
 
 def test_pbf_is_read_up_to_a_limit(
@@ -359,21 +429,33 @@ def test_pbf_is_read_up_to_a_limit(
 
 
 @_FUZZ
-@given(values=st.lists(st.integers(0, 255), min_size=1, max_size=4), seed=st.integers(0, 10**6))
+@given(
+    values=st.lists(st.integers(0, 255), min_size=1, max_size=4),
+    seed=st.integers(0, 10**6),
+)
 def test_changed_bytes_of_pbf_are_read_or_refused(
     values: list[int], seed: int, small_pbf: bytes, tmp_path: Path
 ) -> None:
     content = bytearray(small_pbf)
-    for place, value in zip(Random(seed).sample(range(len(content)), 4), values, strict=False):
+    for place, value in zip(
+        Random(seed).sample(range(len(content)), 4), values, strict=False
+    ):
         content[place] = value
     _read_or_refuse(bytes(content), tmp_path)
 
 
-def test_a_damaged_pbf_is_read_or_refused(real_input: RealInput, tmp_path: Path) -> None:
+def test_a_damaged_pbf_is_read_or_refused(
+    real_input: RealInput, tmp_path: Path
+) -> None:
     content = real_input("osm/test.osm.pbf").read_bytes()
     path = tmp_path / "map.osm.pbf"
     giant = struct.pack(">I", 0x7FFFFFFF) + content[4:]
-    broken = [content[:5000], content[:200], giant, content[:400] + bytes(900) + content[1300:]]
+    broken = [
+        content[:5000],
+        content[:200],
+        giant,
+        content[:400] + bytes(900) + content[1300:],
+    ]
     for damaged in broken:
         path.write_bytes(damaged)
         with pytest.raises(InputError, match="expected OpenStreetMap data, XML or PBF"):
@@ -403,8 +485,8 @@ def test_neukolln(real_input: RealInput) -> None:
     assert Counter(pole.kind for pole in source.poles)["lamp post"] == 52
     assert Counter(pole.kind for pole in source.poles)["traffic light"] == 5
     classes = Counter(thing.class_name for thing in source.things)
-    # 210 in the file; the outlines of those with parts and what is being built are not here, and
-    # two are in three for the passages that lead through them
+    # 210 in the file; the outlines of those with parts and what is being built are not
+    # here, and two are in three for the passages that lead through them
     assert classes["building"] == 192
     assert classes["vegetation"] == 145 + 8  # trees and hedges
     assert len(source.crosswalks_m) == 18
@@ -436,7 +518,9 @@ def test_village(real_input: RealInput) -> None:
 
 def test_town_in_pbf(real_input: RealInput) -> None:
     source = read_openstreetmap(real_input("osm/test.osm.pbf"))
-    assert len(source.junctions) == 109  # two more have roads that the cut-out clips to stubs
+    assert (
+        len(source.junctions) == 109
+    )  # two more have roads that the cut-out clips to stubs
     assert sum(_check(source).values()) == 109
     assert sum(thing.class_name == "building" for thing in source.things) == 2174
     bridges = [lane for lane in source.lanes if lane.centreline_m[:, 2].max() > 4.0]
@@ -470,7 +554,9 @@ def _stub(monkeypatch: pytest.MonkeyPatch, content: bytes) -> list[str]:
     return asked
 
 
-def test_a_fetched_map_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fetched_map_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asked = _stub(monkeypatch, SMALL.encode())
     path = tmp_path / "map.osm"
     fetch_openstreetmap((13.39, 52.49, 13.41, 52.51), path)
@@ -518,6 +604,10 @@ def test_garching(real_input: RealInput) -> None:
     arms = arms_of(source, max(source.junctions, key=lambda one: len(one.roads))).arms
     for arm in arms.values():  # each is crossed square to its lanes
         lane = (arm.lanes_in or arm.lanes_out)[0]
-        along = np.diff(lane.centreline_m[-2:] if arm.lanes_in else lane.centreline_m[:2], axis=0)
-        cosine = abs(float((along @ arm.crosswalk.direction)[0])) / float(np.hypot(*along[0]))
+        along = np.diff(
+            lane.centreline_m[-2:] if arm.lanes_in else lane.centreline_m[:2], axis=0
+        )
+        cosine = abs(float((along @ arm.crosswalk.direction)[0])) / float(
+            np.hypot(*along[0])
+        )
         assert cosine < 0.3

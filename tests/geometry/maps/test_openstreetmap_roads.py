@@ -15,7 +15,10 @@ from geometry.maps.openstreetmap import read_openstreetmap
 from geometry.maps.source_map import MapLane, SourceMap
 from geometry.scene_checks import lanes_that_cross
 
-EAST, NORTH, WEST, SOUTH = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)
+EAST = (1.0, 0.0)
+NORTH = (0.0, 1.0)
+WEST = (-1.0, 0.0)
+SOUTH = (0.0, -1.0)
 FOUR = (EAST, NORTH, WEST, SOUTH)
 
 
@@ -35,11 +38,15 @@ def check_ends(source: SourceMap) -> None:
         if lane.kind == "driving":
             for tip, name in ((0, lane.from_junction), (-1, lane.to_junction)):
                 if name:
-                    distance = distance_to_outline_m(lane.centreline_m[tip, :2], outlines[name])
+                    distance = distance_to_outline_m(
+                        lane.centreline_m[tip, :2], outlines[name]
+                    )
                     assert distance <= 1.0, lane.id
 
 
-def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[str, float, float]]:
+def one_road(
+    tags: dict[str, str], folder: Path, **options: bool
+) -> list[tuple[str, float, float]]:
     """Kind, width and place to the left of a road that leads east; those that run west: minus."""
     osm = OsmText()
     osm.way([(-50.0, 0.0), (50.0, 0.0)], {"highway": "residential"} | tags)
@@ -48,7 +55,9 @@ def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[
     for lane in source.lanes:
         middle = lane.centreline_m[:, 1].mean()
         sign = np.sign(lane.centreline_m[-1, 0] - lane.centreline_m[0, 0])
-        strips.append((lane.kind, round(float(sign * lane.width_m), 3), round(float(middle), 2)))
+        strips.append(
+            (lane.kind, round(float(sign * lane.width_m), 3), round(float(middle), 2))
+        )
     return sorted(strips, key=lambda strip: -strip[2])
 
 
@@ -88,7 +97,8 @@ def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[
              "lanes:backward": "2"},
             [("driving", -3.5, 2.8), ("driving", -2.5, -0.2), ("driving", 3.0, -3.0)],
         ),
-        ({"width": "3.6"}, [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),  # one for both
+        # one for both
+        ({"width": "3.6"}, [("driving", -3.0, 0.3), ("driving", 3.0, -0.3)]),
         ({"lanes": "1", "width": "4"}, [("driving", -3.4, 0.3), ("driving", 3.4, -0.3)]),
         ({"highway": "service"}, [("driving", -2.9, 0.3), ("driving", 2.9, -0.3)]),
         (
@@ -123,7 +133,8 @@ def one_road(tags: dict[str, str], folder: Path, **options: bool) -> list[tuple[
             [("cycling", -1.0, 2.5), ("driving", 5.0, -0.5)],
         ),
         (
-            {"width": "6", "oneway": "-1", "sidewalk": "left"},  # left as the way is mapped
+            # left as the way is mapped
+            {"width": "6", "oneway": "-1", "sidewalk": "left"},
             [("walking", -2.5, 4.2), ("driving", -6.0, 0.0)],
         ),
         ({"sidewalk:both": "separate"}, [("driving", -2.75, 1.4), ("driving", 2.75, -1.4)]),
@@ -189,7 +200,9 @@ def test_what_makes_no_sense_is_told_and_usual_sizes_stand_in(
         {"railway": "tram"},
     ],
 )
-def test_what_is_no_road_for_cars_has_no_lanes(tags: dict[str, str], tmp_path: Path) -> None:
+def test_what_is_no_road_for_cars_has_no_lanes(
+    tags: dict[str, str], tmp_path: Path
+) -> None:
     osm = OsmText()
     osm.road([(-50.0, 0.0), (50.0, 0.0)])
     osm.way([(-50.0, 30.0), (50.0, 30.0)], tags)
@@ -206,32 +219,45 @@ def test_four_roads_of_two_lanes_meet(tmp_path: Path) -> None:
     (junction,) = source.junctions
     assert junction.id == f"n{middle}"
     assert junction.name == "Street 0 / Street 1 / Street 2 / Street 3"
-    assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
+    assert lane_counts(source) == dict.fromkeys(
+        ("east", "north", "west", "south"), (1, 1)
+    )
     assert all(lane.width_m == pytest.approx(3.0) for lane in source.lanes)
     check_ends(source)
-    # Half the crossing road and a corner of 5 m from the middle; lanes 1.5 m beside the axis.
+    # Half the crossing road and a corner of 5 m from the middle; lanes 1.5 m beside the
+    # axis.
     for lane in source.lanes:
         tip = lane.centreline_m[0 if lane.from_junction else -1, :2]
         assert np.abs(tip).max() == pytest.approx(8.0, abs=0.55)
-        np.testing.assert_allclose(np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03)
+        np.testing.assert_allclose(
+            np.abs(lane.centreline_m[:, :2]).min(axis=1), 1.5, atol=0.03
+        )
     # Traffic keeps right: what leads east lies south of the axis.
     east = next(
-        lane for lane in source.lanes if lane.from_junction and lane.centreline_m[-1, 0] > 50.0
+        lane
+        for lane in source.lanes
+        if lane.from_junction and lane.centreline_m[-1, 0] > 50.0
     )
     assert east.centreline_m[:, 1].max() < 0.0
     assert east.from_junction == junction.id
     assert not east.to_junction
 
 
-def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path: Path) -> None:
+def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(
+    tmp_path: Path,
+) -> None:
     osm = OsmText()
     crossing(osm, bearings=FOUR)
     left, right = (read(osm, tmp_path, keeps_left=side) for side in (True, False))
     assert left.keeps_left
     assert not right.keeps_left
     assert {
-        (lane.from_junction, *lane.centreline_m[:, :2].round(6).ravel()) for lane in left.lanes
-    } == {(lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel()) for lane in right.lanes}
+        (lane.from_junction, *lane.centreline_m[:, :2].round(6).ravel())
+        for lane in left.lanes
+    } == {
+        (lane.to_junction, *lane.centreline_m[::-1, :2].round(6).ravel())
+        for lane in right.lanes
+    }
 
 
 @pytest.mark.parametrize(
@@ -239,11 +265,19 @@ def test_where_traffic_keeps_left_a_crossing_is_its_mirror_image(tmp_path: Path)
     [
         ((EAST, WEST, SOUTH), {"east", "west", "south"}),
         (
-            [(math.cos(angle), math.sin(angle)) for angle in np.radians([0, 72, 144, 216, 288])],
+            [
+                (math.cos(angle), math.sin(angle))
+                for angle in np.radians([0, 72, 144, 216, 288])
+            ],
             {"east", "north", "north-west", "south-west", "south"},
         ),
         (  # skewed by 40 degrees
-            (EAST, WEST, (math.cos(0.7), math.sin(0.7)), (-math.cos(0.7), -math.sin(0.7))),
+            (
+                EAST,
+                WEST,
+                (math.cos(0.7), math.sin(0.7)),
+                (-math.cos(0.7), -math.sin(0.7)),
+            ),
             {"east", "west", "north-east", "south-west"},
         ),
     ],
@@ -266,7 +300,12 @@ def test_one_way_arms_have_lanes_in_one_direction(tmp_path: Path) -> None:
     osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], oneway="yes", lanes="2")
     osm.road([(0.0, -80.0), middle, (0.0, 80.0)])
     source = read(osm, tmp_path)
-    assert lane_counts(source) == {"east": (0, 2), "north": (1, 1), "west": (2, 0), "south": (1, 1)}
+    assert lane_counts(source) == {
+        "east": (0, 2),
+        "north": (1, 1),
+        "west": (2, 0),
+        "south": (1, 1),
+    }
 
 
 def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
@@ -274,32 +313,46 @@ def test_dual_carriageways_cross_in_one_junction(tmp_path: Path) -> None:
     at = {(x, y): osm.node(x, y) for x in (-8.0, 8.0) for y in (-8.0, 8.0)}
     tags = {"highway": "primary", "oneway": "yes", "lanes": "2"}
     for y in (-8.0, 8.0):  # eastwards in the south, as traffic that keeps right does
-        line: list[int | tuple[float, float]] = [(-120.0, y), at[-8.0, y], at[8.0, y], (120.0, y)]
+        line: list[int | tuple[float, float]] = [
+            (-120.0, y),
+            at[-8.0, y],
+            at[8.0, y],
+            (120.0, y),
+        ]
         osm.way(line[:: 1 if y < 0 else -1], tags | {"name": "Long Avenue"})
     for x in (-8.0, 8.0):
         line = [(x, -120.0), at[x, -8.0], at[x, 8.0], (x, 120.0)]
         osm.way(line[:: 1 if x > 0 else -1], tags | {"name": "Wide Street"})
     source = read(osm, tmp_path)
     assert not source.keeps_left
-    assert not any("side" in skipped.what for skipped in source.skipped)  # the carriageways show it
+    assert not any(
+        "side" in skipped.what for skipped in source.skipped
+    )  # the carriageways show it
     (junction,) = source.junctions
     assert junction.id == f"n{min(at.values())}"
     assert junction.name == "Long Avenue / Wide Street"
-    assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (2, 2))
+    assert lane_counts(source) == dict.fromkeys(
+        ("east", "north", "west", "south"), (2, 2)
+    )
     check_ends(source)
 
 
-def test_offset_side_streets_are_one_junction_and_distant_ones_two(tmp_path: Path) -> None:
+def test_offset_side_streets_are_one_junction_and_distant_ones_two(
+    tmp_path: Path,
+) -> None:
     counts = []
     for offset in (15.0, 60.0):
         osm = OsmText()
-        one, other = osm.node(0.0, 0.0), osm.node(offset, 0.0)
+        one = osm.node(0.0, 0.0)
+        other = osm.node(offset, 0.0)
         osm.road([(-90.0, 0.0), one, other, (150.0, 0.0)], name="Main Street")
         osm.road([one, (0.0, 90.0)])
         osm.road([other, (offset, -90.0)])
         source = read(osm, tmp_path)
         check_ends(source)
-        counts.append([len(arms_of(source, junction).arms) for junction in source.junctions])
+        counts.append(
+            [len(arms_of(source, junction).arms) for junction in source.junctions]
+        )
     assert counts == [[4], [3, 3]]
 
 
@@ -337,11 +390,15 @@ def test_a_roundabout_is_one_junction_and_shows_the_side(tmp_path: Path) -> None
             for angle in np.radians(np.arange(0, 360, 30))
         ]
         osm.road([*ring, ring[0]], junction="roundabout")
-        for index, (east, north) in zip((0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True):
+        for index, (east, north) in zip(
+            (0, 3, 6, 9), (EAST, NORTH, WEST, SOUTH), strict=True
+        ):
             osm.road([ring[index], (100.0 * east, turn * 100.0 * north)])
         source = read(osm, tmp_path)
         assert source.keeps_left == (turn < 0)
-        assert lane_counts(source) == dict.fromkeys(("east", "north", "west", "south"), (1, 1))
+        assert lane_counts(source) == dict.fromkeys(
+            ("east", "north", "west", "south"), (1, 1)
+        )
         assert not any("side" in skipped.what for skipped in source.skipped)
         check_ends(source)
 
@@ -384,7 +441,9 @@ def test_roads_that_only_cross_do_not_meet(tmp_path: Path) -> None:
     assert heights == [0.0, 5.0]
 
 
-def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(tmp_path: Path) -> None:
+def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(
+    tmp_path: Path,
+) -> None:
     osm = OsmText()
     crossing(osm, bearings=FOUR, bridge="yes", layer="1")
     assert not read(osm, tmp_path).junctions
@@ -392,7 +451,8 @@ def test_roads_that_meet_on_a_bridge_are_no_junction_on_the_ground(tmp_path: Pat
 
 def test_a_street_is_followed_over_nodes_where_only_tags_change(tmp_path: Path) -> None:
     osm = OsmText()
-    middle, bend = osm.node(0.0, 0.0), osm.node(60.0, 0.0)
+    middle = osm.node(0.0, 0.0)
+    bend = osm.node(60.0, 0.0)
     osm.road([middle, bend], width="6", parking__right="street_side")
     osm.road([(140.0, 0.0), bend], width="8")  # mapped the other way round
     osm.road([(-80.0, 0.0), middle, (0.0, 80.0)])
@@ -412,14 +472,19 @@ def _rising(lane: MapLane) -> tuple[np.ndarray, np.ndarray]:
 
 def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path: Path) -> None:
     osm = OsmText()
-    middle, widens = osm.node(0.0, 0.0), osm.node(-50.0, 0.0)
+    middle = osm.node(0.0, 0.0)
+    widens = osm.node(-50.0, 0.0)
     osm.road([(-150.0, 0.0), widens], width="6")
-    osm.road([widens, middle], turn__lanes__forward="left|through", lanes="3", width="9")
+    osm.road(
+        [widens, middle], turn__lanes__forward="left|through", lanes="3", width="9"
+    )
     osm.road([middle, (100.0, 0.0)])
     osm.road([(0.0, 100.0), middle, (0.0, -100.0)])
     source = read(osm, tmp_path)
     (junction,) = source.junctions
-    west = arms_of(replace(source, lanes=tuple(_with_rest(source))), junction).arms["west"]
+    west = arms_of(replace(source, lanes=tuple(_with_rest(source))), junction).arms[
+        "west"
+    ]
     assert [len(west.entry_lanes), len(west.exit_lanes)] == [2, 1]
     for lane in west.entry_lanes:
         assert lane.centreline_m[0, 0] == pytest.approx(-150.0, abs=0.1)
@@ -428,14 +493,19 @@ def test_turning_lanes_begin_where_the_lane_before_them_ends(tmp_path: Path) -> 
 def _with_rest(source: SourceMap) -> list[MapLane]:
     (junction,) = source.junctions
     return [
-        lane if lane.from_junction or lane.to_junction else replace(lane, to_junction=junction.id)
+        (
+            lane
+            if lane.from_junction or lane.to_junction
+            else replace(lane, to_junction=junction.id)
+        )
         for lane in source.lanes
     ]
 
 
 def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
     osm = OsmText()
-    middle, fork = osm.node(0.0, 0.0), osm.node(60.0, 0.0)
+    middle = osm.node(0.0, 0.0)
+    fork = osm.node(60.0, 0.0)
     osm.road([middle, fork], name="A", width="7")
     osm.road([fork, (80.0, -6.0), (160.0, -6.0)], name="A", oneway="yes")
     osm.road([(160.0, 6.0), (80.0, 6.0), fork], name="A", oneway="yes")
@@ -448,9 +518,13 @@ def test_carriageways_lead_on_into_the_road_they_become(tmp_path: Path) -> None:
     assert min(gaps) < 0.01
 
 
-def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path: Path) -> None:
+def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(
+    tmp_path: Path,
+) -> None:
     osm = OsmText()
-    south, north, fork = osm.node(0.0, -7.0), osm.node(0.0, 7.0), osm.node(-60.0, 0.0)
+    south = osm.node(0.0, -7.0)
+    north = osm.node(0.0, 7.0)
+    fork = osm.node(-60.0, 0.0)
     tags = {"highway": "primary", "name": "A"}
     osm.way([(-160.0, 0.0), fork], tags | {"lanes": "2"})
     osm.way([fork, (-45.0, -7.0), south], tags | {"oneway": "yes", "lanes": "3"})
@@ -461,15 +535,22 @@ def test_where_one_lane_becomes_three_at_a_fork_all_stay_on_their_side(tmp_path:
     assert not list(lanes_that_cross(scene))
     (one,) = (lane for lane in scene.lanes if lane.centreline_m[0, 0] < -150.0)
     assert one.centreline_m[-1, 1] < -1.0  # to the right of the axis
-    begins = [np.hypot(*(lane.centreline_m[0] - one.centreline_m[-1])) for lane in scene.lanes]
+    begins = [
+        np.hypot(*(lane.centreline_m[0] - one.centreline_m[-1])) for lane in scene.lanes
+    ]
     assert sum(gap_m < 0.01 for gap_m in begins) == 3
 
 
 @pytest.mark.parametrize("keeps_left", [False, True])
-def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left: bool, tmp_path: Path) -> None:
+def test_turn_lanes_are_those_of_the_lanes_from_the_left(
+    keeps_left: bool, tmp_path: Path
+) -> None:
     osm = OsmText()
     middle = osm.node(0.0, 0.0)
-    marked = {"turn__lanes__forward": "left;slight_left|none|through;right", "lanes": "4"}
+    marked = {
+        "turn__lanes__forward": "left;slight_left|none|through;right",
+        "lanes": "4",
+    }
     osm.road([(-100.0, 0.0), middle], lanes__forward="3", **marked)
     other = {"turn__lanes__forward": "left|through|right|", "lanes": "3"}
     osm.road([(0.0, 100.0), middle], lanes__forward="2", **other)
@@ -477,7 +558,9 @@ def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left: bool, tmp_p
     source = read(osm, tmp_path, keeps_left=keeps_left)
     arms = arms_of(source, source.junctions[0]).arms
     left_first = {
-        name: [lane.turns for lane in arms[name].entry_lanes[:: 1 if keeps_left else -1]]
+        name: [
+            lane.turns for lane in arms[name].entry_lanes[:: 1 if keeps_left else -1]
+        ]
         for name in ("west", "north", "east")
     }
     assert left_first == {
@@ -485,7 +568,9 @@ def test_turn_lanes_are_those_of_the_lanes_from_the_left(keeps_left: bool, tmp_p
         "north": [(), ()],  # four markings for two lanes
         "east": [("reverse",), ()],
     }
-    assert any("turn:lanes has another number" in skipped.why for skipped in source.skipped)
+    assert any(
+        "turn:lanes has another number" in skipped.why for skipped in source.skipped
+    )
 
 
 def test_two_meetings_too_near_to_be_two_but_too_far_to_be_one_share_the_road(
@@ -605,7 +690,12 @@ def test_where_motorways_merge_and_part_is_no_junction(
 
 
 PARTS = [((-90.0, 0.0), None), (None, (60.0, 80.0)), (None, (60.0, -80.0))]
-CROSSES = [((-90.0, 0.0), None), (None, (90.0, 0.0)), (None, (0.0, 90.0)), ((0.0, -90.0), None)]
+CROSSES = [
+    ((-90.0, 0.0), None),
+    (None, (90.0, 0.0)),
+    (None, (0.0, 90.0)),
+    ((0.0, -90.0), None),
+]
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,9 @@ def with_road() -> OsmText:
 
 def volume_m3(thing: Thing) -> float:
     """Of a closed mesh whose triangles run counter-clockwise seen from outside."""
-    a, b, c = np.swapaxes((thing.vertices_m - thing.vertices_m.mean(axis=0))[thing.triangles], 0, 1)
+    a, b, c = np.swapaxes(
+        (thing.vertices_m - thing.vertices_m.mean(axis=0))[thing.triangles], 0, 1
+    )
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
 
 
@@ -36,12 +38,14 @@ def is_closed(thing: Thing) -> bool:
     points, index = np.unique(thing.vertices_m.round(6), axis=0, return_inverse=True)
     corners = index.reshape(-1)[thing.triangles]
     edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    codes, back = edges @ [len(points), 1], edges @ [1, len(points)]
+    codes = edges @ [len(points), 1]
+    back = edges @ [1, len(points)]
     return bool((np.sort(codes) == np.sort(back)).all())
 
 
 def heights_m(thing: Thing) -> tuple[float, float]:
-    low, high = thing.vertices_m[:, 2].min(), thing.vertices_m[:, 2].max()
+    low = thing.vertices_m[:, 2].min()
+    high = thing.vertices_m[:, 2].max()
     return round(float(low), 3), round(float(high), 3)
 
 
@@ -83,7 +87,9 @@ def test_tags_say_how_high_a_building_is(
     (thing,) = read(osm, tmp_path).things
     assert (thing.id, thing.class_name) == (f"w{way}", "building")
     assert (heights_m(thing), thing.is_height_assumed) == (heights, is_assumed)
-    assert volume_m3(thing) == pytest.approx(100.0 * (heights[1] - heights[0]), rel=0.01)
+    assert volume_m3(thing) == pytest.approx(
+        100.0 * (heights[1] - heights[0]), rel=0.01
+    )
     assert is_closed(thing)
 
 
@@ -96,7 +102,9 @@ def test_tags_say_how_high_a_building_is(
         ({"layer": "-1"}, "below the ground"),
     ],
 )
-def test_what_does_not_stand_there_is_told(tags: dict[str, str], why: str, tmp_path: Path) -> None:
+def test_what_does_not_stand_there_is_told(
+    tags: dict[str, str], why: str, tmp_path: Path
+) -> None:
     osm = with_road()
     way = osm.way(SQUARE, {"building": "yes"} | tags)
     source = read(osm, tmp_path)
@@ -109,12 +117,28 @@ def test_what_does_not_stand_there_is_told(tags: dict[str, str], why: str, tmp_p
 @pytest.mark.parametrize(
     ("house", "way", "heights"),
     [
-        ({}, {"highway": "residential", "width": "6", "tunnel": "building_passage"}, (4.5, 12.0)),
-        ({}, {"highway": "service", "width": "6", "covered": "yes", "maxheight": "3"}, (3, 12.0)),
+        (
+            {},
+            {"highway": "residential", "width": "6", "tunnel": "building_passage"},
+            (4.5, 12.0),
+        ),
+        (
+            {},
+            {"highway": "service", "width": "6", "covered": "yes", "maxheight": "3"},
+            (3, 12.0),
+        ),
         ({}, {"highway": "footway", "covered": "arcade"}, (2.5, 12.0)),
-        ({"historic": "city_gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
+        (
+            {"historic": "city_gate"},
+            {"highway": "residential", "width": "6"},
+            (4.5, 12.0),
+        ),
         ({"building": "gate"}, {"highway": "residential", "width": "6"}, (4.5, 12.0)),
-        ({}, {"highway": "residential", "width": "6"}, None),  # the map is wrong: no way through
+        (
+            {},
+            {"highway": "residential", "width": "6"},
+            None,
+        ),  # the map is wrong: no way through
         ({}, {"highway": "residential", "bridge": "yes"}, None),
     ],
 )
@@ -129,7 +153,9 @@ def test_a_building_begins_above_the_ways_that_lead_through_it(
     osm.way([(0.0, 15.0), (30.0, 15.0)], way)
     things = read(osm, tmp_path).things
     over = [thing for thing in things if "over a passage" in thing.id]
-    assert [heights_m(thing) for thing in over] == ([] if heights is None else [heights])
+    assert [heights_m(thing) for thing in over] == (
+        [] if heights is None else [heights]
+    )
     on_ground = [thing for thing in things if thing not in over]
     assert [heights_m(thing) for thing in on_ground] == [(0.0, 12.0)] * (
         1 if heights is None else 2
@@ -138,7 +164,10 @@ def test_a_building_begins_above_the_ways_that_lead_through_it(
     if heights is None:
         assert volume == pytest.approx(1200.0, rel=0.01)
     else:
-        width_m = 3.0 if way["highway"] == "footway" else 6.0
+        if way["highway"] == "footway":
+            width_m = 3.0
+        else:
+            width_m = 6.0
         assert volume == pytest.approx(1200.0 - 10.0 * width_m * heights[0], rel=0.01)
 
 
@@ -170,7 +199,9 @@ def test_a_courtyard_stays_open(tmp_path: Path) -> None:
 def test_a_courtyard_of_the_old_kind_stays_open_too(tmp_path: Path) -> None:
     osm = with_road()
     outer = osm.way(SQUARE, {"building": "yes", "height": "10"})
-    osm.relation([(outer, "outer"), (osm.way(INNER), "inner")], {"type": "multipolygon"})
+    osm.relation(
+        [(outer, "outer"), (osm.way(INNER), "inner")], {"type": "multipolygon"}
+    )
     (thing,) = read(osm, tmp_path).things
     assert volume_m3(thing) == pytest.approx(840.0, rel=0.01)
 
@@ -191,7 +222,9 @@ def test_what_few_parts_leave_of_a_building_stands(tmp_path: Path) -> None:
     osm.way(INNER, {"building:part": "yes", "height": "25"})
     things = read(osm, tmp_path).things
     assert sorted(heights_m(thing) for thing in things) == [(0.0, 10.0), (0.0, 25.0)]
-    assert sum(volume_m3(thing) for thing in things) == pytest.approx(840.0 + 400.0, rel=0.01)
+    assert sum(volume_m3(thing) for thing in things) == pytest.approx(
+        840.0 + 400.0, rel=0.01
+    )
 
 
 def test_an_outline_that_crosses_itself_is_mended_and_one_without_area_told(
@@ -200,12 +233,19 @@ def test_an_outline_that_crosses_itself_is_mended_and_one_without_area_told(
     osm = with_road()
     bow = [(10.0, 10.0), (20.0, 20.0), (20.0, 10.0), (10.0, 20.0), (10.0, 10.0)]
     osm.way(bow, {"building": "yes", "height": "10"})
-    flat = osm.way([(30.0, 10.0), (40.0, 10.0), (35.0, 10.0), (30.0, 10.0)], {"building": "yes"})
-    missing = osm.way([osm.node(50.0, 10.0), 999, osm.node(60.0, 10.0)], {"building": "yes"})
+    flat = osm.way(
+        [(30.0, 10.0), (40.0, 10.0), (35.0, 10.0), (30.0, 10.0)], {"building": "yes"}
+    )
+    missing = osm.way(
+        [osm.node(50.0, 10.0), 999, osm.node(60.0, 10.0)], {"building": "yes"}
+    )
     source = read(osm, tmp_path)
     (thing,) = source.things
     assert volume_m3(thing) == pytest.approx(500.0, rel=0.01)
-    assert {skipped.what for skipped in source.skipped} == {f"way {flat}", f"way {missing}"}
+    assert {skipped.what for skipped in source.skipped} == {
+        f"way {flat}",
+        f"way {missing}",
+    }
 
 
 # ---------------------------------------------------------------- walls and trees
@@ -221,7 +261,11 @@ def test_walls_are_as_high_and_thick_as_the_map_says(tmp_path: Path) -> None:
     osm.way([(10.0, 50.0), (30.0, 50.0)], {"barrier": "kerb"})
     source = read(osm, tmp_path)
     wall, hedge, boards = source.things
-    assert [thing.class_name for thing in source.things] == ["wall", "vegetation", "wall"]
+    assert [thing.class_name for thing in source.things] == [
+        "wall",
+        "vegetation",
+        "wall",
+    ]
     assert volume_m3(wall) == pytest.approx(20.0 * 3.0 * 0.5, rel=0.01)
     assert volume_m3(hedge) == pytest.approx(20.0 * 1.5 * 0.8, rel=0.01)
     assert [wall.is_height_assumed, hedge.is_height_assumed] == [False, True]
@@ -241,9 +285,15 @@ def test_a_wall_around_a_yard_leaves_the_yard_open(tmp_path: Path) -> None:
 
 def test_a_tree_has_a_trunk_and_a_crown(tmp_path: Path) -> None:
     osm = with_road()
-    node = osm.node(10.0, 10.0, natural="tree", height="8", diameter_crown="4", circumference="1")
+    node = osm.node(
+        10.0, 10.0, natural="tree", height="8", diameter_crown="4", circumference="1"
+    )
     (tree,) = read(osm, tmp_path).things
-    assert (tree.id, tree.class_name, tree.is_height_assumed) == (f"n{node}", "vegetation", False)
+    assert (tree.id, tree.class_name, tree.is_height_assumed) == (
+        f"n{node}",
+        "vegetation",
+        False,
+    )
     assert heights_m(tree) == (0.0, 8.0)
     assert np.ptp(tree.vertices_m[:, :2], axis=0).max() == pytest.approx(4.0, abs=0.3)
     trunk = tree.vertices_m[tree.vertices_m[:, 2] < 1.0]
@@ -308,14 +358,17 @@ def test_a_bridge_over_water_is_no_thing_and_one_with_a_junction_near_is_told(
     for end_m, n_decks in ((130.0, 0), (300.0, 1)):
         far = OsmText()
         far.road([(50.0, -80.0), (50.0, 80.0)])
-        begin, middle = far.node(100.0, 0.0), far.node(end_m, 0.0)
+        begin = far.node(100.0, 0.0)
+        middle = far.node(end_m, 0.0)
         far.way([far.node(0.0, 0.0), begin], bridge)
         far.road([begin, middle, (end_m + 90.0, 0.0)], highway="primary")
         far.road([middle, (end_m, 90.0)])
         source = read(far, tmp_path)
         assert len(source.junctions) == 1
         assert len(source.things) == n_decks
-        assert any("deck is left out" in note.why for note in source.skipped) == (not n_decks)
+        assert any("deck is left out" in note.why for note in source.skipped) == (
+            not n_decks
+        )
 
 
 # ---------------------------------------------------------------- poles and crosswalks
@@ -356,7 +409,11 @@ def test_lamps_without_a_pole_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("tags", "keeps_left", "north_m"),
     [
-        ({}, False, [-3.5]),  # cars come from the west: their right kerb is in the south
+        (
+            {},
+            False,
+            [-3.5],
+        ),  # cars come from the west: their right kerb is in the south
         ({}, True, [3.5]),
         ({"traffic_signals:direction": "forward"}, False, [-3.5]),
         ({"traffic_signals:direction": "backward"}, False, [3.5]),
@@ -374,10 +431,14 @@ def test_a_signal_on_the_road_stands_at_the_kerb_beside_its_stop_line(
     poles = read(osm, tmp_path, keeps_left=keeps_left).poles
     assert {pole.kind for pole in poles} == {"traffic light"}
     feet = sorted(pole.position_m.tolist() for pole in poles)
-    np.testing.assert_allclose(feet, [[-15.0, north, 0.0] for north in north_m], atol=0.05)
+    np.testing.assert_allclose(
+        feet, [[-15.0, north, 0.0] for north in north_m], atol=0.05
+    )
 
 
-def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(tmp_path: Path) -> None:
+def test_signals_where_roads_meet_stand_at_every_arm_by_which_cars_come(
+    tmp_path: Path,
+) -> None:
     osm = OsmText()
     middle = osm.node(0.0, 0.0, highway="traffic_signals")
     osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], width="6")
@@ -406,7 +467,9 @@ def test_crosswalks_lead_over_the_road_and_two_metres_farther(tmp_path: Path) ->
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(sorted(line.round(1).tolist()) for line in lines)
     np.testing.assert_allclose(
-        found, [[[-20.0, -5.0], [-20.0, 5.0]], [[-11.25, -4.9], [-8.75, 4.9]]], atol=0.11
+        found,
+        [[[-20.0, -5.0], [-20.0, 5.0]], [[-11.25, -4.9], [-8.75, 4.9]]],
+        atol=0.11,
     )
 
 
@@ -415,7 +478,11 @@ def test_a_footway_over_two_arms_is_a_crosswalk_over_each(tmp_path: Path) -> Non
     middle = osm.node(0.0, 0.0)
     osm.road([(-80.0, 0.0), middle, (80.0, 0.0)], width="6")
     osm.road([(0.0, -80.0), middle, (0.0, 80.0)], width="6")
-    corner = [(10.0, -9.0), (10.0, 10.0), (-9.0, 10.0)]  # over the eastern and the northern arm
+    corner = [
+        (10.0, -9.0),
+        (10.0, 10.0),
+        (-9.0, 10.0),
+    ]  # over the eastern and the northern arm
     osm.way(corner, {"highway": "footway", "footway": "crossing"})
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
@@ -431,7 +498,9 @@ def test_two_carriageways_crossed_straight_are_one_crosswalk(tmp_path: Path) -> 
     osm.way([(0.0, -15.0), (0.0, 15.0)], {"highway": "footway", "footway": "crossing"})
     # Each half of this one is mapped by itself, to the middle of its carriageway.
     for end in (1.0, 11.0):
-        osm.way([(20.0, end), (20.0, 6.0)], {"highway": "footway", "footway": "crossing"})
+        osm.way(
+            [(20.0, end), (20.0, 6.0)], {"highway": "footway", "footway": "crossing"}
+        )
     lines = read(osm, tmp_path).crosswalks_m
     found = sorted(np.sort(line, axis=0).round(1).tolist() for line in lines)
     np.testing.assert_allclose(

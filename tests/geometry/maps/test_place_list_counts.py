@@ -30,14 +30,26 @@ def geojson(path, *features):
 
 
 def square(half_deg):
-    low, high = np.array([LON_DEG, LAT_DEG]) - half_deg, np.array([LON_DEG, LAT_DEG]) + half_deg
-    ring = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], list(low)]
-    return {"type": "Polygon", "coordinates": [[list(map(float, point)) for point in ring]]}
+    low = np.array([LON_DEG, LAT_DEG]) - half_deg
+    high = np.array([LON_DEG, LAT_DEG]) + half_deg
+    ring = [
+        [low[0], low[1]],
+        [high[0], low[1]],
+        [high[0], high[1]],
+        [low[0], high[1]],
+        list(low),
+    ]
+    return {
+        "type": "Polygon",
+        "coordinates": [[list(map(float, point)) for point in ring]],
+    }
 
 
 def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
     table = tmp_path / "counts.csv"
-    table.write_text(f"lat;lon;Accidents\n{LAT_DEG};{LON_DEG};3\n{LAT_DEG};{LON_DEG + 0.01};0.5\n")
+    table.write_text(
+        f"lat;lon;Accidents\n{LAT_DEG};{LON_DEG};3\n{LAT_DEG};{LON_DEG + 0.01};0.5\n"
+    )
     points = geojson(
         tmp_path / "counts.geojson",
         *(
@@ -45,7 +57,8 @@ def test_counts_are_the_same_from_csv_and_geojson(tmp_path):
             for lon, count in ((LON_DEG, 3), (LON_DEG + 0.01, 0.5))
         ),
     )
-    one, other = read_counts(table, crs=CRS), read_counts(points, crs=CRS)
+    one = read_counts(table, crs=CRS)
+    other = read_counts(points, crs=CRS)
     assert (one.column, other.column) == ("Accidents", "accidents")
     assert one.values.tolist() == other.values.tolist() == [3.0, 0.5]
     np.testing.assert_allclose(one.positions_m, other.positions_m, atol=1e-3)
@@ -71,10 +84,22 @@ def test_counts_by_junction(tmp_path):
 @pytest.mark.parametrize(
     ("text", "column", "message"),
     [
-        ("x,y,count\n1,2,-1\n", "", r"line 2: count: got '-1'; expected a number, at least 0"),
-        ("x,y,count\n1,2,many\n", "", r"count: got 'many'; expected a number, at least 0"),
+        (
+            "x,y,count\n1,2,-1\n",
+            "",
+            r"line 2: count: got '-1'; expected a number, at least 0",
+        ),
+        (
+            "x,y,count\n1,2,many\n",
+            "",
+            r"count: got 'many'; expected a number, at least 0",
+        ),
         ("x,y\n1,2\n", "cars", r"column: got 'cars'; expected one of x, y"),
-        ("count\n1\n", "", r"lat and lon: got nothing; expected x and y, or lat and lon"),
+        (
+            "count\n1\n",
+            "",
+            r"lat and lon: got nothing; expected x and y, or lat and lon",
+        ),
         ("x,y\n", "", r"got nothing; expected a row for each place"),
     ],
 )
@@ -87,7 +112,9 @@ def test_bad_counts_are_one_line(tmp_path, text, column, message):
 
 def test_a_map_of_no_known_place_takes_no_layers(tmp_path):
     path = geojson(tmp_path / "areas.geojson", (square(0.01), {}))
-    with pytest.raises(InputError, match=r"expected a map that says where on earth it lies"):
+    with pytest.raises(
+        InputError, match=r"expected a map that says where on earth it lies"
+    ):
         read_areas(path, crs="")
 
 

@@ -13,12 +13,14 @@ from geometry.maps.place_lists import read_sites
 UTM = "EPSG:25833"
 AT_M = np.array([390_000.0, 5_819_000.0])
 LON, LAT = Transformer.from_crs(UTM, "EPSG:4326", always_xy=True).transform(*AT_M)
-LOCAL = f"+proj=tmerc +lat_0={LAT} +lon_0={LON} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
+LOCAL = (
+    f"+proj=tmerc +lat_0={LAT} +lon_0={LON} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m"
+    " +no_defs"
+)
 
 FULL = (
-    "ID;X_m;Y_m;Z;Min_Height_m;max_height;Kind;Cost_EUR;Power;fibre;Capacity;Forbidden;Remark\n"
-    "a;390000;5819000;35.5;4;8;Lamp_Post;2500;yes;no;2;no;the old one\n"
-    "b;390010.5;5819000;;;;;;;;;YES;\n"
+    "ID;X_m;Y_m;Z;Min_Height_m;max_height;Kind;Cost_EUR;Power;fibre;Capacity;Forbidden;Remark\na;390000;5819000;35.5;4;8;Lamp_Post;2500;yes;no;2;no;the"
+    " old one\nb;390010.5;5819000;;;;;;;;;YES;\n"
 )
 
 
@@ -41,11 +43,23 @@ def point(*position, **properties):
 @pytest.mark.parametrize("separator", [";", ",", "\t"])
 def test_every_field_is_read_and_what_is_not_said_is_none(tmp_path, separator):
     a, b = read_sites(write(tmp_path, FULL.replace(";", separator)), crs=UTM)
-    assert (a.id, a.kind, a.position_m.tolist(), a.z_m) == ("a", "lamp post", AT_M.tolist(), 35.5)
-    assert (a.min_height_m, a.max_height_m, a.cost_eur, a.capacity_units) == (4.0, 8.0, 2500.0, 2)
+    assert (a.id, a.kind, a.position_m.tolist(), a.z_m) == (
+        "a",
+        "lamp post",
+        AT_M.tolist(),
+        35.5,
+    )
+    assert (a.min_height_m, a.max_height_m, a.cost_eur, a.capacity_units) == (
+        4.0,
+        8.0,
+        2500.0,
+        2,
+    )
     assert (a.has_power, a.has_fibre, a.is_forbidden) == (True, False, False)
     assert (b.id, b.kind, b.position_m.tolist()) == ("b", "", [390_010.5, 5_819_000.0])
-    assert {b.z_m, b.min_height_m, b.max_height_m, b.cost_eur, b.capacity_units} == {None}
+    assert {b.z_m, b.min_height_m, b.max_height_m, b.cost_eur, b.capacity_units} == {
+        None
+    }
     assert (b.has_power, b.has_fibre, b.is_forbidden) == (None, None, True)
     assert a.n_said > b.n_said == 1
 
@@ -54,12 +68,16 @@ def test_every_field_is_read_and_what_is_not_said_is_none(tmp_path, separator):
 def test_degrees_are_projected(tmp_path, crs):
     text = f"id,latitude_deg,Longitude\na,{LAT:.9f},{LON:.9f}\n"
     (site,) = read_sites(write(tmp_path, text), crs=crs)
-    assert site.position_m == pytest.approx(AT_M if crs == UTM else [0.0, 0.0], abs=0.01)
+    assert site.position_m == pytest.approx(
+        AT_M if crs == UTM else [0.0, 0.0], abs=0.01
+    )
 
 
 def test_geojson_points_are_read_with_their_heights_and_properties(tmp_path):
     path = write_json(
-        tmp_path, point(LON, LAT, 35.0, id=7, power="no", cost_eur=10), point(LON, LAT, ID="b")
+        tmp_path,
+        point(LON, LAT, 35.0, id=7, power="no", cost_eur=10),
+        point(LON, LAT, ID="b"),
     )
     a, b = read_sites(path, crs=UTM)
     assert (a.id, a.z_m, a.has_power, a.cost_eur, b.id) == ("7", 35.0, False, 10.0, "b")
@@ -124,7 +142,10 @@ def test_every_mistake_names_line_and_field(tmp_path, text, where, crs):
         (point(LON, LAT), r"features\[0\]: id"),
         (point(LON, LAT, id="a", capacity="many"), r"features\[0\]: capacity"),
         (point(LON, LAT, id="a", cost=[1]), r"features\[0\]: cost"),
-        ({"geometry": {"type": "LineString", "coordinates": [[1, 2], [3, 4]]}}, "a Point"),
+        (
+            {"geometry": {"type": "LineString", "coordinates": [[1, 2], [3, 4]]}},
+            "a Point",
+        ),
         ({"geometry": None, "properties": {"id": "a"}}, "lat and lon"),
     ],
 )
@@ -160,11 +181,14 @@ def test_lists_as_people_have_them(tmp_path, caplog):
     (site,) = read_sites(path, crs=UTM)
     assert site.position_m == pytest.approx(AT_M, abs=0.01)
     assert (site.max_height_m, site.cost_eur, site.kind) == (7.5, 1250.5, "mast")
-    assert caplog.messages == [f"{path}: columns that are not known, and not read: Eigentümer"]
+    assert caplog.messages == [
+        f"{path}: columns that are not known, and not read: Eigentümer"
+    ]
 
 
 @pytest.mark.parametrize(
-    ("text", "number"), [("7,5", 7.5), ("1.234,5", 1234.5), ("1,234.5", 1234.5), ("-2,25", -2.25)]
+    ("text", "number"),
+    [("7,5", 7.5), ("1.234,5", 1234.5), ("1,234.5", 1234.5), ("-2,25", -2.25)],
 )
 def test_a_comma_may_be_the_decimal_point(tmp_path, text, number):
     (site,) = read_sites(write(tmp_path, f"id;x;y\na;{text};0\n"), crs="")

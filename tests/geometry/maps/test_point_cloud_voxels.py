@@ -15,9 +15,9 @@ FIRST = 1000
 @st.composite
 def blocks(draw):
     """A small dense grid, and the same as sorted keys."""
-    dense = np.array(draw(st.lists(st.booleans(), min_size=120, max_size=120)), dtype=bool).reshape(
-        SHAPE
-    )
+    dense = np.array(
+        draw(st.lists(st.booleans(), min_size=120, max_size=120)), dtype=bool
+    ).reshape(SHAPE)
     dense[2, 2, 2] = True
     return dense, np.sort(voxels.to_keys(np.argwhere(dense) + FIRST))
 
@@ -28,11 +28,15 @@ def dense_of(keys):
     return grid
 
 
-@given(st.lists(st.tuples(*[st.integers(1, voxels.MAX_VOXELS_PER_AXIS)] * 3), min_size=1))
+@given(
+    st.lists(st.tuples(*[st.integers(1, voxels.MAX_VOXELS_PER_AXIS)] * 3), min_size=1)
+)
 def test_keys_and_cells_are_inverse_and_equally_ordered(cells):
     keys = voxels.to_keys(np.array(cells))
     assert voxels.to_cells(keys).tolist() == [list(cell) for cell in cells]
-    assert (np.argsort(keys, kind="stable") == np.lexsort(np.array(cells).T[::-1])).all()
+    assert (
+        np.argsort(keys, kind="stable") == np.lexsort(np.array(cells).T[::-1])
+    ).all()
 
 
 @given(blocks())
@@ -53,7 +57,8 @@ def test_bridges_close_gaps_of_one_and_no_more(block):
     for step in np.argwhere(np.ones((3, 3, 3))) - 1:
         if step.any():
             one, other = (
-                np.roll(padded, sign * step, axis=(0, 1, 2))[1:-1, 1:-1, 1:-1] for sign in (1, -1)
+                np.roll(padded, sign * step, axis=(0, 1, 2))[1:-1, 1:-1, 1:-1]
+                for sign in (1, -1)
             )
             between |= one & other
     assert (dense_of(voxels.bridged(keys)) == between).all()
@@ -103,7 +108,9 @@ def test_a_large_box_has_twelve_triangles():
     )
     assert len(triangles) == 12
     with pytest.raises(InputError, match="12 triangles"):
-        voxels.faces(keys, origin_m=np.zeros(3), voxel_m=0.25, max_triangles=11, where="f")
+        voxels.faces(
+            keys, origin_m=np.zeros(3), voxel_m=0.25, max_triangles=11, where="f"
+        )
 
 
 def test_hollow_things_that_stand_are_filled_and_gateways_stay():

@@ -34,30 +34,46 @@ def ground(n=40_000, *, beside_house=True):
     rng = np.random.default_rng(RNG_SEED)
     points = np.column_stack([rng.uniform(-40, 40, (n, 2)), rng.normal(0.0, 0.02, n)])
     under = (np.abs(points[:, 0]) < 6.0) & (np.abs(points[:, 1]) < 4.0)
-    return points[~under] if beside_house else points
+    if beside_house:
+        return points[~under]
+    return points
 
 
 def write_las(
-    tmp_path, parts, classes, *, name="a.las", crs="EPSG:25833", origin=ORIGIN, slope=0.0
+    tmp_path,
+    parts,
+    classes,
+    *,
+    name="a.las",
+    crs="EPSG:25833",
+    origin=ORIGIN,
+    slope=0.0,
 ):
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = [0.001] * 3, origin
+    header.scales = [0.001] * 3
+    header.offsets = origin
     if crs:
         header.add_crs(pyproj.CRS(crs))
     las = laspy.LasData(header)
     points = np.concatenate(parts)
     points[:, 2] += slope * points[:, 0]
     las.x, las.y, las.z = (points + origin).T
-    las.classification = np.repeat(classes, [len(part) for part in parts]).astype(np.uint8)
+    las.classification = np.repeat(classes, [len(part) for part in parts]).astype(
+        np.uint8
+    )
     las.write(tmp_path / name)
     return tmp_path / name
 
 
 def write_pcd(tmp_path, points, encoding="binary", *, n_claimed=None, name="a.pcd"):
-    n = len(points) if n_claimed is None else n_claimed
+    if n_claimed is None:
+        n = len(points)
+    else:
+        n = n_claimed
     head = (
-        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
-        f"WIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {encoding}\n"
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT"
+        f" 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA"
+        f" {encoding}\n"
     )
     if encoding == "ascii":
         body = "".join(f"{x:.4f} {y:.4f} {z:.4f} 0\n" for x, y, z in points).encode()
@@ -74,17 +90,24 @@ def size(thing):
 
 @pytest.mark.parametrize("name", ["a.las", "a.laz"])
 @pytest.mark.parametrize("classes", [(6, 5, 2), (1, 1, 1), (0, 0, 2)])
-def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(tmp_path, name, classes):
-    source = read_point_cloud(write_las(tmp_path, [house(), crown(), ground()], classes, name=name))
+def test_a_house_and_a_tree_stand_on_the_ground_where_they_were(
+    tmp_path, name, classes
+):
+    source = read_point_cloud(
+        write_las(tmp_path, [house(), crown(), ground()], classes, name=name)
+    )
     assert (source.crs, source.heights) == ("EPSG:25833", "above ground")
     by_size = sorted(source.things, key=lambda thing: -size(thing).max())
     solid, tree = by_size
     assert solid.class_name == "building"
     assert tree.class_name == ("vegetation" if classes[1] == 5 else "building")
-    low, high = solid.vertices_m.min(axis=0), solid.vertices_m.max(axis=0)
+    low = solid.vertices_m.min(axis=0)
+    high = solid.vertices_m.max(axis=0)
     assert np.allclose(low, [ORIGIN[0] - 6, ORIGIN[1] - 4, 0.0], atol=0.51)
     assert np.allclose(high, [ORIGIN[0] + 6, ORIGIN[1] + 4, 6.0], atol=0.51)
-    assert volume_m3(solid.vertices_m, solid.triangles) == pytest.approx(576.0, rel=0.15)
+    assert volume_m3(solid.vertices_m, solid.triangles) == pytest.approx(
+        576.0, rel=0.15
+    )
     # Under the crown one can look through.
     assert tree.vertices_m[:, 2].min() == pytest.approx(3.0, abs=0.5)
     assert tree.vertices_m[:, 2].max() == pytest.approx(7.0, abs=0.5)
@@ -102,7 +125,10 @@ def test_rays_find_no_hole_in_a_wall_and_nothing_beside_it(tmp_path):
         write_pcd(tmp_path, np.concatenate([wall, ground(beside_house=False)]))
     )
     (thing,) = source.things
-    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-8, 8, 161), np.linspace(0.1, 5.0, 50)))
+    x, z = (
+        a.ravel()
+        for a in np.meshgrid(np.linspace(-8, 8, 161), np.linspace(0.1, 5.0, 50))
+    )
     origins = np.column_stack([x, np.full(len(x), -20.0), z])
     caster = build_caster(thing.vertices_m, thing.triangles)
     ahead = np.tile([0.0, 1.0, 0.0], (len(x), 1))
@@ -127,7 +153,9 @@ def test_roofs_seen_from_the_air_get_walls(tmp_path, kind):
     roof = house()
     roof = roof[roof[:, 2] > 5.99]
     (thing,) = read_point_cloud(write_las(tmp_path, [roof, ground()], (kind, 2))).things
-    assert volume_m3(thing.vertices_m, thing.triangles) == pytest.approx(576.0, rel=0.15)
+    assert volume_m3(thing.vertices_m, thing.triangles) == pytest.approx(
+        576.0, rel=0.15
+    )
 
 
 def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
@@ -137,7 +165,9 @@ def test_thin_scans_get_larger_voxels_and_say_so(tmp_path):
 
 
 def test_classes_that_hide_nothing_are_left_out_and_counted(tmp_path):
-    path = write_las(tmp_path, [house(), crown(500), crown(20), ground()], (6, 14, 7, 2))
+    path = write_las(
+        tmp_path, [house(), crown(500), crown(20), ground()], (6, 14, 7, 2)
+    )
     source = read_point_cloud(path)
     assert len(source.things) == 1
     assert {skip.what for skip in source.skipped} == {"500 wire", "20 noise"}
@@ -157,7 +187,9 @@ def test_pcd_files_are_read(tmp_path, encoding):
 
 @pytest.mark.system
 def test_pcd_files_of_open3d_are_read(tmp_path):
-    o3d = pytest.importorskip("open3d", exc_type=ImportError)  # without its system libraries
+    o3d = pytest.importorskip(
+        "open3d", exc_type=ImportError
+    )  # without its system libraries
     points = np.concatenate([house(4000), ground(4000)])
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     for name, options in (
@@ -171,7 +203,8 @@ def test_pcd_files_of_open3d_are_read(tmp_path):
 
 
 def test_a_shift_moves_the_ground_with_all_that_stands_on_it(tmp_path):
-    path, shift_m = write_las(tmp_path, [house(4000), ground(4000)], (6, 2)), (100.0, -50.0)
+    path = write_las(tmp_path, [house(4000), ground(4000)], (6, 2))
+    shift_m = (100.0, -50.0)
     plain, moved = (read_map(path, ReadingOptions(offset_m=m)) for m in (None, shift_m))
     assert len(plain.ground_m)
     assert np.array_equal(moved.ground_m, plain.ground_m + [*shift_m, 0.0])
@@ -231,7 +264,9 @@ def test_headers_that_claim_what_cannot_be_are_refused(tmp_path, offset, data, m
         ("table offset", (10**15).to_bytes(8, "little"), "outside the file"),
     ],
 )
-def test_packed_points_that_claim_what_cannot_be_are_refused(tmp_path, place, data, message):
+def test_packed_points_that_claim_what_cannot_be_are_refused(
+    tmp_path, place, data, message
+):
     path = write_las(tmp_path, [house(300)], (1,), name="a.laz")
     content = path.read_bytes()
     first = int.from_bytes(content[96:100], "little")
@@ -251,7 +286,9 @@ def test_packed_points_that_claim_what_cannot_be_are_refused(tmp_path, place, da
     ("n_claimed", "message"), [(10**10, "POINTS"), (5000, "cut off"), (0, "POINTS")]
 )
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
-def test_pcd_headers_that_claim_too_much_are_refused(tmp_path, n_claimed, message, encoding):
+def test_pcd_headers_that_claim_too_much_are_refused(
+    tmp_path, n_claimed, message, encoding
+):
     with pytest.raises(InputError, match=message):
         read_point_cloud(write_pcd(tmp_path, house(100), encoding, n_claimed=n_claimed))
 
@@ -313,7 +350,12 @@ def test_too_many_voxels_are_refused(tmp_path, monkeypatch):
 def test_damaged_files_are_read_or_refused(tmp_path, data, name):
     path = tmp_path / name
     if name.endswith(".pcd"):
-        write_pcd(tmp_path, house(60) * 0.3, "ascii" if name == "a.pcd" else "binary", name=name)
+        write_pcd(
+            tmp_path,
+            house(60) * 0.3,
+            "ascii" if name == "a.pcd" else "binary",
+            name=name,
+        )
     else:
         write_las(tmp_path, [house(60) * 0.3], (1,), name=name)
     wounded = data.draw(damaged(path.read_bytes()))

@@ -7,7 +7,14 @@ import pytest
 
 from geometry.maps.cut import build_scene, cut_out
 from geometry.maps.importing import ImportOptions, import_scene
-from geometry.maps.source_map import MapJunction, MapLane, Pole, SourceMap, Thing, extrude
+from geometry.maps.source_map import (
+    MapJunction,
+    MapLane,
+    Pole,
+    SourceMap,
+    Thing,
+    extrude,
+)
 from geometry.scene_files import load_scene_folder, save_scene
 from geometry.terrain import ground_height_m, terrain_of
 
@@ -31,7 +38,9 @@ def arm(name, ends, *, height=on_slope, **junctions):
 
 
 def house(name, middle, bottom_m, *, kind="building"):
-    vertices, triangles = extrude(HOUSE_M + middle, bottom_m=bottom_m, top_m=bottom_m + 9.0)
+    vertices, triangles = extrude(
+        HOUSE_M + middle, bottom_m=bottom_m, top_m=bottom_m + 9.0
+    )
     return Thing(id=name, class_name=kind, vertices_m=vertices, triangles=triangles)
 
 
@@ -49,7 +58,9 @@ def roads(**changes):
         lanes=lanes,
         junctions=(JUNCTION,),
         ground_m=on_slope(grid),
-        poles=(Pole(id="lamp", kind="lamp post", position_m=np.array([20.0, 12.0, 0.0])),),
+        poles=(
+            Pole(id="lamp", kind="lamp post", position_m=np.array([20.0, 12.0, 0.0])),
+        ),
         **changes,
     )
 
@@ -74,7 +85,8 @@ def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
     )
     assert found.terrain.at([40.0, -20.0]) == pytest.approx(2.4, abs=1e-3)
     lowest = [thing.vertices_m[:, 2].min() for thing in found.things]
-    # The floating house is set down on the lowest ground at its walls, the one with a cellar stays.
+    # The floating house is set down on the lowest ground at its walls, the one with a
+    # cellar stays.
     assert lowest[0] == pytest.approx(0.9 - 5.0 * 0.07, abs=2e-3)
     assert lowest[1] == pytest.approx(-4.0, abs=1e-3)
     assert [skip.what for skip in found.skipped] == [
@@ -82,13 +94,17 @@ def test_ground_is_that_of_the_roads_and_everything_stands_on_it():
         "1 buildings in roads.xodr",
     ]
     scene = build_scene(found, name="a", source_crs="", sites=(), radius_m=RADIUS_M)
-    pole = scene.vertices_m[scene.triangles[scene.triangle_instance == 3]].reshape(-1, 3)
+    pole = scene.vertices_m[scene.triangles[scene.triangle_instance == 3]].reshape(
+        -1, 3
+    )
     assert scene.instances[3].id == "lamp"
     assert pole[:, 2].min() == pytest.approx(20.0 * 0.05 - 12.0 * 0.02, abs=1e-3)
 
 
 def test_a_slope_of_centimetres_is_a_plane():
-    flat = replace(roads(), ground_m=roads().ground_m * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.04])
+    flat = replace(
+        roads(), ground_m=roads().ground_m * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.04]
+    )
     found = cut_out([flat], JUNCTION, radius_m=RADIUS_M)
     assert found.terrain is None
     scene = build_scene(found, name="a", source_crs="", sites=(), radius_m=RADIUS_M)
@@ -99,7 +115,9 @@ def test_a_slope_of_centimetres_is_a_plane():
 def test_a_bridge_over_the_junction_is_not_its_ground():
     across = np.column_stack([np.full(60, 3.0), np.linspace(-160.0, 160.0, 60)])
     source = roads()
-    bridge = replace(source, ground_m=np.concatenate([source.ground_m, on_slope(across, 7.0)]))
+    bridge = replace(
+        source, ground_m=np.concatenate([source.ground_m, on_slope(across, 7.0)])
+    )
     plain, bridged = (
         cut_out([one], JUNCTION, radius_m=RADIUS_M).terrain for one in (source, bridge)
     )
@@ -116,7 +134,9 @@ def test_a_file_of_heights_comes_before_the_roads_and_carries_what_they_carry():
         ground_m=np.column_stack([places, 50.0 + 0.1 * places[:, 1]]),
     )
     aside = np.array([30.0, 30.0])
-    source = roads(things=(house("sign", aside, float(on_slope(aside[None])[0, 2]) + 5.0),))
+    source = roads(
+        things=(house("sign", aside, float(on_slope(aside[None])[0, 2]) + 5.0),)
+    )
     found = cut_out([source, hill], JUNCTION, radius_m=RADIUS_M)
     assert found.terrain.at([0.0, 40.0]) == pytest.approx(4.0, abs=0.02)
     assert found.things[0].vertices_m[:, 2].min() == pytest.approx(3.0 + 5.0, abs=0.05)
@@ -127,14 +147,18 @@ def test_things_above_the_ground_stand_on_its_lowest_point_and_walls_follow_it()
     ground = np.column_stack([corners, 0.04 * corners[:, 1]])
     aside = np.array([20.0, 30.0])
     plain = replace(
-        roads(things=(house("home", aside, 0.0), house("fence", -aside, 0.0, kind="wall"))),
+        roads(
+            things=(house("home", aside, 0.0), house("fence", -aside, 0.0, kind="wall"))
+        ),
         heights="above ground",
         ground_m=ground,
     )
     found = cut_out([plain], JUNCTION, radius_m=RADIUS_M)
     home, fence = (thing.vertices_m for thing in found.things)
     assert home[:, 2].min() == pytest.approx(0.04 * 25.0, abs=5e-3)
-    np.testing.assert_allclose(np.unique(fence[:, 2].round(2)), [-1.4, -1.0, 7.6, 8.0], atol=0.011)
+    np.testing.assert_allclose(
+        np.unique(fence[:, 2].round(2)), [-1.4, -1.0, 7.6, 8.0], atol=0.011
+    )
 
 
 def test_maps_that_count_from_another_zero_are_brought_to_the_ground():
@@ -168,7 +192,11 @@ def test_a_scene_with_terrain_comes_back_from_its_folder(tmp_path):
 
 
 def test_sites_of_a_real_map_with_slopes_stand_on_the_ground(real_input):
-    scene = import_scene([real_input("opendrive/Town03.xodr")], ImportOptions(junction="222")).scene
+    scene = import_scene(
+        [real_input("opendrive/Town03.xodr")], ImportOptions(junction="222")
+    ).scene
     feet = np.array([site.position_m for site in scene.sites])
-    np.testing.assert_allclose(feet[:, 2], ground_height_m(scene, feet[:, :2]), atol=1e-9)
+    np.testing.assert_allclose(
+        feet[:, 2], ground_height_m(scene, feet[:, :2]), atol=1e-9
+    )
     assert np.ptp(feet[:, 2]) > 0.3

@@ -33,11 +33,20 @@ class Raster:
 
     def write(self, path: Path) -> None:
         heights = np.asarray(self.heights, dtype=np.float64)
-        place = rasterio.Affine(self.step, 0.0, self.corner[0], 0.0, -self.step, self.corner[1])
+        place = rasterio.Affine(
+            self.step, 0.0, self.corner[0], 0.0, -self.step, self.corner[1]
+        )
         height, width = heights.shape
-        size = {"width": width, "height": height, "transform": place, "count": self.count}
+        size = {
+            "width": width,
+            "height": height,
+            "transform": place,
+            "count": self.count,
+        }
         about = {"dtype": "float64", "crs": self.crs, "nodata": self.nodata}
-        with rasterio.open(path, "w", driver=self.driver, **size, **about, **self.more) as raster:
+        with rasterio.open(
+            path, "w", driver=self.driver, **size, **about, **self.more
+        ) as raster:
             for band in range(1, self.count + 1):
                 raster.write(heights, band)
 
@@ -65,7 +74,9 @@ def read(tmp_path):
 def test_pixels_around_the_place_become_points(read):
     points = read(plane())
     offset = points[:, :2] - AT_M
-    np.testing.assert_allclose(points[:, 2], 300.0 + 0.05 * offset[:, 0] - 0.02 * offset[:, 1])
+    np.testing.assert_allclose(
+        points[:, 2], 300.0 + 0.05 * offset[:, 0] - 0.02 * offset[:, 1]
+    )
     assert np.abs(offset).max() <= 100.0 + 2.0 * 2.0
     assert len(points) >= 100**2
 
@@ -77,7 +88,9 @@ def test_rasters_in_another_reference_system_lie_at_the_same_place(read):
     heights = np.tile(np.arange(300.0), (300, 1))  # by column
     points = read(Raster(heights=heights, corner=corner, step=step, crs="EPSG:4326"))
     lon_lat = transform(points[:, :2], UTM, "EPSG:4326")
-    np.testing.assert_allclose((lon_lat[:, 0] - corner[0]) / step - 0.5, points[:, 2], atol=1e-3)
+    np.testing.assert_allclose(
+        (lon_lat[:, 0] - corner[0]) / step - 0.5, points[:, 2], atol=1e-3
+    )
     assert np.hypot(*(points[:, :2] - AT_M).T).min() < 2.0
 
 
@@ -101,31 +114,52 @@ DEEP.heights[:] = -32768.0
 @pytest.mark.parametrize(
     ("raster", "message"),
     [
-        (ELSEWHERE, "got a raster that lies elsewhere; expected one that covers the junction"),
-        (plane(n=20, step=90.0), "got pixels of 90 m; expected at most 30 m: finer heights"),
+        (
+            ELSEWHERE,
+            "got a raster that lies elsewhere; expected one that covers the junction",
+        ),
+        (
+            plane(n=20, step=90.0),
+            "got pixels of 90 m; expected at most 30 m: finer heights",
+        ),
         (UNKNOWN, "got no heights at the junction; expected some within 60 m of it"),
-        (plane(crs=None), "got no coordinate reference system; expected a raster with one"),
+        (
+            plane(crs=None),
+            "got no coordinate reference system; expected a raster with one",
+        ),
         (plane(count=3), "got 3 bands; expected one band, of heights in metres"),
-        (DEEP, "got heights from -32768 to -32768; expected metres above the sea, -500 to 9000"),
+        (
+            DEEP,
+            (
+                "got heights from -32768 to -32768; expected metres above the sea, -500"
+                " to 9000"
+            ),
+        ),
         (
             plane(driver="AAIGrid"),
             "got something else; expected a GeoTIFF of heights",
         ),
         (
             plane(n=2200, step=0.1),
-            "got 4,008,004 pixels around the junction; expected at most 4,000,000: "
-            "a coarser raster",
+            (
+                "got 4,008,004 pixels around the junction; expected at most 4,000,000: "
+                "a coarser raster"
+            ),
         ),
     ],
 )
-def test_rasters_that_do_not_do_are_refused_in_one_line(read, tmp_path, raster, message):
+def test_rasters_that_do_not_do_are_refused_in_one_line(
+    read, tmp_path, raster, message
+):
     with pytest.raises(InputError) as error:
         read(raster)
     assert str(error.value) == f"{tmp_path / 'dem.tif'}: {message}"
 
 
 def test_a_map_of_no_known_place_cannot_have_a_raster(read, tmp_path):
-    with pytest.raises(InputError, match="expected a map that says where on earth it lies"):
+    with pytest.raises(
+        InputError, match="expected a map that says where on earth it lies"
+    ):
         read(plane(), crs="")
 
 
@@ -138,11 +172,14 @@ def test_a_missing_package_is_told(monkeypatch, tmp_path):
 def test_a_text_that_names_an_address_is_never_opened(tmp_path):
     path = tmp_path / "dem.tif"
     path.write_text(
-        '<VRTDataset rasterXSize="9" rasterYSize="9"><VRTRasterBand dataType="Byte" band="1">'
+        '<VRTDataset rasterXSize="9" rasterYSize="9"><VRTRasterBand dataType="Byte"'
+        ' band="1">'
         "<SimpleSource><SourceFilename>/vsicurl/http://127.0.0.1:9/a.tif</SourceFilename>"
         "</SimpleSource></VRTRasterBand></VRTDataset>"
     )
-    with pytest.raises(InputError, match="got something else; expected a GeoTIFF of heights"):
+    with pytest.raises(
+        InputError, match="got something else; expected a GeoTIFF of heights"
+    ):
         read_elevation(path, crs=UTM, middle_m=AT_M, half_m=100.0)
 
 
@@ -162,5 +199,7 @@ def test_a_mask_beside_the_raster_is_not_opened(read, tmp_path):
 def test_blocks_that_take_gigabytes_are_refused(read, monkeypatch):
     monkeypatch.setattr(relief, "_MAX_BLOCK_BYTES", 10_000)
     assert len(read(plane()))  # strips of five lines
-    with pytest.raises(InputError, match="got blocks of 346,112 bytes; expected at most 10,000"):
+    with pytest.raises(
+        InputError, match="got blocks of 346,112 bytes; expected at most 10,000"
+    ):
         read(plane(more={"tiled": True, "blockxsize": 208, "blockysize": 208}))

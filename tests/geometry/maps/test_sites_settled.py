@@ -25,13 +25,17 @@ FOUR = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 def around(tmp_path_factory: pytest.TempPathFactory) -> Surroundings:
     osm = OsmText()
     crossing(osm, bearings=FOUR, lanes="4", highway="secondary")
-    source = read_openstreetmap(osm.write(tmp_path_factory.mktemp("map")), keeps_left=False)
+    source = read_openstreetmap(
+        osm.write(tmp_path_factory.mktemp("map")), keeps_left=False
+    )
     return cut_out([source], source.junctions[0], radius_m=60.0)
 
 
 @given(
     points=st.lists(
-        st.tuples(st.floats(-70.0, 70.0), st.floats(-70.0, 70.0)), min_size=1, max_size=8
+        st.tuples(st.floats(-70.0, 70.0), st.floats(-70.0, 70.0)),
+        min_size=1,
+        max_size=8,
     )
 )
 def test_no_place_lies_on_a_lane_and_none_moves_without_need(
@@ -43,14 +47,19 @@ def test_no_place_lies_on_a_lane_and_none_moves_without_need(
         assert bool(place.why) == is_on_road
         if place.position_m is None:
             continue
-        assert road.distance(shapely.Point(place.position_m)) > (0.4 if is_on_road else 0.0)
+        assert road.distance(shapely.Point(place.position_m)) > (
+            0.4 if is_on_road else 0.0
+        )
         away_m = float(np.hypot(*(place.position_m - point)))
         assert away_m <= 15.0
         # No point on a circle that is clearly smaller is half a metre beside the road.
         if is_on_road:
             ring = shapely.Point(point).buffer(0.9 * away_m, quad_segs=32)
             assert (
-                shapely.distance(shapely.points(np.array(ring.exterior.coords)), road).max() < 0.5
+                shapely.distance(
+                    shapely.points(np.array(ring.exterior.coords)), road
+                ).max()
+                < 0.5
             )
 
 
@@ -72,7 +81,9 @@ def with_parts(around: Surroundings, **parts: object) -> Surroundings:
     return replace(around, **parts)  # type: ignore[arg-type]
 
 
-def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(around: Surroundings) -> None:
+def test_what_stands_in_a_wall_is_moved_out_of_it_or_refused(
+    around: Surroundings,
+) -> None:
     thin = with_parts(around, things=(wall((30.0, 30.0), 0.5),))
     (place,) = find_places([(30.1, 30.0)], thin)
     assert place.position_m == pytest.approx([30.55, 30.0])
@@ -113,19 +124,28 @@ def test_an_import_has_no_site_in_a_lane_and_says_what_it_moved(tmp_path: Path) 
     told = {note.what: note.why for note in imported.scene.notes}
     assert sum("moved" in why for why in told.values()) == 3
     assert any(why == "1 m high: too low for sensors" for why in told.values())
-    assert not [one for one in check_scene(imported.scene) if one.what.startswith("site")]
+    assert not [
+        one for one in check_scene(imported.scene) if one.what.startswith("site")
+    ]
 
 
 def lamps(*positions: tuple[float, float], **about: Any) -> tuple[Pole, ...]:
     return tuple(
-        Pole(**{"kind": "lamp post", "id": f"p{number}"} | about, position_m=np.array([*at, 0.0]))
+        Pole(
+            **{"kind": "lamp post", "id": f"p{number}"} | about,
+            position_m=np.array([*at, 0.0]),
+        )
         for number, at in enumerate(positions)
     )
 
 
 def chosen(around: Surroundings, where: str = "auto") -> tuple[dict[str, Site], str]:
-    sites, told = choose_sites(where, around, SourceMap(name="map", crs=""), radius_m=60.0)
-    return {site.id: site for site in sites}, "; ".join(f"{note.what}: {note.why}" for note in told)
+    sites, told = choose_sites(
+        where, around, SourceMap(name="map", crs=""), radius_m=60.0
+    )
+    return {site.id: site for site in sites}, "; ".join(
+        f"{note.what}: {note.why}" for note in told
+    )
 
 
 def test_masts_are_added_where_no_pole_is_near_the_middle(around: Surroundings) -> None:
@@ -135,18 +155,25 @@ def test_masts_are_added_where_no_pole_is_near_the_middle(around: Surroundings) 
     far = with_parts(around, poles=lamps((20.0, 20.0), (40.0, 17.0)))
     sites, told = chosen(far)
     assert {"p0", "p1", "kerb-ne-1", "kerb-sw-1"} < set(sites)
-    assert "the nearest one stands 28 m from the junction's middle: masts every 15 m" in told
+    assert (
+        "the nearest one stands 28 m from the junction's middle: masts every 15 m"
+        in told
+    )
     assert set(chosen(far, "map")[0]) == {"p0", "p1"}
 
 
-def test_poles_of_another_junction_are_no_sites_by_default(around: Surroundings) -> None:
+def test_poles_of_another_junction_are_no_sites_by_default(
+    around: Surroundings,
+) -> None:
     square = np.array([[-8.0, -8.0], [8.0, -8.0], [8.0, 8.0], [-8.0, 8.0]])
     poles = lamps((17.0, 17.0), (30.0, 17.0), (45.0, 17.0))
     other = with_parts(around, poles=poles, neighbours_m=(square + [55.0, 0.0],))
     sites, told = chosen(other)
     assert set(sites) == {"p0", "p1"}
-    assert told == (
-        "lamp post p2: within 15 m of another junction, nearer than here: no site unless asked for"
+    assert (
+        told
+        == "lamp post p2: within 15 m of another junction, nearer than here: no site"
+        " unless asked for"
     )
     assert set(chosen(other, "map")[0]) == {"p0", "p1", "p2"}
 
@@ -174,7 +201,10 @@ def test_other_junctions_are_known_to_what_is_cut_out(tmp_path: Path) -> None:
     source = read_openstreetmap(osm.write(tmp_path), keeps_left=False)
     for junction in source.junctions:
         for radius_m, n_neighbours in ((80.0, 1), (40.0, 0)):
-            assert len(cut_out([source], junction, radius_m=radius_m).neighbours_m) == n_neighbours
+            assert (
+                len(cut_out([source], junction, radius_m=radius_m).neighbours_m)
+                == n_neighbours
+            )
     assert len(source.junctions) == 2
 
 
@@ -200,13 +230,17 @@ def test_sites_stand_below_roofs_but_not_inside_houses(
     assert "site p2: it stands inside building house" in told
     assert set(sites) == ({"p1"} if heights_m is None else {"p0", "p1"})
     if heights_m is None:
-        assert "site p0: below a roof 2.5 m above the ground: too low for sensors" in told
+        assert (
+            "site p0: below a roof 2.5 m above the ground: too low for sensors" in told
+        )
     else:
         assert sites["p0"].height_range_m.tolist() == heights_m
     assert sites["p1"].height_range_m.tolist() == [4.0, 8.0]
 
 
-def test_a_check_finds_every_site_on_the_road(around: Surroundings, tmp_path: Path) -> None:
+def test_a_check_finds_every_site_on_the_road(
+    around: Surroundings, tmp_path: Path
+) -> None:
     from dataclasses import replace
 
     osm = OsmText()

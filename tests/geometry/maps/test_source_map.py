@@ -21,7 +21,9 @@ def test_names_say_what_things_are(name, class_name):
     assert kind_from_name(name).class_name == class_name
 
 
-@pytest.mark.parametrize("name", ["", "Wallace", "Carport", "mesh_0", "x" * 10_000, "treetop"])
+@pytest.mark.parametrize(
+    "name", ["", "Wallace", "Carport", "mesh_0", "x" * 10_000, "treetop"]
+)
 def test_parts_of_words_say_nothing(name):
     assert kind_from_name(name) is None
 

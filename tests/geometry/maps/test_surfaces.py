@@ -22,7 +22,10 @@ def normals(vertices, triangles):
 
 
 def rotation(yaw, pitch):
-    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    cy = np.cos(yaw)
+    sy = np.sin(yaw)
+    cp = np.cos(pitch)
+    sp = np.sin(pitch)
     return np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array(
         [[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]
     )
@@ -34,7 +37,9 @@ def star(draw):
     n = draw(st.integers(3, 12))
     radius = draw(st.lists(st.floats(0.5, 20.0), min_size=n, max_size=n))
     angle = 2.0 * np.pi * np.arange(n) / n
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(n)], axis=1)
+    return np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle), np.zeros(n)], axis=1
+    )
 
 
 @given(star(), st.floats(0, 6), st.floats(0, 6), st.booleans())
@@ -47,7 +52,9 @@ def test_triangles_have_the_area_of_the_polygon_and_look_where_it_looks(
     total = normals(vertices, triangles)
     up = turn[:, 2] * (-1.0 if is_turned else 1.0)
     area = Polygon(ring[:, :2]).area
-    assert np.linalg.norm(total, axis=1).sum() == pytest.approx(area, rel=1e-5, abs=1e-5)
+    assert np.linalg.norm(total, axis=1).sum() == pytest.approx(
+        area, rel=1e-5, abs=1e-5
+    )
     assert total.sum(axis=0) @ up == pytest.approx(area, rel=1e-5, abs=1e-5)
 
 
@@ -83,8 +90,17 @@ def test_what_has_no_area_gives_no_triangles(rings):
 
 def box_polygons(size, *, is_inverted=False):
     x, y, z = size
-    corners = np.array([[i, j, k] for i in (0, x) for j in (0, y) for k in (0, z)], dtype=float)
-    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    corners = np.array(
+        [[i, j, k] for i in (0, x) for j in (0, y) for k in (0, z)], dtype=float
+    )
+    faces = [
+        [0, 1, 3, 2],
+        [4, 6, 7, 5],
+        [0, 4, 5, 1],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 5, 7, 3],
+    ]
     return [[corners[face[::-1] if is_inverted else face]] for face in faces]
 
 
@@ -100,4 +116,6 @@ def test_a_box_without_its_lid_is_open_and_kept_as_it_is():
     vertices, triangles = surface_mesh(box_polygons((1, 1, 1), is_inverted=True)[:-1])
     assert not is_closed(triangles)
     assert len(triangles) == 10
-    assert (vertices[triangles].mean(axis=1) - 0.5)[0] @ normals(vertices, triangles)[0] < 0
+    assert (vertices[triangles].mean(axis=1) - 0.5)[0] @ normals(vertices, triangles)[
+        0
+    ] < 0

@@ -26,11 +26,14 @@ def scene_of(path):
 
 
 @pytest.mark.parametrize("name", ["X-Intersection_NCAP", "Town03", "Town05"])
-def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(real_input, actors, name):
+def test_turning_cars_follow_the_connecting_lanes_within_a_centimetre(
+    real_input, actors, name
+):
     scene = scene_of(real_input(f"opendrive/{name}.xodr"))
     junction = build_junction(scene)
     cases = [  # at higher speeds some ways are too tight
-        replace(load_cases()[case], vut_speeds_kmh=(10.0,)) for case in ("CPTAfs-50", "CPTAns-50")
+        replace(load_cases()[case], vut_speeds_kmh=(10.0,))
+        for case in ("CPTAfs-50", "CPTAns-50")
     ]
     runs, _ = build_runs(scene, cases, vut=actors["vut"], rule=build_rule(Question()))
     followed = set()

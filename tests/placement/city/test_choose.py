@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geometry.errors import InputError
-from placement.city.choose import CityWishes, District, choose, city_front, city_values, plan_phases
+from placement.city.choose import (
+    CityWishes,
+    District,
+    choose,
+    city_front,
+    city_values,
+    plan_phases,
+)
 from placement.city.fronts import (
     NOTHING,
     Point,
@@ -67,11 +74,20 @@ def brute_force(options, weight, wishes):
     best = None
     for choice in product(*groups):
         rows = np.array(choice)
-        if wishes.budget_units is not None and options.units[rows].sum() > wishes.budget_units:
+        if (
+            wishes.budget_units is not None
+            and options.units[rows].sum() > wishes.budget_units
+        ):
             continue
-        if wishes.budget_eur is not None and options.cost_eur[rows].sum() > wishes.budget_eur:
+        if (
+            wishes.budget_eur is not None
+            and options.cost_eur[rows].sum() > wishes.budget_eur
+        ):
             continue
-        if wishes.least_apr is not None and (options.apr[rows] < wishes.least_apr).any():
+        if (
+            wishes.least_apr is not None
+            and (options.apr[rows] < wishes.least_apr).any()
+        ):
             continue
         if any(
             share[d.junctions] @ options.apr[rows][d.junctions]
@@ -80,8 +96,13 @@ def brute_force(options, weight, wishes):
         ):
             continue
         values = city_values(options, rows, weight)
-        key = tuple(round(values[s] * (-1 if s is Objective.COST else 1), 9) for s in STAGES)
-        best = key if best is None else max(best, key)
+        key = tuple(
+            round(values[s] * (-1 if s is Objective.COST else 1), 9) for s in STAGES
+        )
+        if best is None:
+            best = key
+        else:
+            best = max(best, key)
     return best
 
 
@@ -98,13 +119,22 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
 ):
     if units is None and halves is None:
         units = 3
-    options, weight = stack_fronts(found), np.array(weights, dtype=float)
+    options = stack_fronts(found)
+    weight = np.array(weights, dtype=float)
     wishes = CityWishes(
         budget_units=units,
         budget_eur=None if halves is None else 500.0 * halves,
-        districts=()
-        if least_in_district is None
-        else [District(name="north", junctions=np.array([0, 2]), least_apr=least_in_district)],
+        districts=(
+            ()
+            if least_in_district is None
+            else [
+                District(
+                    name="north",
+                    junctions=np.array([0, 2]),
+                    least_apr=least_in_district,
+                )
+            ]
+        ),
         least_apr=None if least is None else np.array([0.0, least, 0.0]),
     )
     expected = brute_force(options, weight, wishes)
@@ -114,9 +144,13 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
         return
     choice = choose(options, weight, wishes, bounds=None)
     values = city_values(options, choice.rows, weight)
-    got = tuple(round(values[s] * (-1 if s is Objective.COST else 1), 9) for s in STAGES)
+    got = tuple(
+        round(values[s] * (-1 if s is Objective.COST else 1), 9) for s in STAGES
+    )
     assert got == pytest.approx(expected, abs=2e-8)
-    assert [stage.name for stage in choice.certificate.stages] == [str(s) for s in STAGES]
+    assert [stage.name for stage in choice.certificate.stages] == [
+        str(s) for s in STAGES
+    ]
     for stage in choice.certificate.stages:
         assert stage.objective == pytest.approx(values[Objective(stage.name)], abs=1e-6)
     assert choice.certificate.stages[0].gap == 0.0
@@ -125,12 +159,17 @@ def test_the_choice_is_the_best_of_all_in_every_objective(
 @given(fronts(), st.integers(0, 6), st.integers(0, 12))
 def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
     """A layout within the junctions' bounds, which the fronts lack, does not exceed the bound."""
-    options, weight = stack_fronts(found), np.ones(3)
+    options = stack_fronts(found)
+    weight = np.ones(3)
     wishes = CityWishes(budget_units=units, budget_eur=500.0 * halves)
     bounds = stack_bounds(found, counts_units=True, counts_cost=True)
     choice = choose(options, weight, wishes, bounds=bounds)
     highest = choice.certificate.stages[0].bound
-    assert choice.certificate.stages[0].objective <= choice.bound_of_points <= highest + 1e-12
+    assert (
+        choice.certificate.stages[0].objective
+        <= choice.bound_of_points
+        <= highest + 1e-12
+    )
     assert brute_force(bounds, weight, wishes)[0] == pytest.approx(
         max(highest, brute_force(options, weight, wishes)[0]), abs=1e-8
     )
@@ -138,15 +177,17 @@ def test_what_the_fronts_leave_open_is_in_the_bound(found, units, halves):
 
 @given(fronts(), st.booleans())
 def test_each_step_of_the_citys_front_is_the_best_for_its_money(found, by_cost):
-    options, weight = stack_fronts(found), np.array([1.0, 2.0, 3.0])
+    options = stack_fronts(found)
+    weight = np.array([1.0, 2.0, 3.0])
     before = 0.0
     for step in city_front(options, weight, by_cost=by_cost):
-        wishes = (
-            CityWishes(budget_eur=step.taken)
-            if by_cost
-            else CityWishes(budget_units=round(step.taken))
+        if by_cost:
+            wishes = CityWishes(budget_eur=step.taken)
+        else:
+            wishes = CityWishes(budget_units=round(step.taken))
+        assert step.apr == pytest.approx(
+            brute_force(options, weight, wishes)[0], abs=1e-8
         )
-        assert step.apr == pytest.approx(brute_force(options, weight, wishes)[0], abs=1e-8)
         assert step.apr > before
         before = step.apr
 
@@ -172,7 +213,10 @@ def test_points_that_another_one_beats_are_left_out():
         [good, NOTHING, dear, good],
         by_units=[(0, 0.0), (1, 0.5), (2, 0.8)],
         by_cost=lowest(
-            [((0.0, 0.0), (1000.0, 0.9)), ((0.0, 0.0), (1000.0, 0.5), (2000.0, 0.8), (3000.0, 0.8))]
+            [
+                ((0.0, 0.0), (1000.0, 0.9)),
+                ((0.0, 0.0), (1000.0, 0.5), (2000.0, 0.8), (3000.0, 0.8)),
+            ]
         ),
     )
     assert front.points == (NOTHING, good)
@@ -199,5 +243,7 @@ def test_years_are_the_best_of_all_orders(junctions, per_year):
 
 
 def test_too_few_years_are_told():
-    with pytest.raises(InputError, match=r"years: got 1; expected at least 2, for 5 units"):
+    with pytest.raises(
+        InputError, match=r"years: got 1; expected at least 2, for 5 units"
+    ):
         plan_phases(np.array([2, 3]), np.ones(2), units_per_year=3, years=1)

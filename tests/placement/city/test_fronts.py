@@ -38,7 +38,9 @@ def junctions(draw):
             limits,
             is_forced=is_forced,
             unit_cost_eur=np.where(is_forced, 0.0, limits.unit_cost_eur),
-            site_cost_eur=np.where(np.isin(np.arange(limits.n_sites), at), 0.0, site_cost),
+            site_cost_eur=np.where(
+                np.isin(np.arange(limits.n_sites), at), 0.0, site_cost
+            ),
         )
     return replace(problem, limits=limits)
 
@@ -47,7 +49,9 @@ def junctions(draw):
 def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
     limits = problem.limits
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fronts, "_MAX_SETS", max_sets)  # few: poses that see alike go together
+        patch.setattr(
+            fronts, "_MAX_SETS", max_sets
+        )  # few: poses that see alike go together
         front, layouts = find_front(
             problem, effort=lambda: Effort(time_limit_s=60.0), begin=lambda step: None
         )
@@ -57,7 +61,8 @@ def test_no_layout_exceeds_the_front_of_a_junction(problem, max_sets):
         for chosen in combinations(range(limits.n_poses), n_units):
             if not (forced <= set(chosen) and is_allowed(limits, chosen)):
                 continue
-            reached, price = apr(problem, chosen), cost_eur(limits, chosen)
+            reached = apr(problem, chosen)
+            price = cost_eur(limits, chosen)
             n_new = n_units - len(forced)
             best[n_new] = max(best.get(n_new, 0.0), reached)
             assert reached <= value_at(front.by_units, n_new) + TOLERANCE
@@ -81,7 +86,10 @@ def many_poses(rng):
     problem = next(
         found
         for number in range(100)
-        if (found := random_problem(np.random.default_rng([1, number]))).table.axis.n_frames > 20
+        if (
+            found := random_problem(np.random.default_rng([1, number]))
+        ).table.axis.n_frames
+        > 20
     )
     axis = problem.table.axis
     detected = rng.random((20, axis.n_frames)) < 0.3
@@ -103,7 +111,11 @@ def test_poses_that_see_alike_and_go_together_still_give_a_layout_for_each_numbe
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fronts, "_MAX_SETS", 3)
         bounds, layouts, are_best = fronts._front_of_full_sites(
-            problem, reduced, fronts.rooms_of(problem.limits), max_sites=2, effort=Effort
+            problem,
+            reduced,
+            fronts.rooms_of(problem.limits),
+            max_sites=2,
+            effort=Effort,
         )
     assert not are_best
     assert sorted(layouts) == [1, 2]
@@ -121,7 +133,9 @@ def test_a_front_is_no_worse_than_that_of_few_of_its_poses():
 
     def finds_nothing(part, **options):
         found = fronts.front_by_sites(part, **options)
-        return found if part.limits.n_poses == len(first) else replace(found, layouts=())
+        if part.limits.n_poses == len(first):
+            return found
+        return replace(found, layouts=())
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.city.junction.front_by_sites", finds_nothing)

@@ -17,7 +17,8 @@ def build(sizes, seed, *, n_rows=1, tightness=0.5):
     profit = rng.integers(0, 1000, len(group)) / 8.0
     rows = rng.integers(1, 60, (n_rows, len(group))).astype(float)
     first = np.flatnonzero(np.diff(group, prepend=-1))
-    profit[first], rows[:, first] = 0.0, 0.0
+    profit[first] = 0.0
+    rows[:, first] = 0.0
     limits = np.floor(tightness * np.maximum.reduceat(rows, first, axis=1).sum(axis=1))
     return Knapsack(group=group, profit=profit, rows=rows, limits=limits)
 

@@ -31,7 +31,8 @@ def _detected(detector, visible_px, amodal_px=None, **looks):
 
 
 def test_the_default_detector_asks_for_the_iou_of_the_study_and_some_height():
-    # CarlaNCAP study: a detection counts above IoU 0.5. The height is this project's assumption.
+    # CarlaNCAP study: a detection counts above IoU 0.5. The height is this project's
+    # assumption.
     detector = load_planning_detector()
     assert isinstance(detector, GeometricDetector)
     assert detector.min_iou == load_min_iou() == 0.5
@@ -43,25 +44,31 @@ def test_the_default_detector_asks_for_the_iou_of_the_study_and_some_height():
 def test_the_iou_must_be_above_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=0.0)
     whole = [0.0, 0.0, 10.0, 100.0]
-    half, more = [0.0, 0.0, 10.0, 50.0], [0.0, 0.0, 10.0, 50.0 + 1e-9]
+    half = [0.0, 0.0, 10.0, 50.0]
+    more = [0.0, 0.0, 10.0, 50.0 + 1e-9]
     assert _detected(detector, [half, more], whole) == [False, True]
 
 
 def test_the_height_may_be_at_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
-    high, low = [0.0, 0.0, 10.0, 25.0], [0.0, 0.0, 10.0, 25.0 - 1e-9]
+    high = [0.0, 0.0, 10.0, 25.0]
+    low = [0.0, 0.0, 10.0, 25.0 - 1e-9]
     assert _detected(detector, [high, low]) == [True, False]
 
 
 def test_the_contrast_may_be_at_its_limit():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0, min_contrast=0.05)
     box = [0.0, 0.0, 10.0, 25.0]
-    assert _detected(detector, [box, box], contrast=[0.05, 0.05 - 1e-9]) == [True, False]
+    assert _detected(detector, [box, box], contrast=[0.05, 0.05 - 1e-9]) == [
+        True,
+        False,
+    ]
 
 
 def test_the_height_is_that_of_the_visible_box():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
-    whole, seen = [0.0, 0.0, 10.0, 30.0], [0.0, 6.0, 10.0, 30.0]
+    whole = [0.0, 0.0, 10.0, 30.0]
+    seen = [0.0, 6.0, 10.0, 30.0]
     assert iou(seen, whole) > 0.5
     assert _detected(detector, seen, whole) == [False]
 
@@ -70,7 +77,9 @@ def test_the_height_is_that_of_the_visible_box():
 def test_an_empty_box_is_never_detected(visible, amodal, height_px):
     detector = GeometricDetector(min_iou=0.0, min_box_height_px=float(height_px))
     common = np.clip(
-        np.minimum(visible[2:], amodal[2:]) - np.maximum(visible[:2], amodal[:2]), 0, None
+        np.minimum(visible[2:], amodal[2:]) - np.maximum(visible[:2], amodal[:2]),
+        0,
+        None,
     )
     expected = bool(common.prod() > 0.0 and visible[3] - visible[1] >= height_px)
     assert _detected(detector, visible, amodal) == [expected]
@@ -78,7 +87,12 @@ def test_an_empty_box_is_never_detected(visible, amodal, height_px):
 
 def test_only_the_boxes_the_contrast_and_nothing_else_decide():
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=25.0)
-    looks = {"visible_share": 0.1, "inside_share": 0.1, "aspect_deg": 0.0, "vru_class": "cyclist"}
+    looks = {
+        "visible_share": 0.1,
+        "inside_share": 0.1,
+        "aspect_deg": 0.0,
+        "vru_class": "cyclist",
+    }
     assert _detected(detector, [0.0, 0.0, 10.0, 30.0], **looks) == [True]
     assert not detector.needs_pictures
 
@@ -87,7 +101,9 @@ def test_only_the_boxes_the_contrast_and_nothing_else_decide():
     st.lists(boxes_px(), min_size=1, max_size=4),
     st.lists(st.tuples(st.integers(0, 3), boxes_px()), max_size=6),
 )
-def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_half(truth, found):
+def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_half(
+    truth, found
+):
     inside = [(row, box) for row, box in found if row < len(truth)]
     detections = Detections(
         row_index=np.array([row for row, _ in inside], dtype=np.int64),
@@ -102,7 +118,8 @@ def test_a_row_is_matched_by_a_box_in_its_own_image_that_overlaps_by_more_than_h
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"), [("adult", "pedestrian"), ("child", "child"), ("cyclist", "cyclist")]
+    ("name", "expected"),
+    [("adult", "pedestrian"), ("child", "child"), ("cyclist", "cyclist")],
 )
 def test_road_users_have_the_class_of_their_name(actors, name, expected):
     assert vru_class(actors[name]) == expected
@@ -113,7 +130,9 @@ def test_road_users_have_the_class_of_their_name(actors, name, expected):
     st.integers(-720, 720),
     st.floats(0.1, 99.0),
 )
-def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(towards, turn_deg, far_m):
+def test_the_aspect_is_the_acute_angle_between_sightline_and_heading(
+    towards, turn_deg, far_m
+):
     sightline = far_m * np.array(
         [[math.cos(math.radians(towards)), math.sin(math.radians(towards))]]
     )

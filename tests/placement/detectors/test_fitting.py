@@ -17,7 +17,8 @@ from placement.detectors.fitting import (
     joint_normal,
 )
 
-N_TRACKS, N_FRAMES = 250, 30
+N_TRACKS = 250
+N_FRAMES = 30
 TRUTH = replace(
     load_planning_detector("response"),
     seen_share=np.array([0.0, 0.25, 0.5, 0.75, 1.0]),
@@ -36,9 +37,14 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     """Sightings of many road users that come nearer, drawn from a table."""
     rng = np.random.default_rng(seed)
     n = N_TRACKS * N_FRAMES
-    track, frame = np.repeat(np.arange(N_TRACKS), N_FRAMES), np.tile(np.arange(N_FRAMES), N_TRACKS)
-    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (1 + 0.01 * frame)
-    seen = np.clip(rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0)
+    track = np.repeat(np.arange(N_TRACKS), N_FRAMES)
+    frame = np.tile(np.arange(N_FRAMES), N_TRACKS)
+    height = np.exp(rng.uniform(np.log(12), np.log(180), N_TRACKS))[track] * (
+        1 + 0.01 * frame
+    )
+    seen = np.clip(
+        rng.uniform(0.0, 1.8, N_TRACKS)[track] + rng.normal(0, 0.05, n), 0.0, 1.0
+    )
     sightings = Sightings(
         height_px=height,
         seen_share=seen,
@@ -54,7 +60,9 @@ def drawn(truth=TRUTH, *, seed=1, classes=(0, 1, 2, 3, 4), contrasts=(0.1, 0.3, 
     is_found = ndtr(noise) < truth.probability(sightings.evidence())
     error = rng.normal(0.0, truth.box_noise_share, (n, 4))
     return replace(
-        sightings, is_found=is_found, box_error=np.where(is_found[:, None], error, np.nan)
+        sightings,
+        is_found=is_found,
+        box_error=np.where(is_found[:, None], error, np.nan),
     )
 
 
@@ -76,7 +84,9 @@ def test_the_share_that_lasts_for_a_track_is_found(share):
 
 def test_without_consecutive_frames_nothing_is_known_of_what_lasts():
     sightings = replace(drawn(), frame=np.tile(200 * np.arange(N_FRAMES), N_TRACKS))
-    with pytest.raises(InputError, match=r"^frames: got none consecutive; expected consecutive "):
+    with pytest.raises(
+        InputError, match=r"^frames: got none consecutive; expected consecutive "
+    ):
         fit_lasting_share(sightings, np.full(len(sightings), 0.5), draws=2)
 
 
@@ -105,7 +115,11 @@ def test_its_probabilities_are_those_of_the_truth(fit):
 
 
 def test_calibration_counts_every_frame_and_fits(fit):
-    assert sum(group.frames for group in fit.calibration) == fit.frames == N_TRACKS * N_FRAMES
+    assert (
+        sum(group.frames for group in fit.calibration)
+        == fit.frames
+        == N_TRACKS * N_FRAMES
+    )
     assert sum(group.found for group in fit.calibration) == fit.found
     for group in fit.calibration:
         assert group.recall.value == pytest.approx(group.expected, abs=0.12)
@@ -161,15 +175,22 @@ def test_frames_that_are_not_consecutive_tell_no_correlation():
 def test_too_few_frames_are_refused(kept):
     sightings = drawn().take(np.arange(kept))
     nothing = replace(
-        sightings, is_found=np.zeros(kept, dtype=bool), box_error=np.full((kept, 4), np.nan)
+        sightings,
+        is_found=np.zeros(kept, dtype=bool),
+        box_error=np.full((kept, 4), np.nan),
     )
-    with pytest.raises(InputError, match=rf"got {kept}, 0 of them found; expected at least 50"):
+    with pytest.raises(
+        InputError, match=rf"got {kept}, 0 of them found; expected at least 50"
+    ):
         fit_response(nothing, name="a")
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.9, 0.98])
 def test_joint_probabilities_are_those_of_scipy(correlation):
-    first, second = np.array([-2.0, 0.0, 0.5, 1.5]), np.array([0.3, 0.0, -1.0, 1.4])
+    first = np.array([-2.0, 0.0, 0.5, 1.5])
+    second = np.array([0.3, 0.0, -1.0, 1.4])
     law = multivariate_normal(cov=[[1.0, correlation], [correlation, 1.0]])
     expected = [law.cdf(pair) for pair in zip(first, second, strict=True)]
-    np.testing.assert_allclose(joint_normal(first, second, correlation), expected, atol=1e-5)
+    np.testing.assert_allclose(
+        joint_normal(first, second, correlation), expected, atol=1e-5
+    )

@@ -16,7 +16,9 @@ from placement.detectors import (
 )
 from placement.detectors.evidence import Evidence, Interval
 
-OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(encoding="utf-8")
+OURS = (files("placement.detectors") / "data" / "detectors.toml").read_text(
+    encoding="utf-8"
+)
 TABLE = """# A user's own response.
 
 [response]
@@ -71,19 +73,24 @@ def test_detectors_are_found_by_name():
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    assert _message("best", where="--detector") == (
-        "--detector: got 'best'; expected geometric, response, pole-2015, car-2019, cnn-table, "
-        "cnn, pointrcnn-2019, a .toml file with a response table, or an .onnx file"
+    assert (
+        _message("best", where="--detector")
+        == "--detector: got 'best'; expected geometric, response, pole-2015, car-2019,"
+        " cnn-table, cnn, pointrcnn-2019, a .toml file with a response table, or an"
+        " .onnx file"
     )
 
 
-@pytest.mark.parametrize("name", ["mine.json", "mine.tom", "toml", ".toml", "mine.onnx.txt"])
+@pytest.mark.parametrize(
+    "name", ["mine.json", "mine.tom", "toml", ".toml", "mine.onnx.txt"]
+)
 def test_a_file_of_another_kind_is_refused_even_if_it_is_there(write, name):
     path = write(TABLE, name)
-    assert _message(path) == (
-        f"detector: got {str(path)!r}; expected geometric, response, pole-2015, car-2019, "
-        "cnn-table, cnn, pointrcnn-2019, a .toml "
-        "file with a response table, or an .onnx file"
+    assert (
+        _message(path)
+        == f"detector: got {str(path)!r}; expected geometric, response, pole-2015,"
+        " car-2019, cnn-table, cnn, pointrcnn-2019, a .toml file with a response"
+        " table, or an .onnx file"
     )
 
 
@@ -105,7 +112,9 @@ def test_a_users_table_is_read_number_by_number(write):
 
 
 def test_what_a_table_assumes_is_said(write):
-    measured = TABLE.replace("cyclist = 0.8", "cyclist = 0.8\nmotorcyclist = 0.75\ncar = 0.7")
+    measured = TABLE.replace(
+        "cyclist = 0.8", "cyclist = 0.8\nmotorcyclist = 0.75\ncar = 0.7"
+    )
     detector = load_detector(str(write(measured)))
     assert detector.class_factor.tolist() == [1.0, 0.9, 0.8, 0.75, 0.7]
     assert detector.assumed == ()
@@ -118,7 +127,9 @@ def test_what_a_table_assumes_is_said(write):
         "how well they are found is assumed."
     )
     assert words in detector.description
-    assert detector.assumed_words(["car"]).startswith(" Nothing is measured of car (factor 0.7):")
+    assert detector.assumed_words(["car"]).startswith(
+        " Nothing is measured of car (factor 0.7):"
+    )
     assert detector.assumed_words(["pedestrian"]) == ""
 
 
@@ -131,7 +142,9 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
     mine = load_detector(str(write(OURS)))
     assert isinstance(mine, ResponseDetector)
     assert mine.fingerprint() == load_planning_detector("response").fingerprint()
-    changed = load_detector(str(write(OURS.replace("cyclist_end_on = 0.9", "cyclist_end_on = 1"))))
+    changed = load_detector(
+        str(write(OURS.replace("cyclist_end_on = 0.9", "cyclist_end_on = 1")))
+    )
     assert isinstance(changed, ResponseDetector)
     assert changed.cyclist_end_on == 1.0
     assert np.array_equal(changed.recall, mine.recall)
@@ -140,9 +153,21 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
 @pytest.mark.parametrize(
     ("line", "wrong", "message"),
     [
-        ("recall = [0.0, 0.6, 0.9]", "recall = [0.0, 1.2, 0.9]", ":5: recall: got 1.2; expected "),
-        ("recall = [0.0, 0.6, 0.9]", "recall = [0.0, 0.9]", ":5: recall: got shape (2,); expected"),
-        ("recall = [0.0, 0.6, 0.9]", "recall = 0.9", ":5: recall: got 0.9; expected a li"),
+        (
+            "recall = [0.0, 0.6, 0.9]",
+            "recall = [0.0, 1.2, 0.9]",
+            ":5: recall: got 1.2; expected ",
+        ),
+        (
+            "recall = [0.0, 0.6, 0.9]",
+            "recall = [0.0, 0.9]",
+            ":5: recall: got shape (2,); expected",
+        ),
+        (
+            "recall = [0.0, 0.6, 0.9]",
+            "recall = 0.9",
+            ":5: recall: got 0.9; expected a li",
+        ),
         (
             "recall = [0.0, 0.6, 0.9]",
             'recall = [0.0, "x", 0.9]',
@@ -153,12 +178,23 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             'cyclist = 0.8\nassumed = ["tram"]',
             ":12: assumed: got 'tram'; expected one of pedestrian, child, cyclist, m",
         ),
-        ("cyclist = 0.8", "cyclist = 0.8\nassumed = 1", ":12: assumed: got 1; expected a list"),
-        ("cyclist = 0.8", "cyclist = 0.8\ncar = 1.1", ":12: car: got 1.1; expected 0 .. 1"),
+        (
+            "cyclist = 0.8",
+            "cyclist = 0.8\nassumed = 1",
+            ":12: assumed: got 1; expected a list",
+        ),
+        (
+            "cyclist = 0.8",
+            "cyclist = 0.8\ncar = 1.1",
+            ":12: car: got 1.1; expected 0 .. 1",
+        ),
         (
             "seen_share = [0.0, 0.5, 1.0]",
             "seen_share = [0.0, 1.0, 0.5]",
-            ":4: seen_share: got [0.0, 1.0, 0.5]; expected shares that ascend from 0 to 1",
+            (
+                ":4: seen_share: got [0.0, 1.0, 0.5]; expected shares that ascend from"
+                " 0 to 1"
+            ),
         ),
         (
             "height_half_px = 30",
@@ -180,7 +216,11 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
             "  plan_probability=1.01 # indented",
             ":17: plan_probability: got 1.01; expected 0 .. 1",
         ),
-        ("child = 0.9", "child = true", ":10: child: got True; expected a finite number"),
+        (
+            "child = 0.9",
+            "child = true",
+            ":10: child: got True; expected a finite number",
+        ),
         ("child = 0.9", "child = 1.2", ":10: child: got 1.2; expected 0 .. 1"),
         ("child = 0.9\n", "", ":3: child: got nothing; expected a value"),
         ("recall = [0.0, 0.6, 0.9]\n", "", ":3: recall: got nothing; expected a value"),
@@ -193,12 +233,16 @@ def test_our_own_file_is_one_that_a_user_may_change(write):
         (
             "[response]",
             "[response",
-            ": got Expected ']' at the end of a table declaration (at line 3, column 10); "
-            "expected valid TOML in UTF-8",
+            (
+                ": got Expected ']' at the end of a table declaration (at line 3,"
+                " column 10); expected valid TOML in UTF-8"
+            ),
         ),
     ],
 )
-def test_a_table_that_cannot_be_used_names_file_line_and_field(write, line, wrong, message):
+def test_a_table_that_cannot_be_used_names_file_line_and_field(
+    write, line, wrong, message
+):
     assert line in TABLE
     path = write(TABLE.replace(line, wrong))
     found = _message(path)
@@ -214,7 +258,9 @@ def test_a_table_may_tell_how_often_nothing_is_confirmed(write):
     rate = "\n[false_tracks_per_hour]\nvalue = 12.5\nlow = 3\nhigh = 31\n"
     told = load_detector(str(write(TABLE + rate)))
     assert told.false_tracks_per_hour == Interval(12.5, 3.0, 31.0)
-    assert "confirms 12.5 tracks of nothing per hour (95 %: 3 to 31)" in told.description
+    assert (
+        "confirms 12.5 tracks of nothing per hour (95 %: 3 to 31)" in told.description
+    )
     # What it plans with is the same.
     assert told.fingerprint() == silent.fingerprint()
 
@@ -237,24 +283,32 @@ def test_a_rate_that_cannot_be_used_is_named(write, wrong, message):
 
 def test_the_line_is_that_of_the_response_where_another_table_has_the_same_key(write):
     """Our own file has a least height in three tables."""
-    path = write(OURS.replace("min_box_height_px = 12.0", "min_box_height_px = -1.0", 1))
+    path = write(
+        OURS.replace("min_box_height_px = 12.0", "min_box_height_px = -1.0", 1)
+    )
     lines = OURS.splitlines()
     (number,) = [
         index
         for index, text in enumerate(lines, start=1)
         if text.startswith("min_box_height_px = 12.0 # nothing below")
     ]
-    assert _message(path) == (
-        f"{path}:{number}: min_box_height_px: got -1.0; expected a number, > 0"
+    assert (
+        _message(path)
+        == f"{path}:{number}: min_box_height_px: got -1.0; expected a number, > 0"
     )
 
 
 def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
     gone = tmp_path / "gone.toml"
-    assert _message(gone) == f"{gone}: got No such file or directory; expected a readable file"
+    assert (
+        _message(gone)
+        == f"{gone}: got No such file or directory; expected a readable file"
+    )
     path = tmp_path / "binary.toml"
     path.write_bytes(b"\xff\xfe")
-    assert _message(path).startswith(f"{path}: got 'utf-8' codec can't decode byte 0xff")
+    assert _message(path).startswith(
+        f"{path}: got 'utf-8' codec can't decode byte 0xff"
+    )
     assert _message(tmp_path / "gone.onnx").startswith(
         f"{tmp_path / 'gone.onnx'}: got no such file"
     )
@@ -272,7 +326,9 @@ def test_a_file_that_is_not_there_or_not_text_is_named(write, tmp_path):
         ("car-2019", 80.0, 0.25, (0.05, 0.37)),
     ],
 )
-def test_tables_of_real_recordings_find_as_many_as_was_measured(name, height_px, seen_share, found):
+def test_tables_of_real_recordings_find_as_many_as_was_measured(
+    name, height_px, seen_share, found
+):
     detector = load_planning_detector(name)
     box = np.array([[0.0, 0.0, 0.4 * height_px, height_px]])
     evidence = Evidence(
@@ -303,14 +359,19 @@ def test_what_the_lidars_table_holds_is_a_share_with_its_interval():
 def test_a_lidars_table_stands_behind_a_cameras():
     both = load_detector("pole-2015+pointrcnn-2019")
     camera = load_detector("pole-2015")
-    assert (both.name, both.lidar.name) == ("pole-2015+pointrcnn-2019", "pointrcnn-2019")
+    assert (both.name, both.lidar.name) == (
+        "pole-2015+pointrcnn-2019",
+        "pointrcnn-2019",
+    )
     assert both.recall.tolist() == camera.recall.tolist()
     assert both.fingerprint() == (*camera.fingerprint(), both.lidar)
     alone = load_detector("pointrcnn-2019")
     assert alone.name == "geometric+pointrcnn-2019"
     assert replace(alone, lidar=None, name="geometric") == load_detector()
     for name in ("pole-2015+car-2019", "+pole-2015", "pole+pointrcnn-2019"):
-        with pytest.raises(InputError, match=r"car-2019, cnn-table, cnn, pointrcnn-2019, a \.toml"):
+        with pytest.raises(
+            InputError, match=r"car-2019, cnn-table, cnn, pointrcnn-2019, a \.toml"
+        ):
             load_detector(name)
 
 
@@ -325,30 +386,41 @@ def test_what_is_found_in_points_is_drawn_with_the_tables_shares_and_correlation
     first = found[:10_000]
     assert 0.45 < np.corrcoef(first[1:], first[:-1])[0, 1] < 0.7
     # The table counts pedestrians nearer than 26 m, and all cyclists.
-    assert table.is_expected(np.array([25.0, 26.0]), np.zeros(2, int)).tolist() == [True, False]
+    assert table.is_expected(np.array([25.0, 26.0]), np.zeros(2, int)).tolist() == [
+        True,
+        False,
+    ]
     assert table.is_expected(distance[20_000:], classes[20_000:]).all()
-    weathers = table.detect(distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1))
+    weathers = table.detect(
+        distance[:2], classes[:2], np.zeros(2, int), np.random.default_rng(1)
+    )
     assert weathers[0] == weathers[1]
 
 
 def test_a_table_says_which_of_its_figures_are_measured(write):
     """So do the built-in ones; a file without the list does not say."""
-    assert load_detector("response").figures_words == (
-        "Of the 14 figures of response 4 are measured; assumed: child, cyclist, motorcyclist, car, "
-        "height_half_px, height_steepness, min_box_height_px, contrast_half, contrast_steepness, "
-        "cyclist_end_on."
+    assert (
+        load_detector("response").figures_words
+        == "Of the 14 figures of response 4 are measured; assumed: child, cyclist,"
+        " motorcyclist, car, height_half_px, height_steepness, min_box_height_px,"
+        " contrast_half, contrast_steepness, cyclist_end_on."
     )
     assert load_detector("pole-2015").figures_words.startswith(
-        "Of the 14 figures of pole-2015 7 are measured; assumed: child, cyclist, motorcyclist, car,"
+        "Of the 14 figures of pole-2015 7 are measured; assumed: child, cyclist,"
+        " motorcyclist, car,"
     )
     mine = load_detector(str(write(TABLE)))
-    assert mine.figures_words == "mine.toml does not say which of its figures are measured."
+    assert (
+        mine.figures_words
+        == "mine.toml does not say which of its figures are measured."
+    )
     listed = TABLE + 'assumed_figures = ["recall"]\n'
     assert "11 are measured; assumed: recall, motorcyclist, car." in (
         load_detector(str(write(listed))).figures_words
     )
-    assert "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian" in (
-        _message(write(TABLE + 'assumed_figures = ["x"]\n'))
+    assert (
+        "mine.toml:18: assumed_figures: got 'x'; expected one of recall, pedestrian"
+        in (_message(write(TABLE + 'assumed_figures = ["x"]\n')))
     )
 
 
@@ -356,4 +428,6 @@ def test_what_response_has_from_recordings_is_the_middle_of_their_tables():
     response, *tables = map(load_detector, ("response", "pole-2015", "car-2019"))
     for name, digits in (("frame_correlation", 2), ("box_noise_share", 2)):
         middle = np.mean([getattr(one, name) for one in tables])
-        assert getattr(response, name) == pytest.approx(middle, abs=0.51 * 10.0**-digits)
+        assert getattr(response, name) == pytest.approx(
+            middle, abs=0.51 * 10.0**-digits
+        )

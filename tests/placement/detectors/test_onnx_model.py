@@ -22,7 +22,8 @@ from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 FREE = ("batch", 3, "height", "width")
 FIXED = (1, 3, 64, 64)
-PERSON, BICYCLE = ([4.0, 8.0, 20.0, 60.0], [30.0, 20.0, 60.0, 50.0])
+PERSON = [4.0, 8.0, 20.0, 60.0]
+BICYCLE = [30.0, 20.0, 60.0, 50.0]
 
 
 def constant(name, values):
@@ -31,7 +32,14 @@ def constant(name, values):
     )
 
 
-def save(path, nodes, outputs, *, inputs=(("images", TensorProto.FLOAT, FIXED),), metadata=None):
+def save(
+    path,
+    nodes,
+    outputs,
+    *,
+    inputs=(("images", TensorProto.FLOAT, FIXED),),
+    metadata=None,
+):
     """Write a model; outputs are names, whose shapes the runtime infers."""
     graph = helper.make_graph(
         nodes,
@@ -39,7 +47,9 @@ def save(path, nodes, outputs, *, inputs=(("images", TensorProto.FLOAT, FIXED),)
         [helper.make_tensor_value_info(*entry) for entry in inputs],
         [helper.make_tensor_value_info(name, kind, None) for name, kind in outputs],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9
+    )
     helper.set_model_props(model, metadata or {})
     onnx.save(model, path)
     return path
@@ -47,15 +57,22 @@ def save(path, nodes, outputs, *, inputs=(("images", TensorProto.FLOAT, FIXED),)
 
 def save_constants(path, arrays, **options):
     """A model that gives the same arrays for every image."""
-    kinds = {np.dtype(np.float32): TensorProto.FLOAT, np.dtype(np.int64): TensorProto.INT64}
+    kinds = {
+        np.dtype(np.float32): TensorProto.FLOAT,
+        np.dtype(np.int64): TensorProto.INT64,
+    }
     arrays = {name: np.asarray(array) for name, array in arrays.items()}
     nodes = [constant(name, array) for name, array in arrays.items()]
-    return save(path, nodes, [(n, kinds[a.dtype]) for n, a in arrays.items()], **options)
+    return save(
+        path, nodes, [(n, kinds[a.dtype]) for n, a in arrays.items()], **options
+    )
 
 
 def centred(boxes):
     x_min, y_min, x_max, y_max = np.asarray(boxes, dtype=float).T
-    return np.stack([(x_min + x_max) / 2, (y_min + y_max) / 2, x_max - x_min, y_max - y_min], 1)
+    return np.stack(
+        [(x_min + x_max) / 2, (y_min + y_max) / 2, x_max - x_min, y_max - y_min], 1
+    )
 
 
 def one_hot(ids, scores, n_classes, rest=0.0):
@@ -65,10 +82,14 @@ def one_hot(ids, scores, n_classes, rest=0.0):
 
 
 def f32(*parts):
-    return np.concatenate([np.asarray(p, dtype=float) for p in parts], axis=1).astype(np.float32)
+    return np.concatenate([np.asarray(p, dtype=float) for p in parts], axis=1).astype(
+        np.float32
+    )
 
 
-def as_torchvision(boxes, ids, scores):  # ids of COCO's 91 are one more for persons and bicycles
+def as_torchvision(
+    boxes, ids, scores
+):  # ids of COCO's 91 are one more for persons and bicycles
     return {
         "boxes": np.float32(boxes).reshape(-1, 4),
         "labels": np.int64(ids) + 1,
@@ -138,7 +159,10 @@ def path(tmp_path):
 
 def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
     """A detector of torchvision's kind: the box around all pixels with red above a threshold."""
-    axes = {"columns": (1, 2), "rows": (1, 3)}  # the axes to reduce, of (batch, 1, h, w)
+    axes = {
+        "columns": (1, 2),
+        "rows": (1, 3),
+    }  # the axes to reduce, of (batch, 1, h, w)
     nodes = [
         constant("threshold", np.float32([threshold])),
         constant("zero", np.int64([0])),
@@ -153,7 +177,9 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
         nodes += [
             helper.make_node("ReduceMax", ["bright"], [name], axes=reduced, keepdims=0),
             helper.make_node("ArgMax", [name], [f"{name}_min"], axis=1),
-            helper.make_node("ArgMax", [name], [f"{name}_last"], axis=1, select_last_index=1),
+            helper.make_node(
+                "ArgMax", [name], [f"{name}_last"], axis=1, select_last_index=1
+            ),
             helper.make_node("Add", [f"{name}_last", "one"], [f"{name}_max"]),
         ]
     corners = ["columns_min", "rows_min", "columns_max", "rows_max"]
@@ -174,7 +200,9 @@ def save_bright(path, shape, kind=TensorProto.FLOAT, threshold=0.5):
 def picture(width_px, height_px, box):
     image = np.zeros((height_px, width_px, 3), dtype=np.uint8)
     x_min, y_min, x_max, y_max = box
-    image[y_min:y_max, x_min:x_max, 0] = 255  # red alone: the channels must come in order
+    image[y_min:y_max, x_min:x_max, 0] = (
+        255  # red alone: the channels must come in order
+    )
     return image
 
 
@@ -199,7 +227,10 @@ def test_boxes_of_one_class_that_overlap_are_suppressed_where_the_export_has_not
     near = [5.0, 9.0, 21.0, 61.0]
     arrays = layout([PERSON, near, near], [0, 0, 1], [0.5, 0.75, 0.25])
     found = load_onnx_model(save_constants(path, arrays)).detect(GREY)
-    confidence = [0.75, 0.25] if layout in DENSE else [0.75, 0.5, 0.25]
+    if layout in DENSE:
+        confidence = [0.75, 0.25]
+    else:
+        confidence = [0.75, 0.5, 0.25]
     np.testing.assert_allclose(found.confidence, confidence, rtol=1e-5)
 
 
@@ -231,7 +262,8 @@ def test_masks_beside_boxes_labels_and_scores_are_left_alone(path):
 def test_detection_is_the_same_every_time(path):
     save_bright(path, FREE)
     image = picture(90, 70, (11, 13, 37, 41))
-    one, two = load_onnx_model(path), load_onnx_model(path)
+    one = load_onnx_model(path)
+    two = load_onnx_model(path)
     for found in (one.detect(image), one.detect(image), two.detect(image)):
         assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
         assert found.confidence.tolist() == [0.75]
@@ -242,7 +274,9 @@ def test_detection_is_the_same_every_time(path):
 
 @pytest.mark.parametrize("shape", [FREE, (1, 3, 70, 90)])
 def test_an_image_of_the_right_or_a_free_size_is_shown_as_it_is(path, shape):
-    found = load_onnx_model(save_bright(path, shape)).detect(picture(90, 70, (11, 13, 37, 41)))
+    found = load_onnx_model(save_bright(path, shape)).detect(
+        picture(90, 70, (11, 13, 37, 41))
+    )
     assert found.boxes_px.tolist() == [[11.0, 13.0, 37.0, 41.0]]
 
 
@@ -263,20 +297,31 @@ def test_inputs_may_be_half_floats_or_bytes(path, kind, threshold):
 
 
 def test_letterbox_worked_by_hand():
-    # 100 x 50 into 64 x 64: scale 0.64, so 64 x 32 with 16 rows of grey above and below.
+    # 100 x 50 into 64 x 64: scale 0.64, so 64 x 32 with 16 rows of grey above and
+    # below.
     fitted = letterbox(
-        np.full((50, 100, 3), 200, dtype=np.uint8), width_px=64, height_px=64, scale=0.64
+        np.full((50, 100, 3), 200, dtype=np.uint8),
+        width_px=64,
+        height_px=64,
+        scale=0.64,
     )
     assert (fitted.pixels[16:48] == 200).all()
     assert (fitted.pixels[:16] == 114).all()
     assert (fitted.pixels[48:] == 114).all()
-    boxes = fitted.to_image(np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]]))
-    np.testing.assert_allclose(boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]])
+    boxes = fitted.to_image(
+        np.array([[0.0, 16.0, 64.0, 48.0], [16.0, 24.0, 32.0, 40.0]])
+    )
+    np.testing.assert_allclose(
+        boxes, [[0.0, 0.0, 100.0, 50.0], [25.0, 12.5, 50.0, 37.5]]
+    )
 
 
 def test_letterbox_goes_back_by_the_scale_of_whole_pixels():
-    # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on each side.
-    fitted = letterbox(np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28)
+    # 30 x 50 into 64 x 64: scale 1.28, 38.4 columns become 38; 13 columns of grey on
+    # each side.
+    fitted = letterbox(
+        np.zeros((50, 30, 3), dtype=np.uint8), width_px=64, height_px=64, scale=1.28
+    )
     assert (fitted.pixels[0, :, 0] == [114] * 13 + [0] * 38 + [114] * 13).all()
     np.testing.assert_allclose(
         fitted.to_image(np.array([[13.0, 0.0, 51.0, 64.0], [32.0, 32.0, 51.0, 64.0]])),
@@ -309,7 +354,9 @@ def save_size_teller(path, inputs):
 
 def test_an_image_of_free_size_is_padded_to_yolos_grid(path):
     # 50 x 40 becomes 64 x 64: 7 columns and 12 rows before it.
-    model = load_onnx_model(save_size_teller(path, [("images", TensorProto.FLOAT, FREE)]))
+    model = load_onnx_model(
+        save_size_teller(path, [("images", TensorProto.FLOAT, FREE)])
+    )
     found = model.detect(np.zeros((40, 50, 3), dtype=np.uint8))
     np.testing.assert_allclose(found.confidence, [0.64])
     np.testing.assert_allclose(found.boxes_px, [[0.0, 0.0, 25.0, 40.0]])
@@ -322,7 +369,9 @@ def test_an_input_of_one_fixed_side_takes_the_image_scaled_to_it(path, shape):
     np.testing.assert_allclose(found.boxes_px, [[20.0, 10.0, 60.0, 40.0]])
 
 
-@pytest.mark.parametrize(("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)])
+@pytest.mark.parametrize(
+    ("n_classes", "expected"), [(91, (1.0 - 0.485) / 0.229), (80, 1.0)]
+)
 def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     path, n_classes, expected
 ):
@@ -330,7 +379,9 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
         constant("zero", np.int64([0])),
         constant("one", np.int64([1])),
         helper.make_node("Slice", ["images", "zero", "one", "one"], ["red"]),
-        helper.make_node("ReduceMax", ["red"], ["brightest"], axes=(1, 2, 3), keepdims=0),
+        helper.make_node(
+            "ReduceMax", ["red"], ["brightest"], axes=(1, 2, 3), keepdims=0
+        ),
         constant("size", np.int64([1, 1, n_classes])),
         helper.make_node("Expand", ["brightest", "size"], ["logits"]),
         constant("pred_boxes", np.float32([[[0.5, 0.5, 1.0, 1.0]]])),
@@ -338,7 +389,9 @@ def test_detr_with_91_classes_sees_the_image_by_imagenets_mean_and_spread(
     outputs = [("logits", TensorProto.FLOAT), ("pred_boxes", TensorProto.FLOAT)]
     model = load_onnx_model(save(path, nodes, outputs))
     found = model.detect(np.full((64, 64, 3), 255, dtype=np.uint8))
-    np.testing.assert_allclose(found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5)
+    np.testing.assert_allclose(
+        found.confidence, [1.0 / (1.0 + np.exp(-expected))], rtol=1e-5
+    )
 
 
 def test_the_size_that_rt_detr_asks_for_is_that_of_the_letterbox(path):
@@ -390,12 +443,17 @@ def test_labels_are_cocos_91(path):
 @pytest.mark.parametrize(
     ("names", "kinds"),
     [
-        ("{0: 'Car', 1: 'Pedestrian', 2: 'Cyclist'}", {0: "car", 1: "person", 2: "cyclist"}),
+        (
+            "{0: 'Car', 1: 'Pedestrian', 2: 'Cyclist'}",
+            {0: "car", 1: "person", 2: "cyclist"},
+        ),
         ("['bike', 'person']", {0: "bicycle", 1: "person"}),
     ],
 )
 def test_names_in_the_file_come_first(path, names, kinds):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names})
+    save_constants(
+        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
+    )
     assert load_onnx_model(path).detect(GREY).kinds == kinds
 
 
@@ -473,7 +531,9 @@ def test_a_motorcyclist_is_put_together_as_a_cyclist_is_and_neither_counts_for_t
 
 
 def test_a_bicycle_that_only_touches_a_person_is_not_ridden():
-    found = image_boxes(([10.0, 0.0, 20.0, 30.0], 1, 0.9), ([20.0, 0.0, 40.0, 30.0], 2, 0.7))
+    found = image_boxes(
+        ([10.0, 0.0, 20.0, 30.0], 1, 0.9), ([20.0, 0.0, 40.0, 30.0], 2, 0.7)
+    )
     assert len(boxes_of_class(found, "cyclist")[0]) == 2
 
 
@@ -486,7 +546,9 @@ def test_suppression_keeps_what_brute_force_keeps(rows, max_iou):
     ids = np.array([number for _, number in rows], dtype=np.int64)
     kept: list[int] = []
     for i in range(len(rows)):
-        if not any(ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept):
+        if not any(
+            ids[i] == ids[j] and iou(boxes[i], boxes[j]) > max_iou for j in kept
+        ):
             kept.append(i)
     assert suppress(boxes, ids, max_iou=max_iou).tolist() == kept
 
@@ -522,19 +584,26 @@ def test_a_file_that_was_cut_off(path):
 def test_a_classifier(path):
     save_constants(path, {"logits": np.zeros((1, 1000), dtype=np.float32)})
     text = message_of(path)
-    assert text.startswith("outputs logits (1, 1000); expected a detector's outputs: boxes (n, 4),")
+    assert text.startswith(
+        "outputs logits (1, 1000); expected a detector's outputs: boxes (n, 4),"
+    )
 
 
 def test_a_classifier_is_none_whatever_its_classes_are_called(path):
     arrays = {"output0": np.zeros((1, 2), dtype=np.float32)}
     save_constants(path, arrays, metadata={"names": "{0: 'tench', 1: 'groom'}"})
-    assert message_of(path).startswith("outputs output0 (1, 2); expected a detector's outputs")
+    assert message_of(path).startswith(
+        "outputs output0 (1, 2); expected a detector's outputs"
+    )
 
 
 @pytest.mark.parametrize(
     "arrays",
     [
-        {"output0": np.zeros((1, 116, 50), np.float32), "output1": np.zeros((1, 32, 8, 8), "f")},
+        {
+            "output0": np.zeros((1, 116, 50), np.float32),
+            "output1": np.zeros((1, 32, 8, 8), "f"),
+        },
         {"output0": np.zeros((1, 56, 50), np.float32)},  # poses
         {"output0": np.zeros((1, 21, 64, 64), np.float32)},  # segments
         {"output0": np.zeros((2, 84, 50), np.float32)},  # two images
@@ -583,32 +652,43 @@ def test_a_network_that_does_not_run(path):
         ("{'person': 0}", "a dictionary from number to name"),
         (
             "{0: 'cat'}",
-            "among them one of bicycle, bicyclist, bike, car, cyclist, motorbike, motorcycle, "
-            "motorcyclist, pedestrian, people, person, "
-            "rider",
+            (
+                "among them one of bicycle, bicyclist, bike, car, cyclist, motorbike,"
+                " motorcycle, motorcyclist, pedestrian, people, person, rider"
+            ),
         ),
     ],
 )
 def test_names_that_say_nothing(path, names, expected):
-    save_constants(path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names})
+    save_constants(
+        path, as_torchvision([PERSON], [0], [0.75]), metadata={"names": names}
+    )
     with pytest.raises(InputError) as caught:
         load_onnx_model(path)
-    assert str(caught.value) == f"{path}: metadata 'names': got {names!r}; expected {expected}"
+    assert (
+        str(caught.value)
+        == f"{path}: metadata 'names': got {names!r}; expected {expected}"
+    )
 
 
 def test_boxes_that_are_not_numbers(path):
     arrays = as_torchvision([[np.nan, 0.0, 1.0, 1.0]], [0], [0.75])
     model = load_onnx_model(save_constants(path, arrays))
-    with pytest.raises(InputError, match="got a box that is not a number; expected finite boxes"):
+    with pytest.raises(
+        InputError, match="got a box that is not a number; expected finite boxes"
+    ):
         model.detect(GREY)
 
 
 @pytest.mark.parametrize(
-    "image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)]
+    "image",
+    [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)],
 )
 def test_images_that_are_none(path, image):
     model = load_onnx_model(save_constants(path, as_torchvision([PERSON], [0], [0.75])))
-    with pytest.raises(InputError, match=r"expected uint8 of shape \(height, width, 3\)"):
+    with pytest.raises(
+        InputError, match=r"expected uint8 of shape \(height, width, 3\)"
+    ):
         model.detect(image)
 
 

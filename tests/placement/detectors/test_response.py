@@ -37,7 +37,9 @@ shares = st.floats(0.0, 1.0)
 
 
 def _box(height_px, n_rows=1):
-    return np.tile([100.0, 50.0, 100.0 + 0.4 * height_px, 50.0 + height_px], (n_rows, 1))
+    return np.tile(
+        [100.0, 50.0, 100.0 + 0.4 * height_px, 50.0 + height_px], (n_rows, 1)
+    )
 
 
 def _probability(detector, height_px, **looks):
@@ -49,10 +51,16 @@ def _probability(detector, height_px, **looks):
 
 
 def test_probability_is_the_product_that_one_works_out_by_hand():
-    # Seen: 0.75 of what is inside, 0.8 of it inside: 0.6, on the line from 0.6 to 0.9: 0.66.
-    # Height 40 px: 1 / (1 + (20 / 40)^2) = 0.8. A cyclist: 0.8. Seen at 60 degrees to its way:
-    # 1 - (1 - 0.5) cos^2 60 = 0.875. Contrast 0.25: (0.25 / 0.75) / (1 / 1.5) = 0.5.
-    looks = {"visible_share": 0.75, "inside_share": 0.8, "contrast": 0.25, "aspect_deg": 60.0}
+    # Seen: 0.75 of what is inside, 0.8 of it inside: 0.6, on the line from 0.6 to 0.9:
+    # 0.66. Height 40 px: 1 / (1 + (20 / 40)^2) = 0.8. A cyclist: 0.8. Seen at 60
+    # degrees to its way: 1 - (1 - 0.5) cos^2 60 = 0.875. Contrast 0.25: (0.25 / 0.75) /
+    # (1 / 1.5) = 0.5.
+    looks = {
+        "visible_share": 0.75,
+        "inside_share": 0.8,
+        "contrast": 0.25,
+        "aspect_deg": 60.0,
+    }
     expected = {
         "cyclist": 0.66 * 0.8 * 0.8 * 0.875 * 0.5,
         "child": 0.66 * 0.8 * 0.9 * 0.5,
@@ -72,7 +80,9 @@ def test_probability_is_the_product_that_one_works_out_by_hand():
     name=st.sampled_from(VRU_CLASSES),
     aspect_deg=st.floats(0.0, 90.0),
 )
-def test_probability_never_falls_with_height(low, more, seen, contrast, name, aspect_deg):
+def test_probability_never_falls_with_height(
+    low, more, seen, contrast, name, aspect_deg
+):
     looks = {
         "visible_share": seen,
         "contrast": contrast,
@@ -91,19 +101,23 @@ def test_probability_never_falls_with_height(low, more, seen, contrast, name, as
     values=st.tuples(shares, shares).map(sorted),
     other=shares,
 )
-def test_probability_never_falls_with_any_share_or_contrast(height_px, key, values, other):
+def test_probability_never_falls_with_any_share_or_contrast(
+    height_px, key, values, other
+):
     looks = dict.fromkeys(("visible_share", "inside_share", "contrast"), other)
     for detector in (DETECTOR, PLAIN):
-        less, more = (_probability(detector, height_px, **looks | {key: v}) for v in values)
+        less, more = (
+            _probability(detector, height_px, **looks | {key: v}) for v in values
+        )
         assert less <= more + 1e-12
 
 
 def test_what_the_edge_cuts_off_counts_as_hidden():
     hidden = _probability(DETECTOR, 90.0, visible_share=0.6)
     assert _probability(DETECTOR, 90.0, inside_share=0.6) == hidden
-    assert _probability(DETECTOR, 90.0, inside_share=0.8, visible_share=0.75) == pytest.approx(
-        hidden
-    )
+    assert _probability(
+        DETECTOR, 90.0, inside_share=0.8, visible_share=0.75
+    ) == pytest.approx(hidden)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +130,9 @@ def test_what_the_edge_cuts_off_counts_as_hidden():
 )
 def test_a_tall_vru_at_full_contrast_is_found_as_often_as_published(seen, miss_rate):
     """X. Wang et al., "Repulsion Loss", CVPR 2018, CityPersons."""
-    assert _probability(DETECTOR, 1.0e6, visible_share=seen) == pytest.approx(1.0 - miss_rate)
+    assert _probability(DETECTOR, 1.0e6, visible_share=seen) == pytest.approx(
+        1.0 - miss_rate
+    )
 
 
 def test_height_counts_for_half_where_it_is_said_to():
@@ -188,7 +204,9 @@ def test_the_same_seed_finds_the_same_boxes_and_another_others():
     assert np.array_equal(one.boxes_px, same.boxes_px)
     assert np.array_equal(one.confidence, same.confidence)
     assert not np.array_equal(one.row_index, other.row_index)
-    assert one.confidence == pytest.approx(_probability(DETECTOR, 40.0, visible_share=0.7))
+    assert one.confidence == pytest.approx(
+        _probability(DETECTOR, 40.0, visible_share=0.7)
+    )
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7, 1.0])
@@ -198,7 +216,9 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
     n_runs = 20_000
     detector = replace(DETECTOR, frame_correlation=correlation)
     evidence = build_evidence(
-        _box(height_px, 5 * n_runs), draw_index=_runs_of(n_runs, 5).ravel(), visible_share=0.8
+        _box(height_px, 5 * n_runs),
+        draw_index=_runs_of(n_runs, 5).ravel(),
+        visible_share=0.8,
     )
     hits = _hits(detector, evidence, 1).reshape(n_runs, 5)
     probability = _probability(detector, height_px, visible_share=0.8)
@@ -209,19 +229,25 @@ def test_the_share_of_detections_is_the_probability(correlation, height_px):
 
 def test_frames_are_independent_without_correlation_and_alike_with_all_of_it():
     n_runs, index = 20_000, _runs_of(20_000, 4).ravel()
-    evidence = build_evidence(_box(40.0, 4 * n_runs), draw_index=index, visible_share=0.7)
+    evidence = build_evidence(
+        _box(40.0, 4 * n_runs), draw_index=index, visible_share=0.7
+    )
     probability = _probability(DETECTOR, 40.0, visible_share=0.7)
 
     def hits(correlation):
         detector = replace(DETECTOR, frame_correlation=correlation)
         return _hits(detector, evidence, 2).reshape(n_runs, 4)
 
-    free, some, bound = hits(0.0), hits(0.7), hits(1.0)
+    free = hits(0.0)
+    some = hits(0.7)
+    bound = hits(1.0)
     both = probability**2
     tolerance = 5.0 * math.sqrt(both * (1.0 - both) / n_runs)
     assert (free[:, 0] & free[:, 1]).mean() == pytest.approx(both, abs=tolerance)
     assert (some[:, 0] & some[:, 1]).mean() > both + tolerance
-    assert (some[:, 0] & some[:, 1]).mean() > (some[:, 0] & some[:, 3]).mean() + tolerance
+    assert (some[:, 0] & some[:, 1]).mean() > (
+        some[:, 0] & some[:, 3]
+    ).mean() + tolerance
     assert (bound == bound[:, :1]).all()
     assert 0.0 < bound.mean() < 1.0
     # One run says nothing about the next.
@@ -258,11 +284,15 @@ def test_boxes_are_off_by_the_noise_asked_for_and_are_still_correct():
     assert np.abs(off.mean(axis=0)).max() < 0.002
     assert off.std(axis=0) == pytest.approx(DETECTOR.box_noise_share, rel=0.03)
     assert (iou(found.boxes_px, truth[found.row_index]) > 0.5).all()
-    exact = replace(DETECTOR, box_noise_share=0.0).detect(evidence, np.random.default_rng(7))
+    exact = replace(DETECTOR, box_noise_share=0.0).detect(
+        evidence, np.random.default_rng(7)
+    )
     assert np.array_equal(exact.row_index, found.row_index)
     assert np.array_equal(exact.boxes_px, truth[exact.row_index])
     assert is_matched(exact, truth, min_iou=0.99).sum() == len(exact.row_index)
-    wild = replace(DETECTOR, box_noise_share=1.0).detect(evidence, np.random.default_rng(7))
+    wild = replace(DETECTOR, box_noise_share=1.0).detect(
+        evidence, np.random.default_rng(7)
+    )
     # The probability is that of correct boxes: however wild, they find as many.
     assert np.array_equal(wild.row_index, found.row_index)
     assert is_matched(wild, truth, min_iou=0.5).sum() == len(wild.row_index)
@@ -296,7 +326,10 @@ def test_every_number_but_the_name_changes_the_fingerprint():
             )
         },
     }
-    found = [replace(PLAIN, **{field: value}).fingerprint() for field, value in changes.items()]
+    found = [
+        replace(PLAIN, **{field: value}).fingerprint()
+        for field, value in changes.items()
+    ]
     assert len({PLAIN.fingerprint(), *found}) == len(changes) + 1
     assert replace(PLAIN, name="other").fingerprint() == PLAIN.fingerprint()
 
@@ -306,7 +339,10 @@ def test_every_number_but_the_name_changes_the_fingerprint():
     [
         ({"recall": [0.0, 1.2, 0.9]}, "recall: got 1.2; expected 0 .. 1"),
         ({"recall": [0.0, 0.9]}, "recall: got shape (2,); expected shape (3,)"),
-        ({"recall": [0.0, math.nan, 0.9]}, "recall: got [0.0, nan, 0.9]; expected finite numbers"),
+        (
+            {"recall": [0.0, math.nan, 0.9]},
+            "recall: got [0.0, nan, 0.9]; expected finite numbers",
+        ),
         (
             {"seen_share": [0.0, 0.7, 0.6]},
             "seen_share: got [0.0, 0.7, 0.6]; expected shares that ascend from 0 to 1",
@@ -319,14 +355,26 @@ def test_every_number_but_the_name_changes_the_fingerprint():
             {"seen_share": [0.0, 0.7, 0.9]},
             "seen_share: got [0.0, 0.7, 0.9]; expected shares that ascend from 0 to 1",
         ),
-        ({"class_factor": [1.0, 1.0, 1.0, 1.0, -0.1]}, "class_factor: got -0.1; expected 0 .. 1"),
-        ({"class_factor": [1.0, 1.0]}, "class_factor: got shape (2,); expected shape (5,)"),
+        (
+            {"class_factor": [1.0, 1.0, 1.0, 1.0, -0.1]},
+            "class_factor: got -0.1; expected 0 .. 1",
+        ),
+        (
+            {"class_factor": [1.0, 1.0]},
+            "class_factor: got shape (2,); expected shape (5,)",
+        ),
         ({"cyclist_end_on": 1.5}, "cyclist_end_on: got 1.5; expected 0 .. 1"),
-        ({"frame_correlation": math.nan}, "frame_correlation: got nan; expected 0 .. 1"),
+        (
+            {"frame_correlation": math.nan},
+            "frame_correlation: got nan; expected 0 .. 1",
+        ),
         ({"plan_probability": -0.5}, "plan_probability: got -0.5; expected 0 .. 1"),
         ({"height_half_px": 0.0}, "height_half_px: got 0.0; expected a number, > 0"),
         ({"contrast_half": math.inf}, "contrast_half: got inf; expected a number, > 0"),
-        ({"contrast_steepness": -1.0}, "contrast_steepness: got -1.0; expected a number, > 0"),
+        (
+            {"contrast_steepness": -1.0},
+            "contrast_steepness: got -1.0; expected a number, > 0",
+        ),
     ],
 )
 def test_a_response_says_what_is_wrong(change, message):

@@ -9,7 +9,12 @@ import pytest
 from met_cases import MET_CASES
 
 from geometry.errors import InputError, MissingExtraError
-from placement.detectors import Evidence, built_in, load_detector, load_planning_detector
+from placement.detectors import (
+    Evidence,
+    built_in,
+    load_detector,
+    load_planning_detector,
+)
 from placement.detectors.evidence import Crop
 from placement.question import Question
 from placement.setting import build_setting
@@ -26,13 +31,20 @@ def test_it_is_small_and_has_a_card():
     data = files("placement.detectors") / "data"
     assert len((data / "vru.onnx").read_bytes()) < 5e6
     card = (data / "vru.md").read_text(encoding="utf-8")
-    for word in ("Apache-2.0", "AP50", "log-average miss rate", "junctions that it has never seen"):
+    for word in (
+        "Apache-2.0",
+        "AP50",
+        "log-average miss rate",
+        "junctions that it has never seen",
+    ):
         assert word in card
 
 
 def test_the_extra_is_named_where_onnxruntime_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(MissingExtraError, match=r"needs onnxruntime: pip install place-rsus\[perc"):
+    with pytest.raises(
+        MissingExtraError, match=r"needs onnxruntime: pip install place-rsus\[perc"
+    ):
         load_detector("cnn")
 
 
@@ -52,18 +64,27 @@ def test_what_it_has_not_learnt_is_refused():
     for name, known in (("car", "car"), ("motorcyclist", "motorcycle or motorcyclist")):
         with pytest.raises(InputError) as caught:
             network.check_classes(["pedestrian", name])
-        assert str(caught.value) == (
-            f"detector cnn: got runs with a {name}; expected a network that knows {known}"
+        assert (
+            str(caught.value)
+            == f"detector cnn: got runs with a {name}; expected a network that knows"
+            f" {known}"
         )
 
 
 def test_runs_with_it_are_checked_before_anything_is_built(caplog):
     pytest.importorskip("onnxruntime")
-    met = Question(cases=str(MET_CASES), protect="all", approaches="east", along_arms="0")
-    with pytest.raises(InputError, match="detector cnn: got runs with a car; expected a network"):
+    met = Question(
+        cases=str(MET_CASES), protect="all", approaches="east", along_arms="0"
+    )
+    with pytest.raises(
+        InputError, match="detector cnn: got runs with a car; expected a network"
+    ):
         build_setting(replace(met, detector="cnn"))
     build_setting(replace(met, detector="cnn-table"))
-    assert "Nothing is measured of motorcyclist (factor 1) and car (factor 1)" in caplog.text
+    assert (
+        "Nothing is measured of motorcyclist (factor 1) and car (factor 1)"
+        in caplog.text
+    )
 
 
 class _Crops:
@@ -79,7 +100,16 @@ class _Crops:
         for row in rows:
             self.drawn.append(row)
             pixels = np.full((64, 64, 3), 120, dtype=np.uint8)
-            yield row, Crop(pixels=pixels, left_px=0.0, top_px=0.0, scale=1.0, middle_px=(0.0, 0.0))
+            yield (
+                row,
+                Crop(
+                    pixels=pixels,
+                    left_px=0.0,
+                    top_px=0.0,
+                    scale=1.0,
+                    middle_px=(0.0, 0.0),
+                ),
+            )
 
 
 def _evidence(heights, crops):

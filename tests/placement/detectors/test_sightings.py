@@ -42,7 +42,9 @@ def gather(*pictures):
 
 
 def test_a_box_that_overlaps_enough_is_found_and_its_sides_are_compared():
-    seen, alarms = gather(picture(found=[moved(PERSON, 4.0)]), picture(1, found=[BESIDE]))
+    seen, alarms = gather(
+        picture(found=[moved(PERSON, 4.0)]), picture(1, found=[BESIDE])
+    )
     assert seen.is_found.tolist() == [True, False]
     np.testing.assert_allclose(seen.box_error[0], [0.1, 0.0, 0.1, 0.0])
     assert np.isnan(seen.box_error[1]).all()
@@ -106,7 +108,9 @@ def test_two_alarms_side_by_side_do_not_swap():
 
 
 def test_tracks_of_two_cameras_are_apart():
-    _, alarms = gather(*(picture(frame, found=[BESIDE], track=frame % 2) for frame in range(6)))
+    _, alarms = gather(
+        *(picture(frame, found=[BESIDE], track=frame % 2) for frame in range(6))
+    )
     assert alarms.confirmed == 0
 
 
@@ -129,7 +133,9 @@ def test_the_wilson_interval_solves_its_equation(found, frames):
     interval = wilson(found, frames)
     for end in (interval.low, interval.high):
         off = abs(found / frames - end)
-        assert off == pytest.approx(1.959964 * np.sqrt(end * (1.0 - end) / frames), abs=1e-9)
+        assert off == pytest.approx(
+            1.959964 * np.sqrt(end * (1.0 - end) / frames), abs=1e-9
+        )
 
 
 def test_impossible_values_are_refused():

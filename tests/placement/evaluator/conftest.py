@@ -37,7 +37,10 @@ def _block(name: str, size_m: Sequence[float]) -> Actor:
         width_m=size_m[1],
         height_m=size_m[2],
         shapes=(
-            Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]], triangles=mesh.faces),
+            Shape(
+                vertices_m=mesh.vertices + [0.0, 0.0, 0.5 * size_m[2]],
+                triangles=mesh.faces,
+            ),
         ),
     )
 
@@ -106,9 +109,14 @@ def build_run(vut: Actor) -> Callable[..., Run]:
     ) -> Run:
         vru_array = np.array(vru_poses, dtype=np.float64)
         far = np.tile([-90.0, 90.0, 0.0], (len(vru_array), 1))
-        vut_array = far if vut_poses is None else np.array(vut_poses, dtype=np.float64)
+        if vut_poses is None:
+            vut_array = far
+        else:
+            vut_array = np.array(vut_poses, dtype=np.float64)
         motion = Motion(
-            path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+            path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
+            speed_mps=1.0,
+            start_time_s=0.0,
         )
         return Run(
             id="test",
@@ -156,7 +164,11 @@ def study_runs(vut: Actor) -> tuple[Run, ...]:
     for name, approach in (("CPNC-50", "north"), ("CBNA", "east"), ("CBLA", "south")):
         cases = select_cases(name, speeds="30,60").cases
         some, _ = build_runs(
-            load_study_scene(), cases, vut=vut, rule=load_aeb_rule(), approaches=[approach]
+            load_study_scene(),
+            cases,
+            vut=vut,
+            rule=load_aeb_rule(),
+            approaches=[approach],
         )
         runs += some
     return tuple(runs)

@@ -21,9 +21,13 @@ def walk(build_run):
 
     def build(steps_m, yaw_deg=None, vru="adult"):
         east_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-        yaws = np.zeros(len(east_m)) if yaw_deg is None else yaw_deg
+        if yaw_deg is None:
+            yaws = np.zeros(len(east_m))
+        else:
+            yaws = yaw_deg
         return build_run(
-            pick_actor(vru, "test"), np.column_stack([east_m, np.zeros(len(east_m)), yaws])
+            pick_actor(vru, "test"),
+            np.column_stack([east_m, np.zeros(len(east_m)), yaws]),
         )
 
     return build
@@ -133,7 +137,9 @@ def test_a_lost_message_leaves_what_was_known_until_the_next_must_come(walk):
 
 def test_vrus_carry_devices_as_often_as_said_and_keep_them_for_a_run(walk):
     n_runs = 2000
-    known = _known([walk([0.14] * 3) for _ in range(n_runs)], vam_rate=0.3).reshape(n_runs, 4)
+    known = _known([walk([0.14] * 3) for _ in range(n_runs)], vam_rate=0.3).reshape(
+        n_runs, 4
+    )
     assert (known == known[:, :1]).all()
     # Five standard deviations of a binomial distribution.
     tolerance = 5.0 * np.sqrt(0.3 * 0.7 / n_runs)
@@ -142,14 +148,18 @@ def test_vrus_carry_devices_as_often_as_said_and_keep_them_for_a_run(walk):
 
 def test_the_seed_says_who_and_what(walk):
     runs = [walk([0.14] * 30) for _ in range(50)]
-    one, same, other = (_known(runs, seed, vam_rate=0.5, packet_loss=0.3) for seed in (1, 1, 2))
+    one, same, other = (
+        _known(runs, seed, vam_rate=0.5, packet_loss=0.3) for seed in (1, 1, 2)
+    )
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
 
 
 def test_the_same_road_user_has_the_same_luck_in_all_weathers(walk):
     drives = [walk([0.14] * 30) for _ in range(20)]
-    runs = [replace(run, weather=weather) for weather in ("day", "fog") for run in drives]
+    runs = [
+        replace(run, weather=weather) for weather in ("day", "fog") for run in drives
+    ]
     by_day, in_fog = _known(runs, vam_rate=0.5, packet_loss=0.5).reshape(2, -1)
     assert np.array_equal(by_day, in_fog)
     assert by_day.any()

@@ -36,7 +36,9 @@ LAYOUT = Layout(name="two", units=(unit("a"), unit("b", 30.0)))
 def runs(build_run):
     adult = pick_actor("adult", "test")
     n = 21
-    along = np.column_stack([np.full(n, 12.0), np.linspace(-4.0, 4.0, n), np.full(n, 90.0)])
+    along = np.column_stack(
+        [np.full(n, 12.0), np.linspace(-4.0, 4.0, n), np.full(n, 90.0)]
+    )
     return [build_run(adult, along), replace(build_run(adult, along[::-1]), id="other")]
 
 
@@ -60,14 +62,22 @@ def looked(monkeypatch):
 
 
 def assert_same(one, other):
-    for name, verdict in (("vut", one.vut), ("rsu_all", one.rsu_all), *one.units.items()):
+    for name, verdict in (
+        ("vut", one.vut),
+        ("rsu_all", one.rsu_all),
+        *one.units.items(),
+    ):
         again = {"vut": other.vut, "rsu_all": other.rsu_all, **other.units}[name]
         for field in ("detected", "confirmation_time_s", "onset_time_s", "is_avoided"):
-            assert np.array_equal(getattr(verdict, field), getattr(again, field), equal_nan=True)
+            assert np.array_equal(
+                getattr(verdict, field), getattr(again, field), equal_nan=True
+            )
 
 
 @pytest.mark.parametrize("detector", ["geometric", "response"])
-def test_the_second_call_looks_at_nothing_and_finds_the_same(setting, tmp_path, looked, detector):
+def test_the_second_call_looks_at_nothing_and_finds_the_same(
+    setting, tmp_path, looked, detector
+):
     setting = replace(setting, detector=load_detector(detector))
     compute = Compute(workers=1, cache_folder=tmp_path)
     first = evaluate_layout(LAYOUT, setting, compute=compute)
@@ -113,7 +123,9 @@ CHANGES = {
         s, scene=replace(s.scene, vertices_m=s.scene.vertices_m + [0.0, 0.0, 1.0e-6])
     ),
     "weather": lambda s: _with_run(s, weather="fog"),
-    "VRU's way": lambda s: _with_run(s, vru_position_m=s.runs[0].vru_position_m + 1.0e-6),
+    "VRU's way": lambda s: _with_run(
+        s, vru_position_m=s.runs[0].vru_position_m + 1.0e-6
+    ),
     "VUT's way": lambda s: _with_run(s, vut_yaw_deg=s.runs[0].vut_yaw_deg + 1.0),
     "shapes": lambda s: _with_run(s, vru_shape=s.runs[0].vru_shape[::-1]),
     "detector": lambda s: replace(s, detector=replace(s.detector, min_iou=0.51)),
@@ -122,14 +134,18 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_whatever_changes_what_is_seen_is_looked_at_anew(setting, tmp_path, looked, change):
+def test_whatever_changes_what_is_seen_is_looked_at_anew(
+    setting, tmp_path, looked, change
+):
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
     evaluate_layout(LAYOUT, CHANGES[change](setting), compute=compute)
     assert looked == [(["a", "b"], True)] * 2
 
 
-def test_seed_weathers_and_version_are_part_of_the_key(setting, tmp_path, looked, monkeypatch):
+def test_seed_weathers_and_version_are_part_of_the_key(
+    setting, tmp_path, looked, monkeypatch
+):
     compute = Compute(workers=1, cache_folder=tmp_path)
     evaluate_layout(LAYOUT, setting, compute=compute)
     evaluate_layout(LAYOUT, setting, compute=replace(compute, seed=1))

@@ -55,7 +55,11 @@ def seen(scene, camera):
         if from_vut:
             mount = replace(load_vut_camera(), camera=camera)
             evidence = perceive_frames(surroundings, mount)
-            return source.crops(mount, evidence.amodal_px), source.pictures(mount), evidence
+            return (
+                source.crops(mount, evidence.amodal_px),
+                source.pictures(mount),
+                evidence,
+            )
         evidence = perceive_frames(surroundings, (POSE, camera))
         crops = source.crops((POSE, camera), evidence.amodal_px)
         return crops, source.pictures((POSE, camera)), evidence
@@ -78,17 +82,23 @@ def test_a_window_has_the_box_in_its_middle_but_stays_in_the_image(larger):
     inside = window_around(np.array([500.0, 400.0, 520.0, 450.0]), larger, side_px=96)
     assert inside == Window(462, 377, 96, 96)
     corner = np.array([larger.width_px - 9.0, 0.0, larger.width_px, 30.0])
-    assert window_around(corner, larger, side_px=96) == Window(larger.width_px - 96, 0, 96, 96)
+    assert window_around(corner, larger, side_px=96) == Window(
+        larger.width_px - 96, 0, 96, 96
+    )
 
 
-@pytest.mark.parametrize("weather", ["day", pytest.param("night", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "weather", ["day", pytest.param("night", marks=pytest.mark.long)]
+)
 def test_a_crop_is_that_part_of_the_whole_picture(last_frames, seen, larger, weather):
     run = replace(last_frames("CPNC-50/west/30", 1), weather=weather)
     crops, picture, evidence = seen([run], camera=larger)
     crop = alone(crops, 0)
     assert crop.scale == 1.0
     side = len(crop.pixels)
-    left, top, right, bottom = crop.to_image(np.array([[0.0, 0.0, side, side]]))[0].astype(int)
+    left, top, right, bottom = crop.to_image(np.array([[0.0, 0.0, side, side]]))[
+        0
+    ].astype(int)
     box = evidence.amodal_px[0]
     assert left <= box[0] < box[2] <= right
     assert top <= box[1] < box[3] <= bottom
@@ -112,7 +122,9 @@ def test_a_road_user_that_would_fill_a_crop_is_drawn_smaller(last_frames, seen, 
     assert (whole[2:] >= box[2:] - 1.0e-6).all()
 
 
-def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(last_frames, seen):
+def test_frames_look_the_same_where_only_a_vut_out_of_sight_has_moved(
+    last_frames, seen
+):
     run = last_frames("CPNC-50/west/30", 2)
     still = {
         name: np.repeat(getattr(run, name)[:1], 2, axis=0)
@@ -150,7 +162,9 @@ def test_the_shadow_of_the_vut_belongs_to_it(last_frames, seen):
     assert near.key(0)[-1] == 0  # a frame of its own
 
 
-def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(runs, seen, larger):
+def test_the_shipped_network_finds_most_cyclists_that_are_50_px_high(
+    runs, seen, larger
+):
     pytest.importorskip("onnxruntime")
     by_name = {run.id: run for run in runs}
     run = by_name["CBLA/west/25"]

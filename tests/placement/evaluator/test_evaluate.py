@@ -45,7 +45,9 @@ def build_layout(camera):
                     id=name,
                     site_id="",
                     pose=Pose(
-                        position_m=np.array([x_m + index, 0.0, 7.0]), yaw_deg=0.0, pitch_deg=-20.0
+                        position_m=np.array([x_m + index, 0.0, 7.0]),
+                        yaw_deg=0.0,
+                        pitch_deg=-20.0,
                     ),
                     sensor=sensor,
                     latency_s=None if latencies_s is None else latencies_s[index],
@@ -62,11 +64,19 @@ def pretend(monkeypatch, build_layout, setting, axis):
     """Evaluate detections given by hand, one row per unit, instead of those rendered."""
 
     def evaluate_rows(
-        *unit_rows, vut_row=None, vut_lidar_row=None, latencies_s=None, seed=0, **changes
+        *unit_rows,
+        vut_row=None,
+        vut_lidar_row=None,
+        latencies_s=None,
+        seed=0,
+        **changes,
     ):
         rows = np.array(unit_rows, dtype=bool)
         nothing = np.zeros(axis.n_frames, dtype=bool)
-        by_vut = nothing if vut_row is None else vut_row
+        if vut_row is None:
+            by_vut = nothing
+        else:
+            by_vut = vut_row
 
         def evidence(row, surroundings):
             box = np.where(row[:, None], [0.0, 0.0, 50.0, 50.0], 0.0)
@@ -74,7 +84,10 @@ def pretend(monkeypatch, build_layout, setting, axis):
 
         def from_camera(surroundings, by, *, min_height_px):
             is_of_vut = isinstance(by, VutCamera)
-            row = by_vut if is_of_vut else rows[round(float(by[0].position_m[0]))]
+            if is_of_vut:
+                row = by_vut
+            else:
+                row = rows[round(float(by[0].position_m[0]))]
             return evidence(row, surroundings)
 
         def by_vut_lidar(surroundings, mount, lidar, rng):
@@ -120,7 +133,8 @@ def _is_equal(verdict, other):
 
 
 def test_third_consecutive_frame_confirms(pretend, axis):
-    two, three = _frames(axis, 0, 1, 2, 4, 5), _frames(axis, 0, 1, 2, 4, 5, 6)
+    two = _frames(axis, 0, 1, 2, 4, 5)
+    three = _frames(axis, 0, 1, 2, 4, 5, 6)
     evaluation = pretend(two, three)
     assert np.isinf(evaluation.units["unit 0"].confirmation_time_s).all()
     assert not evaluation.units["unit 0"].is_avoided.any()
@@ -134,7 +148,9 @@ def test_third_consecutive_frame_confirms(pretend, axis):
 
 
 def test_fused_units_confirm_together_what_none_confirms_alone(pretend, axis):
-    evaluation = pretend(_frames(axis, 0, 1, 3), _frames(axis, 0, 2), vut_row=_frames(axis, 1, 3))
+    evaluation = pretend(
+        _frames(axis, 0, 1, 3), _frames(axis, 0, 2), vut_row=_frames(axis, 1, 3)
+    )
     assert all(np.isinf(v.confirmation_time_s).all() for v in evaluation.units.values())
     assert evaluation.rsu_all.confirmation_time_s[0] == axis.time_s[3]
     assert evaluation.rsu_all.is_avoided[0]
@@ -158,7 +174,9 @@ def test_confirmation_does_not_reach_over_the_border_of_two_runs(pretend, axis):
 
 
 @pytest.mark.parametrize(("late_s", "is_avoided"), [(0.0, True), (0.001, False)])
-def test_braking_at_the_last_moment_avoids_and_later_does_not(pretend, axis, late_s, is_avoided):
+def test_braking_at_the_last_moment_avoids_and_later_does_not(
+    pretend, axis, late_s, is_avoided
+):
     row = _frames(axis, 0, 1, 2, 3)
     latency_s = float(axis.last_brake_time_s[0] - axis.time_s[3]) + late_s
     evaluation = pretend(row, rule=replace(RULE, latency_s=latency_s))
@@ -197,19 +215,24 @@ def test_the_message_of_a_slow_unit_decides_when_no_other_saw_that_frame(pretend
     assert (fused.detected == (fast | slow)).all()
 
 
-def test_a_unit_is_judged_by_its_own_latency_and_the_rule_is_for_those_without(pretend, axis):
+def test_a_unit_is_judged_by_its_own_latency_and_the_rule_is_for_those_without(
+    pretend, axis
+):
     row = _frames(axis, 0, 1, 2, 3)
     spare_s = float(axis.last_brake_time_s[0] - axis.time_s[3])
     late = pretend(row, row, vut_row=row, latencies_s=[spare_s + 0.01, None])
     last_s = float(axis.last_brake_time_s[0])
-    assert late.units["unit 0"].onset_time_s[0] == pytest.approx(last_s + 0.01, abs=1e-12)
+    assert late.units["unit 0"].onset_time_s[0] == pytest.approx(
+        last_s + 0.01, abs=1e-12
+    )
     assert late.units["unit 1"].onset_time_s[0] == axis.time_s[3] + RULE.latency_s
     assert [late.units[f"unit {i}"].is_avoided[0] for i in (0, 1)] == [False, True]
     assert late.rsu_all.onset_time_s[0] == late.vut.onset_time_s[0]
 
 
 def test_without_any_message_the_vut_is_left_alone(pretend, axis):
-    row, by_vut = _frames(axis, 0, *range(9)), _frames(axis, 1, *range(4, 9))
+    row = _frames(axis, 0, *range(9))
+    by_vut = _frames(axis, 1, *range(4, 9))
     lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=1.0))
     none_lost = pretend(row, row, vut_row=by_vut, radio=Radio(packet_loss=0.0), seed=5)
     plain = pretend(row, row, vut_row=by_vut)
@@ -224,7 +247,8 @@ def test_without_any_message_the_vut_is_left_alone(pretend, axis):
 def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
     row = np.ones(axis.n_frames, dtype=bool)
     links = Radio(packet_loss=0.3)
-    two, one = pretend(row, row, vut_row=row, radio=links), pretend(row, radio=links)
+    two = pretend(row, row, vut_row=row, radio=links)
+    one = pretend(row, radio=links)
     a, b = (unit.detected for unit in two.units.values())
     n = axis.n_frames
     # Five standard deviations of a binomial distribution.
@@ -240,7 +264,8 @@ def test_messages_are_lost_as_often_as_said_and_unit_by_unit(pretend, axis):
 
 
 def test_road_users_that_announce_themselves_are_a_source_of_their_own(pretend, axis):
-    by_unit, nothing = _frames(axis, 0, 1, 2, 3), np.zeros(axis.n_frames, dtype=bool)
+    by_unit = _frames(axis, 0, 1, 2, 3)
+    nothing = np.zeros(axis.n_frames, dtype=bool)
     assert pretend(by_unit, radio=Radio(vam_rate=0.0)).others == {}
     all_equipped = pretend(by_unit, radio=Radio(vam_rate=1.0))
     assert list(all_equipped.others) == ["vam", "all_sources"]
@@ -282,8 +307,13 @@ def test_the_vut_looks_with_what_it_has(pretend, axis, sensors, expected):
 def test_unknown_sensors_of_the_vut_and_shares_beyond_one_are_named(setting):
     with pytest.raises(InputError) as caught:
         replace(setting, vut_sensors=("camera", "radar"))
-    assert str(caught.value) == "vut_sensors: got 'radar'; expected one or more of camera, lidar"
-    with pytest.raises(InputError, match="vut_sensors: got 'none'; expected one or more of"):
+    assert (
+        str(caught.value)
+        == "vut_sensors: got 'radar'; expected one or more of camera, lidar"
+    )
+    with pytest.raises(
+        InputError, match="vut_sensors: got 'none'; expected one or more of"
+    ):
         replace(setting, vut_sensors=())
     with pytest.raises(InputError, match=r"packet_loss: got 1.1; expected 0 .. 1"):
         Radio(packet_loss=1.1)
@@ -318,9 +348,12 @@ def test_threads_and_company_do_not_change_a_verdict(build_layout, real, study_r
     assert n_done == [(0, 0), *((done, 6) for done in range(1, 7))]
     assert (together[0].units["a"].detected == together[1].units["c"].detected).all()
     for name in ("vut", "rsu_all", "vut_and_rsus"):
-        assert (getattr(together[1], name).detected == getattr(alone, name).detected).all()
+        assert (
+            getattr(together[1], name).detected == getattr(alone, name).detected
+        ).all()
     evidence = perceive_frames(
-        build_surroundings(setting.scene, study_runs), (b.units[0].pose, b.units[0].sensor)
+        build_surroundings(setting.scene, study_runs),
+        (b.units[0].pose, b.units[0].sensor),
     )
     assert (alone.units["c"].detected == setting.detector.is_expected(evidence)).all()
     assert [unit.id for unit in together[0].layout.units] == list(together[0].units)
@@ -356,7 +389,9 @@ def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, rea
     setting = replace(setting, vut_sensors=("camera", "lidar"))
     layout = build_layout("l", "m", x_m=x_m, sensor=LIDAR)
     by_points = evaluate_layout(layout, setting)
-    drawn = evaluate_layout(layout, replace(setting, detector=load_detector("pointrcnn-2019")))
+    drawn = evaluate_layout(
+        layout, replace(setting, detector=load_detector("pointrcnn-2019"))
+    )
     for name, verdict in by_points.units.items():
         found = drawn.units[name].detected[verdict.detected]
         assert (drawn.units[name].detected <= verdict.detected).all()
@@ -365,7 +400,9 @@ def test_a_lidars_table_finds_some_of_those_with_enough_points(build_layout, rea
     assert (drawn.vut.detected < by_points.vut.detected).any()
 
 
-def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(build_layout, build_setting, real):
+def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(
+    build_layout, build_setting, real
+):
     """The same frame has the same luck in every weather: only the weather makes the difference."""
     setting, x_m = real
     layout = build_layout("a", x_m=x_m)
@@ -376,10 +413,13 @@ def test_what_is_missed_by_day_is_missed_at_night_and_in_fog(build_layout, build
     ]
     question = build_setting(setting.scene, runs, detector=load_detector("response"))
     evaluation = evaluate_layout(layout, question)
-    of_weather = np.array(question.axis.weathers).repeat(np.diff(question.axis.run_start))
+    of_weather = np.array(question.axis.weathers).repeat(
+        np.diff(question.axis.run_start)
+    )
     for verdict in (evaluation.units["a"], evaluation.vut):
         by_day, at_night, in_rain, in_fog = (
-            verdict.detected[of_weather == weather] for weather in ("day", "night", "rain", "fog")
+            verdict.detected[of_weather == weather]
+            for weather in ("day", "night", "rain", "fog")
         )
         assert in_fog.any()
         for other in (at_night, in_rain, in_fog):
@@ -405,7 +445,8 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
             raise KeyboardInterrupt
         n_seen.append(1)
         return build_evidence(
-            np.zeros((len(surroundings.vru_poses), 4)), draw_index=surroundings.draw_index
+            np.zeros((len(surroundings.vru_poses), 4)),
+            draw_index=surroundings.draw_index,
         )
 
     monkeypatch.setattr(perceive, "perceive_frames", from_camera)
@@ -416,10 +457,18 @@ def test_interruption_leaves_the_other_units_unseen(monkeypatch, build_layout, s
 
 def test_wrong_axis_and_workers_are_named(build_layout, setting, study_runs):
     layout = build_layout("a")
-    axis = build_frame_axis(study_runs[1:], np.full(len(study_runs) - 1, 1 / (len(study_runs) - 1)))
-    with pytest.raises(InputError, match="axis: got frames of other runs; expected the frame axis"):
+    axis = build_frame_axis(
+        study_runs[1:], np.full(len(study_runs) - 1, 1 / (len(study_runs) - 1))
+    )
+    with pytest.raises(
+        InputError, match="axis: got frames of other runs; expected the frame axis"
+    ):
         evaluate_layout(layout, replace(setting, axis=axis))
-    with pytest.raises(InputError, match="axis: got frames of other runs; expected the frame axis"):
+    with pytest.raises(
+        InputError, match="axis: got frames of other runs; expected the frame axis"
+    ):
         evaluate_layout(layout, replace(setting, runs=setting.runs[1:]))
-    with pytest.raises(InputError, match="workers: got 0; expected a whole number, at least 1"):
+    with pytest.raises(
+        InputError, match="workers: got 0; expected a whole number, at least 1"
+    ):
         evaluate_layout(layout, setting, compute=Compute(workers=0))

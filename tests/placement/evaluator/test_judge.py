@@ -63,7 +63,9 @@ def test_avoided_is_no_contact_and_agrees_with_the_last_brake_time(
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judge, seed):
+def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(
+    axis, judge, seed
+):
     rows = _rows(axis, seed, 3)
     fused = judge.verdicts([[(row, RULE.latency_s) for row in rows]])[0]
     one = judge.verdicts([[(rows.any(axis=0), RULE.latency_s)]])[0]
@@ -77,7 +79,8 @@ def test_equally_fast_parties_are_one_that_sees_what_any_of_them_sees(axis, judg
 )
 def test_a_further_party_never_makes_it_later(axis, judge, seed, latencies_s):
     parties = list(zip(_rows(axis, seed, 3), latencies_s, strict=True))
-    fewer, more = judge.verdicts([parties[:2]])[0], judge.verdicts([parties])[0]
+    fewer = judge.verdicts([parties[:2]])[0]
+    more = judge.verdicts([parties])[0]
     assert (more.onset_time_s <= fewer.onset_time_s).all()
     assert (more.is_avoided >= fewer.is_avoided).all()
     assert (more.detected >= fewer.detected).all()
@@ -99,7 +102,9 @@ def test_what_is_lost_again_is_not_avoided_and_all_else_is_asked_of_the_bodies(
         assert np.array_equal(verdict.confirmation_time_s[is_live], live_s[is_live])
         touches = [
             has_contact(run.encounter, onset, rule)
-            for run, onset in zip(study_runs, verdict.onset_time_s.tolist(), strict=True)
+            for run, onset in zip(
+                study_runs, verdict.onset_time_s.tolist(), strict=True
+            )
         ]
         assert np.array_equal(verdict.is_avoided, ~np.array(touches))
         arrival_s = np.where(row, axis.time_s + rule.latency_s, np.inf)
@@ -131,7 +136,9 @@ def test_as_many_frames_confirm_as_the_rule_says(study_runs, axis):
     row[5:9] = True
     for n_confirmations, frame in ((1, 5), (2, 6), (4, 8), (5, None)):
         rule = replace(RULE, n_confirmations=n_confirmations)
-        (onset_s, *others) = Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
+        (onset_s, *others) = (
+            Judge(study_runs, axis, rule).verdicts([[(row, 0.1)]])[0].onset_time_s
+        )
         assert onset_s == (np.inf if frame is None else axis.time_s[frame] + 0.1)
         assert np.isinf(others).all()
 
@@ -158,7 +165,8 @@ def test_scores_of_bodies_are_those_of_levels_on_the_table(
         rule=rule,
     )
     by_bodies = score(verdict, axis, levels)
-    # Of a run whose contact ends with a later onset and begins again, the table knows less.
+    # Of a run whose contact ends with a later onset and begins again, the table knows
+    # less.
     assert by_bodies >= apr(problem, [0, 1]) - 1e-12
     by_onsets = levels.of_onsets(verdict.onset_time_s, 1e-9)
     assert by_onsets @ axis.weight == pytest.approx(apr(problem, [0, 1]), abs=1e-12)
@@ -181,7 +189,11 @@ def test_contact_is_looked_for_once_per_run_and_onset(study_runs, axis, monkeypa
     assert len(asked) == 2 * axis.n_runs
 
 
-@pytest.mark.parametrize(("own_s", "expected_s"), [(None, RULE.latency_s), (0.0, 0.0), (0.3, 0.3)])
+@pytest.mark.parametrize(
+    ("own_s", "expected_s"), [(None, RULE.latency_s), (0.0, 0.0), (0.3, 0.3)]
+)
 def test_a_unit_has_its_own_latency_or_that_of_the_rule(camera, own_s, expected_s):
-    unit = CandidatePose(id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s)
+    unit = CandidatePose(
+        id="a", site_id="", pose=SimpleNamespace(), sensor=camera, latency_s=own_s
+    )
     assert unit.latency(RULE) == expected_s

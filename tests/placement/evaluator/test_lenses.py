@@ -37,7 +37,9 @@ def made_runs(build_run, rng, n_frames=24):
     runs = []
     for name, obstruction in (("adult", (car,)), ("cyclist", ())):
         poses = [
-            np.column_stack([rng.uniform(-6, 6, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+            np.column_stack(
+                [rng.uniform(-6, 6, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
+            )
             for _ in range(3)
         ]
         run = build_run(pick_actor(name, "test"), poses[0], poses[1], obstruction)
@@ -82,7 +84,8 @@ def opencv_rays(camera):
         ]
     )
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-    lens, criteria = camera.lens, (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
+    lens = camera.lens
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-13)
     if isinstance(lens, Fisheye):
         terms = np.array([lens.k1, lens.k2, lens.k3, lens.k4])
         found = cv2.fisheye.undistortPoints(pixels, K, terms, criteria=criteria)[:, 0]
@@ -108,10 +111,13 @@ def opencv_rays(camera):
 
 def depths(ways, near, corners):
     """Depths (n,) at which rays (n, 3), one deep, first meet triangles (m, 3, 3), by Cramer."""
-    first, lengths = np.full(len(ways), np.inf), np.linalg.norm(ways, axis=1)[:, None]
+    first = np.full(len(ways), np.inf)
+    lengths = np.linalg.norm(ways, axis=1)[:, None]
     corners = corners[(corners[..., 2] > 0.0).any(axis=1)]
     n_parts = 1 + len(ways) * len(corners) // 200_000
-    for a, b, c in (np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)):
+    for a, b, c in (
+        np.moveaxis(part, 1, 0) for part in np.array_split(corners, n_parts)
+    ):
         # (ways x (c - a)) . x is ways . ((c - a) x x)
         q = np.cross(-a, b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -127,7 +133,8 @@ def depths(ways, near, corners):
 def corners_in_camera(solid, road_pose, pose):
     """Corners (m, 3, 3) of a body at x, y, yaw and height, in the camera's frame."""
     x, y, yaw, up = road_pose
-    cos, sin = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
+    cos = np.cos(np.radians(yaw))
+    sin = np.sin(np.radians(yaw))
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     corners = np.concatenate([mesh.vertices_m[mesh.triangles] for mesh in solid.meshes])
     world = corners @ turn.T + [x, y, up]
@@ -150,15 +157,20 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
         others = [(static, surroundings.static_poses[frame])]
         others.append((surroundings.vehicles[0], surroundings.vut_poses[frame]))
         for kind, at in zip(
-            surroundings.traffic_index[frame], surroundings.traffic_poses[frame], strict=True
+            surroundings.traffic_index[frame],
+            surroundings.traffic_poses[frame],
+            strict=True,
         ):
             others.append((surroundings.vehicles[kind], at))
         body = corners_in_camera(vru, surroundings.vru_poses[frame], MOUNT)
         depth = depths(ways, small.near_m, body)
-        before, hit = np.full(len(ways), np.inf), np.isfinite(depth)
+        before = np.full(len(ways), np.inf)
+        hit = np.isfinite(depth)
         for solid, at in others if hit.any() else []:
             corners = corners_in_camera(solid, at, MOUNT)
-            before[hit] = np.minimum(before[hit], depths(ways[hit], small.near_m, corners))
+            before[hit] = np.minimum(
+                before[hit], depths(ways[hit], small.near_m, corners)
+            )
         for name, mask in (
             ("amodal_px", np.isfinite(depth)),
             ("visible_px", np.isfinite(depth) & ~(before < depth - 1e-3)),
@@ -168,8 +180,14 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
             rows, columns = np.nonzero(picture)
             expected = np.zeros(4)
             if len(rows):
-                expected = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
-            # A middle that rounding puts on either side of an edge moves a side by a pixel.
+                expected = [
+                    columns.min(),
+                    rows.min(),
+                    columns.max() + 1,
+                    rows.max() + 1,
+                ]
+            # A middle that rounding puts on either side of an edge moves a side by a
+            # pixel.
             off = np.abs(getattr(evidence, name)[frame] - expected)
             assert off.max() <= 1.0
             n_seen += len(rows) > 0
@@ -181,7 +199,9 @@ def test_boxes_are_those_of_brute_force(surroundings, camera, model, seed, every
 # ---------- pinholes
 
 
-def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(surroundings, camera):
+def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(
+    surroundings, camera
+):
     plain = perceive_frames(surroundings, (MOUNT, camera))
     for lens in (BrownConrady(k1=1e-13), TsaiRadial(kappa=1e-13)):
         bent = perceive_frames(surroundings, (MOUNT, replace(camera, lens=lens)))
@@ -196,7 +216,9 @@ def test_a_lens_that_does_next_to_nothing_shows_what_the_pinhole_does(surroundin
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(surroundings, camera):
     plain = perceive_frames(surroundings, (MOUNT, camera))
-    zero = replace(camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0)
+    zero = replace(
+        camera, lens=BrownConrady(), principal_point=(0.5, 0.5), pixel_aspect=1.0
+    )
     bent = perceive_frames(surroundings, (MOUNT, zero))
     for name in ("amodal_px", "visible_px", "visible_share", "inside_share"):
         assert np.array_equal(getattr(bent, name), getattr(plain, name))
@@ -221,19 +243,27 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
     unit = CandidatePose(id="a", site_id="", pose=pose, sensor=wide)
     sight = cast_for(world, pose.position_m, [(unit, detector)])
     parts = [
-        part for _, part in build_sensing(world, sight, pose.position_m, detector).evidence([unit])
+        part
+        for _, part in build_sensing(world, sight, pose.position_m, detector).evidence(
+            [unit]
+        )
     ]
     entry = np.concatenate([part.draw_index for part in parts])
     boxes = np.zeros((len(sight.view_index) + 1, 4))
     boxes[entry] = np.concatenate([part.amodal_px for part in parts])
     table = boxes[sight.entry_of_frame]
     drawn = perceive_frames(surroundings, (pose, wide))
-    # Those of whom somebody sees something; at the picture's edge a pixel or a point decides.
+    # Those of whom somebody sees something; at the picture's edge a pixel or a point
+    # decides.
     seen = box_height_px(drawn.visible_px) > 6.0
     assert seen.sum() > 8
     near = np.abs(table - drawn.amodal_px).max(axis=1)
-    assert (near[seen] <= 3.0 + 0.06 * box_height_px(drawn.amodal_px[seen])).mean() > 0.9
-    assert ((box_height_px(table) > 0.0) == (box_height_px(drawn.visible_px) > 0.0)).mean() > 0.9
+    assert (
+        near[seen] <= 3.0 + 0.06 * box_height_px(drawn.amodal_px[seen])
+    ).mean() > 0.9
+    assert (
+        (box_height_px(table) > 0.0) == (box_height_px(drawn.visible_px) > 0.0)
+    ).mean() > 0.9
     # And in view is who the projection says.
     feet = np.concatenate([run.vru_position_m for run in runs])
     chest = np.column_stack([feet, np.full(len(feet), 1.0)])
@@ -244,7 +274,10 @@ def test_table_and_evaluator_agree_about_who_is_in_view(
 def test_what_lies_beyond_the_fold_is_not_shown(camera):
     lens = Fisheye(k1=-0.2)
     folds = replace(camera, lens=lens, horizontal_fov_deg=110.0)
-    far = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0.0, 70.0, 75.0])]) * 10.0
+    far = (
+        np.array([[np.cos(a), np.sin(a), 0.0] for a in np.radians([0.0, 70.0, 75.0])])
+        * 10.0
+    )
     level = Pose(position_m=np.zeros(3), yaw_deg=0.0, pitch_deg=0.0)
     shown = project_points(far, level, folds)[:, 0]
     turn = np.degrees((1.0 / 0.6) ** 0.5)  # angle - 0.2 angle^3 stops rising

@@ -37,16 +37,25 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
     runs = []
     for name, obstruction in (("adult", ()), ("cyclist", ()), ("adult", (car,))):
         vru = np.column_stack(
-            [rng.uniform(-7.0, 7.0, (n_frames, 2)), rng.uniform(-180.0, 180.0, n_frames)]
+            [
+                rng.uniform(-7.0, 7.0, (n_frames, 2)),
+                rng.uniform(-180.0, 180.0, n_frames),
+            ]
         )
         vru[n_frames // 2 :] = vru[: n_frames // 2]
         vut = np.column_stack(
-            [rng.uniform(-9.0, 9.0, (n_frames, 2)), rng.uniform(-180.0, 180.0, n_frames)]
+            [
+                rng.uniform(-9.0, 9.0, (n_frames, 2)),
+                rng.uniform(-180.0, 180.0, n_frames),
+            ]
         )
         runs.append(build_run(pick_actor(name, "test"), vru, vut, obstruction))
     # Two vans and a car drive by in the second run; the car only in its first half.
     driving = []
-    for kind, n_there in (("parked-van", n_frames), ("parked-car-large", n_frames // 2)) * 2:
+    for kind, n_there in (
+        ("parked-van", n_frames),
+        ("parked-car-large", n_frames // 2),
+    ) * 2:
         position = rng.uniform(-6.0, 6.0, (n_frames, 2))
         position[n_there:] = np.nan
         driving.append(
@@ -61,10 +70,13 @@ def _random_runs(build_run, rng, n_frames=N_FRAMES // 3):
 
 
 def _rotated(pose, degrees, shift_m):
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    cos = np.cos(np.radians(degrees))
+    sin = np.sin(np.radians(degrees))
     x, y, z = pose.position_m
     return Pose(
-        position_m=np.array([cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1], z]),
+        position_m=np.array(
+            [cos * x - sin * y + shift_m[0], sin * x + cos * y + shift_m[1], z]
+        ),
         yaw_deg=pose.yaw_deg + degrees,
         pitch_deg=pose.pitch_deg,
     )
@@ -78,11 +90,16 @@ def surroundings(build_scene, build_run):
 
 
 @pytest.mark.parametrize(
-    "mount", [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])]
+    "mount",
+    [MOUNTS[0], *(pytest.param(one, marks=pytest.mark.long) for one in MOUNTS[1:])],
 )
-def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, camera, mount):
+def test_roadside_boxes_equal_the_plain_render_of_every_frame(
+    surroundings, camera, mount
+):
     boxes = perceive_frames(surroundings, (mount, camera))
-    views = [render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)]
+    views = [
+        render_frame(surroundings, frame, mount, camera) for frame in range(N_FRAMES)
+    ]
     assert (boxes.amodal_px == [view.amodal_box_px for view in views]).all()
     assert (boxes.visible_px == [view.visible_box_px for view in views]).all()
     # Worth its while only if the VUT hides something somewhere.
@@ -93,8 +110,12 @@ def test_roadside_boxes_equal_the_plain_render_of_every_frame(surroundings, came
     )
 
 
-def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(surroundings, camera, vut):
-    vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+def test_vut_boxes_equal_the_plain_render_from_where_its_camera_is(
+    surroundings, camera, vut
+):
+    vut_camera = VutCamera(
+        camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3
+    )
     boxes = perceive_frames(surroundings, vut_camera)
     mount = vut_camera.pose_on(vut)
     n_seen = 0
@@ -141,20 +162,28 @@ def test_boxes_and_shares_in_the_study_are_those_of_a_ray_per_pixel(study_runs, 
 def test_frames_taken_one_by_one_give_the_same_boxes(surroundings, camera):
     together = perceive_frames(surroundings, (MOUNTS[0], camera))
     for frame in range(0, N_FRAMES, 7):
-        alone = perceive_frames(surroundings.take(np.array([frame])), (MOUNTS[0], camera))
+        alone = perceive_frames(
+            surroundings.take(np.array([frame])), (MOUNTS[0], camera)
+        )
         assert np.array_equal(alone.amodal_px[0], together.amodal_px[frame])
         assert np.array_equal(alone.visible_px[0], together.visible_px[frame])
         assert alone.visible_share[0] == together.visible_share[frame]
 
 
 def test_sights_are_equal_where_all_but_the_vut_is_at_the_same_place():
-    static_index, vru_index = np.array([1, 0, 0, 0, 1]), np.array([0, 0, 1, 0, 0])
+    static_index = np.array([1, 0, 0, 0, 1])
+    vru_index = np.array([0, 0, 1, 0, 0])
     static_poses = np.tile([3.0, -1.0, 0.0], (5, 1))
     vru_poses = np.tile([1.0, 2.0, 90.0], (5, 1))
     vru_poses[4, 0] += 1e-8
     vru_poses[3, 1] += 1e-5
     sights = find_sights(static_index, vru_index, static_poses, vru_poses)
-    assert np.unique(sights[[1, 3, 2, 0]], return_inverse=True)[1].tolist() == [0, 1, 2, 3]
+    assert np.unique(sights[[1, 3, 2, 0]], return_inverse=True)[1].tolist() == [
+        0,
+        1,
+        2,
+        3,
+    ]
     assert sights[0] == sights[4]
 
 
@@ -206,18 +235,26 @@ def test_equal_obstructions_are_one_static_world(build_scene, build_run, block):
     assert surroundings.static_index.tolist() == [0, 1, 0, 2]
 
 
-def test_vru_ahead_of_the_vut_is_in_the_middle_of_its_image(build_scene, build_run, camera, block):
-    vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
+def test_vru_ahead_of_the_vut_is_in_the_middle_of_its_image(
+    build_scene, build_run, camera, block
+):
+    vut_camera = VutCamera(
+        camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3
+    )
     yaw_deg = np.array([0.0, 77.0, -160.0])
     ahead = np.column_stack([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
     vut_poses = np.column_stack([[3.0, -20.0, 40.0], [5.0, 1.0, -6.0], yaw_deg])
     vru_poses = np.column_stack([vut_poses[:, :2] + 12.0 * ahead, yaw_deg])
-    surroundings = build_surroundings(build_scene(), [build_run(block, vru_poses, vut_poses)])
+    surroundings = build_surroundings(
+        build_scene(), [build_run(block, vru_poses, vut_poses)]
+    )
     boxes = perceive_frames(surroundings, vut_camera)
     lens_distance_m = 12.0 - 0.8 * 2.446 - 0.25
     height_px = camera.focal_length_px * 1.8 / lens_distance_m
     assert np.allclose(boxes.amodal_px[:, [0, 2]].mean(axis=1), 160.0, atol=1.0)
-    assert np.allclose(boxes.amodal_px[:, 3] - boxes.amodal_px[:, 1], height_px, atol=1.5)
+    assert np.allclose(
+        boxes.amodal_px[:, 3] - boxes.amodal_px[:, 1], height_px, atol=1.5
+    )
     below_px = camera.focal_length_px * 1.3 * 0.755 / lens_distance_m
     assert np.allclose(boxes.amodal_px[:, 3], 90.0 + below_px, atol=1.5)
     assert (boxes.visible_px == boxes.amodal_px).all()
@@ -235,7 +272,9 @@ def test_too_low_vrus_are_left_out_and_all_others_unchanged(surroundings, camera
     assert not high.visible_px[height_px < 18.0].any()
 
 
-@pytest.mark.parametrize(("degrees", "shift_m"), [(90.0, (0.0, 0.0)), (37.0, (150.0, -80.0))])
+@pytest.mark.parametrize(
+    ("degrees", "shift_m"), [(90.0, (0.0, 0.0)), (37.0, (150.0, -80.0))]
+)
 def test_boxes_do_not_depend_on_where_north_and_the_origin_are(
     build_scene, build_run, camera, degrees, shift_m
 ):
@@ -243,8 +282,11 @@ def test_boxes_do_not_depend_on_where_north_and_the_origin_are(
     scene = build_scene(*HOUSES)
     turned_scene = _turned_scene(scene, degrees, shift_m)
     turned_runs = [_turned_run(build_run, run, degrees, shift_m) for run in runs]
-    vut_camera = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
-    here, there = build_surroundings(scene, runs), build_surroundings(turned_scene, turned_runs)
+    vut_camera = VutCamera(
+        camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3
+    )
+    here = build_surroundings(scene, runs)
+    there = build_surroundings(turned_scene, turned_runs)
     pairs = [
         (
             perceive_frames(here, (MOUNTS[1], camera)),
@@ -261,11 +303,14 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
     rng = np.random.default_rng(5)
     flip = np.array([1.0, -1.0, -1.0])
     vru, vut = (
-        np.column_stack([rng.uniform(-7.0, 7.0, (20, 2)), rng.uniform(-180.0, 180.0, 20)])
+        np.column_stack(
+            [rng.uniform(-7.0, 7.0, (20, 2)), rng.uniform(-180.0, 180.0, 20)]
+        )
         for _ in range(2)
     )
     mirrored_houses = [
-        ((low[0], -high[1], low[2]), (high[0], -low[1], high[2])) for low, high in HOUSES
+        ((low[0], -high[1], low[2]), (high[0], -low[1], high[2]))
+        for low, high in HOUSES
     ]
     mount = MOUNTS[0]
     mirrored_mount = Pose(
@@ -274,7 +319,8 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
         pitch_deg=mount.pitch_deg,
     )
     boxes = perceive_frames(
-        build_surroundings(build_scene(*HOUSES), [build_run(block, vru, vut)]), (mount, camera)
+        build_surroundings(build_scene(*HOUSES), [build_run(block, vru, vut)]),
+        (mount, camera),
     )
     mirrored = perceive_frames(
         build_surroundings(
@@ -284,7 +330,10 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
     )
     is_there = boxes.amodal_px.any(axis=1)
     assert is_there.any()
-    for a, b in ((boxes.amodal_px, mirrored.amodal_px), (boxes.visible_px, mirrored.visible_px)):
+    for a, b in (
+        (boxes.amodal_px, mirrored.amodal_px),
+        (boxes.visible_px, mirrored.visible_px),
+    ):
         flipped = np.column_stack([320.0 - b[:, 2], b[:, 1], 320.0 - b[:, 0], b[:, 3]])
         flipped[~b.any(axis=1)] = 0.0
         assert np.abs(a - flipped).max() <= 1.0
@@ -293,7 +342,9 @@ def test_mirrored_world_gives_mirrored_boxes(build_scene, build_run, camera, blo
 def test_two_vuts_are_refused(build_scene, build_run, block):
     run = build_run(block, [[0.0, 0.0, 0.0]])
     other = replace(run, encounter=replace(run.encounter, vut=block))
-    with pytest.raises(InputError, match=r"runs: VUT: got .*; expected the same vehicle"):
+    with pytest.raises(
+        InputError, match=r"runs: VUT: got .*; expected the same vehicle"
+    ):
         build_surroundings(build_scene(), [run, other])
 
 
@@ -308,7 +359,9 @@ def _turned_scene(scene, degrees, shift_m):
 def _turned_run(build_run, run, degrees, shift_m):
     def turn(position_m, yaw_deg):
         poses = [
-            _rotated(Pose(position_m=np.array([x, y, 0.0]), yaw_deg=yaw), degrees, shift_m)
+            _rotated(
+                Pose(position_m=np.array([x, y, 0.0]), yaw_deg=yaw), degrees, shift_m
+            )
             for (x, y), yaw in zip(position_m, yaw_deg, strict=True)
         ]
         return [[*pose.position_m[:2], pose.yaw_deg] for pose in poses]

@@ -24,8 +24,10 @@ pytest.importorskip("onnxruntime")
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 POSE = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
-PEDESTRIAN, CYCLIST = "CPNC-50/west/30", "CBLA/west/25"
-PERSON, BICYCLE = 1, 2  # of COCO's 91
+PEDESTRIAN = "CPNC-50/west/30"
+CYCLIST = "CBLA/west/25"
+PERSON = 1
+BICYCLE = 2  # of COCO's 91
 N_FRAMES = 6
 
 
@@ -83,10 +85,14 @@ def visible(scene, camera):
 
 
 def constant(name, value):
-    return helper.make_node("Constant", [], [name], value=numpy_helper.from_array(value, name))
+    return helper.make_node(
+        "Constant", [], [name], value=numpy_helper.from_array(value, name)
+    )
 
 
-def build_network(boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")):
+def build_network(
+    boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height", "width")
+):
     """Torchvision's outputs: the same boxes always, surely unless `nodes` compute the scores."""
     boxes = np.float32(boxes).reshape(-1, 4)
     nodes = nodes or [constant("scores", np.full(len(boxes), 0.75, dtype=np.float32))]
@@ -103,9 +109,14 @@ def build_network(boxes, *, label=PERSON, nodes=(), shape=("batch", 3, "height",
         ],
         "tiny",
         [helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info(name, kind, None) for name, kind in kinds.items()],
+        [
+            helper.make_tensor_value_info(name, kind, None)
+            for name, kind in kinds.items()
+        ],
     )
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    return helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9
+    )
 
 
 def build_network_that_knows(picture, box):
@@ -116,7 +127,9 @@ def build_network_that_knows(picture, box):
         constant("tolerance", np.float32([0.5 / 255.0])),
         helper.make_node("Sub", ["images", "known"], ["difference"]),
         helper.make_node("Abs", ["difference"], ["size"]),
-        helper.make_node("ReduceMax", ["size"], ["largest"], axes=(1, 2, 3), keepdims=0),
+        helper.make_node(
+            "ReduceMax", ["size"], ["largest"], axes=(1, 2, 3), keepdims=0
+        ),
         helper.make_node("Less", ["largest", "tolerance"], ["is_known"]),
         helper.make_node("Cast", ["is_known"], ["scores"], to=TensorProto.FLOAT),
     ]
@@ -126,7 +139,9 @@ def build_network_that_knows(picture, box):
 def render(scene, run, frame, pose, camera, **options):
     weather = pick_weather(run.weather, "test")
     backdrop = build_backdrop(scene, run.obstruction)
-    return draw_picture(backdrop, run, frame, pose, camera, weather=weather, **options).rgb
+    return draw_picture(
+        backdrop, run, frame, pose, camera, weather=weather, **options
+    ).rgb
 
 
 # Networks.
@@ -142,7 +157,9 @@ def test_one_box_is_matched_in_the_frames_whose_visible_box_it_overlaps_by_half(
     expected = [iou(seen, box) > 0.5 for seen in boxes]
     assert 1 < expected[unit].sum() < N_FRAMES
     detected = evaluate(build_network(box), runs)
-    assert [frames.tolist() for frames in detected] == [frames.tolist() for frames in expected]
+    assert [frames.tolist() for frames in detected] == [
+        frames.tolist() for frames in expected
+    ]
 
 
 def test_a_network_that_finds_nothing_detects_nothing(last_frames, evaluate):
@@ -151,7 +168,9 @@ def test_a_network_that_finds_nothing_detects_nothing(last_frames, evaluate):
     assert not by_vut.any()
 
 
-@pytest.mark.parametrize(("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)])
+@pytest.mark.parametrize(
+    ("name", "is_detected"), [(PEDESTRIAN, False), (CYCLIST, True)]
+)
 def test_a_bicycle_may_be_a_cyclist_but_is_no_pedestrian(
     name, is_detected, last_frames, visible, evaluate
 ):
@@ -167,7 +186,9 @@ def test_a_network_that_knows_one_picture_detects_in_that_frame_of_that_unit_alo
     runs = last_frames(PEDESTRIAN, CYCLIST, n_frames=4)
     frame = 4 + 2
     picture = render(scene, runs[1], 2, POSE, camera)
-    by_rsu, by_vut = evaluate(build_network_that_knows(picture, visible(runs)[0][frame]), runs)
+    by_rsu, by_vut = evaluate(
+        build_network_that_knows(picture, visible(runs)[0][frame]), runs
+    )
     assert np.flatnonzero(by_rsu).tolist() == [frame]
     assert not by_vut.any()
 
@@ -180,7 +201,9 @@ def tiny(camera):
     return replace(camera, width_px=160, height_px=90)
 
 
-def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frames, scene, tiny):
+def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(
+    last_frames, scene, tiny
+):
     first, second = last_frames(PEDESTRIAN, CYCLIST)
     second = replace(second, weather="night", obstruction=())
     source = PictureSource(scene, [first, second], seed=5)
@@ -193,14 +216,18 @@ def test_pictures_are_those_of_the_run_and_frame_that_lie_at_an_index(last_frame
         by_rsu = render(scene, run, frame, POSE, tiny, compute=Compute(seed=5))
         assert np.array_equal(source.pictures((POSE, tiny))(index), by_rsu)
         pose = vut_camera_pose(mount, run, frame)
-        by_vut = render(scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False)
+        by_vut = render(
+            scene, run, frame, pose, tiny, compute=Compute(seed=5), with_vut=False
+        )
         assert np.array_equal(source.pictures(mount)(index), by_vut)
 
 
 def test_each_run_is_drawn_behind_its_own_obstruction(last_frames, scene, tiny):
     (hidden,) = last_frames(PEDESTRIAN, n_frames=1)
     free = replace(hidden, obstruction=())
-    picture = PictureSource(scene, [hidden, free, hidden], seed=0).pictures((POSE, tiny))
+    picture = PictureSource(scene, [hidden, free, hidden], seed=0).pictures(
+        (POSE, tiny)
+    )
     assert np.array_equal(picture(1), render(scene, free, 0, POSE, tiny))
     assert np.array_equal(picture(0), picture(2))
     assert not np.array_equal(picture(0), picture(1))
@@ -213,7 +240,8 @@ def test_the_vuts_camera_goes_and_turns_with_it(last_frames, tiny):
     ahead_m, left_m, up_m = on_vut.position_m
     for frame in (0, N_FRAMES - 1):
         yaw = np.radians(run.vut_yaw_deg[frame])
-        along, across = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        along = np.array([np.cos(yaw), np.sin(yaw)])
+        across = np.array([-np.sin(yaw), np.cos(yaw)])
         expected = run.vut_position_m[frame] + ahead_m * along + left_m * across
         pose = vut_camera_pose(mount, run, frame)
         np.testing.assert_allclose(pose.position_m, [*expected, up_m], atol=1e-9)

@@ -13,7 +13,14 @@ from geometry.poses import Pose
 from geometry.raycast import build_caster
 from geometry.sensors import CameraModel
 from placement.evaluator.perceive import _place, perceive_frames
-from placement.evaluator.pixels import Image, build_tree, draw, find_box, find_crop, hide
+from placement.evaluator.pixels import (
+    Image,
+    build_tree,
+    draw,
+    find_box,
+    find_crop,
+    hide,
+)
 from placement.evaluator.surroundings import (
     Mesh,
     build_body,
@@ -40,8 +47,20 @@ TINY = CameraModel(
 def look(request, build_run, camera, build_scene):
     """Amodal and visible box of a VRU in one frame, by the evaluator and by its oracle."""
 
-    def boxes(vru, vru_pose, *, walls=(), vut_pose=None, obstruction=(), lens=LEVEL, near_m=0.35):
-        vut_poses = None if vut_pose is None else [vut_pose]
+    def boxes(
+        vru,
+        vru_pose,
+        *,
+        walls=(),
+        vut_pose=None,
+        obstruction=(),
+        lens=LEVEL,
+        near_m=0.35,
+    ):
+        if vut_pose is None:
+            vut_poses = None
+        else:
+            vut_poses = [vut_pose]
         surroundings = build_surroundings(
             build_scene(*walls), [build_run(vru, [vru_pose], vut_poses, obstruction)]
         )
@@ -71,13 +90,19 @@ def test_unobstructed_vru_has_the_pinhole_size(look, camera, block, distance_m):
 @pytest.mark.parametrize(
     ("low", "high", "side"),
     [
-        ((5.0, 0.0, 0.0), (6.0, 9.0, 9.0), 0),  # the wall's right edge is ahead: left half hidden
+        (
+            (5.0, 0.0, 0.0),
+            (6.0, 9.0, 9.0),
+            0,
+        ),  # the wall's right edge is ahead: left half hidden
         ((5.0, -9.0, 0.0), (6.0, 0.0, 9.0), 2),
         ((5.0, -9.0, 0.0), (6.0, 9.0, 0.9), 3),  # its top is as high as the lens
         ((5.0, -9.0, 0.9), (6.0, 9.0, 9.0), 1),
     ],
 )
-def test_wall_up_to_the_optical_axis_halves_the_box(look, camera, block, low, high, side):
+def test_wall_up_to_the_optical_axis_halves_the_box(
+    look, camera, block, low, high, side
+):
     amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[(low, high)])
     expected = amodal.copy()
     expected[side] = 0.5 * (camera.width_px if side % 2 == 0 else camera.height_px)
@@ -86,13 +111,17 @@ def test_wall_up_to_the_optical_axis_halves_the_box(look, camera, block, low, hi
 
 
 def test_wall_behind_the_vru_hides_nothing(look, block):
-    amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[((10.5, -9.0, 0.0), (11.0, 9.0, 9.0))])
+    amodal, visible = look(
+        block, [10.0, 0.0, 0.0], walls=[((10.5, -9.0, 0.0), (11.0, 9.0, 9.0))]
+    )
     assert amodal.any()
     assert (visible == amodal).all()
 
 
 def test_wall_before_all_of_the_vru_leaves_nothing(look, block):
-    amodal, visible = look(block, [10.0, 0.0, 0.0], walls=[((5.0, -9.0, 0.0), (6.0, 9.0, 9.0))])
+    amodal, visible = look(
+        block, [10.0, 0.0, 0.0], walls=[((5.0, -9.0, 0.0), (6.0, 9.0, 9.0))]
+    )
     assert amodal.any()
     assert not visible.any()
 
@@ -111,26 +140,33 @@ def test_nothing_is_drawn_behind_the_lens(look, block):
 
 
 @pytest.mark.parametrize(("near_m", "is_drawn"), [(0.35, False), (0.2, True)])
-def test_nothing_is_drawn_nearer_than_the_nearest_distance(look, block, near_m, is_drawn):
+def test_nothing_is_drawn_nearer_than_the_nearest_distance(
+    look, block, near_m, is_drawn
+):
     plate = ((0.24, -0.05, 0.85), (0.26, 0.05, 0.95))
     _, behind_plate = look(block, [10.0, 0.0, 0.0], walls=[plate], near_m=near_m)
     assert behind_plate.any() != is_drawn
     (shape,) = block.shapes
-    speck = replace(shape, vertices_m=shape.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88])
+    speck = replace(
+        shape, vertices_m=shape.vertices_m * [0.04, 0.1, 0.02] + [0.0, 0.0, 0.88]
+    )
     amodal, _ = look(replace(block, shapes=(speck,)), [0.3, 0.0, 0.0], near_m=near_m)
     assert amodal.any() == is_drawn
 
 
 @pytest.mark.parametrize(("vut_distance_m", "is_hidden"), [(6.0, True), (16.0, False)])
 def test_vut_hides_what_is_behind_it_only(look, block, vut_distance_m, is_hidden):
-    amodal, visible = look(block, [11.0, 0.0, 0.0], vut_pose=[vut_distance_m, 0.0, 90.0])
+    amodal, visible = look(
+        block, [11.0, 0.0, 0.0], vut_pose=[vut_distance_m, 0.0, 90.0]
+    )
     assert (visible[3] < amodal[3]) == is_hidden
 
 
 @pytest.mark.parametrize("side_m", [-1.0, 1.0])
 def test_parked_body_hides_what_a_box_of_the_scene_would(look, block, side_m):
     parked = PlacedActor(
-        actor=block, pose=Pose(position_m=np.array([5.0, 0.5 * side_m, 0.0]), yaw_deg=90.0)
+        actor=block,
+        pose=Pose(position_m=np.array([5.0, 0.5 * side_m, 0.0]), yaw_deg=90.0),
     )
     low_m, high_m = sorted((0.25 * side_m, 0.75 * side_m))
     as_box = ((4.5, low_m, 0.0), (5.5, high_m, 1.8))
@@ -165,7 +201,9 @@ def _drawn(corners_m, camera, window):
 
 
 def _image(camera, up_m=0.0):
-    return Image(camera.focal_length_px, camera.width_px, camera.height_px, camera.near_m, up_m)
+    return Image(
+        camera.focal_length_px, camera.width_px, camera.height_px, camera.near_m, up_m
+    )
 
 
 def _cast(corners_m, camera, window):
@@ -192,9 +230,13 @@ def _cast(corners_m, camera, window):
             v = ways @ turned / scale
             depth = np.dot(c - a, turned) / scale
             distance = depth * np.linalg.norm(ways, axis=-1)
-            is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance >= camera.near_m)
+            is_hit = (
+                (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distance >= camera.near_m)
+            )
             nearest = np.where(is_hit, np.minimum(nearest, depth), nearest)
-            margin = np.min(np.abs([u, v, 1.0 - u - v, distance - camera.near_m]), axis=0)
+            margin = np.min(
+                np.abs([u, v, 1.0 - u - v, distance - camera.near_m]), axis=0
+            )
             is_sure &= (margin > 1.0e-6) & (np.abs(scale) > 1.0e-9)
     return nearest, is_sure
 
@@ -226,12 +268,16 @@ def test_triangles_anywhere_are_drawn_as_rays_meet_them(corners_m, window):
     yaw_deg=st.floats(-180.0, 180.0),
     up_m=st.floats(0.1, 3.0),
 )
-def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(corners_m, plate_m, yaw_deg, up_m):
+def test_what_reaches_into_the_beam_hides_what_rays_find_hidden(
+    corners_m, plate_m, yaw_deg, up_m
+):
     """A plate across the view, behind triangles anywhere: what the tree leaves out hides nothing.
 
     No height limits the beam here.
     """
-    pose = Pose(position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0)
+    pose = Pose(
+        position_m=np.array([0.3, -0.2, up_m]), yaw_deg=yaw_deg, pitch_deg=-20.0
+    )
     window = (20, 10, 50, 40)
     placed = _place(pose, np.zeros((1, 4)), np.zeros(1))
     depth = np.full((30, 30), plate_m)
@@ -257,7 +303,10 @@ def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies
         assert (tree.high_m[node] == own.max(axis=0)).all()
         second = tree.second[node]
         if second >= 0:
-            assert (tree.start[node + 1], tree.end[node + 1]) == (start, tree.start[second])
+            assert (tree.start[node + 1], tree.end[node + 1]) == (
+                start,
+                tree.start[second],
+            )
             assert tree.end[second] == end
     assert (tree.start[0], tree.end[0]) == (0, n_copies * len(corners_m))
 
@@ -265,13 +314,17 @@ def test_tree_holds_every_triangle_once_and_each_box_its_own(corners_m, n_copies
 def test_tree_of_centres_that_halve_again_and_again_stays_shallow_enough():
     """A triangle at each power of two: every split in the middle takes off a single one."""
     corner = np.array([[0.0, 0.0, 0.0], [1e-300, 0.0, 0.0], [0.0, 1e-300, 0.0]])
-    corners_m = np.array([corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)])
+    corners_m = np.array(
+        [corner + [2.0**power, 0.0, 0.0] for power in range(-1000, 1000)]
+    )
     tree = build_tree(corners_m)
     assert sorted(tree.corners_m[:, 0, 0]) == sorted(corners_m[:, 0, 0])
 
 
 def test_tree_of_nothing_hides_nothing():
-    empty = Mesh(vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)).tree
+    empty = Mesh(
+        vertices_m=np.empty((0, 3)), triangles=np.empty((0, 3), dtype=np.int64)
+    ).tree
     placed = _place(LEVEL, np.zeros((1, 4)), np.zeros(1))
     args = (placed.turn[0], placed.shift[0], (0, 0, 9, 9), 5.0, 0.0, 2.0, np.ones(81))
     assert not hide(_image(TINY), empty, 0, *args)
@@ -282,9 +335,14 @@ def test_tree_of_nothing_hides_nothing():
 
 
 @pytest.mark.parametrize("left_m", [-6.0, 6.0])
-def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(camera, block, left_m):
+def test_body_beside_the_lens_is_not_drawn_though_it_reaches_behind(
+    camera, block, left_m
+):
     body = build_body(block.shapes[0])
-    for y_m, expected in ((left_m, (0, 0, 0, 0)), (0.0, (0, 0, camera.width_px, camera.height_px))):
+    for y_m, expected in (
+        (left_m, (0, 0, 0, 0)),
+        (0.0, (0, 0, camera.width_px, camera.height_px)),
+    ):
         hull = _in_camera(body.hull_m, LEVEL, [0.0, y_m, 0.0, 0.0])
         assert hull[:, 2].min() < 0.0
         assert find_crop(_image(camera), hull, 0.0) == (expected, 0.0)
@@ -322,13 +380,16 @@ def test_bodies_cover_the_pixels_that_rays_hit(name, distance_m, camera):
     (mesh,) = body.meshes
     pose = Pose(position_m=np.array([0.0, 0.0, 1.4]), yaw_deg=0.0, pitch_deg=-10.0)
     window = (0, 0, camera.width_px, camera.height_px)
-    n_differ, n_hit = 0, 0
+    n_differ = 0
+    n_hit = 0
     for yaw_deg in np.linspace(-170.0, 170.0, 7):
         road_pose = np.array([distance_m, 0.3, yaw_deg, 0.0])
         points = _in_camera(mesh.skin.vertices_m, pose, road_pose)
         depth = np.full(camera.width_px * camera.height_px, np.inf)
         draw(_image(camera, 1.4), points, mesh.skin.triangles, window, depth)
-        cast = cast_crops(build_lens(pose, camera), body, road_pose[None], np.array([window]))[0]
+        cast = cast_crops(
+            build_lens(pose, camera), body, road_pose[None], np.array([window])
+        )[0]
         n_differ += (np.isfinite(depth) != np.isfinite(cast)).sum()
         n_hit += np.isfinite(cast).sum()
         is_both = np.isfinite(depth) & np.isfinite(cast)
@@ -345,7 +406,9 @@ def test_depth_of_a_plane_is_that_of_the_pixel_rays(build_scene, camera, block):
     pose = Pose(position_m=np.array([3.0, -2.0, 7.0]), yaw_deg=35.0, pitch_deg=-40.0)
     middle_m = np.array([20.0, 10.0])
     scene = build_scene(((-300.0, -300.0, -1.0), (300.0, 300.0, 0.0)))
-    ground = build_static(build_scene_mesh(scene, middle_m=middle_m), (), middle_m=middle_m)
+    ground = build_static(
+        build_scene_mesh(scene, middle_m=middle_m), (), middle_m=middle_m
+    )
     view = render_view(
         build_lens(pose, camera),
         static=(ground, np.array([*middle_m, 0.0, 0.0])),
@@ -370,7 +433,9 @@ def test_oracle_draws_the_vut_where_it_is(build_scene, camera, block, vut):
     nearest_m = view.depth_m[rows, columns].min()
     assert nearest_m == pytest.approx(9.0 - 0.5 * vut.width_m, abs=0.1)
     width_px = columns.max() + 1 - columns.min()
-    assert width_px == pytest.approx(camera.focal_length_px * vut.length_m / nearest_m, rel=0.1)
+    assert width_px == pytest.approx(
+        camera.focal_length_px * vut.length_m / nearest_m, rel=0.1
+    )
 
 
 def test_a_body_has_one_mesh_and_a_caster_of_its_triangles(block):
@@ -378,7 +443,9 @@ def test_a_body_has_one_mesh_and_a_caster_of_its_triangles(block):
     body = build_body(Shape(vertices_m=shape.vertices_m, triangles=shape.triangles))
     origins = np.array([[5.0, 0.1, 0.9]], dtype=np.float32)
     ways = np.array([[-1.0, 0.0, 0.0]], dtype=np.float32)
-    expected = build_caster(shape.vertices_m, shape.triangles).first_triangle(origins, ways)
+    expected = build_caster(shape.vertices_m, shape.triangles).first_triangle(
+        origins, ways
+    )
     assert np.array_equal(body.caster.first_triangle(origins, ways), expected)
     assert body.caster is body.caster
     (index,) = expected[1]

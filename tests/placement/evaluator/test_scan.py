@@ -17,7 +17,11 @@ from geometry.raycast import build_caster
 from placement.detectors import VRU_CLASSES
 from placement.evaluator import perceive
 from placement.evaluator.perceive import scan_frames
-from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
+from placement.evaluator.surroundings import (
+    build_surroundings,
+    load_vut_camera,
+    load_vut_lidar,
+)
 
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
@@ -62,7 +66,9 @@ def count(needs):
 def sees(build_scene, build_run, block):
     """Whether a LiDAR on the roadside detects the block in each frame."""
 
-    def look(vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0):
+    def look(
+        vru_poses, *boxes, vut_poses=None, pose=LOW, lidar=STUDY, weather="day", seed=0
+    ):
         run = replace(build_run(block, vru_poses, vut_poses), weather=weather)
         surroundings = build_surroundings(build_scene(*boxes), [run])
         return scan_frames(surroundings, pose, lidar, _rng(seed)).tolist()
@@ -125,7 +131,8 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
     run = build_run(block, [[distance_m + 0.25, 0.0, 0.0]])
     found = count(build_surroundings(build_scene(), [run]), LOW)
     ahead, left, up = np.moveaxis(beam_directions(SURE).reshape(-1, 3), -1, 0)
-    y_m, z_m = distance_m * left / ahead, 0.9 + distance_m * up / ahead
+    y_m = distance_m * left / ahead
+    z_m = 0.9 + distance_m * up / ahead
     assert found == ((np.abs(y_m) < 0.5) & (z_m > 0.0) & (z_m < 1.8)).sum()
     solid_angle = 4.0 * np.arctan(  # of a rectangle seen from above its middle
         0.5 * 0.9 / (distance_m * np.sqrt(distance_m**2 + 0.5**2 + 0.9**2))
@@ -145,9 +152,15 @@ def test_beams_on_a_block_are_its_face_by_the_square_of_the_distance(
 def _combined(parts):
     """One mesh of several, and which part each triangle is of."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    triangles = [faces + start for (_, faces), start in zip(parts, offsets, strict=False)]
+    triangles = [
+        faces + start for (_, faces), start in zip(parts, offsets, strict=False)
+    ]
     owner = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
-    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(triangles), owner
+    return (
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate(triangles),
+        owner,
+    )
 
 
 def _placed(shape, position_m, yaw_deg):
@@ -157,7 +170,10 @@ def _placed(shape, position_m, yaw_deg):
 
 def _plain_counts(scene, runs, pose, lidar):
     """Beams of the whole pattern that end on the VRU, with everything there in one mesh."""
-    beams = beam_directions(lidar).reshape(-1, 3) @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+    beams = (
+        beam_directions(lidar).reshape(-1, 3)
+        @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
+    )
     starts = pose.position_m + lidar.near_m * beams
     counts = []
     for run in runs:
@@ -179,12 +195,16 @@ def _plain_counts(scene, runs, pose, lidar):
                 ]
             )
             caster = build_caster(vertices, triangles)
-            _, hit = caster.first_triangle(starts.astype(np.float32), beams.astype(np.float32))
+            _, hit = caster.first_triangle(
+                starts.astype(np.float32), beams.astype(np.float32)
+            )
             counts.append(int((owner[hit[hit >= 0]] == 0).sum()))
     return np.array(counts)
 
 
-@pytest.mark.parametrize("pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))])
+@pytest.mark.parametrize(
+    "pose", [HIGH, replace(LOW, position_m=np.array([-9.0, 1.0, 1.6]))]
+)
 def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_vru(
     build_scene, build_run, needs, pose
 ):
@@ -199,7 +219,9 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     runs = []
     for name, obstruction in (("adult", ()), ("cyclist", (car,)), ("child", (car,))):
         vru, vut = (
-            np.column_stack([rng.uniform(-6.0, 9.0, (16, 2)), rng.uniform(-180.0, 180.0, 16)])
+            np.column_stack(
+                [rng.uniform(-6.0, 9.0, (16, 2)), rng.uniform(-180.0, 180.0, 16)]
+            )
             for _ in range(2)
         )
         vru[8:] = vru[:8]  # some sights repeat, with the VUT elsewhere
@@ -207,7 +229,10 @@ def test_frames_are_those_in_which_enough_beams_of_the_whole_pattern_end_on_the_
     surroundings = build_surroundings(scene, runs)
     counts = _plain_counts(scene, runs, pose, SURE)
     hidden = _plain_counts(
-        scene, [replace(run, vut_position_m=run.vut_position_m + 500.0) for run in runs], pose, SURE
+        scene,
+        [replace(run, vut_position_m=run.vut_position_m + 500.0) for run in runs],
+        pose,
+        SURE,
     )
     assert (hidden > counts).any()  # the VUT hides something somewhere
     for n_points in (1, 10, 40, 120):
@@ -231,7 +256,9 @@ def test_grazing_and_dark_surfaces_send_less_back(build_scene, build_run, block,
         threshold_width=1.0e-3,
     )
     surroundings = [
-        build_surroundings(build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])])
+        build_surroundings(
+            build_scene(), [build_run(block, [[x_m + 0.25, 0.0, yaw_deg]])]
+        )
         for x_m, yaw_deg in ((9.0, 0.0), (9.0, 45.0), (10.5, 0.0))
     ]
     assert [count(one, LOW, weak) > 0 for one in surroundings] == [True, False, False]
@@ -262,7 +289,9 @@ def test_other_frames_do_not_matter(build_scene, build_run):
     )
     every = scan_frames(surroundings, LOW, SURE, _rng())
     some = np.arange(0, 40, 3)
-    assert np.array_equal(scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some])
+    assert np.array_equal(
+        scan_frames(surroundings.take(some), LOW, SURE, _rng()), every[some]
+    )
     assert 0 < every.sum() < 40
 
 
@@ -270,7 +299,9 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     """Wherever the VUT stands and faces: ahead is seen, aside, behind and hidden is not."""
     yaw_deg = np.repeat([0.0, 77.0, -160.0], 4)
     bearing_deg = yaw_deg + np.tile([0.0, 60.0, 180.0, 5.0], 3)
-    towards = np.column_stack([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    towards = np.column_stack(
+        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
+    )
     place = np.repeat([[3.0, 5.0], [-20.0, 1.0], [40.0, -6.0]], 4, axis=0)
     vut = np.column_stack([place, yaw_deg])
     vru = np.column_stack([place + 14.0 * towards, yaw_deg])
@@ -280,13 +311,16 @@ def test_the_vut_looks_ahead_from_where_its_lidar_is(build_scene, build_run, blo
     wall = build_scene(((3.0 + 7.0, 5.0 - 3.0, 0.0), (3.0 + 7.4, 5.0 + 3.0, 4.0)))
     behind = build_surroundings(wall, [build_run(block, vru, vut)])
     found = scan_frames(behind, load_vut_camera(), load_vut_lidar(), _rng())
-    assert found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
+    assert (
+        found.tolist() == [False, False, False, False] + [True, False, False, True] * 2
+    )
 
 
 # All round
 
 
-# Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both edges.
+# Cells of a degree; a wide one leaves a gap behind, over which a cone reaches both
+# edges.
 RING = replace(SURE, horizontal_fov_deg=360.0, vertical_fov_deg=150.0, n_lines=150)
 RING = replace(RING, points_per_second=10.0 * 150 * 360)
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 150 * 120)
@@ -302,7 +336,9 @@ def beams_on_vru(monkeypatch):
         counts = []
         with monkeypatch.context() as patch:
             patch.setattr(
-                perceive, "_is_enough", lambda echoes, *given: counts.append(len(echoes.distance_m))
+                perceive,
+                "_is_enough",
+                lambda echoes, *given: counts.append(len(echoes.distance_m)),
             )
             # One by one: a scan has an order of its own.
             for frame in range(len(surroundings.vru_poses)):
@@ -316,7 +352,9 @@ def beams_on_vru(monkeypatch):
 def _around(build_run, name, distance_m, n_frames=20):
     """A VRU all round the origin, with the VUT now and then before it."""
     bearing_deg = np.linspace(-180.0, 180.0, n_frames, endpoint=False)
-    towards = np.column_stack([np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))])
+    towards = np.column_stack(
+        [np.cos(np.radians(bearing_deg)), np.sin(np.radians(bearing_deg))]
+    )
     vru = np.column_stack([distance_m * towards, bearing_deg + 20.0])
     vut = np.column_stack([0.5 * distance_m * towards, bearing_deg + 90.0])
     vut[::2] += 500.0
@@ -351,22 +389,32 @@ def test_a_level_ring_sees_the_same_however_it_is_turned(
     runs = [_around(build_run, name, 9.0) for name in ("adult", "cyclist")]
     surroundings = build_surroundings(scene, runs)
     turned = replace(OVERHEAD, yaw_deg=float(n_columns))
-    before, after = (beams_on_vru(surroundings, pose, RING) for pose in (OVERHEAD, turned))
+    before, after = (
+        beams_on_vru(surroundings, pose, RING) for pose in (OVERHEAD, turned)
+    )
     assert np.abs(before - after).max() <= 1
     assert (before == after).mean() > 0.95
-    # The same pulses come back, too: beams meet the same luck on either side of the seam.
-    vague = replace(RING, threshold_width=9.0, reference_probability=0.5, reference_range_m=9.0)
+    # The same pulses come back, too: beams meet the same luck on either side of the
+    # seam.
+    vague = replace(
+        RING, threshold_width=9.0, reference_probability=0.5, reference_range_m=9.0
+    )
     for n_points in (3, 12, 8):
         needs(n_points)
         one, other = (
-            scan_frames(surroundings, pose, vague, _rng(4)) for pose in (OVERHEAD, turned)
+            scan_frames(surroundings, pose, vague, _rng(4))
+            for pose in (OVERHEAD, turned)
         )
         assert (one == other)[before == after].all()
     assert 0.1 < one.mean() < 0.9
 
 
-def test_a_ring_meets_what_a_sector_of_the_same_steps_meets(build_scene, build_run, beams_on_vru):
-    surroundings = build_surroundings(build_scene(WALL), [_around(build_run, "adult", 9.0, 72)])
+def test_a_ring_meets_what_a_sector_of_the_same_steps_meets(
+    build_scene, build_run, beams_on_vru
+):
+    surroundings = build_surroundings(
+        build_scene(WALL), [_around(build_run, "adult", 9.0, 72)]
+    )
     ring = beams_on_vru(surroundings, OVERHEAD, RING)
     assert (ring > 0).mean() > 0.8
     for yaw_deg in (0.0, 150.0, -120.0):

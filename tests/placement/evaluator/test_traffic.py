@@ -15,7 +15,9 @@ from placement.compute import DEFAULT_COMPUTE
 from placement.evaluator.evaluate import unit_key, watch
 from placement.visibility import build_detection_table
 
-LENGTH_M, WIDTH_M, HEIGHT_M = 12.0, 2.5, 3.2
+LENGTH_M = 12.0
+WIDTH_M = 2.5
+HEIGHT_M = 3.2
 SPEED_MPS = 12.0
 
 
@@ -50,20 +52,28 @@ def unit():
 @pytest.fixture(scope="module")
 def scene(build_scene):
     """Nothing but a place."""
-    return replace(build_scene(), outline_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]]))
+    return replace(
+        build_scene(), outline_m=np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0]])
+    )
 
 
 def _seen(setting, unit):
     """Frames in which a unit detects, by the table and by the evaluator."""
     table = build_detection_table(
-        setting.scene, [unit], setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        [unit],
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
     compute = replace(DEFAULT_COMPUTE, workers=1)
     detected = watch(setting, {unit_key(unit): unit}, compute=compute)
     return table.detected([0])[0], detected[unit_key(unit)]
 
 
-def test_a_bus_hides_a_pedestrian_for_a_second(scene, build_run, build_setting, bus, unit):
+def test_a_bus_hides_a_pedestrian_for_a_second(
+    scene, build_run, build_setting, bus, unit
+):
     """The shadow of a box, by similar triangles: the pedestrian stands twice as far as the bus."""
     adult = pick_actor("adult", "test")
     n_frames = 31
@@ -79,23 +89,31 @@ def test_a_bus_hides_a_pedestrian_for_a_second(scene, build_run, build_setting, 
     # Over the roof the camera sees nothing of a body lower than this at 20 m.
     far_edge_m = 10.0 + 0.5 * WIDTH_M
     assert adult.height_m < 3.0 - (3.0 - HEIGHT_M) * 20.0 / far_edge_m
-    # The rays to both sides of the body pass the near edge of the bus this far from the axis.
+    # The rays to both sides of the body pass the near edge of the bus this far from the
+    # axis.
     side_m = 0.5 * max(adult.width_m, adult.length_m) * (10.0 - 0.5 * WIDTH_M) / 20.0
     # Where the body is on the far edge's line of sight, its sides are as far out.
     is_hidden = np.abs(along_m) < 0.5 * LENGTH_M - side_m
-    is_clear = np.abs(along_m) > 0.5 * LENGTH_M + 0.5 * max(adult.width_m, adult.length_m)
+    is_clear = np.abs(along_m) > 0.5 * LENGTH_M + 0.5 * max(
+        adult.width_m, adult.length_m
+    )
     assert is_hidden.sum() in (9, 10)  # a second
     for seen in _seen(setting, unit):
-        alone, behind = seen[:n_frames], seen[n_frames:]
+        alone = seen[:n_frames]
+        behind = seen[n_frames:]
         assert alone.all()
         assert not behind[is_hidden].any()
         assert behind[is_clear].all()
 
 
-def test_what_drives_on_the_spot_hides_as_what_is_parked(scene, build_run, build_setting, unit):
+def test_what_drives_on_the_spot_hides_as_what_is_parked(
+    scene, build_run, build_setting, unit
+):
     rng = np.random.default_rng(5)
     van = pick_actor("parked-van", "test")
-    vru = np.column_stack([rng.uniform(6, 30, 80), rng.uniform(-9, 9, 80), rng.uniform(0, 360, 80)])
+    vru = np.column_stack(
+        [rng.uniform(6, 30, 80), rng.uniform(-9, 9, 80), rng.uniform(0, 360, 80)]
+    )
     run = build_run(pick_actor("cyclist", "test"), vru)
     places = [(8.0, 2.0, 30.0), (12.0, -3.0, 80.0), (5.0, -1.0, 0.0)]
     parked = tuple(
@@ -103,7 +121,9 @@ def test_what_drives_on_the_spot_hides_as_what_is_parked(scene, build_run, build
         for x, y, yaw in places
     )
     driving = tuple(
-        MovingActor(actor=van, position_m=np.tile([x, y], (80, 1)), yaw_deg=np.full(80, yaw))
+        MovingActor(
+            actor=van, position_m=np.tile([x, y], (80, 1)), yaw_deg=np.full(80, yaw)
+        )
         for x, y, yaw in places
     )
     setting = build_setting(

@@ -34,7 +34,9 @@ def on(scene, ground):
         scene,
         vertices_m=np.concatenate([scene.vertices_m, vertices]),
         triangles=np.concatenate([scene.triangles, triangles + len(scene.vertices_m)]),
-        triangle_instance=np.concatenate([scene.triangle_instance, np.ones(len(triangles))]),
+        triangle_instance=np.concatenate(
+            [scene.triangle_instance, np.ones(len(triangles))]
+        ),
         instances=(*scene.instances, Instance(id=GROUND, class_name=GROUND)),
     )
 
@@ -42,14 +44,22 @@ def on(scene, ground):
 @given(grade=st.floats(-0.3, 0.3), yaw_deg=st.floats(-180.0, 180.0))
 def test_on_a_plane_the_pitch_is_the_grade_along_the_heading(grade, yaw_deg):
     slope = terrain(lambda east, north: grade * east)
-    pitch_deg = pitch_on_ground_deg([[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9)
-    assert np.tan(np.radians(pitch_deg)) == pytest.approx(grade * np.cos(np.radians(yaw_deg)))
+    pitch_deg = pitch_on_ground_deg(
+        [[3.0, -7.0]], [yaw_deg], slope, front_m=1.4, wheelbase_m=2.9
+    )
+    assert np.tan(np.radians(pitch_deg)) == pytest.approx(
+        grade * np.cos(np.radians(yaw_deg))
+    )
 
 
 def test_over_a_crest_the_pitch_is_that_of_the_chord_between_the_axles():
     crest = terrain(lambda east, north: -0.1 * np.abs(east))
     pitch_deg = pitch_on_ground_deg(
-        [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]], [0.0] * 3, crest, front_m=1.5, wheelbase_m=3.0
+        [[-1.0, 0.0], [0.0, 0.0], [2.0, 0.0]],
+        [0.0] * 3,
+        crest,
+        front_m=1.5,
+        wheelbase_m=3.0,
     )
     # Front axles at 0.5, 1.5 and 3.5 m, rear ones at -2.5, -1.5 and 0.5 m.
     assert np.tan(np.radians(pitch_deg)) == pytest.approx([0.2 / 3.0, 0.0, -0.1])
@@ -62,12 +72,15 @@ def test_on_a_slope_whoever_is_ahead_is_seen_at_the_row_of_the_level_road(
     build_scene, build_run, camera, block, grade
 ):
     slope = terrain(lambda east, north: grade * east)
-    run = replace(build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]), terrain=slope)
+    run = replace(
+        build_run(block, [[12.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]]), terrain=slope
+    )
     surroundings = build_surroundings(on(build_scene(), slope), [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
     (box,) = perceive_frames(surroundings, mount).amodal_px
     ahead_m, _, up_m = mount.pose_on(run.encounter.vut).position_m
-    # Turned with the road, the foot of the body's middle is as low as the road, 12 m / cos away.
+    # Turned with the road, the foot of the body's middle is as low as the road, 12 m /
+    # cos away.
     pitch = np.arctan(grade)
     corner = np.array([[x, z] for x in (-0.25, 0.25) for z in (0.0, 1.8)])
     turn = np.array([[np.cos(pitch), np.sin(pitch)], [-np.sin(pitch), np.cos(pitch)]])
@@ -82,17 +95,26 @@ def test_boxes_on_hills_equal_the_plain_render_from_where_the_camera_is_and_look
     build_scene, build_run, camera, block
 ):
     rng = np.random.default_rng(5)
-    hills = terrain(lambda east, north: 3.0 * np.sin(east / 15.0) + 2.0 * np.cos(north / 12.0))
-    vut = np.column_stack([rng.uniform(-30.0, 30.0, (40, 2)), rng.uniform(-180.0, 180.0, 40)])
-    ahead = np.stack([np.cos(np.radians(vut[:, 2])), np.sin(np.radians(vut[:, 2]))], axis=1)
-    vru = np.column_stack([vut[:, :2] + rng.uniform(6.0, 15.0, (40, 1)) * ahead, vut[:, 2] + 40.0])
+    hills = terrain(
+        lambda east, north: 3.0 * np.sin(east / 15.0) + 2.0 * np.cos(north / 12.0)
+    )
+    vut = np.column_stack(
+        [rng.uniform(-30.0, 30.0, (40, 2)), rng.uniform(-180.0, 180.0, 40)]
+    )
+    ahead = np.stack(
+        [np.cos(np.radians(vut[:, 2])), np.sin(np.radians(vut[:, 2]))], axis=1
+    )
+    vru = np.column_stack(
+        [vut[:, :2] + rng.uniform(6.0, 15.0, (40, 1)) * ahead, vut[:, 2] + 40.0]
+    )
     run = replace(build_run(block, vru, vut), terrain=hills)
     scene = on(build_scene(((-6.0, 3.0, -9.0), (-2.0, 6.0, 4.0))), hills)
     assert terrain_of(scene) is not None
     surroundings = build_surroundings(scene, [run])
     mount = VutCamera(camera=camera, ahead_per_half_length=0.8, up_per_half_height=1.3)
     boxes = perceive_frames(surroundings, mount)
-    pitches_deg, n_hidden = [], 0
+    pitches_deg = []
+    n_hidden = 0
     for frame in range(40):
         pose = vut_camera_pose(mount, run, frame)
         pitches_deg.append(pose.pitch_deg)

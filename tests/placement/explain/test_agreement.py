@@ -46,7 +46,11 @@ def _table(setting, layout, detected):
 
 def test_both_agree_on_runs_that_are_seen_well(setting, layout, evaluation):
     table = build_detection_table(
-        setting.scene, layout.units, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        layout.units,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
     assert evaluation.rsu_all.is_avoided.all()
     assert find_disagreements(setting, table, evaluation, [0, 1]) == ()
@@ -56,11 +60,15 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
     setting, layout, evaluation
 ):
     nothing = np.zeros((2, setting.axis.n_frames), dtype=bool)
-    found = find_disagreements(setting, _table(setting, layout, nothing), evaluation, [0, 1])
+    found = find_disagreements(
+        setting, _table(setting, layout, nothing), evaluation, [0, 1]
+    )
     expected = [
         (party, run_id)
         for party, verdict in (*evaluation.units.items(), (FUSED, evaluation.rsu_all))
-        for run_id, is_avoided in zip(setting.axis.run_ids, verdict.is_avoided, strict=True)
+        for run_id, is_avoided in zip(
+            setting.axis.run_ids, verdict.is_avoided, strict=True
+        )
         if is_avoided
     ]
     assert [(entry.party, entry.run_id) for entry in found] == expected
@@ -68,7 +76,10 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
     axis = setting.axis
     for entry in found:
         frames = axis.frames_of(axis.run_ids.index(entry.run_id))
-        in_time = axis.time_s[frames] <= axis.last_brake_time_s[axis.run_ids.index(entry.run_id)]
+        in_time = (
+            axis.time_s[frames]
+            <= axis.last_brake_time_s[axis.run_ids.index(entry.run_id)]
+        )
         seen = [
             verdict.detected[frames] & in_time
             for name, verdict in evaluation.units.items()
@@ -78,18 +89,28 @@ def test_a_table_that_misses_everything_differs_where_the_evaluator_avoids(
         assert "sample points and pixels differ" in entry.cause
 
 
-def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(setting, layout, evaluation):
+def test_what_was_lost_on_the_way_is_told_from_what_was_not_seen(
+    setting, layout, evaluation
+):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
     lossy = evaluate_layout(layout, replace(setting, radio=Radio(packet_loss=1.0)))
-    found = find_disagreements(setting, _table(setting, layout, detected), lossy, [0, 1])
+    found = find_disagreements(
+        setting, _table(setting, layout, detected), lossy, [0, 1]
+    )
     assert {entry.run_id for entry in found if entry.party == FUSED} == set(RUNS)
-    assert all(entry.on_table and "chance or a lost message" in entry.cause for entry in found)
+    assert all(
+        entry.on_table and "chance or a lost message" in entry.cause for entry in found
+    )
 
 
 def test_latency_alone_can_make_the_difference(setting, layout, evaluation):
     detected = np.array([verdict.detected for verdict in evaluation.units.values()])
-    slow = replace(layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units))
+    slow = replace(
+        layout, units=tuple(replace(unit, latency_s=60.0) for unit in layout.units)
+    )
     # The table is asked with the units' own latencies, too: nothing differs.
     late = evaluate_layout(slow, setting)
     assert not late.rsu_all.is_avoided.any()
-    assert find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()
+    assert (
+        find_disagreements(setting, _table(setting, slow, detected), late, [0, 1]) == ()
+    )

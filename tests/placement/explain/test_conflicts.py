@@ -23,10 +23,13 @@ Poses = tuple[int, ...]
 
 def relaxed(problem, relaxation, separation):
     """The problem with one demand relaxed, all others as they were."""
-    demand, value = relaxation.demand, relaxation.value
+    demand = relaxation.demand
+    value = relaxation.value
     if demand.floor is not None:
         floors = list(problem.floors)
-        floors[demand.floor] = replace(floors[demand.floor], share=min(max(value, 0.0), 1.0))
+        floors[demand.floor] = replace(
+            floors[demand.floor], share=min(max(value, 0.0), 1.0)
+        )
         return replace(problem, floors=tuple(floors))
     if demand.kind == "budget_units":
         return replace(problem, limits=replace(problem.limits, budget_units=int(value)))
@@ -53,7 +56,9 @@ def wishes(draw: st.DrawFn) -> tuple[PlacementProblem, Separation | None]:
 
 
 def sets_of(n: int) -> list[Poses]:
-    return list(chain.from_iterable(combinations(range(n), size) for size in range(1, n + 1)))
+    return list(
+        chain.from_iterable(combinations(range(n), size) for size in range(1, n + 1))
+    )
 
 
 def meets(
@@ -65,19 +70,26 @@ def meets(
     survives: bool,
 ) -> bool:
     """Whether a set of poses meets one demand."""
-    limits, kind = problem.limits, demand.kind
+    limits = problem.limits
+    kind = demand.kind
     sites = limits.site_index[list(poses)]
     at_site = np.bincount(sites, minlength=limits.n_sites)
     if kind == "floor":
         floor = problem.floors[demand.floor]
-        floor = floor if survives else replace(floor, n_failures=0)
+        if survives:
+            floor = floor
+        else:
+            floor = replace(floor, n_failures=0)
         return floor_value(problem, floor, poses) >= floor.share - 1e-9
     if kind == "budget_units":
         return len(poses) <= limits.budget_units
     if kind == "budget_eur":
         return cost_eur(limits, poses) <= limits.budget_eur + 1e-6
     if kind == "capacity":
-        capacity = limits.site_capacity if separation is None else separation.site_capacity
+        if separation is None:
+            capacity = limits.site_capacity
+        else:
+            capacity = separation.site_capacity
         return bool((at_site <= capacity).all())
     if kind == "separation":
         if separation is not None and (at_site > limits.site_capacity).any():
@@ -101,14 +113,18 @@ def met_together(
         poses
         for poses in sets_of(problem.table.n_poses)
         if forced <= set(poses)
-        and all(meets(problem, separation, d, poses, survives=survives) for d in demands)
+        and all(
+            meets(problem, separation, d, poses, survives=survives) for d in demands
+        )
     ]
 
 
 def check_conflicts(problem, separation):
     demands = Wish(problem, separation).demands
     found = find_conflicts(problem, separation=separation)
-    feasible = [poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)]
+    feasible = [
+        poses for poses in sets_of(problem.table.n_poses) if is_feasible(problem, poses)
+    ]
     assert met_together(problem, separation, demands) == feasible
     assert (len(found) == 0) == (len(feasible) > 0)
     left = list(demands)
@@ -130,7 +146,9 @@ def check_relaxation(problem, separation, conflict, relaxation):
     others = [other for other in demands if other != demand]
     assert relaxation.suffices == bool(met_together(problem, separation, others))
     if relaxation.suffices:
-        assert is_feasible(relaxed(problem, relaxation, separation), relaxation.pose_index)
+        assert is_feasible(
+            relaxed(problem, relaxation, separation), relaxation.pose_index
+        )
     else:
         others = [other for other in conflict.demands if other != demand]
     allowed = met_together(problem, separation, others)
@@ -140,14 +158,17 @@ def check_relaxation(problem, separation, conflict, relaxation):
     if not relaxation.given_up:
         assert relaxation.value == pytest.approx(expected)
     elif demand.kind == "forbidden":
-        assert len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
+        assert (
+            len(set(problem.limits.site_index[list(relaxation.given_up)])) == expected
+        )
     else:
         assert len(relaxation.given_up) == expected
 
 
 def least(problem, separation, demand, others, allowed):
     """The best value of a relaxation, or how few items have to go."""
-    limits, kind = problem.limits, demand.kind
+    limits = problem.limits
+    kind = demand.kind
     survives = any(other.kind == "survive" for other in others)
     sites = [set(limits.site_index[list(poses)].tolist()) for poses in allowed]
     if kind == "budget_units":
@@ -156,10 +177,15 @@ def least(problem, separation, demand, others, allowed):
         return min(cost_eur(limits, poses) for poses in allowed)
     if kind == "floor":
         floor = problem.floors[demand.floor]
-        floor = floor if survives else replace(floor, n_failures=0)
+        if survives:
+            floor = floor
+        else:
+            floor = replace(floor, n_failures=0)
         return max(floor_value(problem, floor, poses) for poses in allowed)
     if kind == "survive":
-        counted = [problem.floors[other.floor] for other in others if other.floor is not None]
+        counted = [
+            problem.floors[other.floor] for other in others if other.floor is not None
+        ]
         return max(
             n
             for n in range(3)
@@ -172,10 +198,17 @@ def least(problem, separation, demand, others, allowed):
             and n < max(f.n_failures for f in counted)
         )
     if kind == "capacity":
-        capacity = limits.site_capacity if separation is None else separation.site_capacity
+        if separation is None:
+            capacity = limits.site_capacity
+        else:
+            capacity = separation.site_capacity
         return min(
             max(
-                (n for n, most in zip(counts(limits, poses), capacity, strict=True) if n > most),
+                (
+                    n
+                    for n, most in zip(counts(limits, poses), capacity, strict=True)
+                    if n > most
+                ),
                 default=0,
             )
             for poses in allowed
@@ -187,7 +220,9 @@ def least(problem, separation, demand, others, allowed):
         )
     if kind == "forbidden":
         return min(
-            len({limits.site_index[pose] for pose in poses if limits.is_forbidden[pose]})
+            len(
+                {limits.site_index[pose] for pose in poses if limits.is_forbidden[pose]}
+            )
             for poses in allowed
         )
     forced_sites = set(np.flatnonzero(limits.is_forced_site).tolist())
@@ -241,6 +276,9 @@ def test_nothing_is_claimed_when_time_is_up(wish):
     for conflict in find_conflicts(problem, separation=separation, time_limit_s=0.0):
         assert not met_together(problem, separation, conflict.demands)
         for relaxation in conflict.relaxations:
-            others = conflict.demands if not relaxation.suffices else demands
+            if not relaxation.suffices:
+                others = conflict.demands
+            else:
+                others = demands
             others = [other for other in others if other != relaxation.demand]
             assert relaxation.pose_index in met_together(problem, separation, others)

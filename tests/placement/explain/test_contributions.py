@@ -19,7 +19,9 @@ PROBLEMS = problems()
 
 
 def some_poses(problem: PlacementProblem, data: st.DataObject) -> list[int]:
-    return data.draw(st.permutations(range(problem.table.n_poses)))[: data.draw(st.integers(1, 4))]
+    return data.draw(st.permutations(range(problem.table.n_poses)))[
+        : data.draw(st.integers(1, 4))
+    ]
 
 
 @given(problem=PROBLEMS, data=st.data())
@@ -37,7 +39,9 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
             for run in range(len(left))
             if whole[run] > -np.inf and left[run] == -np.inf and weight[run] > 0.0
         ]
-        assert part.marginal_apr == pytest.approx(apr(problem, poses) - apr(problem, others))
+        assert part.marginal_apr == pytest.approx(
+            apr(problem, poses) - apr(problem, others)
+        )
         assert part.marginal_apr == pytest.approx(weight[part.only_runs].sum())
         assert part.without == placement_value(problem, others)
         delays = [
@@ -47,7 +51,9 @@ def test_each_part_is_the_difference_that_the_unit_makes(problem, data):
         ]
         if delays:
             seconds, weights = np.array(delays).T
-            assert part.mean_delay_s == pytest.approx(np.average(seconds, weights=weights))
+            assert part.mean_delay_s == pytest.approx(
+                np.average(seconds, weights=weights)
+            )
             assert part.max_delay_s == pytest.approx(seconds.max())
         else:
             assert part.mean_delay_s == part.max_delay_s == 0.0
@@ -65,4 +71,6 @@ def test_a_unit_that_detects_nothing_contributes_nothing(problem, data):
     assert len(blind.only_runs) == 0
     assert blind.marginal_apr == blind.mean_delay_s == blind.max_delay_s == 0.0
     alone = find_contributions(blinded, others)
-    assert [part.marginal_apr for part in parts] == [part.marginal_apr for part in alone]
+    assert [part.marginal_apr for part in parts] == [
+        part.marginal_apr for part in alone
+    ]

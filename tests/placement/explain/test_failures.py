@@ -11,7 +11,12 @@ from strategies import frame_axes
 from geometry.catalogue import load_cameras
 from geometry.poses import Pose
 from placement.candidates import CandidatePose
-from placement.evaluation import Evaluation, Verdict, apr_one_failed, apr_one_site_failed
+from placement.evaluation import (
+    Evaluation,
+    Verdict,
+    apr_one_failed,
+    apr_one_site_failed,
+)
 from placement.explain.contributions import MAX_PAIR_UNITS, find_failures
 from placement.layout import Layout
 from scenarios.aeb import load_aeb_rule
@@ -44,7 +49,9 @@ def evaluate(axis, detected, latencies_s):
         layout=Layout(name="mine", units=units),
         axis=axis,
         vut=verdict(any_unit),
-        units={unit.id: verdict(row) for unit, row in zip(units, detected, strict=True)},
+        units={
+            unit.id: verdict(row) for unit, row in zip(units, detected, strict=True)
+        },
         rsu_all=verdict(any_unit),
         vut_and_rsus=verdict(any_unit),
     )
@@ -53,7 +60,9 @@ def evaluate(axis, detected, latencies_s):
 def brute_force(axis, detected, latencies_s, rule, failed):
     """Run by run and window by window: APR, smallest margin and avoided runs of the rest."""
     n = rule.n_confirmations
-    avoided, weight, margins = [], 0.0, []
+    avoided = []
+    weight = 0.0
+    margins = []
     for run in range(axis.n_runs):
         frames = range(int(axis.run_start[run]), int(axis.run_start[run + 1]))
         onset = math.inf
@@ -100,7 +109,9 @@ def test_every_failure_is_as_brute_force_says(axis, n_units, data):
     _, _, avoided_by_all = brute_force(axis, detected, latencies_s, rule, ())
     for item in (failures.none_failed, *failures.one_failed, *failures.two_failed):
         failed = [int(name[1:]) for name in item.unit_ids]
-        share, margin_s, avoided = brute_force(axis, detected, latencies_s, rule, failed)
+        share, margin_s, avoided = brute_force(
+            axis, detected, latencies_s, rule, failed
+        )
         assert item.apr == pytest.approx(share)
         assert item.smallest_margin_s == pytest.approx(margin_s, nan_ok=True)
         assert sorted(item.lost_run_ids) == sorted(set(avoided_by_all) - set(avoided))
@@ -126,7 +137,8 @@ def test_a_pole_takes_all_its_units_with_it(frame_axis, rule, sites):
     for index, site in enumerate(sites):
         together.setdefault(site or f"unit U{index}", []).append(index)
     assert {item.site_id: item.unit_ids for item in found} == {
-        site: tuple(f"U{index}" for index in failed) for site, failed in together.items()
+        site: tuple(f"U{index}" for index in failed)
+        for site, failed in together.items()
     }
     latencies_s = [rule.latency_s] * 3
     for item in found:
@@ -145,7 +157,9 @@ def test_runs_without_weight_are_neither_lost_nor_a_margin(frame_axis, rule):
     # U0 sees all; U1 sees run 1 only, one frame later.
     rows = np.array([[1] * 10, [0] * 3 + [0, 1, 1, 1, 0] + [0, 0]], dtype=bool)
     failures = find_failures(evaluate(axis, rows, [None, None]), rule)
-    assert failures.none_failed.smallest_margin_s == pytest.approx(0.1 + 0.2 - rule.latency_s)
+    assert failures.none_failed.smallest_margin_s == pytest.approx(
+        0.1 + 0.2 - rule.latency_s
+    )
     worst = failures.one_failed[0]
     assert worst.unit_ids == ("U0",)
     assert worst.lost_run_ids == ()  # run 0 is lost, but does not count
@@ -167,5 +181,8 @@ def test_pairs_are_looked_at_up_to_a_number_of_units(frame_axis, rule, n_units):
     rows = np.ones((n_units, 10), dtype=bool)
     failures = find_failures(evaluate(frame_axis, rows, [None] * n_units), rule)
     assert len(failures.one_failed) == n_units
-    n_pairs = n_units * (n_units - 1) // 2 if n_units <= MAX_PAIR_UNITS else 0
+    if n_units <= MAX_PAIR_UNITS:
+        n_pairs = n_units * (n_units - 1) // 2
+    else:
+        n_pairs = 0
     assert len(failures.two_failed) == n_pairs

@@ -21,7 +21,11 @@ def runner(apr, left):
         ([(0.900, 0.365), (0.902, 0.482)], {}, (1, "apr")),
         ([(0.900, 0.365), (0.900 + 0.9 * EQUAL_APR, 0.3)], {}, (0, "order")),
         ([(0.900, 0.365), (0.9005, 0.482)], {}, (1, "apr_one_failed")),
-        ([(0.9, 0.4), (0.9, 0.4), (0.9, 0.4)], {0: 0.7, 1: 0.88, 2: 0.9}, (2, "mounting")),
+        (
+            [(0.9, 0.4), (0.9, 0.4), (0.9, 0.4)],
+            {0: 0.7, 1: 0.88, 2: 0.9},
+            (2, "mounting"),
+        ),
         ([(0.9, 0.4), (0.9, 0.4)], {0: 0.8, 1: 0.8}, (0, "order")),
         ([(0.8, 0.9), (0.9, 0.3), (0.9, 0.4)], {}, (2, "apr")),
         ([(0.9, 0.4)], {}, (0, "order")),
@@ -31,7 +35,9 @@ def test_the_evaluator_decides_by_apr_then_failures_then_errors_of_mounting(
     values, wrongly, expected
 ):
     """What mounting errors leave is looked at only where it decides."""
-    assert recommend([runner(*pair) for pair in values], wrongly.__getitem__) == expected
+    assert (
+        recommend([runner(*pair) for pair in values], wrongly.__getitem__) == expected
+    )
 
 
 def test_a_front_runner_has_the_shares_of_its_fusion():
@@ -47,7 +53,11 @@ def test_a_front_runner_has_the_shares_of_its_fusion():
         rsu_all=verdict(1, 1, 1),
         vut=verdict(0, 1, 0),
     )
-    for cars, expected in ((0.0, (0.75, 0.5)), (1.0, (0.75, 0.75)), (0.5, (0.75, 0.625))):
+    for cars, expected in (
+        (0.0, (0.75, 0.5)),
+        (1.0, (0.75, 0.75)),
+        (0.5, (0.75, 0.625)),
+    ):
         evaluation.cars = cars
         found = build_front_runner(evaluation, None, fusion="single")
         assert (found.apr, found.apr_one_failed) == expected

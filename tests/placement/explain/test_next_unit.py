@@ -14,7 +14,9 @@ def test_no_other_further_unit_gains_more(problem):
     reduced = presolve(problem)
     found = list(solve_placement(problem, reduced).pose_index)
     limits = replace(problem.limits, budget_units=None)
-    others = [pose for pose in range(limits.n_poses) if is_allowed(limits, [*found, pose])]
+    others = [
+        pose for pose in range(limits.n_poses) if is_allowed(limits, [*found, pose])
+    ]
     best = find_next_unit(problem, reduced, found)
     ratios = [apr(problem, [*found, pose]) for pose in others if pose not in found]
     if best is None:

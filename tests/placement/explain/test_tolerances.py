@@ -8,7 +8,12 @@ from geometry.poses import Pose, wrap_deg
 from geometry.study_scene import load_study_scene
 from placement.candidates import CandidatePose
 from placement.detectors import load_detector, load_planning_detector
-from placement.explain.tolerances import LIFTS_M, TURNS_DEG, find_standing, find_tolerances
+from placement.explain.tolerances import (
+    LIFTS_M,
+    TURNS_DEG,
+    find_standing,
+    find_tolerances,
+)
 from placement.optimiser import run_margins_s
 from placement.setting import Setting
 from placement.visibility import build_detection_table
@@ -34,15 +39,23 @@ def setting(runs, rule):
 
 
 def unit(name, yaw_deg, pitch_deg=-40.0):
-    pose = Pose(position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    pose = Pose(
+        position_m=np.array([-115.4, 8.85, 8.0]), yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
     return CandidatePose(id=name, site_id="", pose=pose, sensor=CAMERA)
 
 
 def avoided(setting, units):
     table = build_detection_table(
-        setting.scene, units, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        units,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
-    wishes = Wishes(budget_units=len(units), existing=tuple(one.id for one in units[1:]))
+    wishes = Wishes(
+        budget_units=len(units), existing=tuple(one.id for one in units[1:])
+    )
     problem = build_problem(setting, units, table, wishes=wishes)
     return np.isfinite(run_margins_s(problem, range(len(units))))
 
@@ -79,7 +92,9 @@ def test_within_its_tolerances_nothing_is_lost_and_a_step_beyond_something_is(se
             beyond = [step for step in steps if step > good][:1]
             for step in beyond:
                 limited += 1
-                assert (planned & ~avoided(setting, [moved(one, **{axis: sign * step})])).any()
+                assert (
+                    planned & ~avoided(setting, [moved(one, **{axis: sign * step})])
+                ).any()
     assert limited
 
 
@@ -105,7 +120,9 @@ def test_usual_errors_cost_what_a_layout_built_so_has(setting):
             cost[kind, step] = (left.mean(), int((planned & ~left).sum()))
     worst = found.worst
     assert worst.apr == pytest.approx(min(apr for apr, _ in cost.values()))
-    assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(cost[worst.kind, worst.step])
+    assert (worst.apr, len(worst.lost_run_ids)) == pytest.approx(
+        cost[worst.kind, worst.step]
+    )
     assert (found.aim_deg >= 1.0 and found.height_m >= 0.05) == (not worst.lost_run_ids)
     (tolerance,) = find_tolerances(setting, [one])
     assert found.aim_deg == min(2.0, *tolerance.yaw_deg, *tolerance.pitch_deg)

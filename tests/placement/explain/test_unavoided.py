@@ -30,10 +30,14 @@ FAR = (-390.0, -390.0)
 N_FRAMES = 20
 
 
-def run_of(vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5):
+def run_of(
+    vru_m, *, vut_m=FAR, weather="day", obstruction=(), name="run", last_brake_s=-0.5
+):
     """An adult that stands somewhere for two seconds; nothing moves."""
     motion = Motion(
-        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
+        speed_mps=1.0,
+        start_time_s=0.0,
     )
     actors = load_actors()
     return Run(
@@ -68,7 +72,15 @@ def setting_of(*runs, boxes=(), weight=None):
 
 
 def unit(
-    x, y, z=5.0, *, yaw_deg=0.0, pitch_deg=-15.0, sensor="carla-ncap-rgb", fov_deg=None, name="unit"
+    x,
+    y,
+    z=5.0,
+    *,
+    yaw_deg=0.0,
+    pitch_deg=-15.0,
+    sensor="carla-ncap-rgb",
+    fov_deg=None,
+    name="unit",
 ):
     model = pick_sensor(sensor, "test")
     return CandidatePose(
@@ -86,7 +98,11 @@ def reasons_of(setting, candidate, run_index=0):
 
 def is_detected(setting, candidate):
     table = build_detection_table(
-        setting.scene, [candidate], setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        [candidate],
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
     return table.detected([0])[0]
 
@@ -107,14 +123,23 @@ PARKED = [
     ("boxes", "run", "expected"),
     [
         ([WALL, BEHIND], run_of((0.0, 0.0)), ("hidden", "wall-a")),
-        ([BEHIND], run_of((0.0, 0.0), obstruction=PARKED[:1]), ("hidden", "parked-van")),
+        (
+            [BEHIND],
+            run_of((0.0, 0.0), obstruction=PARKED[:1]),
+            ("hidden", "parked-van"),
+        ),
         ([BEHIND], run_of((0.0, 0.0), vut_m=(-2.0, 0.0)), ("hidden", "the VUT")),
-        ([BEHIND], run_of((0.0, 0.0), obstruction=PARKED), ("hidden", "parked-van (2)")),
+        (
+            [BEHIND],
+            run_of((0.0, 0.0), obstruction=PARKED),
+            ("hidden", "parked-van (2)"),
+        ),
     ],
     ids=["wall", "parked", "VUT", "two alike"],
 )
 def test_what_is_in_the_way_is_named(sensor, boxes, run, expected):
-    setting, low = setting_of(run, boxes=boxes), unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
+    setting = setting_of(run, boxes=boxes)
+    low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0, sensor=sensor)
     assert not is_detected(setting, low).any()
     assert reasons_of(setting, low) == [(*expected, N_FRAMES)]
     # Without the thing it is detected: that is what "hidden" says.
@@ -179,7 +204,11 @@ def test_the_unit_that_looks_there_is_asked_before_one_that_is_nearer():
         unit(-3.0, 0.5, name="helper"),
     ]
     table = build_detection_table(
-        setting.scene, candidates, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        candidates,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
     problem = problem_of(setting, candidates, table.detected(slice(None)))
     (missed,) = find_unavoided(setting, problem, candidates, [0, 1])
@@ -199,9 +228,14 @@ def tables(draw):
     """Three runs with any deadlines, seven poses anywhere, any detections."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     last = rng.choice([-0.3, -0.9, -1.5, -1.85, -np.inf], size=3)
-    weight = np.array(draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])), dtype=float)
+    weight = np.array(
+        draw(st.sampled_from([(1, 1, 1), (0, 1, 3), (2, 0, 0)])), dtype=float
+    )
     setting = setting_of(
-        *(run_of((0.0, 0.0), name=f"run-{i}", last_brake_s=s) for i, s in enumerate(last)),
+        *(
+            run_of((0.0, 0.0), name=f"run-{i}", last_brake_s=s)
+            for i, s in enumerate(last)
+        ),
         weight=weight / weight.sum(),
     )
     n_poses = 7
@@ -209,7 +243,9 @@ def tables(draw):
     candidates = [unit(x, y, name=f"unit-{i}") for i, (x, y) in enumerate(places)]
     setting = replace(
         setting,
-        rule=replace(setting.rule, track_memory_s=draw(st.sampled_from([0.1, 0.3, math.inf]))),
+        rule=replace(
+            setting.rule, track_memory_s=draw(st.sampled_from([0.1, 0.3, math.inf]))
+        ),
     )
     share = draw(st.sampled_from([0.1, 0.3, 0.6]))
     detected = rng.random((n_poses, setting.axis.n_frames)) < share
@@ -226,7 +262,12 @@ def tables(draw):
             "rivals": np.array([[0, 1]]) if draw(st.booleans()) else None,
         },
     )
-    return setting, problem, candidates, rng.choice(n_poses, size=2, replace=False).tolist()
+    return (
+        setting,
+        problem,
+        candidates,
+        rng.choice(n_poses, size=2, replace=False).tolist(),
+    )
 
 
 @given(given_=tables())
@@ -258,7 +299,9 @@ def test_outcome_and_rescue_match_brute_force(given_):
             continue
         away = {
             pose: min(
-                np.linalg.norm(candidates[pose].pose.position_m - candidates[c].pose.position_m)
+                np.linalg.norm(
+                    candidates[pose].pose.position_m - candidates[c].pose.position_m
+                )
                 for c in chosen
             )
             for pose in helping
@@ -267,20 +310,27 @@ def test_outcome_and_rescue_match_brute_force(given_):
         assert entry.rescue.distance_m == pytest.approx(nearest)
         helper = problem.table.pose_ids.index(entry.rescue.unit)
         assert helper in helping
-        best = max(helping[pose] for pose in helping if away[pose] == pytest.approx(nearest))
+        best = max(
+            helping[pose] for pose in helping if away[pose] == pytest.approx(nearest)
+        )
         assert entry.rescue.margin_s == pytest.approx(best)
         assert entry.rescue.margin_s == pytest.approx(helping[helper])
 
 
 def check_outcome(problem, chosen, run, entry):
-    axis, rule = problem.table.axis, problem.rule
+    axis = problem.table.axis
+    rule = problem.rule
     frames = axis.frames_of(run)
-    time_s, last_s = axis.time_s[frames], axis.last_brake_time_s[run]
+    time_s = axis.time_s[frames]
+    last_s = axis.last_brake_time_s[run]
     counts = time_s + rule.latency_s <= last_s + 1e-9
     seen = problem.table.detected(chosen)[:, frames]
     assert entry.frames_in_time == counts.sum()
     assert entry.frames_seen == (seen.any(axis=0) & counts).sum()
-    together = [seen.any(axis=0)] if problem.fusion == "any" else list(seen)
+    if problem.fusion == "any":
+        together = [seen.any(axis=0)]
+    else:
+        together = list(seen)
     n = rule.n_confirmations
     confirmed = [
         time_s[end]
@@ -325,7 +375,8 @@ def may_join(limits, chosen, pose):
 def test_each_look_gets_its_own_reasons():
     runs = [run_of((0.0, 0.0), name="a"), run_of((0.0, 40.0), name="b")]
     setting = setting_of(*runs, boxes=[WALL])
-    low, away = unit(-20.0, 0.0, 1.2, pitch_deg=0.0), unit(-20.0, 40.0, yaw_deg=180.0)
+    low = unit(-20.0, 0.0, 1.2, pitch_deg=0.0)
+    away = unit(-20.0, 40.0, yaw_deg=180.0)
     looks = [
         Look(unit=away, run_index=1, frame_index=np.array([3, 4])),
         Look(unit=low, run_index=0, frame_index=np.array([5])),
@@ -333,7 +384,8 @@ def test_each_look_gets_its_own_reasons():
         Look(unit=low, run_index=1, frame_index=np.array([], dtype=np.int64)),
     ]
     found = [
-        [(r.cause, r.thing, r.frames) for r in reasons] for reasons in find_reasons(setting, looks)
+        [(r.cause, r.thing, r.frames) for r in reasons]
+        for reasons in find_reasons(setting, looks)
     ]
     assert found == [
         [("out of view", "", 2)],
@@ -345,7 +397,8 @@ def test_each_look_gets_its_own_reasons():
 
 
 def test_weather_and_speed_share_no_reason():
-    clear, foggy = run_of((0.0, 0.0)), run_of((0.0, 0.0), weather="fog", name="fog")
+    clear = run_of((0.0, 0.0))
+    foggy = run_of((0.0, 0.0), weather="fog", name="fog")
     setting = setting_of(clear, replace(foggy, encounter=clear.encounter), boxes=[])
     candidate = unit(-60.0, 0.0, pitch_deg=-4.0, fov_deg=30.0)
     assert reasons_of(setting, candidate, 0) == [("otherwise", "", N_FRAMES)]

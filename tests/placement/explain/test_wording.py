@@ -13,7 +13,8 @@ from placement.wishes import Wishes, build_problem
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
-N_RUNS, N_FRAMES = 4, 6
+N_RUNS = 4
+N_FRAMES = 6
 SITES = ("corner-ne", "corner-nw", "corner-sw", "lamp-e1")
 
 
@@ -49,7 +50,12 @@ def setting(scene):
         time_s=np.tile(np.arange(1 - N_FRAMES, 1) / 10.0, N_RUNS),
     )
     return Setting(
-        scene=scene, runs=(), axis=axis, rule=load_aeb_rule(), detector=None, table_detector=None
+        scene=scene,
+        runs=(),
+        axis=axis,
+        rule=load_aeb_rule(),
+        detector=None,
+        table_detector=None,
     )
 
 
@@ -80,18 +86,24 @@ TOO_MUCH = "got a demand that no layout meets; expected"
     [
         (
             {"budget_units": 2, "target": 1.0},
-            f"`target` 1 and `budget` 2: {TOGETHER} one of them to give way: `target` 0.5 "
-            "or `budget` 4",
+            (
+                f"`target` 1 and `budget` 2: {TOGETHER} one of them to give way:"
+                " `target` 0.5 or `budget` 4"
+            ),
         ),
         (
             {"budget_units": 3, "target": np.inf},
-            f"`target` max and `budget` 3: {TOGETHER} one of them to give way: `target` 0.75 "
-            "or `budget` 4",
+            (
+                f"`target` max and `budget` 3: {TOGETHER} one of them to give way:"
+                " `target` 0.75 or `budget` 4"
+            ),
         ),
         (
             {"budget_eur": 3000.0, "target": 0.7},
-            f"`target` 0.7 and `budget_cost` 3000: {TOGETHER} one of them to give way: "
-            "`target` 0.5 or `budget_cost` 4500",
+            (
+                f"`target` 0.7 and `budget_cost` 3000: {TOGETHER} one of them to give"
+                " way: `target` 0.5 or `budget_cost` 4500"
+            ),
         ),
         (
             {"budget_eur": 1000.0},
@@ -99,34 +111,47 @@ TOO_MUCH = "got a demand that no layout meets; expected"
         ),
         (
             {"target": 1.0, "survive": 1},
-            f"`target` 1 and `survive` 1: {TOGETHER} one of them to give way: `target` 0.75 "
-            "or `survive` 0",
+            (
+                f"`target` 1 and `survive` 1: {TOGETHER} one of them to give way:"
+                " `target` 0.75 or `survive` 0"
+            ),
         ),
         (
             {"budget_units": 1, "min_case_apr": 0.5},
-            f"`min_case_apr` 0.5 in CPNA-25, `min_case_apr` 0.5 in CBNA and `budget` 1: {TOGETHER} "
-            "one of them to give way: `min_case_apr` 0 in CPNA-25 or `min_case_apr` 0 in CBNA or "
-            "`budget` 2",
+            (
+                "`min_case_apr` 0.5 in CPNA-25, `min_case_apr` 0.5 in CBNA and"
+                f" `budget` 1: {TOGETHER} one of them to give way: `min_case_apr` 0 in"
+                " CPNA-25 or `min_case_apr` 0 in CBNA or `budget` 2"
+            ),
         ),
         (
             {"budget_units": 5, "target": 1.0, "existing": ("RSU0", "RSU1")},
-            f"`target` 1 and `budget` 3: {TOGETHER} one of them to give way: `target` 0.75 "
-            "or `budget` 4",
+            (
+                f"`target` 1 and `budget` 3: {TOGETHER} one of them to give way:"
+                " `target` 0.75 or `budget` 4"
+            ),
         ),
         (
             {"target": 1.0, "forbidden_sites": ("corner-ne", "lamp-e1")},
-            f"`target` 1 and `forbid_site` corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
-            "`target` 0.5 or `forbid_site` without corner-ne,lamp-e1",
+            (
+                f"`target` 1 and `forbid_site` corner-ne,lamp-e1: {TOGETHER} one of"
+                " them to give way: `target` 0.5 or `forbid_site` without"
+                " corner-ne,lamp-e1"
+            ),
         ),
         (
             {"budget_units": 1, "forced_sites": ("corner-ne", "lamp-e1")},
-            f"`budget` 1 and `force_site` corner-ne,lamp-e1: {TOGETHER} one of them to give way: "
-            "`budget` 2 or `force_site` without lamp-e1",
+            (
+                f"`budget` 1 and `force_site` corner-ne,lamp-e1: {TOGETHER} one of them"
+                " to give way: `budget` 2 or `force_site` without lamp-e1"
+            ),
         ),
         (
             {"budget_units": 4, "target": 1.0, "separation_m": 30.0},
-            f"`target` 1 and `separation_m` 30: {TOGETHER} one of them to give way: `target` 0.5 "
-            "or `separation_m` 18.23",
+            (
+                f"`target` 1 and `separation_m` 30: {TOGETHER} one of them to give way:"
+                " `target` 0.5 or `separation_m` 18.23"
+            ),
         ),
     ],
 )
@@ -136,12 +161,16 @@ def test_conflicts_are_told_by_the_fields_of_the_question(refusal_of, wishes, te
 
 def test_two_conflicts_are_both_told(refusal_of):
     refusal = refusal_of(
-        budget_units=1, target=0.5, budget_eur=1000.0, forced_sites=("corner-ne", "lamp-e1")
+        budget_units=1,
+        target=0.5,
+        budget_eur=1000.0,
+        forced_sites=("corner-ne", "lamp-e1"),
     )
-    assert str(refusal) == (
-        f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself); besides, "
-        "`target` 0.5 and `budget` 1: one of them to give way: `target` 0.25 (not enough by "
-        "itself) or `budget` 2 (not enough by itself)"
+    assert (
+        str(refusal)
+        == f"`budget_cost` 1000: {TOO_MUCH} `budget_cost` 1500 (not enough by itself);"
+        " besides, `target` 0.5 and `budget` 1: one of them to give way: `target`"
+        " 0.25 (not enough by itself) or `budget` 2 (not enough by itself)"
     )
 
 
@@ -149,7 +178,9 @@ def test_what_can_be_met_is_not_refused(refusal_of):
     assert refusal_of(budget_units=2, target=0.5) is None
 
 
-def test_separation_is_taken_apart_into_distances_and_capacities(setting, scene, candidates):
+def test_separation_is_taken_apart_into_distances_and_capacities(
+    setting, scene, candidates
+):
     wishes = Wishes(budget_units=2, separation_m=40.0, site_capacity=3)
     detected = np.zeros((len(candidates), N_RUNS * N_FRAMES), dtype=bool)
     table = pack_table(tuple(c.id for c in candidates), setting.axis, detected)

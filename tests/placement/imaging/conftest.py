@@ -45,16 +45,22 @@ def small() -> CameraModel:
 def build_plain_scene() -> Callable[..., Scene]:
     """A level ground and boxes on it: (class name, lowest corner, highest corner)."""
 
-    def build(*boxes: tuple[str, list[float], list[float]], sites: tuple[Site, ...] = ()) -> Scene:
+    def build(
+        *boxes: tuple[str, list[float], list[float]], sites: tuple[Site, ...] = ()
+    ) -> Scene:
         ground = 300.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        vertices, faces = [ground], [np.array([[0, 1, 2], [0, 2, 3]])]
-        owners, instances = [np.zeros(2)], [Instance(id="ground", class_name="ground")]
+        vertices = [ground]
+        faces = [np.array([[0, 1, 2], [0, 2, 3]])]
+        owners = [np.zeros(2)]
+        instances = [Instance(id="ground", class_name="ground")]
         for number, (class_name, low, high) in enumerate(boxes, start=1):
             mesh = trimesh.creation.box(bounds=np.array([low, high]))
             faces.append(mesh.faces + sum(map(len, vertices)))
             vertices.append(mesh.vertices)
             owners.append(np.full(len(mesh.faces), number))
-            instances.append(Instance(id=f"{class_name}-{number}", class_name=class_name))
+            instances.append(
+                Instance(id=f"{class_name}-{number}", class_name=class_name)
+            )
         return Scene(
             name="plain",
             vertices_m=np.concatenate(vertices),

@@ -17,7 +17,9 @@ from placement.imaging.mesh import place_mesh
 from placement.imaging.picture import whole_image
 from placement.imaging.stills import draw_onto, draw_still, meter, silhouette
 
-CORNER = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+CORNER = Pose(
+    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
+)
 LENSES = {
     "brown-conrady": (BrownConrady(k1=-0.12, k2=0.01, p1=0.004), 100.0),
     "tsai": (TsaiRadial(kappa=0.2), 80.0),
@@ -34,7 +36,8 @@ def backdrop(study_run):
 def draw(backdrop, study_run):
     def draw_frame(camera):
         frame = len(study_run.time_s) - 6
-        day, compute = load_weathers()["day"], Compute(seed=0, workers=1)
+        day = load_weathers()["day"]
+        compute = Compute(seed=0, workers=1)
         return draw_picture(
             backdrop, study_run, frame, CORNER, camera, weather=day, compute=compute
         )
@@ -67,7 +70,9 @@ def test_a_lens_shows_along_each_ray_what_a_pinhole_shows_there(
     assert same.mean() > 0.985  # a pixel of the one next to an edge of the other
     near = np.isclose(bent.depth_m.ravel()[inside], straight.depth_m[at], rtol=0.03)
     assert near.mean() > 0.97
-    off = np.abs(bent.rgb.reshape(-1, 3)[inside].astype(int) - straight.rgb[at]).mean(axis=1)
+    off = np.abs(bent.rgb.reshape(-1, 3)[inside].astype(int) - straight.rgb[at]).mean(
+        axis=1
+    )
     assert np.median(off) < 8.0
 
 
@@ -82,14 +87,22 @@ def test_it_is_dark_where_a_fisheye_shows_nothing(draw, small):
     assert picture.rgb[~dark].mean() > 60.0
     # The exposure is that of what is shown: the rim does not make it white.
     straight = draw(small)
-    white = [(rgb > 250).all(axis=1).mean() for rgb in (picture.rgb[~dark], straight.rgb[:, 0])]
+    white = [
+        (rgb > 250).all(axis=1).mean()
+        for rgb in (picture.rgb[~dark], straight.rgb[:, 0])
+    ]
     assert white[0] < white[1] + 0.1
 
 
-def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(backdrop, small):
+def test_a_dark_rim_does_not_lengthen_the_exposure_of_what_stands_still(
+    backdrop, small
+):
     camera = replace(small, horizontal_fov_deg=230.0, lens=Fisheye())
-    day, still = load_weathers()["day"], place_mesh(backdrop.mesh, np.zeros(3))
-    bent, straight = (meter(backdrop, still, CORNER, one, day) for one in (camera, small))
+    day = load_weathers()["day"]
+    still = place_mesh(backdrop.mesh, np.zeros(3))
+    bent, straight = (
+        meter(backdrop, still, CORNER, one, day) for one in (camera, small)
+    )
     assert bent == pytest.approx(straight, rel=0.5)
 
 
@@ -99,10 +112,12 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
 ):
     lens, fov_deg = LENSES[model]
     camera = replace(small, horizontal_fov_deg=fov_deg, lens=lens)
-    day, compute = load_weathers()["day"], Compute(seed=0, workers=1)
+    day = load_weathers()["day"]
+    compute = Compute(seed=0, workers=1)
     still = draw_still(backdrop, CORNER, camera, weather=day, compute=compute)
     frame = len(study_run.time_s) - 6
-    onto, anew = draw_onto(still, study_run, frame, compute=compute), draw(camera)
+    onto = draw_onto(still, study_run, frame, compute=compute)
+    anew = draw(camera)
     assert np.array_equal(onto.depth_m, anew.depth_m)
     for name in ("vru", "vut"):
         index = anew.names.index(name)
@@ -117,6 +132,7 @@ def test_what_moves_drawn_onto_a_still_is_the_picture_drawn_anew(
 
 def test_a_lens_of_zeros_has_the_pinholes_bits(draw, small):
     zero = replace(small, lens=BrownConrady(), principal_point=(0.5, 0.5), roll_deg=0.0)
-    plain, bent = draw(small), draw(zero)
+    plain = draw(small)
+    bent = draw(zero)
     for name in ("rgb", "instance", "depth_m"):
         assert np.array_equal(getattr(plain, name), getattr(bent, name))

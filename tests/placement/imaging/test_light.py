@@ -34,7 +34,12 @@ def _hits(points, normals):
 
 def _lux(hits, weather, *, lamps=(), caster=NOTHING, **options):
     light = illuminance(
-        hits, caster=caster, origin_m=HERE, sky=build_sky(weather), lamps=lamps, **options
+        hits,
+        caster=caster,
+        origin_m=HERE,
+        sky=build_sky(weather),
+        lamps=lamps,
+        **options,
     )
     return light @ LUMINANCE
 
@@ -63,7 +68,11 @@ def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, y
         sun_yaw_deg=yaw_deg,
     )
     yaw = np.radians(yaw_deg)
-    normals = [[np.cos(yaw), np.sin(yaw), 0.0], [0.0, 0.0, 1.0], [-np.cos(yaw), -np.sin(yaw), 0.0]]
+    normals = [
+        [np.cos(yaw), np.sin(yaw), 0.0],
+        [0.0, 0.0, 1.0],
+        [-np.cos(yaw), -np.sin(yaw), 0.0],
+    ]
     lux = _lux(_hits(np.zeros((3, 3)), normals), weather)
     elevation = np.radians(elevation_deg)
     expected = 80000.0 * np.array([np.cos(elevation), np.sin(elevation), 0.0])
@@ -71,7 +80,9 @@ def test_a_wall_that_faces_the_sun_gets_its_light_by_the_cosine(elevation_deg, y
 
 
 @pytest.mark.parametrize("name", sorted(load_weathers()))
-def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_sends(name):
+def test_level_ground_gets_the_skys_light_and_what_faces_down_what_the_ground_sends(
+    name,
+):
     weather = replace(load_weathers()[name], sun_lux=0.0)
     normals = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
     lux = _lux(_hits(np.zeros((3, 3)), normals), weather, ground_albedo=0.2)
@@ -92,7 +103,8 @@ def test_the_skys_luminance_adds_up_to_its_illuminance(name):
 def test_at_the_visibility_five_per_cent_of_contrast_are_left(name):
     weather = replace(load_weathers()[name], rain_rate_mmph=0.0)
     sky = build_sky(weather)
-    black, white = np.zeros((1, 3), np.float32), np.full((1, 3), 1000.0, np.float32)
+    black = np.zeros((1, 3), np.float32)
+    white = np.full((1, 3), 1000.0, np.float32)
     way = np.array([weather.visibility_m], dtype=np.float32)
     for luminance in (black, white):
         sky.fade(luminance, way)
@@ -108,15 +120,25 @@ def test_a_wall_throws_a_shadow_as_long_as_the_sun_is_low():
         sun_elevation_deg=45.0,
         sun_yaw_deg=180.0,
     )
-    wall = build_caster([[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]])
-    lux = _lux(_hits([[1.9, 0, 0], [2.1, 0, 0], [-1, 0, 0]], [[0, 0, 1]] * 3), weather, caster=wall)
-    assert lux == pytest.approx([0.0, 80000.0 * np.sqrt(0.5), 80000.0 * np.sqrt(0.5)], rel=1e-4)
+    wall = build_caster(
+        [[0, -9, 0], [0, 9, 0], [0, 9, 2], [0, -9, 2]], [[0, 1, 2], [0, 2, 3]]
+    )
+    lux = _lux(
+        _hits([[1.9, 0, 0], [2.1, 0, 0], [-1, 0, 0]], [[0, 0, 1]] * 3),
+        weather,
+        caster=wall,
+    )
+    assert lux == pytest.approx(
+        [0.0, 80000.0 * np.sqrt(0.5), 80000.0 * np.sqrt(0.5)], rel=1e-4
+    )
 
 
 @given(aside_m=st.floats(0.0, 12.0))
 def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
     weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
-    lux = _lux(_hits([[aside_m, 0.0, 0.0]], [[0.0, 0.0, 1.0]]), weather, lamps=[_lamp()])
+    lux = _lux(
+        _hits([[aside_m, 0.0, 0.0]], [[0.0, 0.0, 1.0]]), weather, lamps=[_lamp()]
+    )
     # Within the cone: I cos^3 / h^2.
     expected = _lamp().peak_cd / 64.0 * (8.0 / np.hypot(8.0, aside_m)) ** 3
     assert lux == pytest.approx([expected], rel=1e-3)
@@ -124,10 +146,14 @@ def test_a_lamps_light_falls_with_the_square_and_the_cosine(aside_m):
 
 def test_what_stands_before_a_lamp_takes_its_light():
     weather = replace(load_weathers()["day"], sun_lux=0.0, sky_lux=0.0)
-    plate = build_caster([[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]])
+    plate = build_caster(
+        [[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], [[0, 1, 2], [0, 2, 3]]
+    )
     hits = _hits([[1.9, 0, 0], [2.1, 0, 0]], [[0, 0, 1]] * 2)
     free = _lux(hits, weather, lamps=[_lamp()])
-    assert _lux(hits, weather, lamps=[_lamp()], caster=plate) == pytest.approx([0.0, free[1]])
+    assert _lux(hits, weather, lamps=[_lamp()], caster=plate) == pytest.approx(
+        [0.0, free[1]]
+    )
 
 
 @pytest.mark.parametrize("spill", [0.0, 0.1])

@@ -34,7 +34,13 @@ def draw(backdrop, study_run, small):
     def draw_frame(weather, **options):
         frame = len(study_run.time_s) - 1 - 5
         return draw_picture(
-            backdrop, study_run, frame, CORNER, small, weather=load_weathers()[weather], **options
+            backdrop,
+            study_run,
+            frame,
+            CORNER,
+            small,
+            weather=load_weathers()[weather],
+            **options,
         )
 
     return draw_frame
@@ -42,11 +48,9 @@ def draw(backdrop, study_run, small):
 
 @pytest.mark.parametrize("weather", sorted(load_weathers()))
 def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather):
-    one, same, other = (
-        draw(weather, compute=Compute(seed=3)),
-        draw(weather, compute=Compute(seed=3, workers=2)),
-        draw(weather, compute=Compute(seed=4)),
-    )
+    one = draw(weather, compute=Compute(seed=3))
+    same = draw(weather, compute=Compute(seed=3, workers=2))
+    other = draw(weather, compute=Compute(seed=4))
     assert np.array_equal(one.rgb, same.rgb)
     assert not np.array_equal(one.rgb, other.rgb)
     assert np.array_equal(one.instance, other.instance)
@@ -54,7 +58,8 @@ def test_the_same_seed_gives_the_same_picture_whatever_the_threads(draw, weather
 
 
 def test_rough_edges_are_all_that_a_quick_picture_has(draw):
-    smooth, rough = draw("day"), draw("day", is_smooth=False)
+    smooth = draw("day")
+    rough = draw("day", is_smooth=False)
     assert np.array_equal(smooth.instance, rough.instance)
     assert np.array_equal(smooth.depth_m, rough.depth_m)
     differs = np.abs(smooth.rgb.astype(int) - rough.rgb).max(axis=2) > 8
@@ -112,7 +117,8 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
     vru = picture.instance == picture.names.index("vru")
     box = mask_box(vru)
     assert box.any()
-    # The other one casts each body in its own frame: rays along an edge may go either way.
+    # The other one casts each body in its own frame: rays along an edge may go either
+    # way.
     assert box == pytest.approx(view.visible_box_px, abs=1.0)
     is_same = np.isclose(picture.depth_m, view.depth_m, rtol=1e-4)
     assert is_same.mean() > 0.9995
@@ -122,7 +128,8 @@ def test_instances_and_depths_are_those_of_one_ray_per_body_and_pixel(
 def test_a_motorcyclist_and_a_car_look_like_themselves_from_the_side(
     build_plain_scene, study_run, small, day, name, away_m
 ):
-    actor, camera = pick_actor(name, "test"), replace(small, width_px=640, height_px=400)
+    actor = pick_actor(name, "test")
+    camera = replace(small, width_px=640, height_px=400)
     n_frames = len(study_run.time_s)
     run = replace(
         study_run,
@@ -137,7 +144,9 @@ def test_a_motorcyclist_and_a_car_look_like_themselves_from_the_side(
         0.5 * actor.height_m,
     )
     pose = Pose(position_m=eye_m, yaw_deg=yaw_deg - 90.0, pitch_deg=0.0)
-    picture = render_picture(build_plain_scene(), run, 0, pose, camera, weather=day, with_vut=False)
+    picture = render_picture(
+        build_plain_scene(), run, 0, pose, camera, weather=day, with_vut=False
+    )
     rows, columns = np.nonzero(picture.instance == picture.names.index("vru"))
     # Ahead is to the left: from the left side the front is there.
     per_m = camera.focal_length_px / away_m
@@ -146,12 +155,16 @@ def test_a_motorcyclist_and_a_car_look_like_themselves_from_the_side(
     assert np.ptp(ahead_m) == pytest.approx(actor.length_m, rel=0.12)
     light = picture.rgb[rows, columns].mean(axis=1)
     axles_m = (actor.front_axle_ahead_m, actor.front_axle_ahead_m - actor.wheelbase_m)
-    from_hub = np.min([np.hypot(ahead_m - axle, up_m - 0.315) for axle in axles_m], axis=0)
-    tyres, rims = light[(from_hub > 0.24) & (from_hub < 0.27)], light[from_hub < 0.1]
+    from_hub = np.min(
+        [np.hypot(ahead_m - axle, up_m - 0.315) for axle in axles_m], axis=0
+    )
+    tyres = light[(from_hub > 0.24) & (from_hub < 0.27)]
+    rims = light[from_hub < 0.1]
     assert len(tyres) > 50
     assert np.median(tyres) < 0.7 * np.median(rims)
     if name == "motorcyclist":
-        helmet, jacket = light[up_m > 1.62], light[(up_m > 1.15) & (up_m < 1.35)]
+        helmet = light[up_m > 1.62]
+        jacket = light[(up_m > 1.15) & (up_m < 1.35)]
         assert np.median(helmet) > 2.0 * np.median(jacket)
     else:
         is_behind = np.abs(ahead_m + 0.6) < 0.5
@@ -169,7 +182,8 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
 
     rays = pixel_rays(columns, rows, ABOVE, small)
     points = ABOVE.position_m + rays * picture.depth_m[rows, columns, None]
-    east, north = points[:, 0], points[:, 1]
+    east = points[:, 0]
+    north = points[:, 1]
     near = np.abs(north) < 5.0
     level = picture.rgb[rows, columns].mean(axis=1)
     shaded = level[near & (east > 1.0) & (east < 5.5)]
@@ -179,7 +193,9 @@ def test_what_lies_in_the_shadow_is_darker(build_plain_scene, study_run, small, 
     assert np.percentile(shaded, 99) < np.percentile(lit, 1)
 
 
-def test_night_without_lamps_is_dark_and_lamps_light_the_road(build_plain_scene, study_run, small):
+def test_night_without_lamps_is_dark_and_lamps_light_the_road(
+    build_plain_scene, study_run, small
+):
     night = load_weathers()["night"]
     post = Site(
         id="post",
@@ -199,7 +215,8 @@ def test_night_without_lamps_is_dark_and_lamps_light_the_road(build_plain_scene,
 
 
 def test_fog_takes_the_contrast_of_what_is_far(draw):
-    clear, fog = draw("day"), draw("fog")
+    clear = draw("day")
+    fog = draw("fog")
     far = (clear.depth_m > 40.0) & np.isfinite(clear.depth_m)
     assert far.sum() > 100
     assert fog.rgb[far].std() < 0.4 * clear.rgb[far].std()
@@ -235,15 +252,21 @@ def test_the_vuts_own_camera_sees_its_headlights_not_itself(backdrop, study_run,
 
 def test_what_drives_by_is_in_the_picture(backdrop, study_run, small, day):
     vru_m = study_run.vru_position_m[0]
-    towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(CORNER.position_m[:2] - vru_m)
+    towards = (CORNER.position_m[:2] - vru_m) / np.linalg.norm(
+        CORNER.position_m[:2] - vru_m
+    )
     n_frames = len(study_run.time_s)
     position_m = np.tile(vru_m + 3.0 * towards, (n_frames, 1))
     position_m[1:] = np.nan
     van = MovingActor(
-        actor=pick_actor("parked-van", "test"), position_m=position_m, yaw_deg=np.zeros(n_frames)
+        actor=pick_actor("parked-van", "test"),
+        position_m=position_m,
+        yaw_deg=np.zeros(n_frames),
     )
     run = replace(study_run, traffic=(van,))
-    first, second = (draw_picture(backdrop, run, n, CORNER, small, weather=day) for n in (0, 1))
+    first, second = (
+        draw_picture(backdrop, run, n, CORNER, small, weather=day) for n in (0, 1)
+    )
     assert first.names[-3:] == ("driving-1", "vut", "vru")
     assert (first.instance == first.names.index("driving-1")).any()
     assert second.names[-2:] == ("vut", "vru")

@@ -30,16 +30,21 @@ def scene():
 def pose(run):
     """Twelve metres from the VRU at the impact, looking at it."""
     east, north = run.vru_position_m[-1]
-    return Pose(position_m=np.array([east - 12.0, north, 4.0]), yaw_deg=0.0, pitch_deg=-12.0)
+    return Pose(
+        position_m=np.array([east - 12.0, north, 4.0]), yaw_deg=0.0, pitch_deg=-12.0
+    )
 
 
 def _scan(scene, run, pose, lidar=EXACT, weather=DAY, *, with_vut=True, **options):
-    static, frame = build_static_mesh(scene, run.obstruction), len(run.time_s) - 1
+    static = build_static_mesh(scene, run.obstruction)
+    frame = len(run.time_s) - 1
     mesh = build_frame_mesh(static, run, frame, pose.position_m, with_vut=with_vut)
     return scan_mesh(mesh, run, pose, lidar, weather=weather, **options)
 
 
-def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(scene, run, pose):
+def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(
+    scene, run, pose
+):
     cloud = _scan(scene, run, pose)
     distance = np.linalg.norm(cloud.points_m, axis=1)
     assert distance.max() <= EXACT.range_m + 1e-3
@@ -51,11 +56,15 @@ def test_points_lie_on_beams_at_most_as_far_as_the_range_and_no_beam_has_two(sce
     assert len(np.unique(nearest)) == len(nearest)
 
 
-def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(scene, run, pose):
+def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(
+    scene, run, pose
+):
     cloud = _scan(scene, run, pose)
     world = to_world(cloud.points_m, pose)
     classes = {instance.id: instance.class_name for instance in scene.instances}
-    is_ground = np.array([classes.get(name) == "ground" for name in cloud.names])[cloud.instance]
+    is_ground = np.array([classes.get(name) == "ground" for name in cloud.names])[
+        cloud.instance
+    ]
     assert is_ground.sum() > 1000
     assert np.abs(world[is_ground, 2]).max() < 0.2
     of_vru = world[cloud.instance == cloud.names.index("vru")]
@@ -64,7 +73,9 @@ def test_ground_points_lie_on_the_road_and_those_of_the_vru_on_its_body(scene, r
     assert of_vru[:, 2].max() <= run.encounter.vru.height_m
 
 
-@pytest.mark.parametrize(("name", "box_height_m"), [("motorcyclist", 1.7), ("car", 1.427)])
+@pytest.mark.parametrize(
+    ("name", "box_height_m"), [("motorcyclist", 1.7), ("car", 1.427)]
+)
 def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
     scene, run, pose, name, box_height_m
 ):
@@ -80,14 +91,16 @@ def test_points_of_a_motorcyclist_and_a_car_lie_in_their_boxes(
     assert len(points) > 30
     yaw = np.radians(met.vru_yaw_deg[-1])
     away = points[:, :2] - met.vru_position_m[-1]
-    ahead, left = away @ [np.cos(yaw), np.sin(yaw)], away @ [-np.sin(yaw), np.cos(yaw)]
+    ahead = away @ [np.cos(yaw), np.sin(yaw)]
+    left = away @ [-np.sin(yaw), np.cos(yaw)]
     assert np.abs(ahead).max() < 0.5 * actor.length_m + 0.01
     assert np.abs(left).max() < 0.5 * actor.width_m + 0.01
     assert 0.7 * box_height_m < points[:, 2].max() < box_height_m + 0.01
 
 
 def test_noise_moves_points_along_their_beams_only(scene, run, pose):
-    exact, noisy = _scan(scene, run, pose, seed=3), _scan(scene, run, pose, LIDAR, seed=3)
+    exact = _scan(scene, run, pose, seed=3)
+    noisy = _scan(scene, run, pose, LIDAR, seed=3)
     assert np.array_equal(exact.instance, noisy.instance)
     lengths = [np.linalg.norm(cloud.points_m, axis=1) for cloud in (exact, noisy)]
     shift = lengths[1] - lengths[0]

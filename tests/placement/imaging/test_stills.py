@@ -10,7 +10,9 @@ from placement.compute import Compute
 from placement.imaging import build_backdrop, draw_picture
 from placement.imaging.stills import draw_onto, draw_still
 
-CORNER = Pose(position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3)
+CORNER = Pose(
+    position_m=np.array([-138.94, -11.56, 7.97]), yaw_deg=44.5, pitch_deg=-34.3
+)
 COMPUTE = Compute(seed=2, workers=1)
 
 
@@ -20,7 +22,8 @@ def backdrop(study_run):
 
 
 @pytest.fixture(
-    scope="module", params=["day", pytest.param("night", marks=pytest.mark.long), "rain"]
+    scope="module",
+    params=["day", pytest.param("night", marks=pytest.mark.long), "rain"],
 )
 def pictures(request, backdrop, study_run, small):
     """Three frames in a weather: anew, and onto a still."""
@@ -30,7 +33,13 @@ def pictures(request, backdrop, study_run, small):
     return request.param, [
         (
             draw_picture(
-                backdrop, study_run, frame, CORNER, small, weather=weather, compute=COMPUTE
+                backdrop,
+                study_run,
+                frame,
+                CORNER,
+                small,
+                weather=weather,
+                compute=COMPUTE,
             ),
             draw_onto(still, study_run, frame, compute=COMPUTE),
         )
@@ -60,7 +69,9 @@ def test_the_road_users_are_in_both_at_the_same_pixels(pictures):
 
 
 def test_most_of_a_still_is_kept(backdrop, study_run, small):
-    still = draw_still(backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE)
+    still = draw_still(
+        backdrop, CORNER, small, weather=load_weathers()["day"], compute=COMPUTE
+    )
     before = still.smooth.copy()
     onto = draw_onto(still, study_run, len(study_run.time_s) - 1, compute=COMPUTE)
     assert np.array_equal(still.smooth, before)

@@ -24,7 +24,10 @@ def _best_value(problem: PlacementProblem, poses: Iterable[int]) -> PlacementVal
         for units in combinations(choice, n_units):
             if is_feasible(problem, units):
                 value = placement_value(problem, units)
-                best = value if is_better(value, best) else best
+                if is_better(value, best):
+                    best = value
+                else:
+                    best = best
     return best
 
 

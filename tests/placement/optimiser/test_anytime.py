@@ -87,12 +87,17 @@ def test_walks_whose_time_is_over_meet_nothing_and_do_not_finish(
         return
     root = find_root(reduced, run_rows(reduced), n_units=n_units)
     walks = [SetWalk(reduced, root, need=0.0)]
-    walks += [PairWalk(reduced, need=0.0)] if n_units in (2, 3) else []
+    if n_units in (2, 3):
+        walks += [PairWalk(reduced, need=0.0)]
+    else:
+        walks += []
     for walk in walks:
         assert sum(len(block) for block in walk.blocks(OVER)) == 0
         assert not walk.is_finished
     for walk in walks:
-        assert sum(len(block) for block in walk.blocks(NEVER)) >= len(full_sets(reduced))
+        assert sum(len(block) for block in walk.blocks(NEVER)) >= len(
+            full_sets(reduced)
+        )
         assert walk.is_finished
 
 
@@ -116,7 +121,9 @@ def test_few_sets_are_gone_through_only_while_there_is_time(
 
 
 @given(problem=ANY_PROBLEM, n_failures=st.integers(0, 2))
-def test_bounds_of_a_first_round_hold(problem: PlacementProblem, n_failures: int) -> None:
+def test_bounds_of_a_first_round_hold(
+    problem: PlacementProblem, n_failures: int
+) -> None:
     reduced = presolve(problem)
     sets = full_sets(reduced)
     if not len(reduced.weight) or not len(sets):
@@ -139,7 +146,8 @@ def test_nothing_is_exchanged_when_the_time_is_over(problem: PlacementProblem) -
         late = improve(reduced, units, Search(reduced).limit, deadline=OVER)
         assert late is units
         better = improve(reduced, units, Search(reduced).limit)
-        before, after = set_values(reduced, units[None, :]), set_values(reduced, better[None, :])
+        before = set_values(reduced, units[None, :])
+        after = set_values(reduced, better[None, :])
         assert not before[0].exceeds(after[0])
 
 
@@ -149,7 +157,9 @@ def test_an_effort_ends_with_its_deadline_but_never_before_it_begins() -> None:
     assert late.time_limit_s == pytest.approx(7.0, abs=1.0)
     assert replace(late, time_limit_s=60.0) == effort  # all else stays
     assert 0.0 < effort.until(OVER).time_limit_s < 0.1
-    assert effort.until(Deadline(now_s() + 1e9)).time_limit_s > 60.0  # the deadline decides
+    assert (
+        effort.until(Deadline(now_s() + 1e9)).time_limit_s > 60.0
+    )  # the deadline decides
 
 
 @given(problem=questions(), seconds=st.sampled_from([1e-9, 1e-2]))
@@ -188,14 +198,21 @@ def count_presolves(patch: pytest.MonkeyPatch) -> list[int]:
     return calls
 
 
-@given(problem=problems(), give_up=st.sampled_from([0.05, 0.4]), has_reduced=st.booleans())
+@given(
+    problem=problems(), give_up=st.sampled_from([0.05, 0.4]), has_reduced=st.booleans()
+)
 def test_the_second_layout_is_found_on_what_the_first_was_presolved_to(
     problem: PlacementProblem, give_up: float, has_reduced: bool
 ) -> None:
-    reduced = presolve(problem) if has_reduced else None
+    if has_reduced:
+        reduced = presolve(problem)
+    else:
+        reduced = None
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
-        highest, sturdy = solve_sturdily(problem, reduced, give_up=give_up, effort=Effort())
+        highest, sturdy = solve_sturdily(
+            problem, reduced, give_up=give_up, effort=Effort()
+        )
     assert len(calls) == (0 if has_reduced else 1)
     if sturdy is None:
         assert len(highest.pose_index) < 2 or problem.limits.max_units < 2
@@ -241,10 +258,21 @@ def test_a_presolved_problem_for_other_floors_is_what_presolving_gives(
     problem: PlacementProblem, share: float, goal: str, n_failures: int
 ) -> None:
     floor = Floor(name="--target", share=share, n_failures=n_failures)
-    counted = Floor(name="--case", share=share, is_counted=problem.table.axis.weight > 0.0)
+    counted = Floor(
+        name="--case", share=share, is_counted=problem.table.axis.weight > 0.0
+    )
     other = replace(problem, floors=(floor, counted), goal=goal, survive=n_failures)
-    again, anew = presolve(problem).for_problem(other), presolve(other)
-    for name in ("pose_index", "run_index", "words", "columns", "base", "run_chain", "margin_s"):
+    again = presolve(problem).for_problem(other)
+    anew = presolve(other)
+    for name in (
+        "pose_index",
+        "run_index",
+        "words",
+        "columns",
+        "base",
+        "run_chain",
+        "margin_s",
+    ):
         np.testing.assert_array_equal(getattr(again, name), getattr(anew, name))
     for one, same in zip(again.chains, anew.chains, strict=True):
         np.testing.assert_array_equal(one, same)
@@ -268,7 +296,8 @@ def test_fewer_units_on_a_presolved_problem_are_solved_as_well_as_alone(
     if budget > problem.limits.max_units:
         return
     reduced = presolve(problem).for_problem(fewer)
-    mine, alone = solve_placement(fewer, reduced), solve_placement(fewer)
+    mine = solve_placement(fewer, reduced)
+    alone = solve_placement(fewer)
     assert placement_value(fewer, mine.pose_index) == pytest.approx(
         placement_value(fewer, alone.pose_index), abs=1e-9
     )
@@ -279,10 +308,13 @@ Solve = Callable[[PlacementProblem], object]
 
 
 @pytest.mark.parametrize(
-    "front", [lambda p: pareto_front(p, max_units=2), lambda p: cost_front(p, max_points=3)]
+    "front",
+    [lambda p: pareto_front(p, max_units=2), lambda p: cost_front(p, max_points=3)],
 )
 def test_a_front_is_presolved_once_and_none_of_its_points(front: Solve) -> None:
-    problem = avoiding_problem(["1100", "0011", "0110", "1000"], price_eur=[3.0, 2.0, 4.0, 1.0])
+    problem = avoiding_problem(
+        ["1100", "0011", "0110", "1000"], price_eur=[3.0, 2.0, 4.0, 1.0]
+    )
     with pytest.MonkeyPatch.context() as patch:
         calls = count_presolves(patch)
         front(problem)

@@ -67,14 +67,21 @@ def test_a_range_of_rows_has_the_bits_of_all_its_rows(seed: int) -> None:
 
 
 def is_used_up(
-    sees: BoolArray, site: IntArray, may: BoolArray, capacity: IntArray, pose: int, max_units: int
+    sees: BoolArray,
+    site: IntArray,
+    may: BoolArray,
+    capacity: IntArray,
+    pose: int,
+    max_units: int,
 ) -> bool:
     """True if other units can use up all dominators before a pose, or it cannot stand there."""
     if capacity[site[pose]] <= 0 or max_units <= 0:
         return False
     at_site = [0] * len(capacity)
     for other in range(pose):
-        at_site[site[other]] += bool(may[other]) and not (sees[pose] & ~sees[other]).any()
+        at_site[site[other]] += (
+            bool(may[other]) and not (sees[pose] & ~sees[other]).any()
+        )
     if at_site[site[pose]] >= capacity[site[pose]]:
         return False
     return sum(map(min, at_site, capacity.tolist())) <= max_units - 1
@@ -86,26 +93,36 @@ def test_poses_are_dominated_where_others_cannot_use_up_their_dominators(
 ) -> None:
     rng = np.random.default_rng(seed)
     sees = rng.random((12, 4)) < rng.choice([0.3, 0.7])
-    site, capacity = rng.integers(0, 4, 12), rng.integers(0, 3, 4)
+    site = rng.integers(0, 4, 12)
+    capacity = rng.integers(0, 3, 4)
     price = rng.integers(1, 4, 12).astype(np.float64)
-    elsewhere, may_move = price + rng.integers(0, 2, 12), rng.random(12) < 0.7
+    elsewhere = price + rng.integers(0, 2, 12)
+    may_move = rng.random(12) < 0.7
     found = np.zeros(12, dtype=bool)
     poses = pack_words(sees), site, price, elsewhere, may_move
     for begin in range(step):  # as so many threads do
         kernels.find_dominated(*poses, capacity, max_units, begin, step, found)
     for pose in range(12):
-        costs = np.where(site == site[pose], price, np.where(may_move[pose], elsewhere, np.inf))
+        costs = np.where(
+            site == site[pose], price, np.where(may_move[pose], elsewhere, np.inf)
+        )
         may = costs <= price[pose]
-        assert found[pose] == (not is_used_up(sees, site, may, capacity, pose, max_units))
+        assert found[pose] == (
+            not is_used_up(sees, site, may, capacity, pose, max_units)
+        )
 
 
 def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
     """Frames of windows, run by run, and tails: a frame, and how many first windows need it."""
     n_windows = rng.integers(2, 7, 2)
     sets = np.sort(rng.integers(0, 4, (n_windows.sum(), 2)), axis=1)
-    tail_frame, n_links, n_tails = [], [], []
+    tail_frame = []
+    n_links = []
+    n_tails = []
     for most in n_windows.tolist():
-        links = sorted(rng.integers(1, most + 1, int(rng.integers(0, 3))).tolist(), reverse=True)
+        links = sorted(
+            rng.integers(1, most + 1, int(rng.integers(0, 3))).tolist(), reverse=True
+        )
         n_links += links
         tail_frame += rng.permutation(4)[: len(links)].tolist()
         n_tails.append(len(links))
@@ -121,8 +138,11 @@ def runs_of_windows(rng: np.random.Generator) -> tuple[IntArray, ...]:
 
 @given(SEEDS)
 def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -> None:
-    sets, start, tail_frame, tail_start, n_links = runs_of_windows(np.random.default_rng(seed))
-    before, is_kept = n_links.copy(), np.zeros(len(sets), dtype=bool)
+    sets, start, tail_frame, tail_start, n_links = runs_of_windows(
+        np.random.default_rng(seed)
+    )
+    before = n_links.copy()
+    is_kept = np.zeros(len(sets), dtype=bool)
     kernels.thin_out(sets, start, tail_frame, tail_start, n_links, is_kept)
     unions = [set(seen) for size in range(5) for seen in combinations(range(4), size)]
     for run in range(2):
@@ -134,9 +154,14 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -
                 window
                 for window in windows
                 if seen.issuperset(sets[window])
-                and all(tail_frame[t] in seen for t in tails if window - windows[0] < before[t])
+                and all(
+                    tail_frame[t] in seen
+                    for t in tails
+                    if window - windows[0] < before[t]
+                )
             ]
-            # The same by what is left: the kept windows, and the tails that their first ones need.
+            # The same by what is left: the kept windows, and the tails that their first
+            # ones need.
             left = [
                 window
                 for place, window in enumerate(kept)
@@ -148,7 +173,9 @@ def test_windows_that_are_thinned_out_are_never_the_first_live_ones(seed: int) -
 
 @given(st.lists(st.integers(0, 9), max_size=6), st.integers(0, 9))
 def test_an_entry_is_found_among_others(entries: list[int], entry: int) -> None:
-    assert kernels.has_entry(np.array(entries, dtype=np.int64), entry) == (entry in entries)
+    assert kernels.has_entry(np.array(entries, dtype=np.int64), entry) == (
+        entry in entries
+    )
 
 
 @given(SEEDS)
@@ -164,14 +191,20 @@ def drawn(seed: int) -> tuple[np.random.Generator, Chains]:
 
 
 @given(SEEDS, st.integers(0, 12))
-def test_chains_are_looked_through_until_too_much_is_lost(seed: int, most_lost: int) -> None:
+def test_chains_are_looked_through_until_too_much_is_lost(
+    seed: int, most_lost: int
+) -> None:
     rng, chains = drawn(seed)
     seen = rng.random(N_FRAMES) < 0.6
     n_chains = n_chains_of(chains)
     lost = rng.integers(0, 6, (n_chains, 6)).astype(np.float64)
-    order, first = rng.permutation(n_chains), np.full(n_chains, -1)
-    rank = kernels.look_through(pack_words(seen), chains, order, lost, float(most_lost), first)
-    expected, total = n_chains, 0.0
+    order = rng.permutation(n_chains)
+    first = np.full(n_chains, -1)
+    rank = kernels.look_through(
+        pack_words(seen), chains, order, lost, float(most_lost), first
+    )
+    expected = n_chains
+    total = 0.0
     for place, chain in enumerate(order.tolist()):
         live = first_live(chains, chain, np.flatnonzero(seen).tolist())
         assert first[chain] == live
@@ -196,13 +229,18 @@ def test_the_first_live_window_has_all_frames_and_tails(seed: int) -> None:
 
 
 @given(SEEDS, st.sampled_from([1, 63, 64, 70]))
-def test_first_live_windows_with_each_pose_are_those_of_the_unions(seed: int, n_poses: int) -> None:
+def test_first_live_windows_with_each_pose_are_those_of_the_unions(
+    seed: int, n_poses: int
+) -> None:
     rng, chains = drawn(seed)
-    sees, alone = random_sights(rng, n_poses), rng.random(N_FRAMES) < 0.3
+    sees = random_sights(rng, n_poses)
+    alone = rng.random(N_FRAMES) < 0.3
     n_chains = n_chains_of(chains)
     begin = int(rng.integers(0, n_chains + 1))
     first = np.full((n_chains, n_poses), -1, dtype=np.int32)
-    kernels.first_live_with_each(columns_of(sees), alone, chains, begin, n_chains, first)
+    kernels.first_live_with_each(
+        columns_of(sees), alone, chains, begin, n_chains, first
+    )
     assert (first[:begin] == -1).all()
     for chain in range(begin, n_chains):
         for pose in range(n_poses):
@@ -227,7 +265,8 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
     seed: int, n_poses: int, has_part: bool
 ) -> None:
     rng, chains = drawn(seed)
-    sees, alone = random_sights(rng, n_poses, share=0.4), rng.random(N_FRAMES) < 0.4
+    sees = random_sights(rng, n_poses, share=0.4)
+    alone = rng.random(N_FRAMES) < 0.4
     row_chain, row_last = random_rows(rng, chains)
     columns = columns_of(sees)
     n_words = columns.shape[1]
@@ -235,12 +274,20 @@ def test_poses_that_avoid_a_run_next_to_a_set_and_see_a_missing_piece(
         space = np.empty((2, n_words), dtype=np.uint64)
         avoided = np.empty(n_words, dtype=np.uint64)
         part = np.full(n_words if has_part else 0, 5, dtype=np.uint64)
-        kernels.avoid_with_each(columns, alone, chains, chain, last, space, avoided, part)
-        expected = {p for p in range(n_poses) if avoids(chains, chain, last, sees[p] | alone)}
+        kernels.avoid_with_each(
+            columns, alone, chains, chain, last, space, avoided, part
+        )
+        expected = {
+            p for p in range(n_poses) if avoids(chains, chain, last, sees[p] | alone)
+        }
         assert bits_of(avoided, n_poses) == expected
         if has_part:
             pieces = missing_pieces(chains, chain, last, alone)
-            helps = {p for p in range(n_poses) if pieces & set(np.flatnonzero(sees[p]).tolist())}
+            helps = {
+                p
+                for p in range(n_poses)
+                if pieces & set(np.flatnonzero(sees[p]).tolist())
+            }
             assert bits_of(part, n_poses) == helps
 
 
@@ -249,7 +296,8 @@ def test_each_pose_gets_the_weight_of_the_runs_that_it_avoids_with_a_set(
     seed: int, n_poses: int
 ) -> None:
     rng, chains = drawn(seed)
-    sees, alone = random_sights(rng, n_poses), rng.random(N_FRAMES) < 0.3
+    sees = random_sights(rng, n_poses)
+    alone = rng.random(N_FRAMES) < 0.3
     run_chain, last = random_rows(rng, chains)
     weight = whole_weights(rng, len(run_chain))
     runs = np.flatnonzero(rng.random(len(run_chain)) < 0.7)
@@ -268,11 +316,16 @@ def test_each_pose_gets_the_weight_of_the_runs_that_it_avoids_with_a_set(
 @given(SEEDS)
 def test_rows_next_to_a_set_are_those_of_poses_one_by_one(seed: int) -> None:
     rng, chains = drawn(seed)
-    sees, alone = random_sights(rng, 5), rng.random(N_FRAMES) < 0.3
+    sees = random_sights(rng, 5)
+    alone = rng.random(N_FRAMES) < 0.3
     row_chain, row_last = random_rows(rng, chains)
     found = np.zeros((2, len(row_chain), 1), dtype=np.uint64)
-    kernels.avoid_beside(columns_of(sees), alone, chains, row_chain, row_last, found[0], found[1])
-    for row, (chain, last) in enumerate(zip(row_chain.tolist(), row_last.tolist(), strict=True)):
+    kernels.avoid_beside(
+        columns_of(sees), alone, chains, row_chain, row_last, found[0], found[1]
+    )
+    for row, (chain, last) in enumerate(
+        zip(row_chain.tolist(), row_last.tolist(), strict=True)
+    ):
         pieces = missing_pieces(chains, chain, last, alone)
         for pose in range(5):
             is_part = bool(pieces & set(np.flatnonzero(sees[pose]).tolist()))
@@ -303,8 +356,12 @@ def test_a_chain_without_windows_is_never_live() -> None:
     assert kernels.look_through(everything, chains, order, NO_LOSS, 0.0, first[0]) == 1
 
 
-@pytest.mark.parametrize(("seen", "expected"), [([0, 1, 2], 0), ([0, 1], 1), ([1], 2), ([2], 2)])
-def test_an_unseen_tail_takes_the_windows_that_need_it(seen: list[int], expected: int) -> None:
+@pytest.mark.parametrize(
+    ("seen", "expected"), [([0, 1, 2], 0), ([0, 1], 1), ([1], 2), ([2], 2)]
+)
+def test_an_unseen_tail_takes_the_windows_that_need_it(
+    seen: list[int], expected: int
+) -> None:
     chains = Chains(
         window_frames=np.array([[0, 1], [1, 1], [0, 2]]),
         window=np.array([0, 0]),

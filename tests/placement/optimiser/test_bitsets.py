@@ -27,7 +27,10 @@ def test_values_with_each_pose_are_those_of_the_sets_one_by_one(problem, data):
         return
     n_units = data.draw(st.integers(0, min(3, reduced.n_poses - 1)))
     poses = st.lists(
-        st.integers(0, reduced.n_poses - 1), min_size=n_units, max_size=n_units, unique=True
+        st.integers(0, reduced.n_poses - 1),
+        min_size=n_units,
+        max_size=n_units,
+        unique=True,
     )
     units = np.array(data.draw(poses), dtype=np.int64)
     others = np.setdiff1d(np.arange(reduced.n_poses), units)
@@ -44,14 +47,18 @@ def reduced_problems_and_sets(draw):
     """A reduced problem, and some sets of its poses."""
     reduced = presolve(draw(st.from_type(PlacementProblem)))
     n_units = draw(st.integers(1, 3))
-    some = st.lists(st.integers(0, max(0, reduced.n_poses - 1)), min_size=3, max_size=12)
+    some = st.lists(
+        st.integers(0, max(0, reduced.n_poses - 1)), min_size=3, max_size=12
+    )
     firsts = np.array(draw(some), dtype=np.int64)
     sets = np.stack([np.roll(firsts, shift) for shift in range(n_units)], axis=1)
     return reduced, sets if reduced.n_poses else np.empty((0, n_units), dtype=np.int64)
 
 
 @given(reduced_problems_and_sets())
-def test_margins_are_those_of_the_first_window_that_is_whole_and_has_all_its_tails(drawn):
+def test_margins_are_those_of_the_first_window_that_is_whole_and_has_all_its_tails(
+    drawn,
+):
     reduced, sets = drawn
     margin = union_margins_s(reduced, unions_of(reduced, sets))
     detected = reduced.detected()
@@ -60,10 +67,14 @@ def test_margins_are_those_of_the_first_window_that_is_whole_and_has_all_its_tai
         for run, chain in enumerate(reduced.run_chain):
             frames, n_links = reduced.tails(chain)
             live = [
-                all(seen[reduced.window_frames[w]]) and all(seen[frames[n_links > link]])
+                all(seen[reduced.window_frames[w]])
+                and all(seen[frames[n_links > link]])
                 for link, w in enumerate(reduced.chain(chain))
             ]
-            first = live.index(True) if True in live else len(live)
+            if True in live:
+                first = live.index(True)
+            else:
+                first = len(live)
             assert margins[run] == reduced.margin_s[run, first]
 
 
@@ -85,11 +96,14 @@ def test_quick_shares_with_each_pose_are_those_of_the_sets_one_by_one(problem, d
 
 
 @given(questions(), st.booleans())
-def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(problem, is_quick):
+def test_the_best_set_with_one_more_pose_is_the_best_of_all_such_sets(
+    problem, is_quick
+):
     reduced = presolve(problem)
     if reduced.n_poses < 2:
         return
-    units, others = np.arange(1), np.arange(1, reduced.n_poses)
+    units = np.arange(1)
+    others = np.arange(1, reduced.n_poses)
     sets = np.column_stack([np.zeros(len(others), dtype=np.int64), others])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.bitsets.FEW_PARTNERS", 0 if is_quick else 32)

@@ -41,7 +41,9 @@ def allowed_sets(reduced: ReducedProblem) -> list[IntArray]:
     """All allowed sets, by their size."""
     sizes = []
     for n_units in range(1, reduced.limits.max_units + 1):
-        numbers = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+        numbers = np.array(
+            list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
+        )
         sizes.append(numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))])
     return [sets for sets in sizes if len(sets)]
 
@@ -62,7 +64,10 @@ def test_no_allowed_set_exceeds_the_bound_of_the_apr(
     if not len(reduced.weight) or not sizes:
         return
     root = find_root(reduced, run_rows(reduced), n_units=reduced.limits.max_units)
-    root = polished(root) if is_polished else root
+    if is_polished:
+        root = polished(root)
+    else:
+        root = root
     for sets in sizes:
         assert union_apr(reduced, unions_of(reduced, sets)).max() <= root.limit + 1e-9
 
@@ -119,7 +124,10 @@ def test_no_set_keeps_more_than_the_bound_when_units_fail(
     share = union_apr(reduced, unions_of(reduced, sizes[-1]))
     left = left_after_failures(reduced, reduced.measure, n_failures, sizes[-1])
     for least in np.unique(share):
-        assert left[share >= least - 1e-9].max() <= failure_limit(root, n_failures, least) + 1e-9
+        assert (
+            left[share >= least - 1e-9].max()
+            <= failure_limit(root, n_failures, least) + 1e-9
+        )
 
 
 @given(problem=ANY_PROBLEM, seed=st.integers(0, 99))
@@ -130,7 +138,8 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(
     if not len(reduced.weight):
         return
     rng = np.random.default_rng(seed)
-    rows, first = run_rows(reduced), int(rng.integers(reduced.n_poses))
+    rows = run_rows(reduced)
+    first = int(rng.integers(reduced.n_poses))
     union = reduced.words[first]
     seen = rng.random(reduced.n_frames)
     covers = unpack_words(coverers_of(reduced, rows, union, seen), reduced.n_poses)
@@ -142,7 +151,9 @@ def test_who_avoids_a_run_beside_a_set_covers_it_whatever_is_asked_for(
 
 
 @given(problem=ANY_PROBLEM)
-def test_rows_of_margins_add_up_to_weights_times_margins(problem: PlacementProblem) -> None:
+def test_rows_of_margins_add_up_to_weights_times_margins(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(problem)
     rows = margin_rows(reduced)
     sets = np.arange(reduced.n_poses)[:, None]
@@ -155,7 +166,9 @@ def test_rows_of_margins_add_up_to_weights_times_margins(problem: PlacementProbl
 def test_what_forced_units_take_is_not_there_for_others() -> None:
     from small_tables import avoiding_problem
 
-    problem = avoiding_problem(["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2)
+    problem = avoiding_problem(
+        ["100", "010", "001"], price_eur=[2.0, 3.0, 5.0], budget_units=2
+    )
     limits = replace(
         problem.limits,
         budget_eur=10.0,
@@ -165,7 +178,10 @@ def test_what_forced_units_take_is_not_there_for_others() -> None:
     choice = build_choice(limits, 2)
     assert choice.n_units == 1
     assert choice.is_open.tolist() == [0, 1, 1]
-    assert choice.room[limits.site_index[0]] == limits.site_capacity[limits.site_index[0]] - 1
+    assert (
+        choice.room[limits.site_index[0]]
+        == limits.site_capacity[limits.site_index[0]] - 1
+    )
     left_eur = 10.0 - 2.0 - 1.0
     own = 1.0 / limits.site_capacity[limits.site_index[1]]
     assert choice.cost[1] == pytest.approx((3.0 + own) / left_eur)
@@ -188,7 +204,8 @@ def test_a_bound_is_rounded_down_to_whole_runs_only_where_all_weigh_the_same(
     reduced = presolve(problem)
     if not len(reduced.weight):
         return
-    step, limit = reduced.measure.step, place * reduced.measure.limit
+    step = reduced.measure.step
+    limit = place * reduced.measure.limit
     rounded = rounded_down(reduced, limit)
     assert rounded <= limit + 1e-5
     if step:

@@ -53,7 +53,9 @@ def mixed(problem: PlacementProblem, share: float) -> PlacementProblem:
 def check(problem: PlacementProblem) -> None:
     """The best in all stages, proven, by the enumeration of every layout."""
     solution = solve_placement(problem)
-    Oracle(problem).check(solution.pose_index, solution.certificate.stages, largest_gap=0.0)
+    Oracle(problem).check(
+        solution.pose_index, solution.certificate.stages, largest_gap=0.0
+    )
 
 
 @given(seeing_problems())
@@ -62,13 +64,16 @@ def test_with_cars_that_see_every_stage_is_that_of_brute_force(problem):
 
 
 @given(seeing_problems(), st.sampled_from([0.3, 0.75]))
-def test_with_a_share_of_cars_that_see_every_stage_is_that_of_brute_force(problem, share):
+def test_with_a_share_of_cars_that_see_every_stage_is_that_of_brute_force(
+    problem, share
+):
     check(mixed(problem, share))
 
 
 @given(seeing_problems(), st.sampled_from([0.0, 0.3, 1.0]))
 def test_a_share_is_the_weighted_sum_of_both(problem, share):
-    blind, both = replace(problem, seen_by_vut=None), mixed(problem, share)
+    blind = replace(problem, seen_by_vut=None)
+    both = mixed(problem, share)
     poses = range(problem.table.n_poses)
     for chosen in [[], *([pose] for pose in poses), [*poses]]:
         expected = share * apr(problem, chosen) + (1.0 - share) * apr(blind, chosen)
@@ -82,7 +87,9 @@ def test_nobody_sees_is_blind_and_everybody_sees_is_see(problem):
     for share, like in ((0.0, blind), (1.0, problem)):
         ours = solve_placement(mixed(problem, share)).pose_index
         best = solve_placement(like).pose_index
-        assert placement_value(like, ours) == pytest.approx(placement_value(like, best), abs=1e-9)
+        assert placement_value(like, ours) == pytest.approx(
+            placement_value(like, best), abs=1e-9
+        )
 
 
 @given(seeing_problems())
@@ -108,9 +115,15 @@ def test_a_vut_never_fails(problem, n_failures):
 
 
 def test_runs_that_are_there_twice_are_told_once(frame_axis):
-    table = pack_table(("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool))
+    table = pack_table(
+        ("a",), frame_axis, np.ones((1, frame_axis.n_frames), dtype=bool)
+    )
     axis = mixed_table(table, 0.25).axis
-    assert (is_mixed(axis), is_mixed(frame_axis), has_levels(axis)) == (True, False, False)
+    assert (is_mixed(axis), is_mixed(frame_axis), has_levels(axis)) == (
+        True,
+        False,
+        False,
+    )
     assert [run_of_level(name) for name in axis.run_ids] == [*frame_axis.run_ids] * 2
     once = plain_axis(axis)
     assert once.run_ids == frame_axis.run_ids
@@ -120,5 +133,7 @@ def test_runs_that_are_there_twice_are_told_once(frame_axis):
 
 def test_frames_of_other_runs_are_refused():
     problem = avoiding_problem(["1"])
-    with pytest.raises(InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"):
+    with pytest.raises(
+        InputError, match=r"seen_by_vut: got shape \(1,\); expected a flag"
+    ):
         replace(problem, seen_by_vut=np.ones(1, dtype=bool))

@@ -29,7 +29,10 @@ FOLDER = Path(constants.__file__).parent
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"solver": "best"}, "solver: got 'best'; expected one of auto, exact, relax, greedy"),
+        (
+            {"solver": "best"},
+            "solver: got 'best'; expected one of auto, exact, relax, greedy",
+        ),
         ({"time_limit_s": 0.0}, "time_limit: got 0.0; expected seconds, more than 0"),
         ({"gap": 1.0}, "gap: got 1.0; expected a share, 0 <= gap < 1"),
         ({"workers": 0}, "workers: got 0; expected threads, at least 1"),
@@ -42,7 +45,9 @@ def test_an_effort_says_what_is_wrong(change: dict, message: str) -> None:
 
 
 def test_walks_and_models_are_for_exact_efforts_alone() -> None:
-    assert [Effort(solver=name).is_exact for name in ("auto", "exact", "relax", "greedy")] == [
+    assert [
+        Effort(solver=name).is_exact for name in ("auto", "exact", "relax", "greedy")
+    ] == [
         True,
         True,
         False,
@@ -67,7 +72,9 @@ def test_no_time_is_left_behind_a_deadline_and_all_before_none() -> None:
 
 
 @given(count=st.integers(0, 300), workers=st.integers(1, 5), few=st.integers(0, 100))
-def test_work_that_is_shared_out_is_done_once(count: int, workers: int, few: int) -> None:
+def test_work_that_is_shared_out_is_done_once(
+    count: int, workers: int, few: int
+) -> None:
     done = np.zeros(count, dtype=int)
 
     def work(begin: int, end: int) -> None:
@@ -94,7 +101,11 @@ def test_the_number_of_threads_changes_no_proven_value(
     assert front.is_proven
 
 
-@given(value=st.floats(0.0, 1.0), bound=st.floats(0.0, 1.0), step=st.sampled_from([0.0, 0.01, 0.1]))
+@given(
+    value=st.floats(0.0, 1.0),
+    bound=st.floats(0.0, 1.0),
+    step=st.sampled_from([0.0, 0.01, 0.1]),
+)
 def test_a_settled_bound_is_no_lower_than_the_value_nor_higher_than_the_limit(
     value: float, bound: float, step: float
 ) -> None:
@@ -104,8 +115,13 @@ def test_a_settled_bound_is_no_lower_than_the_value_nor_higher_than_the_limit(
         assert limit == bound
 
 
-@given(step=st.floats(1e-3, 1.0), counts=st.lists(st.integers(0, 50), min_size=1, max_size=8))
-def test_whole_multiples_of_their_least_have_a_common_step(step: float, counts: list[int]) -> None:
+@given(
+    step=st.floats(1e-3, 1.0),
+    counts=st.lists(st.integers(0, 50), min_size=1, max_size=8),
+)
+def test_whole_multiples_of_their_least_have_a_common_step(
+    step: float, counts: list[int]
+) -> None:
     amounts = step * np.array([1, *counts])
     assert common_step(amounts) == pytest.approx(step)
     assert common_step(np.append(amounts, 1.5 * step)) == 0.0

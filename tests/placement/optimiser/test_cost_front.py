@@ -36,14 +36,21 @@ def steps_of(values: list[PlacementValue], step: float) -> Steps:
     """Brute force: cost, APR and APR when one fails, from the cheapest that avoids anything."""
     steps: Steps = []
     while True:
-        _, apr, kept = steps[-1] if steps else (0.0, 0.0, 0.0)
+        if steps:
+            _, apr, kept = steps[-1]
+        else:
+            _, apr, kept = (0.0, 0.0, 0.0)
         higher = [value for value in values if value.apr >= apr + step - 1e-9]
         safer = [
             value
             for value in values
             if value.apr >= apr - 1e-9 and value.apr_one_failed >= kept + step - 1e-9
         ]
-        found = [cheapest(better) for better in ([higher, safer] if steps else [higher]) if better]
+        found = [
+            cheapest(better)
+            for better in ([higher, safer] if steps else [higher])
+            if better
+        ]
         if not found:
             return steps
         steps.append(min(found, key=lambda point: round(point[0], 6)))
@@ -69,10 +76,14 @@ def test_steps_are_those_of_brute_force(problem: PlacementProblem, stages: str) 
 
 
 @given(problem=questions().map(asked_for_nothing_but_the_best))
-def test_models_find_the_same_steps_without_enumeration(problem: PlacementProblem) -> None:
+def test_models_find_the_same_steps_without_enumeration(
+    problem: PlacementProblem,
+) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr(
+            "placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False)
+        )
         check_steps(problem, "first")
 
 
@@ -85,7 +96,9 @@ def check_steps(problem: PlacementProblem, stages: str) -> None:
             cost_front(problem, step_apr=step, stages=stages)
         return
     front = cost_front(problem, step_apr=step, stages=stages)
-    found = [(p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points]
+    found = [
+        (p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points
+    ]
     assert len(found) == len(expected)
     for mine, theirs in zip(found, expected, strict=True):
         assert mine == pytest.approx(theirs, abs=1e-8)
@@ -125,10 +138,14 @@ def test_more_money_never_buys_less_and_no_bound_is_beaten(
         assert not better or min(better) >= point.certificate.stages[0].bound - 1e-6
 
 
-def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives() -> None:
+def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives() -> (
+    None
+):
     problem = avoiding_problem(["1100", "0011", "1111"], price_eur=[1.0, 2.0, 7.0])
     front = cost_front(problem)
-    assert [(p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points] == [
+    assert [
+        (p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points
+    ] == [
         (1.0, 0.5, 0.0),
         (3.0, 1.0, 0.5),
         (10.0, 1.0, 1.0),
@@ -142,7 +159,9 @@ def test_the_next_point_costs_least_for_one_more_run_or_one_more_that_survives()
 def test_money_goes_on_buying_what_survives_a_failure() -> None:
     problem = avoiding_problem(["11", "10", "11"], price_eur=[1.0, 2.0, 4.0])
     front = cost_front(problem)
-    assert [(p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points] == [
+    assert [
+        (p.value.cost_eur, p.value.apr, p.value.apr_one_failed) for p in front.points
+    ] == [
         (1.0, 1.0, 0.0),
         (3.0, 1.0, 0.5),
         (5.0, 1.0, 1.0),
@@ -151,10 +170,16 @@ def test_money_goes_on_buying_what_survives_a_failure() -> None:
 
 def test_points_closer_than_the_step_are_left_out_and_points_are_told() -> None:
     rows = ["10000", "11000", "11100", "11110", "11111"]
-    problem = avoiding_problem(rows, price_eur=[1.0, 2.0, 3.0, 4.0, 5.0], budget_units=1)
+    problem = avoiding_problem(
+        rows, price_eur=[1.0, 2.0, 3.0, 4.0, 5.0], budget_units=1
+    )
     told: list[float] = []
-    all_points = cost_front(problem, on_point=lambda point: told.append(point.value.cost_eur))
-    assert told == [point.value.cost_eur for point in all_points.points] == [1, 2, 3, 4, 5]
+    all_points = cost_front(
+        problem, on_point=lambda point: told.append(point.value.cost_eur)
+    )
+    assert (
+        told == [point.value.cost_eur for point in all_points.points] == [1, 2, 3, 4, 5]
+    )
     few = cost_front(problem, step_apr=0.4)
     assert [point.value.apr for point in few.points] == [0.4, 0.8]
     short = cost_front(problem, max_points=2)
@@ -165,11 +190,17 @@ def test_points_closer_than_the_step_are_left_out_and_points_are_told() -> None:
 @pytest.mark.parametrize(
     ("rows", "options", "message"),
     [
-        (["00"], {}, "candidates: got poses that avoid nothing; expected one that does"),
+        (
+            ["00"],
+            {},
+            "candidates: got poses that avoid nothing; expected one that does",
+        ),
         (["10"], {"max_points": 0}, "max_points: got 0; expected at least 1"),
     ],
 )
-def test_what_cannot_be_is_told(rows: list[str], options: dict[str, int], message: str) -> None:
+def test_what_cannot_be_is_told(
+    rows: list[str], options: dict[str, int], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         cost_front(avoiding_problem(rows), **options)
 
@@ -182,6 +213,8 @@ def test_a_forced_unit_that_leaves_no_room_for_what_avoids_is_told() -> None:
         site_capacity=np.array([1, 0]),
         is_forced=np.array([True, False]),
     )
-    expected = "candidates: got no layout that avoids anything; expected one within the limits"
+    expected = (
+        "candidates: got no layout that avoids anything; expected one within the limits"
+    )
     with pytest.raises(InputError, match=expected):
         cost_front(replace(problem, limits=full))

@@ -22,7 +22,11 @@ from placement.optimiser import (
     presolve,
     solve_placement,
 )
-from placement.optimiser.bitsets import left_after_failures, set_values, values_with_each
+from placement.optimiser.bitsets import (
+    left_after_failures,
+    set_values,
+    values_with_each,
+)
 from placement.verification.recomputation import stage_values
 
 SIZES = (1, 2, 3)
@@ -52,9 +56,14 @@ def test_what_is_left_is_what_stands_on_the_other_poles(problem, n_failures):
         for poses in combinations(range(problem.table.n_poses), size):
             wanted = left(problem, poses, n_failures)
             assert apr_failed(problem, list(poses), n_failures) == pytest.approx(wanted)
-        sets = np.array(list(combinations(range(reduced.n_poses), size)), dtype=np.int64)
+        sets = np.array(
+            list(combinations(range(reduced.n_poses), size)), dtype=np.int64
+        )
         if len(sets):
-            wanted = [left(problem, tuple(reduced.pose_index[one]), n_failures) for one in sets]
+            wanted = [
+                left(problem, tuple(reduced.pose_index[one]), n_failures)
+                for one in sets
+            ]
             found = left_after_failures(reduced, reduced.measure, n_failures, sets)
             assert found == pytest.approx(np.array(wanted))
 
@@ -72,22 +81,31 @@ def test_values_with_each_pose_are_those_of_the_sets(problem, survive):
                 assert each.gains[others] == pytest.approx(one_by_one.gains)
 
 
-@given(problem=problems(), survive=st.integers(1, 2), solver=st.sampled_from(["auto", "exact"]))
+@given(
+    problem=problems(),
+    survive=st.integers(1, 2),
+    solver=st.sampled_from(["auto", "exact"]),
+)
 def test_the_best_layout_is_that_of_brute_force(problem, survive, solver):
     problem = where_sites_fail(problem, survive)
     n_poses = problem.table.n_poses
     sets = [poses for size in SIZES for poses in combinations(range(n_poses), size)]
     sets = [poses for poses in sets if is_feasible(problem, poses)]
     best = max(
-        (left(problem, poses, survive), *placement_value(problem, poses)[:2]) for poses in sets
+        (left(problem, poses, survive), *placement_value(problem, poses)[:2])
+        for poses in sets
     )
     solution = solve_placement(problem, effort=Effort(solver=solver, time_limit_s=60.0))
     stages = solution.certificate.stages
     assert [stage.objective for stage in stages[:3]] == pytest.approx(best)
     assert all(stage.gap == 0.0 for stage in stages)
     chosen = np.array([solution.pose_index])
-    for stage in stages:  # the checker, which shares no code with the solver, says the same
-        value = stage_values(problem, problem.objectives[stages.index(stage)], chosen)[0]
+    for (
+        stage
+    ) in stages:  # the checker, which shares no code with the solver, says the same
+        value = stage_values(problem, problem.objectives[stages.index(stage)], chosen)[
+            0
+        ]
         assert value == pytest.approx(stage.objective)
 
 

@@ -56,7 +56,9 @@ def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -
         for size in range(max(n_forced, 1), limits.max_units + 1):
             units, is_finished = find_of_size(reduced, size, deadline=NEVER)
             poses = reduced.pose_index.tolist()
-            will_do = {one for one in combinations(poses, size) if is_feasible(problem, one)}
+            will_do = {
+                one for one in combinations(poses, size) if is_feasible(problem, one)
+            }
             where = f"seed {seed}, {size} units"
             if units is None:
                 assert is_finished, where
@@ -65,7 +67,9 @@ def test_all_sets_of_a_size_are_gone_through_for_one_that_reaches_the_floors() -
                 assert tuple(reduced.pose_index[units].tolist()) in will_do, where
 
 
-def test_the_fewest_units_are_proven_without_a_model(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fewest_units_are_proven_without_a_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("placement.optimiser.constants.MAX_FEW_SETS", 0)
     monkeypatch.setattr("placement.optimiser.constants.MAX_SETS_OF_MONEY", 0)
     for seed, problem in problems_with_floors(40):
@@ -74,8 +78,12 @@ def test_the_fewest_units_are_proven_without_a_model(monkeypatch: pytest.MonkeyP
             continue
         try:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr("placement.optimiser.constants.MAX_CELLS", -1)  # none is stated
-                solution = solve_placement(problem, effort=Effort(workers=1), n_stages=1)
+                patch.setattr(
+                    "placement.optimiser.constants.MAX_CELLS", -1
+                )  # none is stated
+                solution = solve_placement(
+                    problem, effort=Effort(workers=1), n_stages=1
+                )
         except UnmetError:
             continue  # the search found no set to begin with, and nothing is proven
         stage = solution.certificate.stages[0]
@@ -85,7 +93,9 @@ def test_the_fewest_units_are_proven_without_a_model(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.skipif(not ARMS.exists(), reason="the instance is not at hand")
-def test_three_units_are_ruled_out_on_a_junction_with_arms(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_three_units_are_ruled_out_on_a_junction_with_arms(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(proof, "solve_window_model", no_model)
     problem = load_problem(ARMS)
     limits = replace(problem.limits, budget_units=None)

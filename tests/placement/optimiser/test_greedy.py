@@ -9,7 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import questions
 
-from placement.optimiser import Floor, PlacementProblem, presolve, solve_greedy, solve_placement
+from placement.optimiser import (
+    Floor,
+    PlacementProblem,
+    presolve,
+    solve_greedy,
+    solve_placement,
+)
 from placement.optimiser.allowed_sets import is_allowed
 from placement.optimiser.bitsets import set_values
 from placement.optimiser.constants import Deadline
@@ -24,7 +30,9 @@ from placement.optimiser.proof import Search
 
 
 @given(problem=questions())
-def test_greedy_choice_adds_the_pose_that_makes_the_best_set(problem: PlacementProblem) -> None:
+def test_greedy_choice_adds_the_pose_that_makes_the_best_set(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(replace(problem, floors=(), goal="best"))
     units = forced_units(reduced)
     if reduced.n_poses <= len(units) or reduced.limits.max_units <= len(units):
@@ -88,10 +96,14 @@ def test_a_search_is_never_worse_than_its_starts_and_greedy_choice(
 
 
 @given(problem=questions())
-def test_the_first_start_is_completed_when_the_time_is_up(problem: PlacementProblem) -> None:
+def test_the_first_start_is_completed_when_the_time_is_up(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(problem)
     greedy = extend_greedily(reduced, forced_units(reduced))
-    late = search_from_many_starts(reduced, Search(reduced).limit, deadline=Deadline(-np.inf))
+    late = search_from_many_starts(
+        reduced, Search(reduced).limit, deadline=Deadline(-np.inf)
+    )
     if is_allowed(reduced.limits, greedy):
         assert late is not None
         assert sorted(late) == sorted(greedy)

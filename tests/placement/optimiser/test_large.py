@@ -31,7 +31,8 @@ def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
         solution = solve_placement(problem, effort=Effort(solver="relax"))
-    n_poses, most = problem.table.n_poses, problem.limits.max_units
+    n_poses = problem.table.n_poses
+    most = problem.limits.max_units
     values = [
         placement_value(problem, poses)
         for n_units in range(1, most + 1)
@@ -46,11 +47,15 @@ def test_all_poses_are_bounded_by_what_they_promise(problem: PlacementProblem) -
     assert tuple(stage.objective for stage in stages.values()) == pytest.approx(value)
     as_good = [other for other in values if other.apr >= value.apr - 1e-9]
     for name in ("apr_one_failed", "mean_margin_s"):
-        assert stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
+        assert (
+            stages[name].bound >= max(getattr(other, name) for other in as_good) - 1e-6
+        )
     assert "relaxation of all" in solution.certificate.solver
 
 
-def solve_as_large(problem: PlacementProblem, *, pool: int, effort: Effort) -> tuple[int, ...]:
+def solve_as_large(
+    problem: PlacementProblem, *, pool: int, effort: Effort
+) -> tuple[int, ...]:
     """Rows of the layout found among the most promising poses, at first so many."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.constants.MAX_BITS", 0)
@@ -87,7 +92,9 @@ def test_a_search_of_a_large_table_proves_nothing_that_is_not_so(
 def test_the_pool_has_poses_at_a_forced_site_that_gain_little() -> None:
     problem = avoiding_problem(["11110", "11100", "00000", "00011"], budget_units=2)
     is_forced_site = [False, False, True, False]
-    problem = replace(problem, limits=replace(problem.limits, is_forced_site=is_forced_site))
+    problem = replace(
+        problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
+    )
     assert 2 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
 
 
@@ -98,7 +105,9 @@ def test_the_pool_has_poses_that_avoid_what_a_floor_counts() -> None:
     assert 3 in solve_as_large(problem, pool=1, effort=Effort(solver="greedy"))
 
 
-def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet() -> None:
+def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet() -> (
+    None
+):
     """Only three poses together avoid all runs; at first, two at most are looked at."""
     problem = avoiding_problem(["1100", "0010", "0001", "1000"], budget_units=3)
     everything = Floor(name="--target", share=1.0)
@@ -106,7 +115,9 @@ def test_a_demand_that_no_layout_of_the_pool_meets_in_time_is_not_called_unmet()
     assert solve_as_large(problem, pool=1, effort=Effort()) == (0, 1, 2)
     words = "more time than the limit"
     with pytest.raises(UnmetError, match=words):
-        solve_as_large(problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9))
+        solve_as_large(
+            problem, pool=1, effort=Effort(solver="greedy", time_limit_s=1e-9)
+        )
 
 
 @pytest.mark.skipif(not UNMET_LARGE.exists(), reason="the instance is not at hand")

@@ -13,7 +13,13 @@ from problems import questions, random_limits
 from small_tables import avoiding_problem
 
 from geometry.errors import InputError
-from placement.optimiser import Floor, Limits, PlacementProblem, UnmetError, solve_placement
+from placement.optimiser import (
+    Floor,
+    Limits,
+    PlacementProblem,
+    UnmetError,
+    solve_placement,
+)
 from placement.optimiser.allowed_sets import (
     are_allowed,
     build_choice,
@@ -37,7 +43,9 @@ def some_limits(seed: int) -> Limits:
 
 
 def all_sets(size: int) -> np.ndarray:
-    return np.array(list(combinations(range(6), size)), dtype=np.int64).reshape(comb(6, size), size)
+    return np.array(list(combinations(range(6), size)), dtype=np.int64).reshape(
+        comb(6, size), size
+    )
 
 
 def price_of(limits: Limits, units: tuple[int, ...]) -> float:
@@ -54,7 +62,10 @@ def breaks(limits: Limits, units: tuple[int, ...]) -> str:
         return "units"
     if any(sites.count(site) > limits.site_capacity[site] for site in sites):
         return "sites"
-    if limits.budget_eur is not None and price_of(limits, units) > limits.budget_eur + 1e-6:
+    if (
+        limits.budget_eur is not None
+        and price_of(limits, units) > limits.budget_eur + 1e-6
+    ):
         return "money"
     if any(limits.is_forbidden[unit] for unit in units):
         return "forbidden"
@@ -62,7 +73,9 @@ def breaks(limits: Limits, units: tuple[int, ...]) -> str:
         return "forced"
     if set(np.flatnonzero(limits.is_forced_site)) - set(sites):
         return "forced sites"
-    return "rivals" if any({one, other} <= set(sites) for one, other in limits.rivals) else ""
+    if any({one, other} <= set(sites) for one, other in limits.rivals):
+        return "rivals"
+    return ""
 
 
 @given(SEEDS, st.integers(0, 4))
@@ -108,12 +121,16 @@ def test_what_allowed_sets_are_parts_of_may_grow(seed: int, size: int) -> None:
     sets = all_sets(size)
     of_sites_and_money = [breaks(limits, tuple(units)) for units in sets.tolist()]
     grows = may_grow(replace(limits, budget_units=None), sets)
-    for units, reason, may in zip(sets.tolist(), of_sites_and_money, grows, strict=True):
+    for units, reason, may in zip(
+        sets.tolist(), of_sites_and_money, grows, strict=True
+    ):
         if may:
             assert reason not in ("sites", "money"), units
         if not reason:
             assert may
-            assert may_grow(limits, np.array([units])[:, 1:]).all()  # and so may all their parts
+            assert may_grow(
+                limits, np.array([units])[:, 1:]
+            ).all()  # and so may all their parts
 
 
 @given(SEEDS, st.integers(0, 4))
@@ -126,10 +143,14 @@ def test_costs_are_those_of_units_and_of_each_site_once(seed: int, size: int) ->
 
 
 @given(st.lists(st.integers(0, 10**6), min_size=1, max_size=5), st.integers(1, 50))
-def test_every_cost_is_a_multiple_of_the_step_of_prices(cents: list[int], times: int) -> None:
+def test_every_cost_is_a_multiple_of_the_step_of_prices(
+    cents: list[int], times: int
+) -> None:
     prices = np.array(cents) * times / 100.0
     limits = Limits(
-        site_index=np.zeros(len(cents), dtype=int), site_capacity=[9], unit_cost_eur=prices
+        site_index=np.zeros(len(cents), dtype=int),
+        site_capacity=[9],
+        unit_cost_eur=prices,
     )
     step = price_step_eur(limits)
     assert round(100.0 * step) == np.gcd.reduce(np.array(cents) * times)
@@ -141,7 +162,9 @@ def test_prices_are_whole_cents_or_none() -> None:
     assert found is not None
     assert found.tolist() == [0, 1, 33333, 10**8]
     assert whole_cents(np.array([0.005])) is None
-    assert whole_cents(np.array([1.0e16])) is None  # float64 does not know each cent any more
+    assert (
+        whole_cents(np.array([1.0e16])) is None
+    )  # float64 does not know each cent any more
     assert price_step_eur(Limits(site_index=[], site_capacity=[])) == 0.0
 
 
@@ -169,12 +192,16 @@ def test_no_allowed_set_has_more_units_than_the_limits_say(seed: int) -> None:
 def test_most_units_are_those_of_sites_budgets_and_prices(
     change: dict[str, Any], expected: int
 ) -> None:
-    limits = Limits(site_index=[0, 0, 1, 1], site_capacity=[2, 1], unit_cost_eur=[1.0] * 4)
+    limits = Limits(
+        site_index=[0, 0, 1, 1], site_capacity=[2, 1], unit_cost_eur=[1.0] * 4
+    )
     assert replace(limits, **change).max_units == expected
 
 
 @given(SEEDS, st.integers(0, 3))
-def test_who_fits_leaves_room_and_money_for_what_is_forced(seed: int, size: int) -> None:
+def test_who_fits_leaves_room_and_money_for_what_is_forced(
+    seed: int, size: int
+) -> None:
     limits = some_limits(seed)
     allowed = [
         set(units)
@@ -208,14 +235,28 @@ def test_who_fits_leaves_room_and_money_for_what_is_forced(seed: int, size: int)
             [],
             [0, 1, 2, 3],
         ),
-        ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [], [2, 3]),  # 4 of 5 are kept back
+        (
+            {"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]},
+            [],
+            [2, 3],
+        ),  # 4 of 5 are kept back
         ({"budget_eur": 6.0, "is_forced": [0, 0, 0, 1]}, [], [0, 2, 3]),
         ({"budget_eur": 5.0, "is_forced": [0, 0, 0, 1]}, [3], [2]),
         ({"budget_eur": 3.0, "is_forced_site": [0, 1, 0]}, [], [0, 2]),
-        ({"budget_eur": 9.0, "is_forced_site": [0, 1, 0], "is_forbidden": [0, 0, 1, 0]}, [], []),
+        (
+            {
+                "budget_eur": 9.0,
+                "is_forced_site": [0, 1, 0],
+                "is_forbidden": [0, 0, 1, 0],
+            },
+            [],
+            [],
+        ),
     ],
 )
-def test_these_poses_fit(wish: dict[str, Any], units: list[int], expected: list[int]) -> None:
+def test_these_poses_fit(
+    wish: dict[str, Any], units: list[int], expected: list[int]
+) -> None:
     limits = Limits(
         site_index=[0, 0, 1, 2],
         site_capacity=[1, 1, 1],
@@ -223,23 +264,31 @@ def test_these_poses_fit(wish: dict[str, Any], units: list[int], expected: list[
         site_cost_eur=[1.0, 0.0, 0.0],
         **wish,
     )
-    assert np.flatnonzero(fitting(limits, np.array(units, dtype=int))).tolist() == expected
+    assert (
+        np.flatnonzero(fitting(limits, np.array(units, dtype=int))).tolist() == expected
+    )
 
 
 @given(SEEDS, st.integers(1, 4))
-def test_who_may_join_what_is_forced_is_told_to_kernels(seed: int, n_units: int) -> None:
+def test_who_may_join_what_is_forced_is_told_to_kernels(
+    seed: int, n_units: int
+) -> None:
     limits = some_limits(seed)
     choice = build_choice(limits, n_units)
     forced = np.flatnonzero(limits.is_forced)
     assert choice.n_units == max(n_units - len(forced), 0)
     at_site = np.bincount(limits.site_index[forced], minlength=3)
-    assert choice.room.tolist() == np.maximum(limits.site_capacity - at_site, 0).tolist()
+    assert (
+        choice.room.tolist() == np.maximum(limits.site_capacity - at_site, 0).tolist()
+    )
     is_open = ~limits.is_forced & ~limits.is_forbidden
     assert choice.is_open.tolist() == is_open.astype(int).tolist()
     if limits.budget_eur is None:
         assert not len(choice.cost)
         return
-    for size in range(len(forced) + 1, 5):  # no allowed set costs more than the money left
+    for size in range(
+        len(forced) + 1, 5
+    ):  # no allowed set costs more than the money left
         for units in all_sets(size).tolist():
             if not breaks(limits, tuple(units)):
                 others = [unit for unit in units if not limits.is_forced[unit]]
@@ -259,7 +308,10 @@ def test_limits_on_some_poses_are_those_of_their_sets(seed: int) -> None:
 
 def test_new_units_are_those_beyond_the_forced_ones() -> None:
     limits = Limits(
-        site_index=[0, 1, 2], site_capacity=[1, 1, 1], budget_units=3, is_forced=[True, True, False]
+        site_index=[0, 1, 2],
+        site_capacity=[1, 1, 1],
+        budget_units=3,
+        is_forced=[True, True, False],
     )
     assert limits.budget_new_units == 1
     assert replace(limits, budget_units=None).budget_new_units is None
@@ -272,29 +324,56 @@ def test_new_units_are_those_beyond_the_forced_ones() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"budget_units": True}, "budget: got True; expected a whole number of units, at least 1"),
-        ({"budget_units": -1}, "budget: got -1; expected a whole number of units, at least 1"),
+        (
+            {"budget_units": True},
+            "budget: got True; expected a whole number of units, at least 1",
+        ),
+        (
+            {"budget_units": -1},
+            "budget: got -1; expected a whole number of units, at least 1",
+        ),
         ({"budget_eur": -1.0}, "budget_cost: got -1.0; expected euros, at least 0"),
         ({"budget_eur": np.nan}, "budget_cost: got nan; expected euros, at least 0"),
         ({"budget_eur": np.inf}, "budget_cost: got inf; expected euros, at least 0"),
-        ({"unit_cost_eur": [1.0]}, "unit_cost_eur: got shape (1,); expected shape (2,)"),
-        ({"unit_cost_eur": [1, -1]}, "unit_cost_eur: got [1.0, -1.0]; expected euros, at least 0"),
+        (
+            {"unit_cost_eur": [1.0]},
+            "unit_cost_eur: got shape (1,); expected shape (2,)",
+        ),
+        (
+            {"unit_cost_eur": [1, -1]},
+            "unit_cost_eur: got [1.0, -1.0]; expected euros, at least 0",
+        ),
         (
             {"site_cost_eur": [1, np.inf]},
             "site_cost_eur: got [1.0, inf]; expected euros, at least 0",
         ),
-        ({"site_cost_eur": [[1, 1]]}, "site_cost_eur: got shape (1, 2); expected shape (2,)"),
+        (
+            {"site_cost_eur": [[1, 1]]},
+            "site_cost_eur: got shape (1, 2); expected shape (2,)",
+        ),
         ({"is_forced": [True]}, "is_forced: got shape (1,); expected shape (2,)"),
         ({"is_forbidden": True}, "is_forbidden: got shape (); expected shape (2,)"),
-        ({"is_forced_site": [True] * 3}, "is_forced_site: got shape (3,); expected shape (2,)"),
-        ({"site_index": [[0, 1]]}, "site_index: got [[0, 1]]; expected whole numbers in one row"),
+        (
+            {"is_forced_site": [True] * 3},
+            "is_forced_site: got shape (3,); expected shape (2,)",
+        ),
+        (
+            {"site_index": [[0, 1]]},
+            "site_index: got [[0, 1]]; expected whole numbers in one row",
+        ),
         (
             {"site_index": [0.0, 1.0]},
             "site_index: got [0.0, 1.0]; expected whole numbers in one row",
         ),
         ({"site_index": [-1, 0]}, "site_index: got [-1, 0]; expected sites 0..1"),
-        ({"rivals": [[0, 2]]}, "rivals: got [[0, 2]]; expected pairs of two sites, 0..1"),
-        ({"rivals": [[1, 1]]}, "rivals: got [[1, 1]]; expected pairs of two sites, 0..1"),
+        (
+            {"rivals": [[0, 2]]},
+            "rivals: got [[0, 2]]; expected pairs of two sites, 0..1",
+        ),
+        (
+            {"rivals": [[1, 1]]},
+            "rivals: got [[1, 1]]; expected pairs of two sites, 0..1",
+        ),
         ({"failing": "all"}, "failing: got 'all'; expected one of unit, site"),
     ],
 )
@@ -305,7 +384,11 @@ def test_limits_say_what_is_wrong(change: dict[str, Any], message: str) -> None:
     assert str(told.value) == message
 
 
-PAIR = {"site_index": [0, 0, 1], "site_capacity": [1, 1], "unit_cost_eur": [5.0, 7.0, 9.0]}
+PAIR = {
+    "site_index": [0, 0, 1],
+    "site_capacity": [1, 1],
+    "unit_cost_eur": [5.0, 7.0, 9.0],
+}
 
 
 @pytest.mark.parametrize(
@@ -317,7 +400,10 @@ PAIR = {"site_index": [0, 0, 1], "site_capacity": [1, 1], "unit_cost_eur": [5.0,
         ),
         (
             {"is_forced": [1, 1, 0]},
-            "forced units: got 2 at one site (a, b); expected at most 1, what the site can carry",
+            (
+                "forced units: got 2 at one site (a, b); expected at most 1, what the"
+                " site can carry"
+            ),
         ),
         (
             {"is_forbidden": [1, 1, 1]},
@@ -325,35 +411,51 @@ PAIR = {"site_index": [0, 0, 1], "site_capacity": [1, 1], "unit_cost_eur": [5.0,
         ),
         (
             {"is_forbidden": [0, 0, 1], "is_forced_site": [0, 1]},
-            "forced sites: got a site without a pose that may be used; expected one or more",
+            (
+                "forced sites: got a site without a pose that may be used; expected one"
+                " or more"
+            ),
         ),
         (
             {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "rivals": [[0, 1]]},
-            "separation_m: got two sites nearer than that which must both carry units; expected "
-            "one of them at most",
+            (
+                "separation_m: got two sites nearer than that which must both carry"
+                " units; expected one of them at most"
+            ),
         ),
         (
             {"is_forced": [1, 0, 0], "is_forced_site": [0, 1], "budget_units": 1},
-            "budget: got 1; expected at least 2, the units that are forced or stand at forced "
-            "sites",
+            (
+                "budget: got 1; expected at least 2, the units that are forced or stand"
+                " at forced sites"
+            ),
         ),
         (
             {"is_forced": [1, 0, 1], "budget_eur": 13.0},
-            "budget_cost: got 13.0; expected at least 14.00 EUR, the price of the forced units",
+            (
+                "budget_cost: got 13.0; expected at least 14.00 EUR, the price of the"
+                " forced units"
+            ),
         ),
         (
             {"budget_eur": 4.0},
-            "budget_cost: got 4.0; expected at least 5.00 EUR, the price of the cheapest unit with "
-            "its site",
+            (
+                "budget_cost: got 4.0; expected at least 5.00 EUR, the price of the"
+                " cheapest unit with its site"
+            ),
         ),
         (
             {"budget_eur": 5.5, "site_cost_eur": [1.0, 0.0]},
-            "budget_cost: got 5.5; expected at least 6.00 EUR, the price of the cheapest unit with "
-            "its site",
+            (
+                "budget_cost: got 5.5; expected at least 6.00 EUR, the price of the"
+                " cheapest unit with its site"
+            ),
         ),
     ],
 )
-def test_two_limits_that_cannot_both_be_met_are_told(wish: dict[str, Any], message: str) -> None:
+def test_two_limits_that_cannot_both_be_met_are_told(
+    wish: dict[str, Any], message: str
+) -> None:
     with pytest.raises(UnmetError) as told:
         check_limits(Limits(**PAIR, **wish), ("a", "b", "c"))
     assert str(told.value) == message
@@ -367,8 +469,14 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(
         check_limits(problem.limits, problem.table.pose_ids)
     except UnmetError:
         n_poses = problem.table.n_poses
-        sets = [one for n in range(1, n_poses + 1) for one in combinations(range(n_poses), n)]
-        assert not any(is_allowed(problem.limits, one) for one in sets)  # it is right to refuse
+        sets = [
+            one
+            for n in range(1, n_poses + 1)
+            for one in combinations(range(n_poses), n)
+        ]
+        assert not any(
+            is_allowed(problem.limits, one) for one in sets
+        )  # it is right to refuse
 
 
 @pytest.mark.parametrize(
@@ -376,7 +484,10 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(
     [
         (
             [Floor(name="--target", share=0.9)],
-            "--target: got 0.9; expected at most 0.75, what all candidate poses together reach",
+            (
+                "--target: got 0.9; expected at most 0.75, what all candidate poses"
+                " together reach"
+            ),
         ),
         (
             [Floor(name="--target", share=0.75)],
@@ -384,12 +495,23 @@ def test_limits_that_pass_the_check_are_not_refused_for_one_reason_alone(
         ),
         (
             [Floor(name="--target", share=0.5, n_failures=1)],
-            "--target: got 0.5; expected at most 0 when any 1 fail, what the best set found "
-            "reaches",
+            (
+                "--target: got 0.5; expected at most 0 when any 1 fail, what the best"
+                " set found reaches"
+            ),
         ),
         (
-            [Floor(name="--case", share=1.0, is_counted=np.array([False, True, False, True]))],
-            "--case: got 1; expected at most 0.5, what all candidate poses together reach",
+            [
+                Floor(
+                    name="--case",
+                    share=1.0,
+                    is_counted=np.array([False, True, False, True]),
+                )
+            ],
+            (
+                "--case: got 1; expected at most 0.5, what all candidate poses together"
+                " reach"
+            ),
         ),
     ],
 )
@@ -405,9 +527,15 @@ def test_floors_that_are_out_of_reach_tell_how_far_one_gets(
 def test_limits_without_any_set_say_so() -> None:
     problem = avoiding_problem(["10", "01"], budget_units=2)
     limits = replace(
-        problem.limits, site_cost_eur=[0.0, 9.0], is_forced_site=[True, True], budget_eur=2008.0
+        problem.limits,
+        site_cost_eur=[0.0, 9.0],
+        is_forced_site=[True, True],
+        budget_eur=2008.0,
     )
     with pytest.raises(UnmetError) as told:
         solve_placement(replace(problem, limits=limits))
-    expected = "limits: got no set of poses meets all of them; expected limits that leave a choice"
+    expected = (
+        "limits: got no set of poses meets all of them; expected limits that leave a"
+        " choice"
+    )
     assert str(told.value) == expected

@@ -39,7 +39,8 @@ def mean_of_worst(measure: Measure, is_avoided: BoolArray) -> float:
     for world, share in enumerate(measure.sample_weight.tolist()):
         mine = measure.sample_index == world
         worlds.append((float(measure.weight[mine & is_avoided].sum()) / share, share))
-    total, left = 0.0, measure.tail
+    total = 0.0
+    left = measure.tail
     for ratio, share in sorted(worlds):
         total += min(share, left) * ratio
         left -= min(share, left)
@@ -81,26 +82,41 @@ def test_runs_out_of_reach_still_count_as_lost(seed: int, tail: float) -> None:
     part = measure.of_runs(runs)
     is_avoided = rng.random(8) < 0.7
     is_lost = ~np.isin(np.arange(8), runs)
-    assert part.of(is_avoided[runs]) == pytest.approx(float(measure.of(is_avoided & ~is_lost)))
+    assert part.of(is_avoided[runs]) == pytest.approx(
+        float(measure.of(is_avoided & ~is_lost))
+    )
     assert (part.sample_weight == measure.sample_weight).all()
 
 
 @pytest.mark.parametrize(
     ("weights", "tail", "step"),
-    [([1, 1, 2], 1.0, 0.25), ([1, 1, 2], 0.5, 0.0), ([1, 1.5, 2], 1.0, 0.0), ([2, 2], 1.0, 0.5)],
+    [
+        ([1, 1, 2], 1.0, 0.25),
+        ([1, 1, 2], 0.5, 0.0),
+        ([1, 1.5, 2], 1.0, 0.0),
+        ([2, 2], 1.0, 0.5),
+    ],
 )
 def test_ratios_have_a_step_where_all_weights_are_multiples(
     weights: list[float], tail: float, step: float
 ) -> None:
     share = np.array(weights) / sum(weights)
-    assert build_measure(share, np.zeros(len(weights)), tail=tail).step == pytest.approx(step)
+    assert build_measure(
+        share, np.zeros(len(weights)), tail=tail
+    ).step == pytest.approx(step)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"tail": 0.0}, "tail: got 0.0; expected a share of the samples, 0 < share <= 1"),
-        ({"tail": 1.5}, "tail: got 1.5; expected a share of the samples, 0 < share <= 1"),
+        (
+            {"tail": 0.0},
+            "tail: got 0.0; expected a share of the samples, 0 < share <= 1",
+        ),
+        (
+            {"tail": 1.5},
+            "tail: got 1.5; expected a share of the samples, 0 < share <= 1",
+        ),
         (
             {"sample_index": [0]},
             "sample_index: got other samples; expected one, from 0, for each run",
@@ -126,7 +142,10 @@ def test_a_measure_says_what_is_wrong(change: dict[str, Any], message: str) -> N
     [
         ({"share": 1.2}, "--target: got 1.2; expected a share of the runs, 0 to 1"),
         ({"share": -0.1}, "--target: got -0.1; expected a share of the runs, 0 to 1"),
-        ({"n_failures": -1}, "survive: got -1; expected units that may fail, at least 0"),
+        (
+            {"n_failures": -1},
+            "survive: got -1; expected units that may fail, at least 0",
+        ),
     ],
 )
 def test_a_floor_says_what_is_wrong(change: dict[str, Any], message: str) -> None:
@@ -139,14 +158,20 @@ def test_a_floor_says_what_is_wrong(change: dict[str, Any], message: str) -> Non
 
 
 @given(SEEDS, st.sampled_from([-np.inf, 0.0, 0.25, 0.5]))
-def test_a_requirement_counts_runs_that_leave_the_margin(seed: int, least_s: float) -> None:
+def test_a_requirement_counts_runs_that_leave_the_margin(
+    seed: int, least_s: float
+) -> None:
     measure, rng = drawn_measure(seed, 1.0)
     margin_s = rng.choice([-np.inf, 0.0, 0.25, 0.5], (4, 8))
     requirement = Requirement(measure=measure, least=0.5, min_margin_s=least_s)
     counts = [[m > -np.inf and m >= least_s for m in row] for row in margin_s.tolist()]
     assert requirement.counts_run(margin_s).tolist() == counts
-    assert requirement.reached(margin_s) == pytest.approx(np.array(counts) @ measure.weight)
-    sums = Requirement(measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True)
+    assert requirement.reached(margin_s) == pytest.approx(
+        np.array(counts) @ measure.weight
+    )
+    sums = Requirement(
+        measure=measure, least=0.5, min_margin_s=least_s, sums_margins=True
+    )
     expected = [
         sum(w * m for w, m, c in zip(measure.weight, row, count, strict=True) if c)
         for row, count in zip(margin_s, counts, strict=True)
@@ -155,7 +180,9 @@ def test_a_requirement_counts_runs_that_leave_the_margin(seed: int, least_s: flo
 
 
 @given(SEEDS, st.floats(0.0, 1.0))
-def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(seed: int, least: float) -> None:
+def test_all_runs_are_needed_where_no_other_set_of_them_is_enough(
+    seed: int, least: float
+) -> None:
     measure, _ = drawn_measure(seed, 1.0)
     needs_all = Requirement(measure=measure, least=least).needs_all
     enough = [
@@ -186,12 +213,23 @@ def test_objectives_stand_in_order_and_the_cost_once() -> None:
 
 
 @given(st.sampled_from(Objective), st.integers(-3, 3), st.integers(-3, 3))
-def test_less_is_better_of_what_is_minimised(objective: Objective, one: int, other: int) -> None:
-    sign = -1 if objective.is_minimised else 1
+def test_less_is_better_of_what_is_minimised(
+    objective: Objective, one: int, other: int
+) -> None:
+    if objective.is_minimised:
+        sign = -1
+    else:
+        sign = 1
     assert objective.excess(one, other) == sign * (one - other)
-    assert objective.better(one, other) == (one if sign * one >= sign * other else other)
+    assert objective.better(one, other) == (
+        one if sign * one >= sign * other else other
+    )
     assert {objective.better(one, other), objective.worse(one, other)} == {one, other}
-    assert (objective.unit == "EUR") == (objective.tolerance == 1e-6) == (objective == "cost_eur")
+    assert (
+        (objective.unit == "EUR")
+        == (objective.tolerance == 1e-6)
+        == (objective == "cost_eur")
+    )
 
 
 VALUES = st.tuples(*(st.sampled_from([0.0, 5e-10, 0.5, 1.0]) for _ in range(5)))
@@ -201,8 +239,10 @@ VALUES = st.tuples(*(st.sampled_from([0.0, 5e-10, 0.5, 1.0]) for _ in range(5)))
 def test_layouts_are_compared_stage_by_stage_beyond_rounding(
     one: tuple[float, ...], other: tuple[float, ...]
 ) -> None:
-    mine, theirs = PlacementValue(*one), PlacementValue(*other)
-    signs, tolerances = (1, 1, 1, 1, -1), (1e-9, 1e-9, 1e-9, 1e-9, 1e-6)
+    mine = PlacementValue(*one)
+    theirs = PlacementValue(*other)
+    signs = (1, 1, 1, 1, -1)
+    tolerances = (1e-9, 1e-9, 1e-9, 1e-9, 1e-6)
     expected = False
     for a, b, sign, tolerance in zip(one, other, signs, tolerances, strict=True):
         if abs(a - b) > tolerance:
@@ -227,7 +267,8 @@ def test_the_best_of_many_sets_is_exceeded_by_none(seed: int, n_sets: int) -> No
     np.testing.assert_array_equal(values.lacking, -gains[:, 0])
     np.testing.assert_array_equal(values.of(Objective.APR), gains[:, 1])
     np.testing.assert_array_equal(values.of(Objective.COST), -gains[:, 2])
-    incumbent, sets = BestSet(), np.arange(n_sets)[:, None]
+    incumbent = BestSet()
+    sets = np.arange(n_sets)[:, None]
     for begin in range(0, n_sets, 3):
         incumbent.offer(sets[begin : begin + 3], values[begin : begin + 3])
     incumbent.offer(sets[:0], values[:0])

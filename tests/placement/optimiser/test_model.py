@@ -53,7 +53,8 @@ def margins(reduced: ReducedProblem, units: IntArray) -> FloatArray:
 
 def live_links(reduced: ReducedProblem, units: IntArray) -> FloatArray:
     """a of the model: whether a window of the chain up to each link is live."""
-    detected, chains = reduced.detected(), reduced.chains
+    detected = reduced.detected()
+    chains = reduced.chains
     seen = detected[units].any(axis=0)
     a = np.zeros(len(chains.window))
     for chain in range(reduced.n_chains):
@@ -74,13 +75,21 @@ def test_the_model_finds_the_best_allowed_set(
     assume(reduced.n_poses)  # else limits are refused before
     values = []
     for size in range(1, reduced.limits.max_units + 1):
-        sets = np.array(list(combinations(range(reduced.n_poses), size)), dtype=np.int64)
+        sets = np.array(
+            list(combinations(range(reduced.n_poses), size)), dtype=np.int64
+        )
         sets = sets.reshape(-1, size)
         sets = sets[are_allowed(reduced.limits, sets)]
-        values += set_values(reduced, sets).of(objective).tolist() if len(sets) else []
+        if len(sets):
+            values += set_values(reduced, sets).of(objective).tolist()
+        else:
+            values += []
     found = solve_window_model(reduced, objective, time_limit_s=60.0)
     assert found.is_finished
-    sign = -1.0 if objective.is_minimised else 1.0
+    if objective.is_minimised:
+        sign = -1.0
+    else:
+        sign = 1.0
     if not values:
         assert found.units is None
         assert found.bound == -sign * np.inf
@@ -100,7 +109,9 @@ def test_the_model_finds_the_largest_sum_of_margins(problem: PlacementProblem) -
     for sets in sets_by_size(reduced):
         for units in sets[are_allowed(reduced.limits, sets)]:
             margin = margins(reduced, units)
-            best = max(best, float(np.where(margin > -np.inf, margin, 0.0) @ reduced.weight))
+            best = max(
+                best, float(np.where(margin > -np.inf, margin, 0.0) @ reduced.weight)
+            )
     found = solve_window_model(reduced, Objective.MEAN_MARGIN, time_limit_s=60.0)
     assert found.bound == pytest.approx(best, abs=1e-6)
 
@@ -117,10 +128,15 @@ def test_the_model_finds_a_set_that_meets_a_requirement_where_there_is_one(
         for sets in sets_by_size(reduced)
         for units in sets[are_allowed(reduced.limits, sets)]
     ]
-    found = solve_window_model(reduced, None, requirements=[requirement], time_limit_s=60.0)
+    found = solve_window_model(
+        reduced, None, requirements=[requirement], time_limit_s=60.0
+    )
     if max(reached) >= least + 1e-6:
         assert found.units is not None
-        slack = 1e-3 * float(reduced.weight.mean()) if len(reduced.weight) else 0.0
+        if len(reduced.weight):
+            slack = 1e-3 * float(reduced.weight.mean())
+        else:
+            slack = 0.0
         mine = requirement.reached(margins(reduced, found.units)[None, :])[0]
         assert mine >= least - slack - 1e-6
     elif found.units is None:
@@ -131,8 +147,16 @@ def test_a_model_that_takes_too_long_to_state_says_nothing() -> None:
     from small_tables import avoiding_problem
 
     reduced = presolve(avoiding_problem(["10", "01"]))
-    for objective, bound in ((Objective.APR, np.inf), (Objective.COST, -np.inf), (None, np.inf)):
-        assert solve_window_model(reduced, objective, time_limit_s=1e-9) == (None, bound, False)
+    for objective, bound in (
+        (Objective.APR, np.inf),
+        (Objective.COST, -np.inf),
+        (None, np.inf),
+    ):
+        assert solve_window_model(reduced, objective, time_limit_s=1e-9) == (
+            None,
+            bound,
+            False,
+        )
 
 
 @given(problem=ANY_PROBLEM)
@@ -142,7 +166,8 @@ def test_links_weigh_what_their_rows_are_worth(problem: PlacementProblem) -> Non
     of_margins = link_weights(reduced, margin_rows(reduced))
     for sets in sets_by_size(reduced):
         for units in sets[:6]:
-            a, margin = live_links(reduced, units), margins(reduced, units)
+            a = live_links(reduced, units)
+            margin = margins(reduced, units)
             is_avoided = margin > -np.inf
             assert of_runs @ a == pytest.approx(reduced.weight @ is_avoided)
             total_s = np.where(is_avoided, margin, 0.0) @ reduced.weight
@@ -157,12 +182,19 @@ def test_the_last_link_leaves_the_margin_and_the_next_one_does_not(
     last = last_links(reduced, min_margin_s=least_s)
     for run, chain in enumerate(reduced.run_chain):
         enough = [m > -np.inf and m >= least_s - 1e-9 for m in reduced.margin_s[run]]
-        n_links = enough.index(False) if False in enough else len(enough)
-        assert last[run] == (reduced.chains.start[chain] + n_links - 1 if n_links else -1)
+        if False in enough:
+            n_links = enough.index(False)
+        else:
+            n_links = len(enough)
+        assert last[run] == (
+            reduced.chains.start[chain] + n_links - 1 if n_links else -1
+        )
 
 
 @given(problem=ANY_PROBLEM)
-def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(problem: PlacementProblem) -> None:
+def test_who_makes_a_window_live_has_seen_a_frame_that_stabs(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(problem)
     for phase in range(reduced.window_frames.shape[1]):
         enters = entering_poses(reduced, phase).toarray()
@@ -181,17 +213,24 @@ def holds(reduced: ReducedProblem, cut: Cut, units: IntArray) -> bool:
     """True if a set has so many of the units that count, or sites with such units."""
     counted = units[cut.is_counted[units]]
     sites = reduced.limits.site_index[counted]
-    n_counted = len(counted) if reduced.limits.failing == "unit" else len(np.unique(sites))
+    if reduced.limits.failing == "unit":
+        n_counted = len(counted)
+    else:
+        n_counted = len(np.unique(sites))
     return n_counted >= cut.n_units
 
 
-def drawn_requirement(reduced: ReducedProblem, n_failures: int, place: float) -> Requirement:
+def drawn_requirement(
+    reduced: ReducedProblem, n_failures: int, place: float
+) -> Requirement:
     least = place * reduced.measure.limit
     return Requirement(measure=reduced.measure, least=least, n_failures=n_failures)
 
 
 def meets(reduced: ReducedProblem, units: IntArray, requirement: Requirement) -> bool:
-    left = left_after_failures(reduced, requirement.measure, requirement.n_failures, units[None, :])
+    left = left_after_failures(
+        reduced, requirement.measure, requirement.n_failures, units[None, :]
+    )
     return bool(left[0] >= requirement.least - 1e-9)
 
 
@@ -232,7 +271,9 @@ def test_a_model_with_cuts_finds_a_set_that_survives_where_there_is_one(
         return
     requirement = drawn_requirement(reduced, 1, 0.6)
     sets = [s[are_allowed(reduced.limits, s)] for s in sets_by_size(reduced)]
-    good = [units for size in sets for units in size if meets(reduced, units, requirement)]
+    good = [
+        units for size in sets for units in size if meets(reduced, units, requirement)
+    ]
     cuts = first_cuts(reduced, requirement)
     for _ in range(200):
         found = solve_window_model(

@@ -72,7 +72,9 @@ SHARED = Path(__file__).parents[4] / "shared" / "inputs" / "placement"
 
 @pytest.mark.parametrize("name", ["false_margin", "false_proof", "tiny_weight"])
 @pytest.mark.parametrize("way", ["auto", "relax", "exact", "greedy", "large"])
-def test_problems_that_were_answered_wrongly_are_answered_right(name: str, way: str) -> None:
+def test_problems_that_were_answered_wrongly_are_answered_right(
+    name: str, way: str
+) -> None:
     path = SHARED / f"{name}.npz"
     if not path.exists():
         pytest.skip("the shared material is absent")

@@ -21,7 +21,9 @@ ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
 def all_sets(reduced: ReducedProblem, n_units: int) -> np.ndarray:
-    numbers = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+    numbers = np.array(
+        list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
+    )
     return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
 
 
@@ -29,7 +31,9 @@ def in_two_worlds(problem: PlacementProblem) -> PlacementProblem:
     """Every other run in the second world, where that leaves both with weight."""
     index = np.arange(problem.table.axis.n_runs) % 2
     weight = np.bincount(index, weights=problem.table.axis.weight, minlength=2)
-    return replace(problem, sample_index=index) if (weight > 0.0).all() else problem
+    if (weight > 0.0).all():
+        return replace(problem, sample_index=index)
+    return problem
 
 
 @given(
@@ -54,14 +58,18 @@ def test_a_walk_by_pairs_meets_every_set_that_reaches_the_need(
         patch.setattr("placement.optimiser.constants.CLASS_POSES", class_poses)
         patch.setattr("placement.optimiser.constants.FEW_PAIRS", few)
         walk = PairWalk(reduced, need=need)
-        met = np.concatenate([np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)])
+        met = np.concatenate(
+            [np.empty((0, n_units), dtype=np.int64), *walk.blocks(NEVER)]
+        )
     assert walk.is_finished
     found = sorted(tuple(sorted(units)) for units in met.tolist())
     assert found == sorted(map(tuple, sets[share >= need - 1e-9].tolist()))
 
 
 @given(problem=ANY_PROBLEM)
-def test_a_walk_for_more_meets_the_sets_that_reach_more(problem: PlacementProblem) -> None:
+def test_a_walk_for_more_meets_the_sets_that_reach_more(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(problem)
     n_units = reduced.limits.max_units
     if not 2 <= n_units <= 3 or not len(reduced.weight) or reduced.n_poses < n_units:
@@ -93,7 +101,9 @@ def test_worlds_are_proven_by_their_mean_and_bounded_by_it(
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
-    tied = walk_by_pairs(reduced, sets[0], deadline=NEVER, on_better=lambda units: units)
+    tied = walk_by_pairs(
+        reduced, sets[0], deadline=NEVER, on_better=lambda units: units
+    )
     assert tied.limit >= share.max() - 1e-9
     if tail == 1.0:
         assert tied.is_finished
@@ -113,14 +123,19 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
 ) -> None:
     reduced = presolve(in_two_worlds(problem))
     n_units = reduced.limits.max_units
-    if not goes_by_pairs(reduced) or reduced.n_poses < n_units or not len(reduced.weight):
+    if (
+        not goes_by_pairs(reduced)
+        or reduced.n_poses < n_units
+        or not len(reduced.weight)
+    ):
         return
     sets = all_sets(reduced, n_units)
     if not len(sets):
         return
     share = union_apr(reduced, unions_of(reduced, sets))
     units, most = sets[share.argmax()], float(share.max())
-    needs, real = [], PairWalk.blocks
+    needs = []
+    real = PairWalk.blocks
 
     def blocks(walk: PairWalk, deadline: Deadline) -> Iterator[np.ndarray]:
         needs.append(walk.need)
@@ -132,12 +147,20 @@ def test_a_walk_that_does_not_end_leaves_the_nearest_bound_that_was_proven(
         # So little time is left that no walk is likely to end, but it is never over.
         patch.setattr("placement.optimiser.constants.ALL_TIMES_NEAR", np.inf)
         tied = walk_by_pairs(
-            reduced, units, deadline=Deadline(now_s() + 1.0e6), on_better=lambda units: units
+            reduced,
+            units,
+            deadline=Deadline(now_s() + 1.0e6),
+            on_better=lambda units: units,
         )
     assert tied.limit >= most - 1e-9
     if most > 0.0 and most * 1.02 < reduced.measure.limit:
         ahead = [need / most - 1.0 for need in needs]
-        assert ahead[: n_ended + 1] == pytest.approx([0.02 / 2**n for n in range(n_ended + 1)])
-        expected = most * (1.0 + 0.02 / 2 ** (n_ended - 1)) if n_ended else reduced.measure.limit
+        assert ahead[: n_ended + 1] == pytest.approx(
+            [0.02 / 2**n for n in range(n_ended + 1)]
+        )
+        if n_ended:
+            expected = most * (1.0 + 0.02 / 2 ** (n_ended - 1))
+        else:
+            expected = reduced.measure.limit
         assert tied.limit == pytest.approx(expected)
         assert not tied.is_finished

@@ -36,14 +36,22 @@ ALONE = [
 ]
 
 
-def best_by_stage(oracle: Oracle, layouts: dict[tuple[int, ...], Values]) -> list[float]:
+def best_by_stage(
+    oracle: Oracle, layouts: dict[tuple[int, ...], Values]
+) -> list[float]:
     """Best value of every stage among layouts that tie in all stages before."""
     best = []
     rivals = list(layouts.values())
     for name in oracle.names:
         is_cost = name in ("units", "cost_eur")
-        sign = -1.0 if is_cost else 1.0
-        tie = TIE_EUR if is_cost else TIE
+        if is_cost:
+            sign = -1.0
+        else:
+            sign = 1.0
+        if is_cost:
+            tie = TIE_EUR
+        else:
+            tie = TIE
         most = max(sign * values[name] for values in rivals)
         best.append(sign * most)
         rivals = [values for values in rivals if sign * values[name] >= most - tie]
@@ -57,7 +65,9 @@ def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
         return False
     left = set(reduced.pose_index.tolist())
     among_left = {
-        poses: values for poses, values in oracle.layouts.items() if left.issuperset(poses)
+        poses: values
+        for poses, values in oracle.layouts.items()
+        if left.issuperset(poses)
     }
     assert among_left, "no layout is left"
     expected = best_by_stage(oracle, oracle.layouts)
@@ -66,7 +76,9 @@ def check_stages(problem: PlacementProblem, reduced: ReducedProblem) -> bool:
     return True
 
 
-@pytest.mark.parametrize("rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none")
+@pytest.mark.parametrize(
+    "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
+)
 def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
     n_met = 0
     seen: set[str] = set()
@@ -80,8 +92,12 @@ def test_the_rules_change_the_best_value_of_no_stage(rules: set[Rule]) -> None:
     assert {"tail, pose adds nothing", "floor", "survive", "levels", "car sees"} <= seen
 
 
-@pytest.mark.parametrize("rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none")
-def test_the_rules_change_the_value_of_no_layout_of_what_is_left(rules: set[Rule]) -> None:
+@pytest.mark.parametrize(
+    "rules", ALONE, ids=lambda rules: " and ".join(sorted(rules)) or "none"
+)
+def test_the_rules_change_the_value_of_no_layout_of_what_is_left(
+    rules: set[Rule],
+) -> None:
     for number in range(N_PROBLEMS):
         problem = random_problem(np.random.default_rng([18, number]))
         problem = replace(problem, floors=(), goal="best")
@@ -92,7 +108,9 @@ def test_the_rules_change_the_value_of_no_layout_of_what_is_left(rules: set[Rule
             if not sets:
                 continue
             values = set_values(reduced, np.array(sets))
-            layouts = [tuple(reduced.pose_index[list(units)].tolist()) for units in sets]
+            layouts = [
+                tuple(reduced.pose_index[list(units)].tolist()) for units in sets
+            ]
             expected = [oracle.values(poses) for poses in layouts]
             for name in oracle.names:
                 got = values.of(Objective(name))
@@ -103,8 +121,8 @@ def test_the_rules_change_the_value_of_no_layout_of_what_is_left(rules: set[Rule
 def tie_of_margins(price_eur: list[float]) -> PlacementProblem:
     """Two worlds, of which the worse counts, where no pose avoids anything.
 
-    In the other one the car avoids a run with a large margin, and pose 0 avoids one more
-    with a small one. Pose 1 adds nothing; it may cost more.
+    In the other one the car avoids a run with a large margin, and pose 0 avoids one
+    more with a small one. Pose 1 adds nothing; it may cost more.
     """
     axis = FrameAxis(
         run_ids=("lost", "early", "late"),
@@ -171,7 +189,9 @@ def test_the_cheapest_of_the_poses_that_add_nothing_stays() -> None:
     )
     assert presolve(problem).pose_index.tolist() == [1]
     is_forced_site = np.array([False, False, False, True])
-    asked = replace(problem, limits=replace(problem.limits, is_forced_site=is_forced_site))
+    asked = replace(
+        problem, limits=replace(problem.limits, is_forced_site=is_forced_site)
+    )
     assert presolve(asked).pose_index.tolist() == [1, 3]
     assert not find_needless(presolve(asked)).any()
 

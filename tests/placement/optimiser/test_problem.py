@@ -19,7 +19,9 @@ from placement.optimiser import (
 from scenarios.aeb import AebRule
 from scenarios.runs import FrameAxis
 
-RULE = AebRule(deceleration_mps2=7.72, latency_s=0.025, n_confirmations=3, frame_rate_hz=10.0)
+RULE = AebRule(
+    deceleration_mps2=7.72, latency_s=0.025, n_confirmations=3, frame_rate_hz=10.0
+)
 
 
 def two_runs(
@@ -37,7 +39,9 @@ def two_runs(
         run_start=np.array([0, 6, 12]),
         time_s=np.tile(np.arange(-5, 1) / 10.0, 2),
     )
-    detected = np.array([[mark == "1" for mark in row.replace(" ", "")] for row in rows])
+    detected = np.array(
+        [[mark == "1" for mark in row.replace(" ", "")] for row in rows]
+    )
     return PlacementProblem(
         table=pack_table(tuple(map(str, range(len(rows)))), axis, detected),
         limits=Limits(
@@ -51,7 +55,9 @@ def two_runs(
     )
 
 
-def test_margin_is_what_is_left_after_the_third_frame_in_a_row_and_the_latency() -> None:
+def test_margin_is_what_is_left_after_the_third_frame_in_a_row_and_the_latency() -> (
+    None
+):
     problem = two_runs(["011100 111000"])
     margin = run_margins_s(problem, [0])
     assert margin == pytest.approx([-0.05 - (-0.2 + 0.025), -0.275 - (-0.3 + 0.025)])
@@ -106,7 +112,10 @@ def change_problem(problem: PlacementProblem, change: dict[str, Any]) -> None:
             "budget: got 2.5; expected a whole number of units, at least 1",
         ),
         ({"fusion": "all"}, "fusion: got 'all'; expected one of any, single"),
-        ({"site_index": np.array([0, 2])}, "site_index: got [0, 2]; expected sites 0..1"),
+        (
+            {"site_index": np.array([0, 2])},
+            "site_index: got [0, 2]; expected sites 0..1",
+        ),
         (
             {"site_capacity": np.array([1, -1])},
             "site_capacity: got [1, -1]; expected units, at least 0",

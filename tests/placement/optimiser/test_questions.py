@@ -41,7 +41,10 @@ def brute_force(problem: PlacementProblem) -> Row | None:
         for poses in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, poses):
                 row = tuple(round(number, 9) for number in rank(problem, poses))
-                best = row if best is None else max(best, row)
+                if best is None:
+                    best = row
+                else:
+                    best = max(best, row)
     return best
 
 
@@ -56,7 +59,10 @@ def check(problem: PlacementProblem) -> None:
     assert rank(problem, solution.pose_index) == pytest.approx(best, abs=2e-9)
     for stage in solution.certificate.stages:
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
-        sign = -1.0 if stage.name in ("units", "cost_eur") else 1.0
+        if stage.name in ("units", "cost_eur"):
+            sign = -1.0
+        else:
+            sign = 1.0
         assert sign * stage.bound >= sign * stage.objective
 
 
@@ -66,15 +72,23 @@ def test_every_question_matches_brute_force(problem: PlacementProblem) -> None:
 
 
 @given(problem=questions())
-def test_models_answer_every_question_without_enumeration(problem: PlacementProblem) -> None:
+def test_models_answer_every_question_without_enumeration(
+    problem: PlacementProblem,
+) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr(
+            "placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False)
+        )
         check(problem)
 
 
-@given(problem=questions(), solver=st.sampled_from(["greedy", "relax", "exact", "auto"]))
-def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver: str) -> None:
+@given(
+    problem=questions(), solver=st.sampled_from(["greedy", "relax", "exact", "auto"])
+)
+def test_no_bound_of_the_first_stage_is_beaten(
+    problem: PlacementProblem, solver: str
+) -> None:
     best = brute_force(problem)
     if best is None:
         return
@@ -84,13 +98,18 @@ def test_no_bound_of_the_first_stage_is_beaten(problem: PlacementProblem, solver
     except InputError:
         return  # nothing was found in time, and that is said
     first = solution.certificate.stages[0]
-    sign = -1.0 if first.name in ("units", "cost_eur") else 1.0
+    if first.name in ("units", "cost_eur"):
+        sign = -1.0
+    else:
+        sign = 1.0
     assert is_feasible(problem, solution.pose_index)
     assert sign * first.bound >= best[0] - 1e-6
 
 
 @given(problem=questions(), give_up=st.sampled_from([0.0, 0.05, 0.3, 1.0]))
-def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(problem, give_up):
+def test_what_is_given_up_buys_the_most_that_is_left_when_a_unit_fails(
+    problem, give_up
+):
     problem = replace(problem, goal="best", survive=0, floors=(), tail=1.0)
     try:
         highest, sturdy = solve_sturdily(problem, give_up=give_up, effort=Effort())

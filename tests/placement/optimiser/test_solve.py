@@ -35,7 +35,9 @@ def test_solve_matches_brute_force_on_small_tables(
     solution = solve_placement(problem)
     value = placement_value(problem, solution.pose_index)
     assert is_feasible(problem, solution.pose_index)
-    assert value == pytest.approx(best_value(problem, range(problem.table.n_poses)), abs=1e-9)
+    assert value == pytest.approx(
+        best_value(problem, range(problem.table.n_poses)), abs=1e-9
+    )
     assert tuple(stage.objective for stage in solution.certificate.stages) == value
     assert solution.certificate.is_proven
 
@@ -54,15 +56,20 @@ def keep_units(
 def test_bounds_from_a_poor_start_still_match_brute_force(
     problem: PlacementProblem, best_value: BestValue
 ) -> None:
-    # Heuristic and enumeration solve small tables outright; without them the MILPs have to.
+    # Heuristic and enumeration solve small tables outright; without them the MILPs have
+    # to.
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.search_from_many_starts", first_units)
         patch.setattr("placement.optimiser.proof.improve", keep_units)
         patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr(
+            "placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False)
+        )
         solution = solve_placement(problem)
     best = best_value(problem, range(problem.table.n_poses))
-    assert placement_value(problem, solution.pose_index) == pytest.approx(best, abs=1e-9)
+    assert placement_value(problem, solution.pose_index) == pytest.approx(
+        best, abs=1e-9
+    )
     assert solution.certificate.is_proven
 
 
@@ -73,7 +80,10 @@ def test_bound_is_never_below_the_best_when_time_is_up(
     certificate = solve_placement(problem, effort=Effort(time_limit_s=1e-9)).certificate
     best = best_value(problem, range(problem.table.n_poses))
     for stage, value in zip(certificate.stages, best, strict=True):
-        sign = -1.0 if stage.name == "cost_eur" else 1.0
+        if stage.name == "cost_eur":
+            sign = -1.0
+        else:
+            sign = 1.0
         assert sign * stage.bound >= sign * stage.objective
         assert sign * stage.bound >= sign * value - 1e-9
         assert (stage.gap == 0.0) == (stage.bound == stage.objective)
@@ -88,7 +98,9 @@ def test_greedy_is_feasible_and_never_better_than_the_proven_best(
     greedy = solve_greedy(problem)
     assert is_feasible(problem, greedy)
     best = solve_placement(problem).pose_index
-    assert not is_better(placement_value(problem, greedy), placement_value(problem, best))
+    assert not is_better(
+        placement_value(problem, greedy), placement_value(problem, best)
+    )
 
 
 @given(problem=ANY_PROBLEM)
@@ -111,7 +123,8 @@ def test_stages_are_named_in_order_as_they_begin(problem: PlacementProblem) -> N
 
 @pytest.mark.parametrize("solver", ["auto", "relax", "greedy"])
 def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver: str) -> None:
-    # No pose avoids the run of the first world; of the second world's, one leaves more time.
+    # No pose avoids the run of the first world; of the second world's, one leaves more
+    # time.
     problem = avoiding_problem(["010", "001"], budget_units=1)
     axis = replace(problem.table.axis, last_brake_time_s=np.array([-0.01, -0.01, 0.1]))
     table = replace(problem.table, axis=axis)
@@ -128,7 +141,10 @@ def test_an_apr_of_0_in_the_worst_worlds_proves_no_margin(solver: str) -> None:
 @pytest.mark.parametrize("solver", ["relax", "models"])
 def test_weights_of_any_magnitude_are_solved_without_overflow(solver: str) -> None:
     weights = [1.0, 3.0, 2.0, 1.0e-302]
-    check(avoiding_problem(["1001", "0110", "1100"], weights=weights, budget_units=2), solver)
+    check(
+        avoiding_problem(["1001", "0110", "1100"], weights=weights, budget_units=2),
+        solver,
+    )
 
 
 def test_nothing_is_proven_that_a_solvers_error_may_hide() -> None:
@@ -139,7 +155,9 @@ def test_nothing_is_proven_that_a_solvers_error_may_hide() -> None:
 
 
 def test_effort_says_what_a_time_limit_is() -> None:
-    with pytest.raises(InputError, match=r"time_limit: got 0\.0; expected seconds, more than 0"):
+    with pytest.raises(
+        InputError, match=r"time_limit: got 0\.0; expected seconds, more than 0"
+    ):
         Effort(time_limit_s=0.0)
 
 

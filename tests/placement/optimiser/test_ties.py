@@ -45,7 +45,9 @@ def singles(weight: list[float], seen_from: list[list[int | None]]) -> Placement
     )
     n_poses = len(seen_from)
     return PlacementProblem(
-        table=pack_table(tuple(map(str, range(n_poses))), axis, detected.reshape(n_poses, -1)),
+        table=pack_table(
+            tuple(map(str, range(n_poses))), axis, detected.reshape(n_poses, -1)
+        ),
         limits=Limits(
             site_index=np.arange(n_poses),
             site_capacity=np.ones(n_poses, dtype=int),
@@ -63,7 +65,9 @@ def singles(weight: list[float], seen_from: list[list[int | None]]) -> Placement
 
 
 @pytest.mark.parametrize("way", EVERY_WAY)
-def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(way: str) -> None:
+def test_a_pose_is_not_dropped_for_one_that_avoids_a_run_more_at_a_tie(
+    way: str,
+) -> None:
     problem = singles([1.6e-8, 5.0e-10], [[2, 7], [2, None]])
     check(problem, way)
     if way in ("auto", "exact"):
@@ -128,7 +132,10 @@ def test_contenders_limit_every_set_that_ties_in_all_stages_before(
         most = gains[tied, column].max()
         limit = limits[objective]
         assert (-limit if objective is Objective.COST else limit) == most
-        tolerance = 1.0e-6 if objective is Objective.COST else TIE
+        if objective is Objective.COST:
+            tolerance = 1.0e-6
+        else:
+            tolerance = TIE
         tied &= gains[:, column] >= gains[row, column] - tolerance
 
 

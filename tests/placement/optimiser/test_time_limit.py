@@ -8,7 +8,13 @@ import pytest
 from problems import random_problem
 from small_tables import avoiding_problem
 
-from placement.optimiser import Effort, UnmetError, is_feasible, presolve, solve_placement
+from placement.optimiser import (
+    Effort,
+    UnmetError,
+    is_feasible,
+    presolve,
+    solve_placement,
+)
 from placement.optimiser.constants import Deadline
 from placement.optimiser.model import Answer, MilpResult, run_solver
 from placement.optimiser.problem import Objective
@@ -24,7 +30,9 @@ class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 0.0
         for module in _CLOCKS:
-            monkeypatch.setattr(f"placement.optimiser.{module}.now_s", lambda: self.now_s)
+            monkeypatch.setattr(
+                f"placement.optimiser.{module}.now_s", lambda: self.now_s
+            )
 
 
 @pytest.fixture
@@ -37,7 +45,9 @@ def knapsack() -> cp.Problem:
     return cp.Problem(cp.Maximize(np.array([3.0, 2.0, 2.0]) @ x), [x.sum() <= 2.0])
 
 
-def compile_for_s(seconds: float, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+def compile_for_s(
+    seconds: float, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> list[float]:
     """Let compiling take so long; the time limits that HiGHS is handed then."""
     handed: list[float] = []
     compiled = cp.Problem.get_problem_data
@@ -46,7 +56,9 @@ def compile_for_s(seconds: float, clock: Clock, monkeypatch: pytest.MonkeyPatch)
         def __init__(self, chain: Any) -> None:
             self.chain = chain
 
-        def solve_via_data(self, *given: Any, solver_opts: dict[str, Any], **how: Any) -> Any:
+        def solve_via_data(
+            self, *given: Any, solver_opts: dict[str, Any], **how: Any
+        ) -> Any:
             handed.append(solver_opts["time_limit"])
             return self.chain.solve_via_data(*given, solver_opts=solver_opts, **how)
 
@@ -86,7 +98,9 @@ def test_no_model_is_begun_that_takes_longer_to_state_than_the_time_left(
 ) -> None:
     reduced = presolve(avoiding_problem(["110", "011", "101"], budget_units=2))
     n_cells = reduced.n_poses * reduced.n_frames
-    monkeypatch.setattr("placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0)
+    monkeypatch.setattr(
+        "placement.optimiser.constants.CELLS_PER_SECOND", n_cells / 10.0
+    )
     late = Search(reduced, deadline=Deadline(9.0))
     assert late.look_for(Objective.APR, ()) == np.inf
     assert not late.proofs
@@ -105,7 +119,10 @@ def test_all_stages_together_take_no_longer_than_the_limit(
         assert 0.0 < time_limit_s <= LIMIT_S - clock.now_s + 1e-9
         clock.now_s += time_limit_s
         is_minimised = objective is not None and objective.is_minimised
-        nothing = -np.inf if is_minimised else np.inf
+        if is_minimised:
+            nothing = -np.inf
+        else:
+            nothing = np.inf
         return MilpResult(units=None, bound=nothing, is_finished=False)
 
     monkeypatch.setattr("placement.optimiser.proof.solve_window_model", idle)
@@ -116,7 +133,9 @@ def test_all_stages_together_take_no_longer_than_the_limit(
         clock.now_s = 0.0
         problem = random_problem(np.random.default_rng([60, seed]))
         try:
-            solution = solve_placement(problem, effort=Effort(time_limit_s=LIMIT_S, workers=1))
+            solution = solve_placement(
+                problem, effort=Effort(time_limit_s=LIMIT_S, workers=1)
+            )
         except UnmetError:
             pass
         else:

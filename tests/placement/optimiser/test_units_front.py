@@ -21,7 +21,12 @@ from placement.optimiser import (
     placement_value,
     solve_placement,
 )
-from placement.optimiser.front import FIRST_STAGES, front_below, one_failed_limit, pareto_front
+from placement.optimiser.front import (
+    FIRST_STAGES,
+    front_below,
+    one_failed_limit,
+    pareto_front,
+)
 from placement.optimiser.presolve import presolve
 
 ANY_PROBLEM = st.from_type(PlacementProblem)
@@ -39,7 +44,10 @@ def best_rank(problem: PlacementProblem) -> PlacementValue | None:
         for poses in combinations(range(problem.table.n_poses), n_units):
             if is_feasible(problem, poses):
                 value = placement_value(problem, poses)
-                best = value if best is None or is_better(value, best) else best
+                if best is None or is_better(value, best):
+                    best = value
+                else:
+                    best = best
     return best
 
 
@@ -53,13 +61,18 @@ def test_every_point_is_the_best_that_brute_force_finds(
     for point in front.points:
         here = with_units(problem, point.units)
         best = best_value(here, range(n_poses))
-        n_held = 2 if stages == "first" else 5
+        if stages == "first":
+            n_held = 2
+        else:
+            n_held = 5
         assert is_feasible(here, point.pose_index)
         assert point.value == placement_value(problem, point.pose_index)
         assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-9)
         assert point.is_proven
         names = [stage.name for stage in point.certificate.stages]
-        assert names == list(FIRST_STAGES if stages == "first" else PlacementValue._fields)
+        assert names == list(
+            FIRST_STAGES if stages == "first" else PlacementValue._fields
+        )
         assert [stage.objective for stage in point.certificate.stages] == list(
             point.value[: len(names)]
         )
@@ -79,10 +92,15 @@ def test_wishes_hold_at_every_point_and_refuse_those_that_cannot_meet_them(
         return
     front = pareto_front(problem, max_units=3, stages=stages)
     assert [point.units for point in front.points] == possible
-    n_held = 2 if stages == "first" else 5
+    if stages == "first":
+        n_held = 2
+    else:
+        n_held = 5
     for point in front.points:
         assert is_feasible(with_units(problem, point.units), point.pose_index)
-        assert point.value[:n_held] == pytest.approx(bests[point.units][:n_held], abs=1e-8)
+        assert point.value[:n_held] == pytest.approx(
+            bests[point.units][:n_held], abs=1e-8
+        )
     refused = [units for units, _ in front.refused]
     assert refused == [u for u in range(max(1, n_forced), 4) if u not in possible]
 
@@ -93,11 +111,18 @@ def test_models_find_the_same_points_without_enumeration(
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("placement.optimiser.proof.can_walk", lambda _: False)
-        patch.setattr("placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False))
+        patch.setattr(
+            "placement.optimiser.proof.best_of_few", lambda *_, **__: (None, False)
+        )
         front = pareto_front(problem, max_units=3, stages=stages)
-    n_held = 2 if stages == "first" else 5
+    if stages == "first":
+        n_held = 2
+    else:
+        n_held = 5
     for point in front.points:
-        best = best_value(with_units(problem, point.units), range(problem.table.n_poses))
+        best = best_value(
+            with_units(problem, point.units), range(problem.table.n_poses)
+        )
         assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-9)
         assert point.is_proven
 
@@ -124,37 +149,53 @@ def test_values_never_fall_and_bounds_hold_even_when_time_is_up(
         return
     for fewer, point in pairwise(front.points):
         assert not is_better(fewer.value, point.value)
-        assert fewer.certificate.stages[0].bound <= point.certificate.stages[0].bound + 1e-12
+        assert (
+            fewer.certificate.stages[0].bound
+            <= point.certificate.stages[0].bound + 1e-12
+        )
     for point in front.points:
         best = best_rank(with_units(problem, point.units))
         assert best is not None
         for stage, value in zip(point.certificate.stages, best, strict=False):
-            sign = -1.0 if stage.name == "cost_eur" else 1.0
+            if stage.name == "cost_eur":
+                sign = -1.0
+            else:
+                sign = 1.0
             assert sign * stage.bound >= sign * value - 1e-6
             if sign * stage.objective < sign * value - 1e-9:
                 break  # bounds of later stages hold for layouts that are as good so far
 
 
 @given(problem=questions(), stages=ANY_STAGES)
-def test_where_nothing_grows_nothing_grows(problem: PlacementProblem, stages: str) -> None:
+def test_where_nothing_grows_nothing_grows(
+    problem: PlacementProblem, stages: str
+) -> None:
     problem = replace(problem, goal="best", survive=0)
     try:
         front = pareto_front(problem, max_units=4, stages=stages)
     except InputError:
         return
     best = best_rank(with_units(problem, 8))
-    settled = front.points[-1] if front.settled is None else None
+    if front.settled is None:
+        settled = front.points[-1]
+    else:
+        settled = None
     if settled is not None:
         return
     assert best is not None
-    n_held = 2 if stages == "first" else 5
+    if stages == "first":
+        n_held = 2
+    else:
+        n_held = 5
     for point in front.points:
         if point.units >= front.settled:
             assert point.value[:n_held] == pytest.approx(best[:n_held], abs=1e-8)
 
 
 @given(problem=ANY_PROBLEM)
-def test_no_set_keeps_more_than_all_poses_but_one_reach(problem: PlacementProblem) -> None:
+def test_no_set_keeps_more_than_all_poses_but_one_reach(
+    problem: PlacementProblem,
+) -> None:
     n_poses = problem.table.n_poses
     limit = one_failed_limit(presolve(with_units(problem, n_poses)))
     sets = [
@@ -189,7 +230,9 @@ def test_points_of_large_tables_are_solved_by_themselves_and_never_fall(
 @settings(max_examples=10)
 def test_points_are_told_as_they_come(problem: PlacementProblem) -> None:
     told: list[int] = []
-    front = pareto_front(problem, max_units=3, on_point=lambda point: told.append(point.units))
+    front = pareto_front(
+        problem, max_units=3, on_point=lambda point: told.append(point.units)
+    )
     assert told == [point.units for point in front.points][: len(told)]
     assert told
 
@@ -215,7 +258,9 @@ def test_a_front_asks_for_nothing_but_the_best(
 
 
 @given(problem=questions())
-def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProblem) -> None:
+def test_a_front_below_a_solution_is_the_front_up_to_it(
+    problem: PlacementProblem,
+) -> None:
     problem = with_units(replace(problem, goal="best", survive=0), 3)
     try:
         solution = solve_placement(problem)
@@ -224,14 +269,18 @@ def test_a_front_below_a_solution_is_the_front_up_to_it(problem: PlacementProble
     below = front_below(problem, solution.pose_index, solution.certificate)
     assert below.points[-1].pose_index == solution.pose_index
     whole = pareto_front(problem, max_units=3, stages="all")
-    assert [point.units for point in below.points] == [point.units for point in whole.points]
+    assert [point.units for point in below.points] == [
+        point.units for point in whole.points
+    ]
     for ours, theirs in zip(below.points, whole.points, strict=True):
         assert ours.value == pytest.approx(theirs.value, abs=1e-8)
 
 
 @given(problem=ANY_PROBLEM)
 @settings(max_examples=10)
-def test_nothing_is_below_one_unit_or_all_that_is_kept(problem: PlacementProblem) -> None:
+def test_nothing_is_below_one_unit_or_all_that_is_kept(
+    problem: PlacementProblem,
+) -> None:
     problem = with_units(problem, 2)
     solution = solve_placement(problem)
     front = front_below(problem, solution.pose_index, solution.certificate, min_units=2)

@@ -13,13 +13,24 @@ from geometry.arrays import IntArray
 from placement.detection_table import DetectionTable
 from placement.optimiser import Limits, PlacementProblem, presolve
 from placement.optimiser.allowed_sets import are_allowed
-from placement.optimiser.bitsets import left_after_failures, set_values, union_apr, unions_of
+from placement.optimiser.bitsets import (
+    left_after_failures,
+    set_values,
+    union_apr,
+    unions_of,
+)
 from placement.optimiser.bounds import failure_limit, find_root, run_rows
 from placement.optimiser.constants import NEVER, Deadline
 from placement.optimiser.greedy import improve
 from placement.optimiser.presolve import ReducedProblem
 from placement.optimiser.proof import Search
-from placement.optimiser.walk import SetWalk, TieSearch, best_of_tied, can_walk, widest_poses
+from placement.optimiser.walk import (
+    SetWalk,
+    TieSearch,
+    best_of_tied,
+    can_walk,
+    widest_poses,
+)
 from scenarios.aeb import load_aeb_rule
 from scenarios.runs import FrameAxis
 
@@ -27,7 +38,9 @@ ANY_PROBLEM = st.from_type(PlacementProblem)
 
 
 def all_sets(reduced: ReducedProblem, n_units: int) -> IntArray:
-    numbers = np.array(list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64)
+    numbers = np.array(
+        list(combinations(range(reduced.n_poses), n_units)), dtype=np.int64
+    )
     return numbers[are_allowed(reduced.limits, numbers.reshape(-1, n_units))]
 
 
@@ -67,9 +80,13 @@ def test_a_walk_meets_every_set_that_meets_its_needs(
 
 
 @given(problem=questions())
-def test_a_walk_with_forced_poses_meets_every_allowed_set(problem: PlacementProblem) -> None:
+def test_a_walk_with_forced_poses_meets_every_allowed_set(
+    problem: PlacementProblem,
+) -> None:
     plain = replace(problem.limits, budget_eur=None, rivals=None, is_forced_site=None)
-    reduced = presolve(replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0))
+    reduced = presolve(
+        replace(problem, limits=plain, floors=(), goal="best", survive=0, tail=1.0)
+    )
     n_units = reduced.limits.max_units
     if not can_walk(reduced):
         return
@@ -97,7 +114,9 @@ def tie_search(
         walk_from=lambda need, left: SetWalk(
             reduced, root, need=need, n_failures=n_failures, left=left
         ),
-        limit=lambda least, deadline: failure_limit(root, n_failures, least, deadline=deadline),
+        limit=lambda least, deadline: failure_limit(
+            root, n_failures, least, deadline=deadline
+        ),
         ahead=ahead,
         n_failures=n_failures,
         on_better=lambda units: improve(reduced, units, limit),
@@ -109,7 +128,9 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     problem: PlacementProblem, ahead: float
 ) -> None:
     limits = replace(problem.limits, is_forced=None)
-    reduced = presolve(replace(problem, limits=limits, floors=(), goal="best", tail=1.0))
+    reduced = presolve(
+        replace(problem, limits=limits, floors=(), goal="best", tail=1.0)
+    )
     if not can_walk(reduced):
         return
     sizes = [all_sets(reduced, n) for n in range(1, reduced.limits.max_units + 1)]
@@ -117,24 +138,37 @@ def test_the_best_of_the_tied_sets_is_the_best_of_all(
     if not sizes or sizes[-1].shape[1] < reduced.limits.max_units:
         return
     values = [set_values(reduced, sets) for sets in sizes]
-    best = max((value[value.best_row()] for value in values), key=lambda row: tuple(row.gains))
+    best = max(
+        (value[value.best_row()] for value in values), key=lambda row: tuple(row.gains)
+    )
     for value in values:
         row = value[value.best_row()]
-        best = row if row.exceeds(best) else best
+        if row.exceeds(best):
+            best = row
+        else:
+            best = best
     n_failures = reduced.survive
     tied = tie_search(reduced, sizes[-1][0], n_failures, ahead=ahead).find(NEVER)
     assert tied.is_finished
     assert tied.sets is not None
-    contenders = best_of_tied(reduced, tied.sets, n_failures=n_failures, value=tied.value)
+    contenders = best_of_tied(
+        reduced, tied.sets, n_failures=n_failures, value=tied.value
+    )
     found = contenders.best()
     assert found is not None
-    np.testing.assert_allclose(set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9)
+    np.testing.assert_allclose(
+        set_values(reduced, found[None, :]).gains[0], best.gains, atol=2e-9
+    )
 
 
 def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
     """Better sets were met while only a step more was asked for, and not kept as ties."""
     axis = FrameAxis(
-        **{"run_ids": ("0", "1", "2"), "cases": ("CPNA-50",) * 3, "approaches": ("north",) * 3},
+        **{
+            "run_ids": ("0", "1", "2"),
+            "cases": ("CPNA-50",) * 3,
+            "approaches": ("north",) * 3,
+        },
         **{"weathers": ("day",) * 3, "positions": ("0",) * 3},
         vut_speed_kmh=np.full(3, 30.0),
         weight=np.array([2.0, 1.0, 3.0]) / 6.0,
@@ -142,7 +176,14 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
         run_start=np.array([0, 8, 14, 20]),
         time_s=0.1 * np.array([*range(-7, 1), *range(-5, 1), *range(-5, 1)]),
     )
-    seen = [[159, 108, 11], [166, 132, 4], [215, 77, 5], [224, 59, 6], [205, 223, 11], [253, 2, 15]]
+    seen = [
+        [159, 108, 11],
+        [166, 132, 4],
+        [215, 77, 5],
+        [224, 59, 6],
+        [205, 223, 11],
+        [253, 2, 15],
+    ]
     problem = PlacementProblem(
         table=DetectionTable(
             pose_ids=tuple("012345"), axis=axis, packed=np.array(seen, dtype=np.uint8)
@@ -161,7 +202,9 @@ def test_ties_that_an_earlier_part_of_the_walk_met_are_not_lost() -> None:
 
 
 @given(problem=ANY_PROBLEM)
-def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProblem) -> None:
+def test_a_walk_without_time_proves_nothing_but_its_limit(
+    problem: PlacementProblem,
+) -> None:
     reduced = presolve(problem)
     if not can_walk(reduced):
         return
@@ -180,10 +223,13 @@ def test_a_walk_without_time_proves_nothing_but_its_limit(problem: PlacementProb
 def test_every_pose_covers_no_more_than_the_widest_of_its_class(
     data: st.DataObject, n_poses: int, n_rows: int
 ) -> None:
-    bits = data.draw(st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows))
+    bits = data.draw(
+        st.lists(st.booleans(), min_size=n_poses * n_rows, max_size=n_poses * n_rows)
+    )
     places = data.draw(st.lists(st.integers(0, 2), min_size=n_poses, max_size=n_poses))
     can = data.draw(st.lists(st.booleans(), min_size=n_poses, max_size=n_poses))
-    rows, site = np.array(bits).reshape(n_poses, n_rows), np.array(places)
+    rows = np.array(bits).reshape(n_poses, n_rows)
+    site = np.array(places)
     widest, class_of = widest_poses(rows, site, np.array(can))
     np.testing.assert_array_equal(class_of >= 0, can)
     np.testing.assert_array_equal(class_of[widest], np.arange(len(widest)))

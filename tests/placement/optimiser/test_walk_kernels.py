@@ -59,11 +59,19 @@ def test_windows_are_asked_for_the_missing_piece_that_is_seen_least(seed: int) -
                 assert found == -7
                 continue
             missing, least = asked_of(chains, chain, link, alone, seen)
-            assert (found in missing and seen[found] == least) if missing else found == -1
+            assert (
+                (found in missing and seen[found] == least) if missing else found == -1
+            )
 
 
-@given(st.booleans(), st.integers(-1, 3), st.lists(st.integers(0, 3), min_size=4, max_size=4))
-def test_the_less_seen_of_two_frames_stays(is_there: bool, least: int, seen: list[int]) -> None:
+@given(
+    st.booleans(),
+    st.integers(-1, 3),
+    st.lists(st.integers(0, 3), min_size=4, max_size=4),
+)
+def test_the_less_seen_of_two_frames_stays(
+    is_there: bool, least: int, seen: list[int]
+) -> None:
     union = pack_words(np.array([False, False, is_there, False]))
     found = kernels.less_seen(union, np.array(seen, dtype=float), 2, least)
     is_less = not is_there and (least < 0 or seen[2] < seen[least])
@@ -80,16 +88,26 @@ def test_rows_are_covered_by_who_sees_what_one_of_their_windows_is_asked_for(
     asked = rng.integers(-1, N_FRAMES, len(chains.window))
     row_chain, row_last = random_rows(rng, chains)
     n_rows = len(row_chain)
-    begin, n_words = int(rng.integers(0, n_rows + 1)), -(-n_poses // 64)
+    begin = int(rng.integers(0, n_rows + 1))
+    n_words = -(-n_poses // 64)
     coverers = np.full((n_rows, n_words), 3, dtype=np.uint64)
     kernels.cover_rows(
-        columns_of(sees), chains.start, asked, row_chain, row_last, begin, n_rows, coverers
+        columns_of(sees),
+        chains.start,
+        asked,
+        row_chain,
+        row_last,
+        begin,
+        n_rows,
+        coverers,
     )
     assert (coverers[:begin] == 3).all()
     for row in range(begin, n_rows):
         first = chains.start[row_chain[row]]
         frames = asked[first : first + row_last[row]]
-        expected = {p for p in range(n_poses) if any(f < 0 or sees[p, f] for f in frames)}
+        expected = {
+            p for p in range(n_poses) if any(f < 0 or sees[p, f] for f in frames)
+        }
         assert bits_of(coverers[row], n_poses) == expected
 
 
@@ -102,8 +120,10 @@ def test_bytes_weigh_what_their_bits_do(seed: int, n_rows: int, share: float) ->
     n_words = -(-n_rows // 64)
     weight = np.zeros(64 * n_words)
     weight[:n_rows] = whole_weights(rng, n_rows)
-    counted, covers = rng.random(n_rows) < share, rng.random((5, n_rows)) < 0.5
-    table, used = np.full((8 * n_words, 256), np.nan), np.full(8 * n_words, -1)
+    counted = rng.random(n_rows) < share
+    covers = rng.random((5, n_rows)) < 0.5
+    table = np.full((8 * n_words, 256), np.nan)
+    used = np.full(8 * n_words, -1)
     n_used = kernels.weigh_bytes(weight, pack_words(counted), table, used)
     has_any = [counted[8 * place : 8 * place + 8].any() for place in range(8 * n_words)]
     assert used[:n_used].tolist() == np.flatnonzero(has_any).tolist()
@@ -118,7 +138,8 @@ def test_bytes_weigh_what_their_bits_do(seed: int, n_rows: int, share: float) ->
 @given(SEEDS, st.integers(1, 100))
 def test_a_table_of_bytes_weighs_all_rows(seed: int, n_rows: int) -> None:
     rng = np.random.default_rng(seed)
-    covers, weight = rng.random((4, n_rows)) < 0.5, whole_weights(rng, n_rows)
+    covers = rng.random((4, n_rows)) < 0.5
+    weight = whole_weights(rng, n_rows)
     table, used, n_used = byte_table(weight, pack_words(covers))
     total = np.empty(4)
     kernels.weights_of(pack_words(covers).view(np.uint8), table, used, n_used, total)
@@ -142,7 +163,10 @@ def sets_of(choice: Choice) -> list[tuple[int, ...]]:
     return [
         one
         for one in sets
-        if all(sum(choice.site[list(one)] == site) <= choice.room[site] for site in range(3))
+        if all(
+            sum(choice.site[list(one)] == site) <= choice.room[site]
+            for site in range(3)
+        )
         and (not len(choice.cost) or choice.cost[list(one)].sum() <= 1.0 + 1e-12)
     ]
 
@@ -150,7 +174,8 @@ def sets_of(choice: Choice) -> list[tuple[int, ...]]:
 @given(SEEDS)
 def test_the_best_poses_with_room_gain_as_much_as_any_set(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    choice, gain = random_choice(rng), rng.integers(-1, 5, 6).astype(np.float64)
+    choice = random_choice(rng)
+    gain = rng.integers(-1, 5, 6).astype(np.float64)
     picked = np.full(3, -1)
     total, n_picked = kernels.pick_best(gain, choice, picked)
     assert total == max(gain[list(one)].sum() for one in sets_of(choice))
@@ -162,7 +187,8 @@ def test_the_best_poses_with_room_gain_as_much_as_any_set(seed: int) -> None:
 @given(SEEDS)
 def test_no_affordable_set_gains_more_than_prices_of_money_allow(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    choice, gain = random_choice(rng, has_money=True), whole_weights(rng, 6)
+    choice = random_choice(rng, has_money=True)
+    gain = whole_weights(rng, 6)
     picked = np.full(3, -1)
     total, n_picked = kernels.pick_affordable(gain, choice, picked)
     best = max(gain[list(one)].sum() for one in sets_of(choice))
@@ -185,7 +211,9 @@ def test_money_that_is_short_lowers_the_bound_to_what_it_buys() -> None:
     total, _ = kernels.pick_affordable(
         np.array([3.0, 3.0, 1.0]), choice, np.empty(2, dtype=np.int64)
     )
-    assert total == pytest.approx(4.0, abs=1e-3)  # 3 and 1: half of another 3 is no more
+    assert total == pytest.approx(
+        4.0, abs=1e-3
+    )  # 3 and 1: half of another 3 is no more
 
 
 @given(st.integers(1, 5), st.integers(0, 3), st.floats(0.0, 4.0), st.floats(0.1, 4.0))
@@ -200,7 +228,11 @@ def test_a_row_is_worth_its_reward_less_what_it_pays(
 
 
 def lagrangian(
-    covers: BoolArray, choice: Choice, weight: FloatArray, reward: FloatArray, price: FloatArray
+    covers: BoolArray,
+    choice: Choice,
+    weight: FloatArray,
+    reward: FloatArray,
+    price: FloatArray,
 ) -> float:
     """The bound that prices prove: rows beyond them, and the poses that gain most."""
     of_rows = sum(
@@ -208,7 +240,9 @@ def lagrangian(
         for w, p in zip(weight, price, strict=True)
     )
     gain = np.where(choice.is_open, covers @ price, 0.0)
-    return of_rows + kernels.pick_affordable(gain, choice, np.empty(3, dtype=np.int64))[0]
+    return (
+        of_rows + kernels.pick_affordable(gain, choice, np.empty(3, dtype=np.int64))[0]
+    )
 
 
 @given(SEEDS, st.integers(0, 2), st.sampled_from([0, 1, 30]), st.booleans())
@@ -216,14 +250,18 @@ def test_tightened_prices_prove_a_bound_that_no_set_exceeds(
     seed: int, n_failures: int, n_steps: int, has_money: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    choice, n_rows = random_choice(rng, has_money=has_money), int(rng.integers(1, 12))
-    covers, weight = rng.random((6, n_rows)) < 0.4, whole_weights(rng, n_rows)
+    choice = random_choice(rng, has_money=has_money)
+    n_rows = int(rng.integers(1, 12))
+    covers = rng.random((6, n_rows)) < 0.4
+    weight = whole_weights(rng, n_rows)
     reward = reward_of(choice.n_units, n_failures)
     price = rng.uniform(-1.0, 2.0, n_rows) * weight
     start = np.clip(price, 0.0, weight * reward[1])
     share = np.zeros(6)
     rows = pack_words(covers).view(np.uint8)
-    bound = kernels.tighten_prices(rows, choice, weight, reward, price, n_steps, STEERING, share)
+    bound = kernels.tighten_prices(
+        rows, choice, weight, reward, price, n_steps, STEERING, share
+    )
     assert bound == pytest.approx(lagrangian(covers, choice, weight, reward, price))
     assert bound <= lagrangian(covers, choice, weight, reward, start) + 1e-9
     for one in sets_of(choice):
@@ -242,9 +280,13 @@ def test_steps_find_prices_that_prove_the_best_set() -> None:
         cost=np.empty(0),
         site=np.zeros(3, dtype=np.int64),
     )
-    price, share = np.zeros(4), np.zeros(3)
-    rows, reward = pack_words(covers).view(np.uint8), reward_of(2, 0)
-    bound = kernels.tighten_prices(rows, choice, np.ones(4), reward, price, 200, STEERING, share)
+    price = np.zeros(4)
+    share = np.zeros(3)
+    rows = pack_words(covers).view(np.uint8)
+    reward = reward_of(2, 0)
+    bound = kernels.tighten_prices(
+        rows, choice, np.ones(4), reward, price, 200, STEERING, share
+    )
     assert bound == pytest.approx(4.0, rel=1e-3)
     assert (share[:2] > 10.0 * share[2]).all()
 
@@ -252,7 +294,9 @@ def test_steps_find_prices_that_prove_the_best_set() -> None:
 # ---------- the walk
 
 
-def build_covers(rng: np.random.Generator, *, n_poses: int = 6, n_rows: int = 9) -> kernels.Covers:
+def build_covers(
+    rng: np.random.Generator, *, n_poses: int = 6, n_rows: int = 9
+) -> kernels.Covers:
     bits = rng.random((n_poses, n_rows)) < 0.4
     covers = pack_words(bits)
     weight = whole_weights(rng, n_rows)
@@ -306,7 +350,9 @@ def test_candidates_gain_what_they_cover_of_some_rows(seed: int) -> None:
     gain = whole_weights(rng, 6)
     expected = gain.copy()
     for pose in np.flatnonzero(walk.is_open[0]):
-        expected[pose] += sum(covers.weight[row] for row in bits_by_pose(covers)[pose] if rows[row])
+        expected[pose] += sum(
+            covers.weight[row] for row in bits_by_pose(covers)[pose] if rows[row]
+        )
     total = kernels.add_gains(covers, covers.weight, pack_words(rows), walk, gain)
     np.testing.assert_array_equal(gain, expected)
     assert total == covers.weight[rows].sum()
@@ -318,23 +364,33 @@ def test_candidates_go_that_cannot_gain_enough_with_the_best_others(
     seed: int, n_more: int, need: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    gain, is_open = rng.integers(0, 6, 6).astype(np.float64), rng.random(6) < 0.8
+    gain = rng.integers(0, 6, 6).astype(np.float64)
+    is_open = rng.random(6) < 0.8
     before = is_open.copy()
-    has_any = kernels.drop_hopeless(gain, is_open, n_more, float(need), np.zeros(4, dtype=np.int64))
+    has_any = kernels.drop_hopeless(
+        gain, is_open, n_more, float(need), np.zeros(4, dtype=np.int64)
+    )
     if n_more <= 0:
         assert has_any == (need <= 0)
         assert (is_open == before).all()
         return
     poses = np.flatnonzero(before).tolist()
     sets = list(combinations(poses, min(n_more, len(poses))))
-    most = {pose: max(gain[list(one)].sum() for one in sets if pose in one) for pose in poses}
+    most = {
+        pose: max(gain[list(one)].sum() for one in sets if pose in one)
+        for pose in poses
+    }
     assert has_any == (max(most.values(), default=0.0) >= need)
     if has_any:
-        assert np.flatnonzero(is_open).tolist() == [pose for pose in poses if most[pose] >= need]
+        assert np.flatnonzero(is_open).tolist() == [
+            pose for pose in poses if most[pose] >= need
+        ]
 
 
 @given(SEEDS)
-def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(seed: int) -> None:
+def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(
+    seed: int,
+) -> None:
     rng = np.random.default_rng(seed)
     covers = build_covers(rng)
     walk = build_walk(covers, 2, np.array([1, 2, 0]), [0.0, 0.0])
@@ -344,12 +400,17 @@ def test_rows_without_coverers_are_lost_and_the_hardest_is_covered_by_fewest(see
     hardest = kernels.give_up_rows(covers, walk, rows)
     bits = bits_by_pose(covers)
     count = np.array(
-        [sum(row in bits[p] for p in np.flatnonzero(walk.is_open[0])) for row in range(len(once))]
+        [
+            sum(row in bits[p] for p in np.flatnonzero(walk.is_open[0]))
+            for row in range(len(once))
+        ]
     )
     left = ~once & ~gone
     assert bits_of(rows, len(once)) == set(np.flatnonzero(left & (count > 0)).tolist())
     assert walk.lost[0] == 2.0 + covers.weight[left & (count == 0)].sum()
-    assert bits_of(walk.gone[0], len(once)) == set(np.flatnonzero(gone | (left & (count == 0))))
+    assert bits_of(walk.gone[0], len(once)) == set(
+        np.flatnonzero(gone | (left & (count == 0)))
+    )
     if (left & (count > 0)).any():
         assert count[hardest] == count[left & (count > 0)].min()
     else:
@@ -362,7 +423,12 @@ def lost_of(covers: kernels.Covers, units: tuple[int, ...]) -> float:
 
 
 def walked(
-    covers: kernels.Covers, walk: kernels.Walk, n_failures: int, *, work: int, n_out: int
+    covers: kernels.Covers,
+    walk: kernels.Walk,
+    n_failures: int,
+    *,
+    work: int,
+    n_out: int,
 ) -> list[tuple[int, ...]]:
     """All sets of a walk that is paused again and again."""
     found: list[tuple[int, ...]] = []
@@ -385,7 +451,8 @@ def test_a_walk_finds_each_set_that_loses_little_once_however_often_it_is_paused
     covers = build_covers(rng)
     copies = rng.integers(1, 3, 6)
     covers = covers._replace(copies=copies)
-    room, may_lose = rng.integers(0, 3, 3), float(rng.integers(0, 16))
+    room = rng.integers(0, 3, 3)
+    may_lose = float(rng.integers(0, 16))
     walk = build_walk(covers, n_units, room, [may_lose, may_lose])
     found = walked(covers, walk, 0, work=work, n_out=n_out)
     expected = [
@@ -427,7 +494,8 @@ def test_a_walk_through_pairs_of_which_one_may_fail_finds_just_those_that_keep_e
     expected = [
         pair
         for pair in combinations(range(6), 2)
-        if lost_of(covers, pair) <= may_lose[0] and alone[list(pair)].max() <= may_lose[1]
+        if lost_of(covers, pair) <= may_lose[0]
+        and alone[list(pair)].max() <= may_lose[1]
     ]
     assert sorted(walked(covers, walk, 1, work=10**9, n_out=100)) == expected
 
@@ -436,7 +504,8 @@ def test_a_walk_stops_at_each_node_of_a_depth() -> None:
     rng = np.random.default_rng(5)
     covers = build_covers(rng)
     walk = build_walk(covers, 3, np.full(3, 3), [100.0, 100.0])
-    out, stops = np.empty((100, 3), dtype=np.int64), set()
+    out = np.empty((100, 3), dtype=np.int64)
+    stops = set()
     while kernels.grow(covers, walk, 0, 1, 10**9, out) == kernels.AT_STOP:
         assert walk.where[0] == 1
         stops.add(int(walk.chosen[0]))
@@ -466,7 +535,9 @@ def build_losses(
 def loss(losses: kernels.Losses, seen: BoolArray) -> float:
     frames = np.flatnonzero(seen).tolist()
     chains = range(n_chains_of(losses.chains))
-    return float(sum(losses.lost[g, first_live(losses.chains, g, frames)] for g in chains))
+    return float(
+        sum(losses.lost[g, first_live(losses.chains, g, frames)] for g in chains)
+    )
 
 
 def keeps(
@@ -474,8 +545,12 @@ def keeps(
 ) -> bool:
     if loss(losses, sees.any(axis=0) | alone) > losses.may_lose[0]:
         return False
-    rest = [np.delete(sees, unit, axis=0).any(axis=0) | alone for unit in range(len(sees))]
-    return not with_failures or all(loss(losses, one) <= losses.may_lose[1] for one in rest)
+    rest = [
+        np.delete(sees, unit, axis=0).any(axis=0) | alone for unit in range(len(sees))
+    ]
+    return not with_failures or all(
+        loss(losses, one) <= losses.may_lose[1] for one in rest
+    )
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 9), st.integers(0, 6))
@@ -483,7 +558,8 @@ def test_units_are_kept_if_they_lose_little_with_and_without_each(
     seed: int, with_failures: bool, most: int, more: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    chains, alone = random_chains(rng), rng.random(N_FRAMES) < 0.2
+    chains = random_chains(rng)
+    alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [float(most), float(most + more)])
     before = losses.order.copy()
     sees = random_sights(rng, 3)
@@ -497,17 +573,21 @@ def test_units_are_kept_if_they_lose_little_with_and_without_each(
 @given(SEEDS)
 def test_units_are_kept_that_lose_just_what_they_may_and_not_more(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    chains, alone = random_chains(rng), rng.random(N_FRAMES) < 0.2
+    chains = random_chains(rng)
+    alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [0.0, 0.0])
     sees = random_sights(rng, 3)
     in_all = loss(losses, sees.any(axis=0) | alone)
     without = max(
-        loss(losses, np.delete(sees, unit, axis=0).any(axis=0) | alone) for unit in range(3)
+        loss(losses, np.delete(sees, unit, axis=0).any(axis=0) | alone)
+        for unit in range(3)
     )
     for less_in_all, less_without in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
         losses.may_lose[:] = in_all - less_in_all, without - less_without
         found = kernels.can_keep(pack_words(sees), losses, True)
-        assert found == (less_in_all == less_without == 0.0)  # a loss of 0 is more than -1, too
+        assert found == (
+            less_in_all == less_without == 0.0
+        )  # a loss of 0 is more than -1, too
 
 
 @given(SEEDS, st.booleans(), st.integers(0, 12), st.sampled_from([1, 50]))
@@ -515,15 +595,18 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     seed: int, with_failures: bool, most: int, n_out: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    chains, alone = random_chains(rng), rng.random(N_FRAMES) < 0.2
+    chains = random_chains(rng)
+    alone = rng.random(N_FRAMES) < 0.2
     losses = build_losses(rng, chains, alone, [float(most), float(most + 3)])
     sees = random_sights(rng, 7)
-    member, start = rng.permutation(7), np.array([0, 3, 4, 7])
+    member = rng.permutation(7)
+    start = np.array([0, 3, 4, 7])
     parts = [member[start[k] : start[k + 1]] for k in range(3)]
     of_class = np.array([sees[part].any(axis=0) for part in parts])
     of_classes = kernels.Classes(member=member, start=start, words=pack_words(of_class))
     classes = np.sort(rng.choice([0, 0, 1, 2, 2], 3, replace=False))
-    place, found = np.array([-1, -1, -1, 0]), []
+    place = np.array([-1, -1, -1, 0])
+    found = []
     while place[-1] >= 0:
         out = np.empty((n_out, 3), dtype=np.int64)
         n_found = kernels.spell_out(
@@ -534,17 +617,22 @@ def test_sets_of_classes_are_spelled_out_as_the_poses_that_lose_little(
     expected = [
         one
         for one in options
-        if len(set(one)) == 3 and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
+        if len(set(one)) == 3
+        and keeps(losses, sees[list(one)], alone, with_failures=with_failures)
     ]
     assert sorted(found) == sorted(expected)
 
 
 @given(SEEDS, st.integers(0, 20))
-def test_sets_of_poses_are_kept_that_lose_no_more_than_they_may(seed: int, most: int) -> None:
+def test_sets_of_poses_are_kept_that_lose_no_more_than_they_may(
+    seed: int, most: int
+) -> None:
     rng = np.random.default_rng(seed)
-    chains, alone = random_chains(rng), np.zeros(N_FRAMES, dtype=bool)
+    chains = random_chains(rng)
+    alone = np.zeros(N_FRAMES, dtype=bool)
     losses = build_losses(rng, chains, alone, [float(most), -1.0])
-    sees, sets = random_sights(rng, 6), rng.integers(0, 6, (8, 2))
+    sees = random_sights(rng, 6)
+    sets = rng.integers(0, 6, (8, 2))
     kept = np.zeros(8, dtype=bool)
     kernels.keep_sets(pack_words(sees), sets, losses, kept)
     expected = [loss(losses, sees[units].any(axis=0)) <= most for units in sets]
@@ -556,14 +644,23 @@ def test_pairs_lose_the_rows_that_neither_can_avoid(seed: int, may_lose: int) ->
     rng = np.random.default_rng(seed)
     n_rows = int(rng.integers(1, 140))
     alone, may, part = rng.random((3, 5, n_rows)) < 0.6
-    weight, pairs = whole_weights(rng, n_rows), rng.integers(0, 5, (6, 2))
+    weight = whole_weights(rng, n_rows)
+    pairs = rng.integers(0, 5, (6, 2))
     table, _, _ = byte_table(weight, pack_words(alone))
     lost = np.empty(6)
     kernels.lost_by_pairs(
-        pack_words(alone), pack_words(may), pack_words(part), table, float(may_lose), pairs, lost
+        pack_words(alone),
+        pack_words(may),
+        pack_words(part),
+        table,
+        float(may_lose),
+        pairs,
+        lost,
     )
     for (one, other), found in zip(pairs, lost, strict=True):
-        can = (alone[one] | alone[other] | (part[one] & part[other])) & (may[one] | may[other])
+        can = (alone[one] | alone[other] | (part[one] & part[other])) & (
+            may[one] | may[other]
+        )
         total = weight[~can].sum()
         assert (found <= may_lose) == (total <= may_lose)
         assert found <= total

@@ -32,10 +32,14 @@ class Folder:
     ) -> int:
         """A drive that ends 2 m apart; `detected`: per unit, frames before the impact.
 
-        Every unit has a label of the VRU in every frame. Returns the next free frame number.
+        Every unit has a label of the VRU in every frame. Returns the next free frame
+        number.
         """
         for index in range(n_frames + resets):
-            before = n_frames - 1 - index if index < n_frames else n_frames - 1
+            if index < n_frames:
+                before = n_frames - 1 - index
+            else:
+                before = n_frames - 1
             name = f"{scenario}_{first + index}.txt"
             distance = 2.0 + closing * before / 10.0
             # As the generator does: no line break at the end.

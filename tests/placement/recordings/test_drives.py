@@ -27,7 +27,10 @@ def _world(*parts, scenario=0, first=0):
 
 
 def _falling(n_frames, closing_mps=10.0, last_m=2.0):
-    return [last_m + closing_mps * (n_frames - 1 - index) / 10.0 for index in range(n_frames)]
+    return [
+        last_m + closing_mps * (n_frames - 1 - index) / 10.0
+        for index in range(n_frames)
+    ]
 
 
 def _cut(world):
@@ -63,7 +66,9 @@ def test_the_same_speed_again_is_another_drive_where_the_distance_jumps_up():
 
 def test_the_first_reset_frame_may_still_show_the_bodies_where_they_met():
     # The generator tells the positions of the tick before.
-    spans, left_out, (drive,) = _cut(_world((_falling(12) + [1.8] + [13.0] * 29, 10.0, 1.5)))
+    spans, left_out, (drive,) = _cut(
+        _world((_falling(12) + [1.8] + [13.0] * 29, 10.0, 1.5))
+    )
     assert (spans, left_out) == ([(0, 0, 12)], {RESETS: 29})
     assert drive.distance_m[-1] == 1.8
 
@@ -86,7 +91,8 @@ def test_missing_frames_are_nan_and_time_goes_on():
 
 
 def test_drives_do_not_reach_over_more_than_ten_missing_seconds():
-    near, far = _world((_falling(12), 10.0, 1.5)), _world((_falling(12), 10.0, 1.5), first=10**8)
+    near = _world((_falling(12), 10.0, 1.5))
+    far = _world((_falling(12), 10.0, 1.5), first=10**8)
     assert _cut(near | far)[0] == [(0, 0, 11), (0, 10**8, 10**8 + 11)]
 
 
@@ -118,9 +124,12 @@ def test_scenarios_are_cut_each_by_itself():
     assert _cut(world)[0] == [(3, 0, 11), (10, 5, 24)]
 
 
-def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_directions(runs):
+def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_directions(
+    runs,
+):
     # Positions as the generator tells them, 30 frames of reset behind each drive.
-    world, numbers = {}, []
+    world = {}
+    numbers = []
     for run in runs:
         distance = np.linalg.norm(run.vut_position_m - run.vru_position_m, axis=1)
         numbers.append(len(world))
@@ -145,14 +154,17 @@ def test_all_runs_of_the_study_in_one_numbering_are_found_again_with_their_direc
 
 @given(
     st.lists(
-        st.tuples(st.floats(0.0, 60.0), st.sampled_from([5.0, 10.0]), st.integers(0, 1)),
+        st.tuples(
+            st.floats(0.0, 60.0), st.sampled_from([5.0, 10.0]), st.integers(0, 1)
+        ),
         min_size=1,
         max_size=40,
     ),
     st.integers(0, 2**40),
 )
 def test_every_frame_is_in_one_drive_or_left_out(rows, gaps):
-    world, number = {}, 0
+    world = {}
+    number = 0
     for index, (distance, vut_speed, scenario) in enumerate(rows):
         number += 1 + (gaps >> index & 1)
         world[FrameKey(scenario, number)] = World(distance, vut_speed, 1.5)

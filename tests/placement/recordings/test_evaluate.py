@@ -33,14 +33,17 @@ def _one_drive(new_folder, detected, **options):
 
 
 def test_apr_of_a_small_recording_worked_by_hand(small, judge):
-    # Both pedestrians cross: c = v, so cos(angle) = u / (2 v) is about 0. Braking at 7.72 m/s^2,
-    # 25 ms after the third detected frame in a row, must set in before -v / 15.44:
+    # Both pedestrians cross: c = v, so cos(angle) = u / (2 v) is about 0. Braking at
+    # 7.72 m/s^2, 25 ms after the third detected frame in a row, must set in before -v /
+    # 15.44:
     #   drive 1, 10 m/s: before -0.6477 s, so the third frame may be the one at -0.7 s (onset
     #     -0.675), not the one at -0.6 s;
     #   drive 2, 15 m/s: before -0.9715 s: the frame at -1.0 s (onset -0.975), not that at -0.9 s.
-    # drive 1: unit 0 at -0.9 and -0.7, unit 1 at -0.8: neither alone, but together in time.
+    # drive 1: unit 0 at -0.9 and -0.7, unit 1 at -0.8: neither alone, but together in
+    # time.
     #          The car at -1.0, -0.9, -0.8: in time.
-    # drive 2: unit 0 at -1.2, -1.1, -1.0: in time. Unit 1 at -1.0, -0.9, -0.8: too late. Car: none.
+    # drive 2: unit 0 at -1.2, -1.1, -1.0: in time. Unit 1 at -1.0, -0.9, -0.8: too
+    # late. Car: none.
     result = judge(small)
     axis = result.axis
     assert axis.run_ids == ("recording/3/36", "recording/3/54")
@@ -48,7 +51,9 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert (axis.approaches, axis.weathers) == (("recorded",) * 2, ("recorded",) * 2)
     assert axis.vut_speed_kmh.tolist() == pytest.approx([36.0, 54.0])
     assert axis.weight.tolist() == [0.5, 0.5]
-    assert axis.last_brake_time_s == pytest.approx([-10.0 / 15.44, -15.0 / 15.44], abs=1e-12)
+    assert axis.last_brake_time_s == pytest.approx(
+        [-10.0 / 15.44, -15.0 / 15.44], abs=1e-12
+    )
     assert axis.run_start.tolist() == [0, 12, 28]
     assert axis.time_s[[0, 11, 12, 27]] == pytest.approx([-1.1, 0.0, -1.5, 0.0])
     outcomes = {
@@ -62,14 +67,19 @@ def test_apr_of_a_small_recording_worked_by_hand(small, judge):
     assert result.vut_and_rsus.is_avoided.tolist() == [True, True]
     aprs = [apr(v, axis) for v in (*result.units.values(), result.rsu_all, result.vut)]
     assert aprs == [0.5, 0.0, 1.0, 0.5]
-    assert [int(v.detected.sum()) for v in (*result.units.values(), result.rsu_all)] == [5, 4, 8]
+    assert [
+        int(v.detected.sum()) for v in (*result.units.values(), result.rsu_all)
+    ] == [5, 4, 8]
     assert result.rsu_all.confirmation_time_s == pytest.approx([-0.7, -1.0])
     assert result.rsu_all.onset_time_s == pytest.approx([-0.675, -0.975])
 
 
-def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(new_folder, judge):
-    # v = 10, u = 4, c = 6 = v - u: cos = 1. Last moment -6 / 15.44 = -0.3886 s: the third frame may
-    # be the one at -0.5 s (onset -0.475), not that at -0.4 s (onset -0.375).
+def test_a_cyclist_ahead_leaves_the_time_that_shedding_the_closing_speed_takes(
+    new_folder, judge
+):
+    # v = 10, u = 4, c = 6 = v - u: cos = 1. Last moment -6 / 15.44 = -0.3886 s: the
+    # third frame may be the one at -0.5 s (onset -0.475), not that at -0.4 s (onset
+    # -0.375).
     for frames, is_avoided in (((7, 6, 5), True), ((6, 5, 4), False)):
         folder = _one_drive(
             new_folder, {"0": frames}, speeds=(10.0, 4.0), closing=6.0, actor="bycicle"
@@ -141,20 +151,25 @@ def test_a_detection_is_of_the_vrus_class_and_overlaps_its_label_by_more_than_ha
 
 @pytest.mark.parametrize("word", ["bycicle", "bicycle", "pedestrian"])
 def test_a_cyclist_may_be_found_as_bicycle_or_as_rider(new_folder, judge, word):
-    folder = _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle")
+    folder = _one_drive(
+        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
+    )
     folder.files["Eval/3_4.txt"] = f"0 {word} {BOX} 0.9"
     assert judge(folder).units["0"].detected.sum() == 1
 
 
 def test_a_riders_own_label_does_not_count(new_folder, judge):
-    folder = _one_drive(new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle")
+    folder = _one_drive(
+        new_folder, {"0": ()}, speeds=(10.0, 4.0), closing=10.0, actor="bycicle"
+    )
     folder.add("0/3_4.txt", "pedestrian 100 150 140 220 20")
     folder.files["Eval/3_4.txt"] = "0 pedestrian 100 150 140 220 0.9"
     assert judge(folder).units["0"].detected.sum() == 0
 
 
 def test_boxes_are_compared_inside_the_image(new_folder, judge):
-    # Inside, the label is 20 x 80 px and the detection too; as written they share a fifth.
+    # Inside, the label is 20 x 80 px and the detection too; as written they share a
+    # fifth.
     folder = _one_drive(new_folder, {"0": ()})
     folder.files["0/3_4.txt"] = "pedestrian 1900 1000 2000 1400 5"
     folder.files["Eval/3_4.txt"] = "0 pedestrian 1900 1000 1920 1080 0.9"
@@ -170,7 +185,10 @@ def test_weak_detections_do_not_count_if_asked_for(small, judge):
 def test_a_confidence_out_of_range_is_refused(small, judge, confidence):
     with pytest.raises(InputError) as caught:
         judge(small, min_confidence=confidence)
-    assert str(caught.value) == (f"min_confidence: got {confidence}; expected a confidence, 0 .. 1")
+    assert (
+        str(caught.value)
+        == f"min_confidence: got {confidence}; expected a confidence, 0 .. 1"
+    )
 
 
 def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, judge):
@@ -184,12 +202,16 @@ def test_of_several_pedestrians_a_roadside_unit_must_detect_each(new_folder, jud
     assert result.n_ambiguous == 2
 
 
-def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(new_folder, judge):
+def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(
+    new_folder, judge
+):
     # Eight frames before the impact the bodies are 10 m apart.
     other = "900 200 940 300"
     for near_m, far_m, n_detected in ((9.0, 30.0, 1), (30.0, 9.0, 0)):
         folder = _one_drive(new_folder, {"0": (), "car": (8,)})
-        folder.files["car/3_3.txt"] = f"pedestrian {BOX} {near_m}\npedestrian {other} {far_m}\n"
+        folder.files["car/3_3.txt"] = (
+            f"pedestrian {BOX} {near_m}\npedestrian {other} {far_m}\n"
+        )
         result = judge(folder)
         assert result.vut.detected.sum() == n_detected
         assert result.n_ambiguous == 0
@@ -198,7 +220,8 @@ def test_of_several_pedestrians_the_vuts_is_the_one_at_the_recorded_distance(new
 def test_a_vru_that_nobody_ever_sees_is_a_drive_that_is_not_avoided(new_folder, judge):
     folder = _one_drive(new_folder, {"0": (8, 7)})
     folder.files = {
-        name: "" if name.startswith("0/") else text for name, text in folder.files.items()
+        name: "" if name.startswith("0/") else text
+        for name, text in folder.files.items()
     }
     result = judge(folder)
     assert result.axis.cases == ("scenario-3-unseen",)
@@ -215,13 +238,23 @@ def test_without_the_vuts_camera_there_is_no_verdict_of_it(new_folder, judge):
 def test_a_speed_that_is_driven_again_gets_a_number(new_folder, judge):
     folder = new_folder()
     number = folder.drive(
-        7, 0, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()}, resets=30
+        7,
+        0,
+        speeds=(10.0, 1.5),
+        closing=10.0,
+        n_frames=12,
+        detected={"0": ()},
+        resets=30,
     )
-    folder.drive(7, number, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()})
+    folder.drive(
+        7, number, speeds=(10.0, 1.5), closing=10.0, n_frames=12, detected={"0": ()}
+    )
     assert judge(folder).axis.run_ids == ("recording/7/36", "recording/7/36/2")
 
 
-def test_some_units_are_judged_as_if_only_they_were_recorded(small, tmp_path, rule, judge):
+def test_some_units_are_judged_as_if_only_they_were_recorded(
+    small, tmp_path, rule, judge
+):
     everything = judge(small)
     some = take_units(everything, ["1"], rule)
     assert list(some.units) == ["1"]

@@ -50,7 +50,10 @@ def test_lines_of_a_file_written_twice_count_once(tmp_path):
     path = tmp_path / "3_0.txt"
     path.write_text(2 * "car 1 2 3 4 5\npedestrian 1 2 3 4 5\n")
     labels, n_repeated = read_labels(path, FORM)
-    assert ([label.class_name for label in labels], n_repeated) == (["other", "pedestrian"], 2)
+    assert ([label.class_name for label in labels], n_repeated) == (
+        ["other", "pedestrian"],
+        2,
+    )
 
 
 def test_detections_keep_their_unit_and_line(tmp_path):
@@ -86,7 +89,10 @@ def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
     [
         ("car 1 2 3 4", f"F:1: got 5 fields; expected {LABEL}"),
         ("car 1 2 3 4 5 6", f"F:1: got 7 fields; expected {LABEL}"),
-        (" 1 2 3 4 5", f"F:1: got 5 fields; expected {LABEL}"),  # CARLA's empty base type
+        (
+            " 1 2 3 4 5",
+            f"F:1: got 5 fields; expected {LABEL}",
+        ),  # CARLA's empty base type
         ("\n\ntram 1 2 3 4 5", f"F:3: actor_type: got 'tram'; expected one of {TYPES}"),
         ("car nan 2 3 4 5", "F:1: min_x: got 'nan'; expected a finite number"),
         ("car 1 inf 3 4 5", "F:1: min_y: got 'inf'; expected a finite number"),
@@ -94,12 +100,20 @@ def test_world_data_may_stand_there_several_times(tmp_path, text, n_repeated):
         ("car 1 2 ٣ 4 5", "F:1: max_x: got '٣'; expected a finite number"),
         ("car 1 2 3 x 5", "F:1: max_y: got 'x'; expected a finite number"),
         ("car 1 2 3 4 -5", "F:1: dist: got '-5'; expected a finite number, at least 0"),
-        ("car 3 2 1 4 5", "F:1: box: got 3 2 1 4; expected min_x <= max_x and min_y <= max_y"),
-        ("car 1 4 3 2 5", "F:1: box: got 1 4 3 2; expected min_x <= max_x and min_y <= max_y"),
+        (
+            "car 3 2 1 4 5",
+            "F:1: box: got 3 2 1 4; expected min_x <= max_x and min_y <= max_y",
+        ),
+        (
+            "car 1 4 3 2 5",
+            "F:1: box: got 1 4 3 2; expected min_x <= max_x and min_y <= max_y",
+        ),
         (
             b"\xff",
-            "F: got 'utf-8' codec can't decode byte 0xff in position 0: invalid start byte; "
-            "expected text in UTF-8",
+            (
+                "F: got 'utf-8' codec can't decode byte 0xff in position 0: invalid"
+                " start byte; expected text in UTF-8"
+            ),
         ),
     ],
 )
@@ -111,10 +125,19 @@ def test_a_wrong_label_is_named_with_its_line_and_field(tmp_path, content, messa
     ("content", "message"),
     [
         ("0 car 1 2 3 4", f"F:1: got 6 fields; expected {EVAL}"),
-        ("0 person 1 2 3 4 1", f"F:1: actor_type: got 'person'; expected one of {TYPES}"),
+        (
+            "0 person 1 2 3 4 1",
+            f"F:1: actor_type: got 'person'; expected one of {TYPES}",
+        ),
         ("0 car 1 2 3 nan 1", "F:1: max_y: got 'nan'; expected a finite number"),
-        ("0 car 1 2 3 4 1.5", "F:1: confidence: got '1.5'; expected a finite number, 0 .. 1"),
-        ("0 car 1 2 3 4 nan", "F:1: confidence: got 'nan'; expected a finite number, 0 .. 1"),
+        (
+            "0 car 1 2 3 4 1.5",
+            "F:1: confidence: got '1.5'; expected a finite number, 0 .. 1",
+        ),
+        (
+            "0 car 1 2 3 4 nan",
+            "F:1: confidence: got 'nan'; expected a finite number, 0 .. 1",
+        ),
     ],
 )
 def test_a_wrong_detection_is_named_with_its_line_and_field(tmp_path, content, message):
@@ -127,7 +150,8 @@ def test_a_wrong_detection_is_named_with_its_line_and_field(tmp_path, content, m
         ("", f"F:1: got ''; expected {WORLD}"),
         ("12 5", f"F:1: got '12 5'; expected {WORLD}"),
         ("12 5 1 3", f"F:1: got '12 5 1 3'; expected {WORLD}"),
-        # Two recordings in one folder whose distances differ: which one is which cannot be told.
+        # Two recordings in one folder whose distances differ: which one is which cannot
+        # be told.
         ("12.5 5 112.4 5 1", f"F:1: got '12.5 5 112.4 5 1'; expected {WORLD}"),
         ("12 5 1\n12 5 2", f"F:1: got '12 5 1\\n12 5 2'; expected {WORLD}"),
         ("nan 5 1", "F:1: dist: got 'nan'; expected a finite number, at least 0"),
@@ -142,5 +166,7 @@ def test_wrong_world_data_is_named(tmp_path, content, message):
 
 
 def test_a_folder_in_place_of_a_file_is_named(tmp_path):
-    with pytest.raises(InputError, match=re.escape("got Is a directory; expected a readable file")):
+    with pytest.raises(
+        InputError, match=re.escape("got Is a directory; expected a readable file")
+    ):
         read_labels(tmp_path, FORM)

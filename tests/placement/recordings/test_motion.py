@@ -45,7 +45,9 @@ def test_braking_sheds_the_closing_speed_behind_a_cyclist_and_all_speed_before_a
     # a = 7.72: 10 / 15.44 = 0.647668.. and (10 - 4) / 15.44 = 0.388601..
     rule = load_aeb_rule()
     times = [
-        last_brake_time_s(vut_speed_mps=10.0, vru_speed_mps=4.0, is_same_direction=same, rule=rule)
+        last_brake_time_s(
+            vut_speed_mps=10.0, vru_speed_mps=4.0, is_same_direction=same, rule=rule
+        )
         for same in (False, True)
     ]
     assert times == pytest.approx([-10.0 / 15.44, -6.0 / 15.44], abs=1e-12)
@@ -70,4 +72,6 @@ def test_build_up_brings_the_last_moment_forward_by_half_of_it(v, build_up_s):
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 100.0), st.integers(2, 30))
 def test_the_closing_speed_of_a_straight_line_is_its_slope(slope, start, n_frames):
     time_s = np.arange(n_frames) / 10.0 + 3.0
-    assert closing_speed_mps(time_s, start - slope * time_s) == pytest.approx(slope, abs=1e-9)
+    assert closing_speed_mps(time_s, start - slope * time_s) == pytest.approx(
+        slope, abs=1e-9
+    )

@@ -16,7 +16,9 @@ PERSON = {"pedestrian": "pedestrian"}
 
 
 def boxes(*rows, name="a.txt"):
-    return gather_boxes(Path(name), [BoxRow(f"{name}:{i}", *row[:3], **row[3]) for i, row in rows])
+    return gather_boxes(
+        Path(name), [BoxRow(f"{name}:{i}", *row[:3], **row[3]) for i, row in rows]
+    )
 
 
 def annotated(*rows):
@@ -30,10 +32,13 @@ def annotated(*rows):
 
 
 def found(*rows):
-    return boxes(*enumerate((f, "pedestrian", box, {"score": s}) for f, box, s in rows), name="d")
+    return boxes(
+        *enumerate((f, "pedestrian", box, {"score": s}) for f, box, s in rows), name="d"
+    )
 
 
-A, B = (0.0, 0.0, 40.0, 100.0), (30.0, 10.0, 70.0, 110.0)
+A = (0.0, 0.0, 40.0, 100.0)
+B = (30.0, 10.0, 70.0, 110.0)
 
 
 def test_what_one_nearer_box_covers_is_hidden():
@@ -49,10 +54,14 @@ def test_what_is_annotated_counts_more_than_what_boxes_cover():
 
 def test_each_box_finds_one_person_and_weak_ones_none():
     given_ = annotated((0, 7, A), (0, 9, (5.0, 0.0, 45.0, 100.0)), (2, 9, B))
-    pairs = pair_boxes(given_, found((0, A, 0.9), (2, B, 0.4)), classes=PERSON, min_score=0.5)
+    pairs = pair_boxes(
+        given_, found((0, A, 0.9), (2, B, 0.4)), classes=PERSON, min_score=0.5
+    )
     assert [len(one.found_px) for one in pairs.pictures] == [1, 0, 0]
     assert pairs.label_index.tolist() == [0, 1, 2]
-    seen, alarms = gather_sightings(pairs.pictures, n_confirmations=3, frame_rate_hz=7.0)
+    seen, alarms = gather_sightings(
+        pairs.pictures, n_confirmations=3, frame_rate_hz=7.0
+    )
     assert seen.is_found.tolist() == [True, False, False]
     assert (seen.track.tolist(), seen.frame.tolist()) == ([0, 1, 1], [0, 0, 2])
     assert (alarms.pictures, alarms.alarms) == (3, 0)
@@ -69,18 +78,28 @@ def test_boxes_in_regions_to_ignore_are_no_false_alarms():
 
 def test_files_that_do_not_belong_together_are_told():
     given_ = annotated((0, 1, A))
-    with pytest.raises(InputError, match=r"d: got frames up to 50; expected up to 0, as in a.txt"):
+    with pytest.raises(
+        InputError, match=r"d: got frames up to 50; expected up to 0, as in a.txt"
+    ):
         pair_boxes(given_, found((50, A, 0.9)), classes=PERSON, min_score=0.5)
     many = annotated(*((frame, 1, A) for frame in range(0, 100, 5)))
     every = found(*((frame, A, 0.9) for frame in range(100)))
-    with pytest.raises(InputError, match=r"d: got a frame in 1; expected one in 5, as in a.txt"):
+    with pytest.raises(
+        InputError, match=r"d: got a frame in 1; expected one in 5, as in a.txt"
+    ):
         pair_boxes(many, every, classes=PERSON, min_score=0.5)
-    with pytest.raises(InputError, match=r"a.txt: got nobody; expected boxes with an id of cycl"):
+    with pytest.raises(
+        InputError, match=r"a.txt: got nobody; expected boxes with an id of cycl"
+    ):
         pair_boxes(given_, found(), classes={"cyclist": "cyclist"}, min_score=0.5)
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans()), min_size=1, max_size=30),
+    st.lists(
+        st.tuples(st.integers(0, 2), st.booleans(), st.booleans()),
+        min_size=1,
+        max_size=30,
+    ),
     st.integers(1, 3),
 )
 def test_frames_to_confirm_are_those_that_a_search_counts(rows, n):
@@ -103,9 +122,12 @@ def test_a_share_counts_tracks_and_is_never_surer_than_wilson():
     track = np.repeat(np.arange(20), 50)
     independent = np.random.default_rng(1).random(1000) < 0.8
     whole = np.repeat(np.random.default_rng(2).random(20) < 0.8, 50)  # all frames alike
-    wide, narrow = share_by_track(whole, track), share_by_track(independent, track)
+    wide = share_by_track(whole, track)
+    narrow = share_by_track(independent, track)
     plain = wilson(int(independent.sum()), 1000)
     assert narrow.low <= plain.low
     assert narrow.high >= plain.high
     assert narrow.high - narrow.low < 0.08 < 0.2 < wide.high - wide.low
-    assert share_by_track(whole[:50], track[:50]).low == 0.0  # one track tells nothing of others
+    assert (
+        share_by_track(whole[:50], track[:50]).low == 0.0
+    )  # one track tells nothing of others

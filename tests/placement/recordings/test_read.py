@@ -25,8 +25,12 @@ def test_a_recording_tells_its_units_drives_and_what_was_left_out(small, tmp_pat
     ]
     assert recording.n_frames == 12 + 30 + 16 + 30
     assert recording.n_missing == 0
-    assert recording.skipped == {"frames between drives (bodies back at their starts)": 60}
-    assert repr(recording) == f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
+    assert recording.skipped == {
+        "frames between drives (bodies back at their starts)": 60
+    }
+    assert (
+        repr(recording) == f"Recording({tmp_path.name!r}: 2 units, 2 drives, 88 frames)"
+    )
 
 
 def test_units_are_in_the_order_of_their_numbers(small, tmp_path):
@@ -51,7 +55,12 @@ def test_what_is_left_out_is_counted_by_its_reason(small, tmp_path):
     small.add("1/3_500.txt", f"pedestrian {BOX} 5")
     small.add("Eval/3_500.txt", f"0 pedestrian {BOX} 1")
     small.add("Eval/3_501.txt", f"0 car {BOX} 1")
-    small.files |= {"readme.txt": "", "0/notes.md": "", "0/03_1.txt": "", "00/3_1.txt": ""}
+    small.files |= {
+        "readme.txt": "",
+        "0/notes.md": "",
+        "0/03_1.txt": "",
+        "00/3_1.txt": "",
+    }
     assert read_recording(small.write(tmp_path)).skipped == {
         "frames between drives (bodies back at their starts)": 60,
         "labels of other classes": 2,
@@ -76,7 +85,9 @@ def test_a_recording_made_twice_into_one_folder_reads_as_once(small, tmp_path):
     small.files = {name: 2 * text for name, text in small.files.items()}
     twice = read_recording(small.write(tmp_path / "twice"))
     n_lines = 88 + 3 * 88 + 12  # WorldData, labels, detections
-    assert dict(twice.skipped) == dict(once.skipped) | {"lines that repeat others": n_lines}
+    assert dict(twice.skipped) == dict(once.skipped) | {
+        "lines that repeat others": n_lines
+    }
     assert twice.labels == once.labels
     assert twice.detections == once.detections
     for a, b in zip(twice.drives, once.drives, strict=True):
@@ -123,8 +134,10 @@ def _without(files, part):
         ),
         (
             "1/",
-            "F/Eval/3_3.txt:1: cam_index: got '1'; expected a unit that has a folder: "
-            "car, 12, -1, 0",
+            (
+                "F/Eval/3_3.txt:1: cam_index: got '1'; expected a unit that has a"
+                " folder: car, 12, -1, 0"
+            ),
         ),
     ],
 )
@@ -142,8 +155,9 @@ def test_a_folder_without_a_frame_is_named(small, tmp_path, name):
 
 def test_a_line_that_is_wrong_is_named_by_file_and_number(small, tmp_path):
     small.add("1/3_7.txt", "pedestrian 1 2 nan 4 5")
-    assert _refusal(small.write(tmp_path)) == (
-        "F/1/3_7.txt:2: max_x: got 'nan'; expected a finite number"
+    assert (
+        _refusal(small.write(tmp_path))
+        == "F/1/3_7.txt:2: max_x: got 'nan'; expected a finite number"
     )
 
 
@@ -151,18 +165,24 @@ def test_a_folder_that_is_not_there_or_no_folder_is_named(tmp_path):
     refused = _refusal(tmp_path / "x")
     assert refused == "F: got No such file or directory; expected a recording"
     (tmp_path / "file").write_text("")
-    assert _refusal(tmp_path / "file").startswith("F: got MOT challenge; expected the study's")
+    assert _refusal(tmp_path / "file").startswith(
+        "F: got MOT challenge; expected the study's"
+    )
 
 
 def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
     small, tmp_path, new_folder
 ):
     folder = new_folder()
-    folder.drive(0, 0, speeds=(10.0, 1.0), closing=0.0, n_frames=5, detected={"0": (), "car": ()})
+    folder.drive(
+        0, 0, speeds=(10.0, 1.0), closing=0.0, n_frames=5, detected={"0": (), "car": ()}
+    )
     folder.files["0/9_9.txt"] = ""
-    assert _refusal(folder.write(tmp_path)) == (
-        "F: got no drive; 1 frames without WorldData, 5 frames of drives in which nothing "
-        "approaches; expected frames in which the VUT and a VRU come together"
+    assert (
+        _refusal(folder.write(tmp_path))
+        == "F: got no drive; 1 frames without WorldData, 5 frames of drives in which"
+        " nothing approaches; expected frames in which the VUT and a VRU come"
+        " together"
     )
 
 
@@ -172,7 +192,9 @@ def test_a_recording_in_which_nobody_meets_is_refused_with_what_was_left_out(
     st.one_of(
         st.binary(max_size=60),
         st.lists(
-            st.sampled_from(["car", "bycicle", "0", "-1", "1e9", "nan", "7", "\n", "x"]),
+            st.sampled_from(
+                ["car", "bycicle", "0", "-1", "1e9", "nan", "7", "\n", "x"]
+            ),
             max_size=14,
         ).map(lambda words: " ".join(words).encode()),
     ),

@@ -33,7 +33,10 @@ def _drive(n_frames=12, **fields):
         "distance_m": 2.0 + np.arange(n_frames)[::-1],
         "labels_px": {"0": box, "car": box},
         "detections_px": {"0": box, "car": np.zeros_like(box)},
-        "label_distance_m": {"0": np.full(n_frames, 20.0), "car": np.arange(n_frames) + 1.0},
+        "label_distance_m": {
+            "0": np.full(n_frames, 20.0),
+            "car": np.arange(n_frames) + 1.0,
+        },
     }
     return WrittenDrive(**(given | fields))
 
@@ -46,7 +49,12 @@ def test_the_files_are_those_of_the_study(tmp_path):
     }
     box = "100.0 200.0 140.0 300.0"
     # The frame after the drive is as its first one.
-    for number, distance, car in ((0, 4.0, 1.0), (1, 3.0, 2.0), (2, 2.0, 3.0), (3, 4.0, 1.0)):
+    for number, distance, car in (
+        (0, 4.0, 1.0),
+        (1, 3.0, 2.0),
+        (2, 2.0, 3.0),
+        (3, 4.0, 1.0),
+    ):
         assert files.pop(f"WorldData/3_{number}.txt") == f"{distance} 10.0 1.5"
         assert files.pop(f"0/3_{number}.txt") == f"bycicle {box} 20.0\n"
         assert files.pop(f"car/3_{number}.txt") == f"bycicle {box} {car}\n"
@@ -65,7 +73,9 @@ def test_files_may_be_missing_and_bicycles_spelled_otherwise(tmp_path):
 
 
 def test_frame_numbers_run_on_over_drives(tmp_path):
-    write_recording(tmp_path / "data", [_drive(), _drive(vut_speed_mps=9.0), _drive(scenario=4)])
+    write_recording(
+        tmp_path / "data", [_drive(), _drive(vut_speed_mps=9.0), _drive(scenario=4)]
+    )
     recording = read_recording(tmp_path / "data")
     assert [(d.scenario, d.first_number, d.n_frames) for d in recording.drives] == [
         (3, 0, 12),
@@ -80,8 +90,9 @@ def test_a_folder_that_holds_something_is_left_as_it_was(tmp_path):
     (tmp_path / "data/mine").write_text("mine")
     with pytest.raises(InputError) as caught:
         write_recording(tmp_path / "data", [_drive()])
-    assert str(caught.value) == (
-        f"{tmp_path}/data: got a folder that is not empty; expected a new one"
+    assert (
+        str(caught.value)
+        == f"{tmp_path}/data: got a folder that is not empty; expected a new one"
     )
     assert [path.name for path in tmp_path.rglob("*")] == ["data", "mine"]
 
@@ -95,7 +106,9 @@ def test_an_empty_folder_is_filled(tmp_path):
 
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "data").write_text("mine")
-    with pytest.raises(InputError, match="data: got Not a directory; expected a folder that can"):
+    with pytest.raises(
+        InputError, match="data: got Not a directory; expected a folder that can"
+    ):
         write_recording(tmp_path / "data", [_drive()])
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
@@ -105,11 +118,17 @@ def test_a_file_in_the_way_is_named(tmp_path):
     [
         (
             {"vru_class": "tram"},
-            "vru_class: got 'tram'; expected one of pedestrian, bicycle, motorcycle, car",
+            (
+                "vru_class: got 'tram'; expected one of pedestrian, bicycle,"
+                " motorcycle, car"
+            ),
         ),
         (
             {"label_distance_m": {"0": np.ones(12)}},
-            "label_distance_m: got ['0']; expected the units of labels_px: ['0', 'car']",
+            (
+                "label_distance_m: got ['0']; expected the units of labels_px: ['0',"
+                " 'car']"
+            ),
         ),
         (
             {"label_distance_m": {"0": np.ones(12), "car": np.ones(11)}},
@@ -126,11 +145,16 @@ def test_a_drive_that_does_not_fit_together_is_refused(fields, message):
 def test_drives_have_the_same_units_and_there_is_one(tmp_path):
     box = np.zeros((12, 4))
     other = _drive(
-        labels_px={"1": box}, detections_px={"1": box}, label_distance_m={"1": np.ones(12)}
+        labels_px={"1": box},
+        detections_px={"1": box},
+        label_distance_m={"1": np.ones(12)},
     )
     for drives, message in (
         ([], "drives: got none; expected at least one"),
-        ([_drive(), other], "units: got ['1']; expected those of the first drive: ['0', 'car']"),
+        (
+            [_drive(), other],
+            "units: got ['1']; expected those of the first drive: ['0', 'car']",
+        ),
     ):
         with pytest.raises(InputError) as caught:
             write_recording(tmp_path / "data", drives)
@@ -145,7 +169,11 @@ def simulated(runs):
     """Three runs of the study, seen by two of its cameras and the VUT's: drives and detections."""
     from placement.layout import load_carlancap_layout
 
-    few = [run for run in runs if run.id in ("CPNC-50/east/40", "CBNA/east/60", "CBLA/east/50")]
+    few = [
+        run
+        for run in runs
+        if run.id in ("CPNC-50/east/40", "CBNA/east/60", "CBLA/east/50")
+    ]
     surroundings = build_surroundings(load_study_scene(), few)
     vut_camera = load_vut_camera()
     by_id = {unit.id: unit for unit in load_carlancap_layout().units}
@@ -153,7 +181,8 @@ def simulated(runs):
     for folder, unit in (("2", by_id["RSU2"]), ("9", by_id["RSU9"])):
         boxes[folder] = perceive_frames(surroundings, (unit.pose, unit.sensor))
     is_high = {
-        name: box_height_px(seen.visible_px) >= MIN_HEIGHT_PX for name, seen in boxes.items()
+        name: box_height_px(seen.visible_px) >= MIN_HEIGHT_PX
+        for name, seen in boxes.items()
     }
     detected = {
         name: is_high[name] & (iou(seen.visible_px, seen.amodal_px) > 0.5)
@@ -171,7 +200,9 @@ def simulated(runs):
                 vut_speed_mps=run.encounter.vut_motion.speed_mps,
                 vru_speed_mps=run.encounter.vru_motion.speed_mps,
                 distance_m=distance,
-                labels_px={name: seen.amodal_px[frames] for name, seen in boxes.items()},
+                labels_px={
+                    name: seen.amodal_px[frames] for name, seen in boxes.items()
+                },
                 detections_px={
                     name: seen.visible_px[frames] * is_high[name][frames, None]
                     for name, seen in boxes.items()
@@ -198,18 +229,24 @@ def test_a_simulated_recording_gives_the_detected_frames_and_verdicts_of_the_sim
         assert np.array_equal(parties[name].detected, frames)
         avoided = np.isfinite(live_confirmation_times_s(frames, axis, rule=rule))
         assert parties[name].is_avoided.tolist() == avoided.tolist()
-    assert np.array_equal(recorded_table(result).detected([0, 1]), [detected["2"], detected["9"]])
+    assert np.array_equal(
+        recorded_table(result).detected([0, 1]), [detected["2"], detected["9"]]
+    )
 
 
 def test_the_last_moment_told_from_distances_is_never_later_than_the_swept_one(
     simulated, tmp_path, rule
 ):
-    # From the paths themselves: a crossing VRU may leave the way in time, which a recording does
-    # not tell; behind a cyclist both are (v - u) / (2 a).
+    # From the paths themselves: a crossing VRU may leave the way in time, which a
+    # recording does not tell; behind a cyclist both are (v - u) / (2 a).
     axis, drives, _ = simulated
     write_recording(tmp_path / "data", drives)
-    told = evaluate_recording(read_recording(tmp_path / "data"), rule).axis.last_brake_time_s
+    told = evaluate_recording(
+        read_recording(tmp_path / "data"), rule
+    ).axis.last_brake_time_s
     assert (told <= axis.last_brake_time_s + 1e-4).all()
     assert told == pytest.approx(axis.last_brake_time_s, abs=0.25)
     longitudinal = [index for index, name in enumerate(axis.cases) if name == "CBLA"]
-    assert told[longitudinal] == pytest.approx(axis.last_brake_time_s[longitudinal], abs=1e-3)
+    assert told[longitudinal] == pytest.approx(
+        axis.last_brake_time_s[longitudinal], abs=1e-3
+    )

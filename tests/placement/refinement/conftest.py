@@ -52,7 +52,9 @@ def _build_walk(name, vru_m, *, last_brake_time_s=-1.0, vru="adult") -> Run:
     vru_m = np.asarray(vru_m, dtype=float)
     n_frames = len(vru_m)
     motion = Motion(
-        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
+        speed_mps=1.0,
+        start_time_s=0.0,
     )
     actors = load_actors()
     return Run(
@@ -132,8 +134,12 @@ def meadow(build_meadow, build_walk, build_small_setting) -> Setting:
         scene,
         [
             build_walk("one", around_the_pole(16.0, 75.0, 25.0)),
-            build_walk("two", around_the_pole(22.0, 20.0, 68.0), last_brake_time_s=-0.6),
-            build_walk("three", around_the_pole(19.0, -30.0, 10.0), last_brake_time_s=-1.4),
+            build_walk(
+                "two", around_the_pole(22.0, 20.0, 68.0), last_brake_time_s=-0.6
+            ),
+            build_walk(
+                "three", around_the_pole(19.0, -30.0, 10.0), last_brake_time_s=-1.4
+            ),
         ],
     )
 
@@ -151,4 +157,6 @@ def meadow_grid(meadow, narrow_camera):
 
 @pytest.fixture(scope="session")
 def meadow_placement(meadow, meadow_grid):
-    return place(Assembly(setting=meadow, candidates=meadow_grid, wishes=Wishes(budget_units=1)))
+    return place(
+        Assembly(setting=meadow, candidates=meadow_grid, wishes=Wishes(budget_units=1))
+    )

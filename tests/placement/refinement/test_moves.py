@@ -30,13 +30,17 @@ def test_units_are_paired_by_place_and_nearest_direction():
 
 def test_another_sensor_at_the_place_is_another_unit():
     lidar = pick_sensor("carla-ncap-lidar", "test")
-    assert pair_units([_unit("U1")], [_unit("a", sensor=lidar)]) == [(0, None), (None, 0)]
+    assert pair_units([_unit("U1")], [_unit("a", sensor=lidar)]) == [
+        (0, None),
+        (None, 0),
+    ]
 
 
 def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
     zoom = pick_sensor("varifocal-1080p", "test")
     before = Layout(
-        name="best-2", units=(_unit("U1", yaw=175.0), _unit("U2", east=9.0, sensor=zoom))
+        name="best-2",
+        units=(_unit("U1", yaw=175.0), _unit("U2", east=9.0, sensor=zoom)),
     )
     poses = [
         _unit("x/1", east=9.0, sensor=with_fov(zoom, 50.0, "test"), height=6.5),
@@ -48,7 +52,9 @@ def test_a_moved_unit_keeps_its_name_and_says_by_how_much():
     assert [unit.pose for unit in layout.units] == [poses[1].pose, poses[0].pose]
     first, second = moves
     assert first.is_same_place
-    assert (first.turn_deg, first.tilt_deg, first.lift_m) == pytest.approx((7.0, -2.5, 0.0))
+    assert (first.turn_deg, first.tilt_deg, first.lift_m) == pytest.approx(
+        (7.0, -2.5, 0.0)
+    )
     assert first.zoom_deg == 0.0
     assert second.lift_m == pytest.approx(1.5)
     assert second.zoom_deg == pytest.approx(-39.6)
@@ -64,7 +70,9 @@ def test_what_stayed_as_it_was_is_no_move():
 
 def test_a_named_pose_that_is_turned_is_no_longer_called_so():
     before = Layout(name="best-1", units=(_unit("RSU3"),))
-    layout, (move,) = rename(before, [_unit("RSU3/5m/9/-15/c", yaw=9.0)], named=["RSU3"], name="n")
+    layout, (move,) = rename(
+        before, [_unit("RSU3/5m/9/-15/c", yaw=9.0)], named=["RSU3"], name="n"
+    )
     assert [unit.id for unit in layout.units] == ["U1"]
     assert move.before is before.units[0]
     assert move.turn_deg == 9.0

@@ -29,19 +29,30 @@ def places(meadow, meadow_grid):
     return build_places(meadow.scene, meadow_grid, _limits(meadow_grid))
 
 
-@given(st.integers(0, 15), numbers(-50.0, 50.0), numbers(-900.0, 900.0), numbers(-200.0, 200.0))
+@given(
+    st.integers(0, 15),
+    numbers(-50.0, 50.0),
+    numbers(-900.0, 900.0),
+    numbers(-200.0, 200.0),
+)
 def test_a_moved_pose_is_at_its_place_and_within_all_ranges(
     places, origin, height_m, yaw_deg, pitch_deg
 ):
-    pose = moved(places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    pose = moved(
+        places, origin, height_m=height_m, yaw_deg=yaw_deg, pitch_deg=pitch_deg
+    )
     grid = places.candidates[origin]
     assert (pose.site_id, pose.sensor) == (grid.site_id, grid.sensor)
     assert np.array_equal(pose.pose.position_m[:2], grid.pose.position_m[:2])
-    assert pose.pose.position_m[2] == pytest.approx(np.clip(height_m, 4.0, 8.0), abs=0.0051)
+    assert pose.pose.position_m[2] == pytest.approx(
+        np.clip(height_m, 4.0, 8.0), abs=0.0051
+    )
     assert 4.0 <= pose.pose.position_m[2] <= 8.0
     assert -180.0 < pose.pose.yaw_deg <= 180.0
     assert abs((pose.pose.yaw_deg - yaw_deg + 180.0) % 360.0 - 180.0) <= 0.0051
-    assert pose.pose.pitch_deg == pytest.approx(np.clip(pitch_deg, -90.0, 90.0), abs=0.0051)
+    assert pose.pose.pitch_deg == pytest.approx(
+        np.clip(pitch_deg, -90.0, 90.0), abs=0.0051
+    )
 
 
 def test_a_pose_of_the_grid_keeps_its_name(places):
@@ -71,7 +82,9 @@ def test_a_pose_of_no_site_stays_at_its_height(meadow, narrow_camera):
     assert pose.id == "drone/30m/10/-70/narrow"
 
 
-def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(meadow, narrow_camera):
+def test_a_pose_that_hangs_outside_of_its_sites_range_may_stay_there(
+    meadow, narrow_camera
+):
     """An existing unit, 9 m up and half a metre beside a pole for 4 to 8 m."""
     high = CandidatePose(
         id="RSU9",
@@ -91,13 +104,19 @@ def test_nothing_is_moved_into_a_wall(narrow_camera):
 
     scene = load_study_scene()
     wall = next(
-        index for index, item in enumerate(scene.instances) if item.class_name == "building"
+        index
+        for index, item in enumerate(scene.instances)
+        if item.class_name == "building"
     )
-    corners = scene.vertices_m[scene.triangles[scene.triangle_instance == wall]].reshape(-1, 3)
+    corners = scene.vertices_m[
+        scene.triangles[scene.triangle_instance == wall]
+    ].reshape(-1, 3)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     assert corners[:, 2].max() > 4.5
     site = replace(
-        scene.sites[0], position_m=[*middle[:2], 0.0], height_range_m=[4.0, corners[:, 2].max() + 9]
+        scene.sites[0],
+        position_m=[*middle[:2], 0.0],
+        height_range_m=[4.0, corners[:, 2].max() + 9],
     )
     scene = replace(scene, sites=(site,))
     grid = CandidateGrid(
@@ -127,7 +146,9 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
         zoomed = moved(places, 0, **pose, fov_deg=asked)
         assert zoomed.sensor.horizontal_fov_deg == got
         assert zoomed.id.endswith(f"/varifocal-1080p/{got:g}")
-    zooms = {pose.sensor.horizontal_fov_deg for pose in refinement._turned(zoomed, 0, places)}
+    zooms = {
+        pose.sensor.horizontal_fov_deg for pose in refinement._turned(zoomed, 0, places)
+    }
     assert max(zooms) == 89.6
     assert min(zooms) < 80.0
 
@@ -135,7 +156,10 @@ def test_a_varifocal_lens_is_set_within_its_range(meadow):
 def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     ring = pick_sensor("ouster-os1-128", "test")
     grid = CandidateGrid(
-        heights_m=np.array([6.0]), yaw_step_deg=90.0, pitches_deg=np.array([-20.0]), sensors=(ring,)
+        heights_m=np.array([6.0]),
+        yaw_step_deg=90.0,
+        pitches_deg=np.array([-20.0]),
+        sensors=(ring,),
     )
     candidates = build_candidates(meadow.scene, grid)
     places = build_places(meadow.scene, candidates, _limits(candidates))
@@ -143,7 +167,11 @@ def test_a_level_ring_is_tilted_and_never_only_turned(meadow):
     assert steps
     assert all(step.pose.pitch_deg != 0.0 for step in steps)
     tilted = replace(candidates[0].pose, pitch_deg=-8.0)
-    steps = refinement._turned(replace(candidates[0], id="tilted", pose=tilted), 0, places)
+    steps = refinement._turned(
+        replace(candidates[0], id="tilted", pose=tilted), 0, places
+    )
     # Eight degrees up it is level again: then it is not turned.
     assert [step.pose.yaw_deg for step in steps if step.pose.pitch_deg == 0.0] == [0.0]
-    assert any(step.pose.yaw_deg != 0.0 and step.pose.pitch_deg == -8.0 for step in steps)
+    assert any(
+        step.pose.yaw_deg != 0.0 and step.pose.pitch_deg == -8.0 for step in steps
+    )

@@ -83,10 +83,14 @@ NAMES = (
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_refinement_is_never_worse_in_the_order_of_the_stages(name, placements, refinements):
+def test_refinement_is_never_worse_in_the_order_of_the_stages(
+    name, placements, refinements
+):
     _, placement = placements[name]
     refinement = refinements[name]
-    assert refinement.before == objective_values(placement.problem, placement.pose_index)
+    assert refinement.before == objective_values(
+        placement.problem, placement.pose_index
+    )
     assert not improves(refinement.before, refinement.after)
     assert refinement.is_improved == improves(refinement.after, refinement.before)
     stages = placement.certificate.stages
@@ -99,7 +103,8 @@ def test_a_refined_layout_is_within_all_limits_and_what_its_placement_says(
 ):
     refinement = refinements[name]
     refined = refinement.placement
-    problem, units = refined.problem, refined.pose_index
+    problem = refined.problem
+    units = refined.pose_index
     assert is_feasible(problem, units)
     assert refinement.after == objective_values(problem, units)
     assert problem.table.pose_ids == tuple(c.id for c in refinement.candidates)
@@ -123,22 +128,30 @@ def test_what_was_refined_is_what_the_builder_of_tables_sees(name, meadow, refin
     table = build_detection_table(
         meadow.scene, units, meadow.runs, meadow.axis, detector=meadow.table_detector
     )
-    assert np.array_equal(table.packed, refined.problem.table.packed[list(refined.pose_index)])
+    assert np.array_equal(
+        table.packed, refined.problem.table.packed[list(refined.pose_index)]
+    )
 
 
-def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(refinements):
+def test_most_questions_have_a_better_answer_between_the_poses_of_this_grid(
+    refinements,
+):
     better = [name for name in NAMES if refinements[name].is_improved]
     assert {"one unit", "two units", "survives", "money", "kept"} <= set(better)
     for name in better:
         certificate = refinements[name].placement.certificate
-        for stage, value in zip(certificate.stages, refinements[name].after.items(), strict=True):
+        for stage, value in zip(
+            certificate.stages, refinements[name].after.items(), strict=True
+        ):
             assert (stage.name, stage.objective) == value
             if stage.name in ("units", "cost_eur"):
                 assert stage.bound <= stage.objective
             else:
                 assert stage.bound >= stage.objective
         n_tried = refinements[name].n_tried
-        assert f"over 17 candidates of the grid and {n_tried} tried" in certificate.solver
+        assert (
+            f"over 17 candidates of the grid and {n_tried} tried" in certificate.solver
+        )
         assert len(refinements[name].candidates) == 17 + n_tried
 
 
@@ -149,7 +162,9 @@ def test_a_kept_unit_stays_as_it_is_and_the_other_one_moves(placements, refineme
     assert units.keys() == {"old", "U1"} or units.keys() == {"old", "U2"}
     assert units["old"].pose is candidates[-1].pose
     assert refinement.is_improved
-    assert all(move.after is None or move.after.id != "old" for move in refinement.moves)
+    assert all(
+        move.after is None or move.after.id != "old" for move in refinement.moves
+    )
     assert refinement.placement.problem.limits.is_forced.sum() == 1
 
 
@@ -158,7 +173,9 @@ def test_units_that_are_all_kept_are_not_refined(meadow, meadow_grid):
     candidates = (*meadow_grid, old)
     placement = place(
         Assembly(
-            setting=meadow, candidates=candidates, wishes=Wishes(budget_eur=0.0, existing=("old",))
+            setting=meadow,
+            candidates=candidates,
+            wishes=Wishes(budget_eur=0.0, existing=("old",)),
         )
     )
     assert [unit.id for unit in placement.layout.units] == ["old"]
@@ -172,7 +189,9 @@ def test_the_same_seed_gives_the_same_layout(meadow, placements, refinements):
     candidates, placement = placements["two units"]
     again = refine(meadow, placement, candidates, compute=Compute(workers=2))
     first = refinements["two units"]
-    assert layout_records(again.placement.layout) == layout_records(first.placement.layout)
+    assert layout_records(again.placement.layout) == layout_records(
+        first.placement.layout
+    )
     assert again.n_tried == first.n_tried
     assert again.after == first.after
 
@@ -209,7 +228,9 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     scene = build_meadow(("pole", 0.0, 0.0))
     setting = build_small_setting(scene, [build_walk("walk", arc(18.0, 90.0, 10.0))])
     candidates = _grid_of(scene, narrow_camera, yaw_step_deg=360.0)
-    candidates = [replace(candidates[0], pose=replace(candidates[0].pose, yaw_deg=30.0))]
+    candidates = [
+        replace(candidates[0], pose=replace(candidates[0].pose, yaw_deg=30.0))
+    ]
     placement = place(
         Assembly(setting=setting, candidates=candidates, wishes=Wishes(budget_units=1))
     )
@@ -224,7 +245,9 @@ def test_a_unit_is_turned_to_where_it_sees_earliest(
     assert move.lift_m == 0.0
 
 
-@pytest.mark.parametrize("lens", [None, BrownConrady(k1=-0.1, p1=0.002), Fisheye(k1=-0.02)])
+@pytest.mark.parametrize(
+    "lens", [None, BrownConrady(k1=-0.1, p1=0.002), Fisheye(k1=-0.02)]
+)
 def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     build_meadow, build_walk, build_small_setting, lens
 ):
@@ -245,7 +268,9 @@ def test_a_varifocal_lens_zooms_in_on_what_is_far_away(
     assert low <= unit.sensor.horizontal_fov_deg < high
     (record,) = layout_records(refinement.placement.layout)
     assert record["fov_deg"] == unit.sensor.horizontal_fov_deg
-    (back,) = layout_from_records("l", [record], "f.json", sensors={"own": camera}).units
+    (back,) = layout_from_records(
+        "l", [record], "f.json", sensors={"own": camera}
+    ).units
     assert back.sensor == unit.sensor
 
 
@@ -272,12 +297,16 @@ def test_a_lidar_is_aimed_too(build_meadow, build_walk, build_small_setting, arc
 def test_a_table_of_sampled_worlds_is_refused(meadow, placements):
     candidates, placement = placements["one unit"]
     table = placement.problem.table
-    axis = replace(table.axis, run_ids=tuple(f"{name}#1" for name in table.axis.run_ids))
+    axis = replace(
+        table.axis, run_ids=tuple(f"{name}#1" for name in table.axis.run_ids)
+    )
     problem = replace(placement.problem, table=replace(table, axis=axis))
     with pytest.raises(InputError) as caught:
         refine(meadow, replace(placement, problem=problem), candidates)
-    assert str(caught.value) == (
-        "refine: got a table of sampled worlds; expected a table of the runs as planned"
+    assert (
+        str(caught.value)
+        == "refine: got a table of sampled worlds; expected a table of the runs as"
+        " planned"
     )
 
 
@@ -285,8 +314,9 @@ def test_other_candidates_than_the_rows_of_the_table_are_refused(meadow, placeme
     candidates, placement = placements["one unit"]
     with pytest.raises(InputError) as caught:
         refine(meadow, placement, candidates[1:])
-    assert str(caught.value) == (
-        "candidates: got other poses; expected the rows of the placement's table"
+    assert (
+        str(caught.value)
+        == "candidates: got other poses; expected the rows of the placement's table"
     )
 
 

@@ -39,7 +39,10 @@ def _random_poses(n_poses, seed):
 @pytest.fixture(scope="module")
 def settings(meadow):
     """By day, and by response in fog, too."""
-    runs = (*meadow.runs, *(replace(run, id=f"{run.id}/fog", weather="fog") for run in meadow.runs))
+    runs = (
+        *meadow.runs,
+        *(replace(run, id=f"{run.id}/fog", weather="fog") for run in meadow.runs),
+    )
     foggy = replace(
         meadow,
         runs=runs,
@@ -54,7 +57,11 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     setting = settings[name]
     poses = _random_poses(36, seed=3)
     table = build_detection_table(
-        setting.scene, poses, setting.runs, setting.axis, detector=setting.table_detector
+        setting.scene,
+        poses,
+        setting.runs,
+        setting.axis,
+        detector=setting.table_detector,
     )
     rows = table.detected(slice(None))
     assert rows.any(axis=1).sum() > 8
@@ -62,7 +69,9 @@ def test_rows_are_those_of_the_builder_of_tables_in_any_order(settings, name):
     assert np.array_equal(builder.packed(poses), table.packed)
     order = np.random.default_rng(0).permutation(36)
     for part in np.array_split(order, 7):
-        assert np.array_equal(builder.packed([poses[row] for row in part]), table.packed[part])
+        assert np.array_equal(
+            builder.packed([poses[row] for row in part]), table.packed[part]
+        )
 
 
 def test_rays_are_cast_once_per_position_however_often_the_direction_changes(meadow):
@@ -106,7 +115,11 @@ def test_many_positions_are_forgotten_and_cast_again(meadow, monkeypatch):
     monkeypatch.setattr(live, "MAX_ROWS", 1)
     (camera,) = _random_poses(1, seed=0)
     poses = [
-        replace(camera, id=str(i), pose=replace(camera.pose, position_m=[0.0, 0.0, 4.0 + 0.1 * i]))
+        replace(
+            camera,
+            id=str(i),
+            pose=replace(camera.pose, position_m=[0.0, 0.0, 4.0 + 0.1 * i]),
+        )
         for i in range(20)
     ]
     builder = LiveTable(meadow, compute=Compute(workers=2), max_mounts=16)

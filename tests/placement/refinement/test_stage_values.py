@@ -28,18 +28,21 @@ def test_stages_are_those_of_the_certificate_with_the_same_values(problem):
     values = objective_values(problem, solution.pose_index)
     stages = solution.certificate.stages
     assert [*values] == [stage.name for stage in stages]
-    assert [*values.values()] == pytest.approx([stage.objective for stage in stages], abs=1e-12)
+    assert [*values.values()] == pytest.approx(
+        [stage.objective for stage in stages], abs=1e-12
+    )
 
 
 @given(problems(), st.data())
 def test_without_further_wishes_a_set_improves_where_its_value_is_better(problem, data):
     n_poses = problem.table.n_poses
     sets = st.sets(st.integers(0, n_poses - 1), min_size=1, max_size=3).map(sorted)
-    one, other = data.draw(sets), data.draw(sets)
+    one = data.draw(sets)
+    other = data.draw(sets)
     values = [placement_value(problem, units) for units in (one, other)]
-    assert improves(objective_values(problem, one), objective_values(problem, other)) == is_better(
-        *values
-    )
+    assert improves(
+        objective_values(problem, one), objective_values(problem, other)
+    ) == is_better(*values)
 
 
 def test_units_and_cost_are_the_better_the_smaller():
@@ -78,7 +81,10 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
     assert [(s.objective, s.bound) for s in made.stages] == [
         (2.0, 2.0),
         (0.6, 0.75),
-        (2.0, 2.0),  # a bound below what is at hand held for sets worse in the stages before
+        (
+            2.0,
+            2.0,
+        ),  # a bound below what is at hand held for sets worse in the stages before
         (2500.0, 2000.0),
     ]
     assert [s.gap for s in made.stages] == pytest.approx([0.0, 0.25, 0.0, 0.2])
@@ -88,7 +94,9 @@ def test_bounds_are_kept_and_gaps_are_those_of_the_better_set():
 def test_the_survived_stage_comes_before_the_apr():
     from hypothesis import find
 
-    problem = find(problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2)
+    problem = find(
+        problems(), lambda p: p.table.n_poses >= 2 and p.limits.max_units >= 2
+    )
     problem = replace(problem, survive=1)
     values = objective_values(problem, [0, 1])
     assert [*values] == ["apr_survived", *PlacementValue._fields]

@@ -28,7 +28,11 @@ def setting_of(scene, runs, rule, **fields):
         runs=tuple(runs),
         axis=build_frame_axis(runs, weight_per_run(runs)),
         rule=rule,
-        **{"detector": load_detector(), "table_detector": load_planning_detector(), **fields},
+        **{
+            "detector": load_detector(),
+            "table_detector": load_planning_detector(),
+            **fields,
+        },
     )
 
 
@@ -103,9 +107,13 @@ def standing_still(junction_runs):
     """The run from the west, in which the VRU only stands at a place that the test chooses."""
 
     def build(position_m, *, n_frames=12, run=None):
-        run = junction_runs["west"] if run is None else run
+        if run is None:
+            run = junction_runs["west"]
+        else:
+            run = run
         frames = {
-            name: getattr(run, name)[-n_frames:] for name in ("time_s", "vut_yaw_deg", "vru_shape")
+            name: getattr(run, name)[-n_frames:]
+            for name in ("time_s", "vut_yaw_deg", "vru_shape")
         }
         return replace(
             run,

@@ -23,7 +23,8 @@ from placement.wishes import Wishes
 
 
 def test_limits_are_those_of_the_formula():
-    bounds, aprs = [0.96, 0.97, 0.955, 0.965], [0.95, 0.94, 0.96, 0.93, 0.95]
+    bounds = [0.96, 0.97, 0.955, 0.965]
+    aprs = [0.95, 0.94, 0.96, 0.93, 0.95]
     found = estimate_gap(bounds, aprs)
     most = np.mean(bounds) + student.ppf(0.975, 3) * np.std(bounds, ddof=1) / 2.0
     least = np.mean(aprs) - student.ppf(0.975, 4) * np.std(aprs, ddof=1) / np.sqrt(5.0)
@@ -37,8 +38,9 @@ def test_limits_are_those_of_the_formula():
 def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
     """Shares of gaps, and of their upper and lower ends, that hold where the optimum is known.
 
-    Ten poses, two of which are mounted. In a world each pose sees each of twelve runs with a
-    probability of its own, so that the APR of a pair over all worlds has a closed form.
+    Ten poses, two of which are mounted. In a world each pose sees each of twelve runs
+    with a probability of its own, so that the APR of a pair over all worlds has a
+    closed form.
     """
     n_poses, n_runs, holds = 10, 12, np.zeros(3)
     pairs = np.array(list(combinations(range(n_poses), 2)))
@@ -66,15 +68,17 @@ def coverage(n_repetitions, *, n_blocks, n_worlds, n_judged=60):
 
 
 def test_gaps_hold_as_often_as_they_say():
-    # 0.95 asked; three standard errors of 200 repetitions are 0.046. APRs near 1 are skewed: the
-    # lower end holds less often than the 0.975 of a normal distribution.
+    # 0.95 asked; three standard errors of 200 repetitions are 0.046. APRs near 1 are
+    # skewed: the lower end holds less often than the 0.975 of a normal distribution.
     assert (coverage(200, n_blocks=5, n_worlds=4) >= 0.95 - 0.046).all()
 
 
 @pytest.mark.long
 def test_gaps_hold_as_often_as_they_say_whatever_the_blocks():
     for n_blocks, n_worlds in ((2, 2), (3, 8), (5, 8), (10, 2)):
-        assert (coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021).all()
+        assert (
+            coverage(1000, n_blocks=n_blocks, n_worlds=n_worlds) >= 0.95 - 0.021
+        ).all()
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +100,9 @@ def test_blocks_have_worlds_of_their_own_and_the_best_of_them(assembly):
     for number, block in enumerate(found.blocks):
         assert block.first == 3 * number
         table = sampled_table(
-            *(assembly.setting, assembly.candidates, assembly.uncertainty),
+            assembly.setting,
+            assembly.candidates,
+            assembly.uncertainty,
             n_samples=3,
             first=block.first,
             compute=assembly.compute,
@@ -120,23 +126,37 @@ def test_the_best_is_judged_in_worlds_that_chose_nothing(assembly):
     found = certify(assembly, n_blocks=2, n_judged=4)
     chosen = found.pool[0].layout
     both = out_of_sample_layouts(
-        *(assembly.setting, [chosen], assembly.uncertainty), n_samples=8, compute=assembly.compute
+        assembly.setting,
+        [chosen],
+        assembly.uncertainty,
+        n_samples=8,
+        compute=assembly.compute,
     )[0].apr_by_sample
     assert found.pool[0].apr_by_sample == pytest.approx(both[:4])
     assert found.judged.apr_by_sample == pytest.approx(both[4:])
     assert found.judged.layout.units == chosen.units
 
 
-def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(assembly, tmp_path, monkeypatch):
+def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(
+    assembly, tmp_path, monkeypatch
+):
     cached = replace(assembly, compute=replace(assembly.compute, cache_folder=tmp_path))
-    units = [one for one in assembly.candidates if one.sensor == assembly.candidates[0].sensor]
-    layouts = [Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])]
+    units = [
+        one
+        for one in assembly.candidates
+        if one.sensor == assembly.candidates[0].sensor
+    ]
+    layouts = [
+        Layout(name=f"layout {n}", units=(unit,)) for n, unit in enumerate(units[:2])
+    ]
     plain = assembly.in_fresh_worlds(layouts, n_worlds=3)
     first = cached.in_fresh_worlds(layouts, n_worlds=3)
     others = [cached.in_fresh_worlds(layouts[::-1], n_worlds=3)[1]]
     others += [cached.in_fresh_worlds(layouts, n_worlds=3, first=7)[0]]
     lossy = replace(assembly.uncertainty, packet_loss=0.9)
-    others += [replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]]
+    others += [
+        replace(cached, uncertainty=lossy).in_fresh_worlds(layouts, n_worlds=3)[0]
+    ]
 
     def refuse(*given, **how):
         raise RuntimeError("looked again")
@@ -157,9 +177,13 @@ def test_what_layouts_avoid_in_fresh_worlds_is_looked_at_once(assembly, tmp_path
 
 
 def test_what_cannot_be_certified_is_refused(assembly):
-    with pytest.raises(InputError, match="blocks: got 1; expected a whole number, at least 2"):
+    with pytest.raises(
+        InputError, match="blocks: got 1; expected a whole number, at least 2"
+    ):
         certify(assembly, n_blocks=1)
-    with pytest.raises(InputError, match="samples: got 1; expected a whole number, at least 2"):
+    with pytest.raises(
+        InputError, match="samples: got 1; expected a whole number, at least 2"
+    ):
         certify(replace(assembly, n_samples=1))
     aims = replace(assembly, wishes=Wishes(target=0.5))
     with pytest.raises(InputError, match="a target, failures or a tail"):
@@ -190,7 +214,8 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
     monkeypatch.setattr(pipeline, "N_JUDGED", 6)
     compute = Compute(workers=2, seed=3)
     found = grow(SMALL, compute=compute)
-    growth, last = found.growth, None
+    growth = found.growth
+    last = None
     assert growth.stopped in ("same", "no better")
     assert [one.worlds for one in growth.rounds] == [*SIZES[: len(growth.rounds)]]
     assert growth.rounds[-1].worlds == 2 * growth.taken == 2 * found.assembly.n_samples
@@ -199,7 +224,9 @@ def test_as_many_worlds_are_taken_as_twice_as_many_do_not_beat(monkeypatch):
         alone = place(plan, asks_worlds=True)  # as if the number had been given
         assert one.in_sample == alone.certificate.stages[0].objective
         (again,) = out_of_sample_layouts(
-            *(plan.setting, [alone.layout], plan.uncertainty),
+            plan.setting,
+            [alone.layout],
+            plan.uncertainty,
             n_samples=6,
             first=APART,
             compute=compute,
@@ -219,7 +246,8 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
     monkeypatch.setattr(certifying, "N_JUDGED", 3)
     monkeypatch.setattr(pipeline, "N_JUDGED", 3)
     monkeypatch.setattr(certifying, "SIZES", (1, 2))
-    real, chosen = place, []
+    real = place
+    chosen = []
 
     def placed(plan, **how):
         """The same rows in each round, of candidates that each round makes anew."""
@@ -240,7 +268,8 @@ def test_poses_of_a_grid_are_the_same_layout_in_every_round(monkeypatch):
 def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     """Rounds whose layouts differ and have some APRs in fresh worlds; each takes some seconds."""
     units, rounds, clock = load_carlancap_layout().units, iter(range(len(aprs))), [0.0]
-    real, judge = place, Assembly.in_fresh_worlds
+    real = place
+    judge = Assembly.in_fresh_worlds
 
     def placed(plan, **how):
         number = next(rounds)
@@ -248,7 +277,9 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
             raise error
         found = real(plan, **how)
         clock[0] += seconds
-        return replace(found, layout=replace(found.layout, units=units[number : number + 1]))
+        return replace(
+            found, layout=replace(found.layout, units=units[number : number + 1])
+        )
 
     def judged(self, layouts, **how):
         (one,) = judge(self, layouts, **how | {"n_worlds": 4})
@@ -261,8 +292,15 @@ def scripted(monkeypatch, aprs, *, sizes=(1, 2, 3, 4), seconds=0.0, error=None):
     return grow(SMALL, compute=Compute(workers=2, seed=3))
 
 
-LOW, MIDDLE, HIGH = ([level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7))
-MAYBE = [0.45, 0.75, 0.65, 0.55]  # 0 is within t(3) = 3.18 errors of its mean less that of LOW
+LOW, MIDDLE, HIGH = (
+    [level + 0.01 * level * n for n in range(4)] for level in (0.5, 0.6, 0.7)
+)
+MAYBE = [
+    0.45,
+    0.75,
+    0.65,
+    0.55,
+]  # 0 is within t(3) = 3.18 errors of its mean less that of LOW
 
 
 @pytest.mark.parametrize(
@@ -271,7 +309,12 @@ MAYBE = [0.45, 0.75, 0.65, 0.55]  # 0 is within t(3) = 3.18 errors of its mean l
         ([LOW, MAYBE], 0.0, 1, "no better"),
         ([MIDDLE, LOW], 0.0, 1, "no better"),
         ([LOW, MIDDLE, HIGH, LOW], 0.0, 3, "no better"),
-        ([LOW, MIDDLE, HIGH], 200.0, 2, "time"),  # of five times 60 s, 400 s are gone by then
+        (
+            [LOW, MIDDLE, HIGH],
+            200.0,
+            2,
+            "time",
+        ),  # of five times 60 s, 400 s are gone by then
     ],
 )
 def test_rounds_end_when_chance_may_explain_the_rest_or_time_is_up(
@@ -293,10 +336,16 @@ def test_rounds_end_at_the_most_worlds_and_at_the_memory(monkeypatch):
 
 
 def test_the_number_of_worlds_is_found_out_for_the_highest_mean_alone():
-    for asked in ({"target": "0.5", "budget": None}, {"survive": "1"}, {"risk": "worst"}):
+    for asked in (
+        {"target": "0.5", "budget": None},
+        {"survive": "1"},
+        {"risk": "worst"},
+    ):
         with pytest.raises(InputError, match="a target, failures or a tail"):
             grow(replace(SMALL, **asked))
-    with pytest.raises(InputError, match="samples: got 'auto'; expected a number; auto where"):
+    with pytest.raises(
+        InputError, match="samples: got 'auto'; expected a number; auto where"
+    ):
         assemble(SMALL)
 
 
@@ -304,7 +353,9 @@ def test_a_certificate_shares_no_world_with_how_many_are_enough(assembly, monkey
     seen = []
     monkeypatch.setattr(certifying, "N_JUDGED", 2)
     monkeypatch.setattr(
-        certifying, "place", lambda plan, **_: seen.append(plan.first_sample) or place(plan)
+        certifying,
+        "place",
+        lambda plan, **_: seen.append(plan.first_sample) or place(plan),
     )
     grow(SMALL, first=APART, compute=Compute(workers=2, seed=3))
     assert set(seen) == {APART}

@@ -34,7 +34,8 @@ def changed(folder, *changes):
 
 def test_an_arms_vehicles_are_spread_over_the_turns_that_it_has():
     found = rates(write_routes(load_demand(), WAYS, LANES))
-    # 300 on each of two lanes; straight and left have 0.6 and 0.2 of them, and nobody turns right.
+    # 300 on each of two lanes; straight and left have 0.6 and 0.2 of them, and nobody
+    # turns right.
     assert found["north-south"] == pytest.approx(450.0)
     assert found["north-east"] == pytest.approx(150.0)
     # Two exits to the left share what turns left.
@@ -46,14 +47,16 @@ def test_an_arm_may_have_a_count_of_its_own(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 80.0")))
     found = rates(write_routes(demand, WAYS, LANES))
     assert found["north-south"] + found["north-east"] == pytest.approx(80.0)
-    assert sum(rate for name, rate in found.items() if name.startswith("east")) == pytest.approx(
-        300.0
-    )
+    assert sum(
+        rate for name, rate in found.items() if name.startswith("east")
+    ) == pytest.approx(300.0)
 
 
 def test_an_arm_without_traffic_has_no_flow(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nnorth = 0.0")))
-    assert not any(name.startswith("north") for name in rates(write_routes(demand, WAYS, LANES)))
+    assert not any(
+        name.startswith("north") for name in rates(write_routes(demand, WAYS, LANES))
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,20 +67,48 @@ def test_an_arm_without_traffic_has_no_flow(tmp_path):
             "per_lane = 0.0",
             "_per_lane: got 0.0; expected more",
         ),
-        ("per_lane = 300.0", "per_lane = -5.0", "vehicles_per_hour_per_lane: got -5.0; expected"),
-        ("per_lane = 300.0", "per_lane = 10000.0", "_per_lane: got 10000.0; expected a number"),
+        (
+            "per_lane = 300.0",
+            "per_lane = -5.0",
+            "vehicles_per_hour_per_lane: got -5.0; expected",
+        ),
+        (
+            "per_lane = 300.0",
+            "per_lane = 10000.0",
+            "_per_lane: got 10000.0; expected a number",
+        ),
         ("per_lane = 300.0", "per_lane = nan", "vehicles_per_hour_per_lane: got nan"),
-        ("left = 0.2", "left = 0.3", "turns: got a sum of 1.1; expected shares that sum to 1"),
-        ("share = 0.42", "share = 0.4", "vehicles: share: got a sum of 0.98; expected shares"),
-        ('sumo_class = "bus"', 'sumo_class = "tram"', "sumo_class: got 'tram'; expected one of"),
+        (
+            "left = 0.2",
+            "left = 0.3",
+            "turns: got a sum of 1.1; expected shares that sum to 1",
+        ),
+        (
+            "share = 0.42",
+            "share = 0.4",
+            "vehicles: share: got a sum of 0.98; expected shares",
+        ),
+        (
+            'sumo_class = "bus"',
+            'sumo_class = "tram"',
+            "sumo_class: got 'tram'; expected one of",
+        ),
         (
             'actor = "parked-van"',
             'actor = "adult"',
             "got 'adult'; expected a parked vehicle",
         ),
         ("length_m = 12.0", "length_m = 0.0", "length_m: got 0.0; expected > 0 metres"),
-        ("pause_s = [1.0, 7.0]", "pause_s = [9.0, 2.0]", "pause_s: got [9.0, 2.0]; expected"),
-        ('name = "bus"', 'name = "truck"', "vehicles: got 'truck'; expected every body once"),
+        (
+            "pause_s = [1.0, 7.0]",
+            "pause_s = [9.0, 2.0]",
+            "pause_s: got [9.0, 2.0]; expected",
+        ),
+        (
+            'name = "bus"',
+            'name = "truck"',
+            "vehicles: got 'truck'; expected every body once",
+        ),
         ("warm_up_s", "warmup_s", "warmup_s"),
     ],
 )
@@ -91,5 +122,7 @@ def test_what_is_wrong_with_a_demand_is_one_clear_line(tmp_path, old, new, messa
 
 def test_an_arm_that_the_junction_does_not_have_is_told(tmp_path):
     demand = load_demand(changed(tmp_path, ("[arms]", "[arms]\nsouth-west = 80.0")))
-    with pytest.raises(InputError, match="arms: got 'south-west'; expected an arm with lanes in"):
+    with pytest.raises(
+        InputError, match="arms: got 'south-west'; expected an arm with lanes in"
+    ):
         write_routes(demand, WAYS, LANES)

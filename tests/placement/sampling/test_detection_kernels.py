@@ -37,7 +37,9 @@ def _first(setting, poses, uncertainty, seed=0):
 
 def _noise(frames, correlation, seed):
     links = link_frames(np.asarray(frames))
-    return _noise_at(links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation)
+    return _noise_at(
+        links.run_of_frame, links.place_of_frame, np.uint64(seed), correlation
+    )
 
 
 @kernel
@@ -45,7 +47,9 @@ def _noise_at(run, place, key, correlation):
     noise = np.empty(len(run))
     for index in range(len(run)):
         step = np.sqrt(1.0 - correlation**2)
-        noise[index] = _linked(key, correlation, step, run[index], place[index], -1, 0.0)
+        noise[index] = _linked(
+            key, correlation, step, run[index], place[index], -1, 0.0
+        )
     return noise
 
 
@@ -69,7 +73,9 @@ def test_fresh_noise_is_standard_normal_also_in_its_tails():
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.97, 1.0])
 def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlation):
     frames = np.concatenate([start + np.arange(30) for start in range(0, 217, 31)])
-    fresh, linked = (_noise(frames, each, 6).reshape(7, 30) for each in (0.0, correlation))
+    fresh, linked = (
+        _noise(frames, each, 6).reshape(7, 30) for each in (0.0, correlation)
+    )
     step = np.sqrt(1.0 - correlation**2)
     for run, noise in zip(fresh, linked, strict=True):
         assert noise[0] == run[0]
@@ -82,15 +88,20 @@ def test_linked_noise_is_what_a_recursive_filter_makes_of_fresh_noise(correlatio
 def test_frames_are_drawn_where_the_noise_of_their_cell_is_below_the_limit(seed):
     """Also where they are out of order, show nothing, or leave nothing to chance."""
     rng = np.random.default_rng(seed)
-    links = link_frames(rng.permutation(np.tile(np.flatnonzero(rng.random(400) < 0.9), 2)))
+    links = link_frames(
+        rng.permutation(np.tile(np.flatnonzero(rng.random(400) < 0.9), 2))
+    )
     where = links.run_of_frame, links.place_of_frame
     n = len(links.run_of_frame)
-    weather, entry = rng.integers(0, 2, n), rng.integers(-1, 30, n)
+    weather = rng.integers(0, 2, n)
+    entry = rng.integers(-1, 30, n)
     limit = rng.normal(size=(2, 30))
     limit[rng.random((2, 30)) < 0.2] = np.inf
     limit[rng.random((2, 30)) < 0.2] = -np.inf
-    key, packed = np.uint64(seed), np.zeros(-(-n // 8), dtype=np.uint8)
-    nothing, own = np.zeros(n), np.array([0.0, 1.0])
+    key = np.uint64(seed)
+    packed = np.zeros(-(-n // 8), dtype=np.uint8)
+    nothing = np.zeros(n)
+    own = np.array([0.0, 1.0])
     draw_frames(limit, weather, entry, *where, key, 0.6, nothing, key, own, packed)
     noise = _noise_at(*where, key, 0.6)
     expected = (entry >= 0) & (noise < limit[weather, entry])
@@ -153,7 +164,10 @@ def watched(junction_scene, standing_still, build_setting, response, look):
         table_detector=replace(response, frame_correlation=0.0),
     )
     lidar = next(iter(load_lidars().values()))
-    far = [look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0) for x in (-28.0, -38.0)]
+    far = [
+        look(f"{x}", [x, -1.0, 6.0], yaw_deg=0.0, pitch_deg=-5.0)
+        for x in (-28.0, -38.0)
+    ]
     return setting, (*far, look("lidar", [-8.0, -1.0, 1.5], yaw_deg=0.0, sensor=lidar))
 
 
@@ -163,22 +177,36 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
     first, other = build_drawn_tables(
         sample, setting.table_detector, compute=Compute(workers=1), n_draws=2
     )
-    (alone,) = build_drawn_tables(sample, setting.table_detector, compute=Compute(workers=1))
+    (alone,) = build_drawn_tables(
+        sample, setting.table_detector, compute=Compute(workers=1)
+    )
     drawn = first.detected(slice(None))
     assert np.array_equal(alone.packed, first.packed)
     cameras = other.detected(slice(None))[:2]
     assert 0.2 < (cameras != drawn[:2]).mean() < 0.6  # other coins
-    assert cameras.mean() == pytest.approx(drawn[:2].mean(), abs=0.03)  # of the same kind
+    assert cameras.mean() == pytest.approx(
+        drawn[:2].mean(), abs=0.03
+    )  # of the same kind
     for row, pose in enumerate(poses[:2]):
         for index, run in enumerate(setting.runs):
             one_frame = {
                 name: getattr(run, name)[:1]
-                for name in ("time_s", "vut_position_m", "vut_yaw_deg", "vru_position_m")
+                for name in (
+                    "time_s",
+                    "vut_position_m",
+                    "vut_yaw_deg",
+                    "vru_position_m",
+                )
             } | {"vru_yaw_deg": run.vru_yaw_deg[:1], "vru_shape": run.vru_shape[:1]}
-            surroundings = build_surroundings(setting.scene, [replace(run, **one_frame)])
+            surroundings = build_surroundings(
+                setting.scene, [replace(run, **one_frame)]
+            )
             evidence = perceive_frames(surroundings, (pose.pose, pose.sensor))
             (likely,) = setting.table_detector.probability(
-                replace(evidence, contrast=surroundings.contrast(evidence_distance(pose, run)))
+                replace(
+                    evidence,
+                    contrast=surroundings.contrast(evidence_distance(pose, run)),
+                )
             )
             often = drawn[row, setting.axis.frames_of(index)].mean()
             # 1200 coins, and points instead of pixels.
@@ -187,13 +215,17 @@ def test_frames_are_detected_as_often_as_the_evaluators_pixels_make_likely(watch
 
 
 def evidence_distance(pose, run):
-    return np.array([np.linalg.norm([*run.vru_position_m[0], 0.9] - pose.pose.position_m)])
+    return np.array(
+        [np.linalg.norm([*run.vru_position_m[0], 0.9] - pose.pose.position_m)]
+    )
 
 
 def test_in_fog_less_is_detected_of_the_same_frames(watched):
     setting, poses = watched
     table = _table(_first(setting, poses, DRAWN), seed=0)
-    day, fog = (table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1))
+    day, fog = (
+        table.detected(slice(None))[:, setting.axis.frames_of(run)] for run in (0, 1)
+    )
     assert not (fog & ~day).any()
     assert fog[0].sum() < day[0].sum()
 
@@ -251,7 +283,9 @@ def test_two_workers_draw_the_same_table_as_one(setting, candidates, response):
     assert np.array_equal(*tables)
     assert tables[0].any()
     stage = "sampled detection tables"
-    assert calls == [(stage, 1, 2), (stage, 2, 2)] * 2  # mount positions of the first world
+    assert (
+        calls == [(stage, 1, 2), (stage, 2, 2)] * 2
+    )  # mount positions of the first world
 
 
 # Messages
@@ -294,7 +328,9 @@ def test_the_same_messages_are_lost_in_all_weathers(watched):
     setting, poses = watched
     sample = _first(setting, poses, Uncertainty(packet_loss=0.5))
     every = pack_table(
-        tuple(p.id for p in poses), setting.axis, np.ones((3, setting.axis.n_frames), dtype=bool)
+        tuple(p.id for p in poses),
+        setting.axis,
+        np.ones((3, setting.axis.n_frames), dtype=bool),
     )
     day, fog = (
         silence(sample, every).detected(slice(None))[:, setting.axis.frames_of(run)]

@@ -68,9 +68,19 @@ def test_the_default_is_uncertain_in_every_way():
     assert min(default.person_share, default.unit_person_share) > 0.0
     assert default.outages != Outages()
     assert min(default.blinding.dirty_share, default.blinding.low_sun_share) > 0.0
-    assert (default.burst_frames, default.loss_shared_by, default.v2x_share) == (3.0, "pole", 1.0)
-    assert {kind.actor.name for kind in default.traffic.vehicles} >= {"parked-van", "truck", "bus"}
-    assert math.fsum(kind.parked_share for kind in default.traffic.vehicles) == pytest.approx(1.0)
+    assert (default.burst_frames, default.loss_shared_by, default.v2x_share) == (
+        3.0,
+        "pole",
+        1.0,
+    )
+    assert {kind.actor.name for kind in default.traffic.vehicles} >= {
+        "parked-van",
+        "truck",
+        "bus",
+    }
+    assert math.fsum(
+        kind.parked_share for kind in default.traffic.vehicles
+    ) == pytest.approx(1.0)
 
 
 def test_none_is_uncertain_in_no_way():
@@ -116,8 +126,14 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("yaw_sd_deg = 1", "yaw_deg = 1"), "mine.toml: mounting: got 'yaw_deg'; expected one of "),
-        (("yaw_sd_deg = 1\n", ""), "mine.toml: mounting.yaw_sd_deg: got nothing; expected a value"),
+        (
+            ("yaw_sd_deg = 1", "yaw_deg = 1"),
+            "mine.toml: mounting: got 'yaw_deg'; expected one of ",
+        ),
+        (
+            ("yaw_sd_deg = 1\n", ""),
+            "mine.toml: mounting.yaw_sd_deg: got nothing; expected a value",
+        ),
         (
             ("yaw_sd_deg = 1", "yaw_sd_deg = -1"),
             "mine.toml: mounting.yaw_sd_deg: got -1.0; expected 0 to 30 degrees",
@@ -132,7 +148,10 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
         ),
         (
             ('"uniform"', '"normal"'),
-            "mine.toml: latency.distribution: got 'normal'; expected one of gamma, uniform",
+            (
+                "mine.toml: latency.distribution: got 'normal'; expected one of gamma,"
+                " uniform"
+            ),
         ),
         (
             ("taken_share = 0.2", "taken_share = 2"),
@@ -152,10 +171,15 @@ def test_a_box_is_closed_faces_outwards_and_stands_on_the_road():
         ),
         (
             ("waiting_share = 0.25", "waiting_share = 0.5"),
-            "mine.toml: traffic.vehicles: waiting_share: got a sum of 1.25; "
-            "expected shares that sum to 1",
+            (
+                "mine.toml: traffic.vehicles: waiting_share: got a sum of 1.25; "
+                "expected shares that sum to 1"
+            ),
         ),
-        (("[messages]", "[massages]"), "mine.toml: got 'massages'; expected one of mounting, "),
+        (
+            ("[messages]", "[massages]"),
+            "mine.toml: got 'massages'; expected one of mounting, ",
+        ),
         (
             ('distribution = "uniform"', 'budget = "study"'),
             "mine.toml: latency: got 'mean_s'; expected one of budget, drawn_per",
@@ -172,7 +196,9 @@ def test_what_is_wrong_with_a_file_is_said_with_its_place(write, change, message
 def test_sections_must_be_sections(write):
     with pytest.raises(InputError) as caught:
         load_uncertainty(write("mounting = 3\n"))
-    assert str(caught.value) == "mine.toml: mounting: got 3; expected a section [mounting]"
+    assert (
+        str(caught.value) == "mine.toml: mounting: got 3; expected a section [mounting]"
+    )
     vehicles = WHOLE[WHOLE.index("[[vehicles]]") :]
     with pytest.raises(InputError) as caught:
         load_uncertainty(write(vehicles))
@@ -183,7 +209,9 @@ def test_sections_must_be_sections(write):
 
 
 def test_a_budget_may_stand_in_for_a_distribution(write):
-    read = load_uncertainty(write('[latency]\nbudget = "cpm-50ms"\ndrawn_per = "run"\n'))
+    read = load_uncertainty(
+        write('[latency]\nbudget = "cpm-50ms"\ndrawn_per = "run"\n')
+    )
     assert read.latency.budget is not None
     assert read.latency.budget.name == "cpm-50ms"
 
@@ -191,9 +219,10 @@ def test_a_budget_may_stand_in_for_a_distribution(write):
 def test_a_name_that_nobody_knows_is_refused():
     with pytest.raises(InputError) as caught:
         load_uncertainty("much", where="--uncertainty")
-    assert str(caught.value) == (
-        "--uncertainty: got 'much'; expected default, robustness, as-measured, none, or a "
-        ".toml file with uncertainties"
+    assert (
+        str(caught.value)
+        == "--uncertainty: got 'much'; expected default, robustness, as-measured, none,"
+        " or a .toml file with uncertainties"
     )
     with pytest.raises(InputError, match=r"nowhere\.toml"):
         load_uncertainty("nowhere.toml")

@@ -31,7 +31,11 @@ LOSSY = Uncertainty(packet_loss=0.6, latency=LatencyJitter(mean_s=0.4, sd_s=0.3)
 @pytest.fixture(scope="module")
 def layouts(candidates, look):
     corner = look(
-        "corner", [-115.4, 8.85, 6.8], yaw_deg=-120.0, pitch_deg=-25.0, site_id="corner-ne"
+        "corner",
+        [-115.4, 8.85, 6.8],
+        yaw_deg=-120.0,
+        pitch_deg=-25.0,
+        site_id="corner-ne",
     )
     mast = candidates[2]
     return [
@@ -56,14 +60,20 @@ def _avoided_by_hand(seen, axis, deadlines_s):
     avoided = []
     for run in range(axis.n_runs):
         frames = axis.frames_of(run)
-        times, row = axis.time_s[frames], seen[frames]
-        confirmed = [t for k, t in enumerate(times) if k >= 2 and row[k - 2 : k + 1].all()]
-        avoided.append(bool(confirmed) and confirmed[0] + 0.025 <= deadlines_s[run] + 1e-9)
+        times = axis.time_s[frames]
+        row = seen[frames]
+        confirmed = [
+            t for k, t in enumerate(times) if k >= 2 and row[k - 2 : k + 1].all()
+        ]
+        avoided.append(
+            bool(confirmed) and confirmed[0] + 0.025 <= deadlines_s[run] + 1e-9
+        )
     return np.array(avoided)
 
 
 def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
-    axis, units = setting.axis, layouts[0].units
+    axis = setting.axis
+    units = layouts[0].units
     plan = build_detection_table(
         setting.scene, units, setting.runs, axis, detector=setting.table_detector
     )
@@ -76,8 +86,11 @@ def test_without_uncertainty_every_world_is_the_plan(setting, layouts):
 
 
 def test_a_layout_is_worth_in_a_world_what_its_table_says(setting, layouts, judged):
-    axis, both = setting.axis, layouts[0]
-    samples = draw_samples(setting, both.units, LOSSY, n_samples=12, seed=0, purpose="judge")
+    axis = setting.axis
+    both = layouts[0]
+    samples = draw_samples(
+        setting, both.units, LOSSY, n_samples=12, seed=0, purpose="judge"
+    )
     for index, sample in enumerate(samples):
         deadlines_s = axis.last_brake_time_s - sample.extra_latency_s
         draws = [
@@ -103,14 +116,20 @@ def test_worlds_to_judge_in_are_not_those_to_choose_in(setting, layouts):
         assert not {w[part] for w in chosen_in} & {w[part] for w in judged_in}
 
 
-def test_layouts_are_judged_in_the_same_worlds_alone_or_together(setting, layouts, judged):
+def test_layouts_are_judged_in_the_same_worlds_alone_or_together(
+    setting, layouts, judged
+):
     for layout, together in zip(layouts, judged, strict=True):
-        alone = out_of_sample(setting, layout, LOSSY, n_samples=12, compute=Compute(workers=2))
+        alone = out_of_sample(
+            setting, layout, LOSSY, n_samples=12, compute=Compute(workers=2)
+        )
         assert alone.apr_by_sample.tolist() == together.apr_by_sample.tolist()
         assert alone.layout is layout
     both, one, other = judged
     # More units never do harm, world by world; two units of one name are not confused.
-    assert (both.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
+    assert (
+        both.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)
+    ).all()
     assert not np.array_equal(one.avoided_share, other.avoided_share)
 
 
@@ -127,7 +146,8 @@ def test_worlds_looked_at_in_parts_are_the_same_worlds(setting, layouts, judged)
 
 def test_a_name_is_not_luck(setting, layouts, judged):
     renamed = replace(
-        layouts[0], units=tuple(replace(u, id=f"U{n}") for n, u in enumerate(layouts[0].units))
+        layouts[0],
+        units=tuple(replace(u, id=f"U{n}") for n, u in enumerate(layouts[0].units)),
     )
     again = out_of_sample(setting, renamed, LOSSY, n_samples=12)
     assert again.apr_by_sample.tolist() == judged[0].apr_by_sample.tolist()
@@ -135,7 +155,9 @@ def test_a_name_is_not_luck(setting, layouts, judged):
 
 def test_numbers_of_a_judgement_belong_together(setting, judged):
     for item in judged:
-        assert setting.axis.weight @ item.avoided_share == pytest.approx(item.estimate.mean)
+        assert setting.axis.weight @ item.avoided_share == pytest.approx(
+            item.estimate.mean
+        )
         assert item.worst == item.apr_by_sample.min() == item.cvar(0.0)
         assert item.worst <= item.cvar(0.25) <= item.cvar(1.0) + 1e-12
         assert item.cvar(1.0) == pytest.approx(item.estimate.mean)
@@ -146,7 +168,9 @@ def test_numbers_of_a_judgement_belong_together(setting, judged):
 
 
 def test_another_seed_is_another_judgement(setting, layouts, judged):
-    other = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, compute=Compute(seed=1))
+    other = out_of_sample(
+        setting, layouts[0], LOSSY, n_samples=12, compute=Compute(seed=1)
+    )
     assert not np.array_equal(other.apr_by_sample, judged[0].apr_by_sample)
 
 
@@ -154,12 +178,16 @@ def test_alone_a_unit_confirms_no_more_than_all_together(setting, layouts, judge
     single = out_of_sample(setting, layouts[0], LOSSY, n_samples=12, fusion="single")
     one, other = judged[1:]
     assert (single.apr_by_sample <= judged[0].apr_by_sample + 1e-12).all()
-    assert (single.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)).all()
+    assert (
+        single.apr_by_sample >= np.maximum(one.apr_by_sample, other.apr_by_sample)
+    ).all()
     assert single.estimate.mean < judged[0].estimate.mean
 
 
 def test_a_units_own_latency_counts(setting, layouts):
-    slow = replace(layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units))
+    slow = replace(
+        layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units)
+    )
     result = out_of_sample(setting, slow, Uncertainty(), n_samples=1)
     assert result.estimate.mean == 0.0
 
@@ -167,10 +195,16 @@ def test_a_units_own_latency_counts(setting, layouts):
 def test_cars_that_see_are_judged_without_units_too(setting, layouts):
     seeing = replace(setting, cars=1.0)
     dirty = replace(LOSSY, blinding=Blinding(dirty_share=0.5))
-    slow = replace(layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units))
+    slow = replace(
+        layouts[1], units=tuple(replace(u, latency_s=60.0) for u in layouts[1].units)
+    )
     for uncertainty in (LOSSY, dirty):
-        judged = out_of_sample_layouts(seeing, [layouts[1], slow], uncertainty, n_samples=3)
-        assert [item.alone for item in judged] == [pytest.approx(judged[1].estimate.mean)] * 2
+        judged = out_of_sample_layouts(
+            seeing, [layouts[1], slow], uncertainty, n_samples=3
+        )
+        assert [item.alone for item in judged] == [
+            pytest.approx(judged[1].estimate.mean)
+        ] * 2
         assert judged[0].alone <= judged[0].estimate.mean
     assert out_of_sample(setting, layouts[1], LOSSY, n_samples=1).alone == 0.0
 
@@ -211,7 +245,9 @@ def test_a_judgement_must_fit_its_runs(setting, layouts):
 def test_the_evaluator_takes_a_sampled_world_as_it_is(setting, layouts, default):
     """Full perception of the units as they hang, past what stands in the street."""
     units = layouts[1].units
-    (sample,) = draw_samples(setting, units, default, n_samples=1, seed=0, purpose="judge")
+    (sample,) = draw_samples(
+        setting, units, default, n_samples=1, seed=0, purpose="judge"
+    )
     mounted = replace(layouts[1], units=sample.candidates)
     evaluation = evaluate_layout(mounted, replace(sample.setting, radio=setting.radio))
     lossless = replace(sample.setting, radio=setting.radio)

@@ -15,7 +15,8 @@ from placement.sampling.out_of_sample import SampledApr
 from placement.sampling.uncertainty import load_uncertainty
 from placement.wishes import Wishes
 
-AHEAD, BEHIND = [0.8, 0.9, 0.9], [0.5, 0.6, 0.5]
+AHEAD = [0.8, 0.9, 0.9]
+BEHIND = [0.5, 0.6, 0.5]
 
 
 @pytest.fixture
@@ -25,8 +26,12 @@ def asked(setting, candidates, monkeypatch):
     Each pose is there twice, so that there are ties.
     """
 
-    def build(*, greedy, fresh=(BEHIND, AHEAD), n_samples=2, detector=None, cars=0.0, **wishes):
-        monkeypatch.setattr(pipeline, "solve_greedy", lambda problem, reduced: (greedy,))
+    def build(
+        *, greedy, fresh=(BEHIND, AHEAD), n_samples=2, detector=None, cars=0.0, **wishes
+    ):
+        monkeypatch.setattr(
+            pipeline, "solve_greedy", lambda problem, reduced: (greedy,)
+        )
         told = dict(zip(("found", "greedy"), fresh, strict=True))
 
         def judged(self, layouts, **how):
@@ -44,7 +49,10 @@ def asked(setting, candidates, monkeypatch):
         detector = detector or setting.table_detector
         return Assembly(
             setting=replace(setting, table_detector=detector, cars=cars),
-            candidates=[*candidates, *(replace(one, id=f"{one.id}'") for one in candidates)],
+            candidates=[
+                *candidates,
+                *(replace(one, id=f"{one.id}'") for one in candidates),
+            ],
             wishes=Wishes(budget_units=1, **wishes),
             uncertainty=replace(load_uncertainty("default"), packet_loss=0.3),
             n_samples=n_samples,
@@ -89,9 +97,12 @@ def test_fresh_worlds_take_greedy_choice_and_leave_the_bound(asked):
         ({"n_samples": 0}, False),  # as planned, by rule and for blind cars
     ],
 )
-def test_what_was_found_stays_where_worlds_do_not_prefer_another(asked, changed, is_asked):
+def test_what_was_found_stays_where_worlds_do_not_prefer_another(
+    asked, changed, is_asked
+):
     last = int(np.argmin(values_of(asked(greedy=0))))
-    plain, found = place(asked(greedy=last, **changed)), asked(greedy=last, **changed)
+    plain = place(asked(greedy=last, **changed))
+    found = asked(greedy=last, **changed)
     found = place(found, asks_worlds=True)
     assert found.pose_index == plain.pose_index
     assert [stage.bound for stage in found.certificate.stages] == [
@@ -111,7 +122,9 @@ def test_the_plan_is_overruled_where_it_cannot_tell_or_detections_are_drawn(
     asked_of = {"n_samples": 0, **chance}
     values = values_of(asked(greedy=0, **asked_of))
     best = place(asked(greedy=0, **asked_of)).pose_index[0]
-    as_good = [row for row, value in enumerate(values) if value == values[best] and row != best]
+    as_good = [
+        row for row, value in enumerate(values) if value == values[best] and row != best
+    ]
     worse = [row for row, value in enumerate(values) if value < values[best] - 1e-6]
     for row, is_taken in ((as_good[0], True), (worse[0], takes_worse)):
         found = place(asked(greedy=row, **asked_of), asks_worlds=True)
@@ -131,12 +144,16 @@ def test_a_layout_that_gives_up_more_than_may_be_given_up_is_not_called_sturdy(
     two = Wishes(budget_units=2, give_up=0.0)
     pairs = [*combinations(range(len(build.candidates)), 2)]
     values = {pair: apr(replace(build, wishes=two).problem, pair) for pair in pairs}
-    highest, lowest = max(values.values()), min(values.values())
+    highest = max(values.values())
+    lowest = min(values.values())
     lost = highest - lowest
     assert lost > 0.01
     greedy = min(pairs, key=values.__getitem__)
     monkeypatch.setattr(pipeline, "solve_greedy", lambda problem, reduced: greedy)
-    give_up = lost + 0.01 if loses == "little" else 0.5 * lost
+    if loses == "little":
+        give_up = lost + 0.01
+    else:
+        give_up = 0.5 * lost
     plan = replace(build, wishes=replace(two, give_up=give_up))
     found = place(plan, asks_worlds=True)
     if place(plan).pose_index == greedy:

@@ -16,7 +16,9 @@ shares = st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=1, max_si
 def test_cvar_is_the_mean_of_the_worst_of_many_equal_parts(samples, a, b):
     """Every sample cut into equal parts, so that the tail is a whole number of them."""
     count, of = sorted((a, b))
-    n_parts = len(samples) * of  # of one sample, n_samples * of parts; the tail is count / of
+    n_parts = (
+        len(samples) * of
+    )  # of one sample, n_samples * of parts; the tail is count / of
     tail_parts = count * len(samples) * len(samples)
     parts = np.sort(np.repeat(samples, n_parts))
     expected = parts[: max(tail_parts, n_parts)].mean()
@@ -31,7 +33,11 @@ def test_cvar_is_the_optimum_of_its_linear_programme(samples, tail):
         samples,
         A_eq=np.ones((1, n)),
         b_eq=[1.0],
-        bounds=[(0.0, max(1.0 / (tail * n), 1.0 / n))] * n if tail * n >= 1.0 else [(0.0, 1.0)] * n,
+        bounds=(
+            [(0.0, max(1.0 / (tail * n), 1.0 / n))] * n
+            if tail * n >= 1.0
+            else [(0.0, 1.0)] * n
+        ),
     )
     assert cvar(samples, tail) == pytest.approx(spread.fun, abs=1e-7)
 
@@ -48,7 +54,8 @@ def test_cvar_is_the_optimum_of_rockafellar_and_uryasevs_programme(samples, tail
     )
     if tail * n >= 1.0:
         assert cvar(samples, tail) == pytest.approx(-solved.fun, abs=1e-7)
-    else:  # the programme would go below the worst sample: there is no smaller part of it
+    else:
+        # the programme would go below the worst sample: there is no smaller part of it
         assert cvar(samples, tail) == min(samples)
 
 
@@ -77,7 +84,9 @@ def test_nothing_has_no_mean():
 
 def test_the_interval_is_students():
     """By hand: mean 0.5, deviation 0.1, t(3 degrees of freedom, 97.5 %) = 3.182446."""
-    estimate = estimate_mean([0.4, 0.6, 0.5 - 0.05 * math.sqrt(2.0), 0.5 + 0.05 * math.sqrt(2.0)])
+    estimate = estimate_mean(
+        [0.4, 0.6, 0.5 - 0.05 * math.sqrt(2.0), 0.5 + 0.05 * math.sqrt(2.0)]
+    )
     assert estimate.mean == pytest.approx(0.5)
     assert estimate.standard_error == pytest.approx(0.1 / 2.0)
     assert estimate.low == pytest.approx(0.5 - 3.182446 * 0.05, abs=1e-6)
@@ -112,18 +121,24 @@ def test_the_interval_holds_the_mean_about_as_often_as_it_says(draw):
     truth = draw(np.random.default_rng(5), 1_000_000).mean()
     rng = np.random.default_rng(6)
     estimates = [estimate_mean(draw(rng, 20)) for _ in range(1500)]
-    covered = np.mean([estimate.low <= truth <= estimate.high for estimate in estimates])
+    covered = np.mean(
+        [estimate.low <= truth <= estimate.high for estimate in estimates]
+    )
     assert 0.93 <= covered <= 0.975
 
 
 def test_the_interval_holds_the_mean_where_most_samples_are_equal():
     """One world in fifty is bad: two thirds of all draws of 20 show none of them."""
     rng = np.random.default_rng(7)
-    estimates = [estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)]
+    estimates = [
+        estimate_mean(1.0 - 0.8 * (rng.random(20) < 0.02)) for _ in range(1500)
+    ]
     truth = 1.0 - 0.8 * 0.02
     assert np.mean([e.low <= truth <= e.high for e in estimates]) >= 0.95
     by_t_alone = [e.low <= truth <= e.high for e in estimates if "Student" in e.method]
-    assert 0.2 < len(by_t_alone) / 1500 < 0.5  # without the rule of three most would miss
+    assert (
+        0.2 < len(by_t_alone) / 1500 < 0.5
+    )  # without the rule of three most would miss
 
 
 @given(st.lists(st.floats(0.0, 1.0, allow_subnormal=False), min_size=2, max_size=30))

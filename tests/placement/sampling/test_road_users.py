@@ -18,7 +18,12 @@ from placement.sampling.uncertainty import (
     Uncertainty,
     load_uncertainty,
 )
-from placement.sampling.worlds import RandomStreams, change_motion, draw_road_users, draw_samples
+from placement.sampling.worlds import (
+    RandomStreams,
+    change_motion,
+    draw_road_users,
+    draw_samples,
+)
 from scenarios.cases import load_cases, select_cases
 from scenarios.encounters import first_contact_s
 from scenarios.obstructions import is_way_free
@@ -41,7 +46,9 @@ def _lay(rule, *cases):
 @pytest.fixture(scope="module")
 def laid(rule):
     """Runs of four kinds of cases, and those of a car and a motorcyclist."""
-    named = [replace(load_cases()[name], vut_speeds_kmh=(v,)) for name, v in CASES.items()]
+    named = [
+        replace(load_cases()[name], vut_speeds_kmh=(v,)) for name, v in CASES.items()
+    ]
     return _lay(rule, *named, *select_cases(str(MET_CASES)).cases)
 
 
@@ -64,28 +71,40 @@ def test_a_changed_run_is_the_run_laid_with_that_speed(laid, rule, faster_kmh):
         np.testing.assert_allclose(anew.time_s[-n:], changed.time_s[-n:], atol=1e-9)
         for body in ("vut", "vru"):
             # The planned VUT sets off no earlier, and before that it stands.
-            motions = [getattr(one.encounter, f"{body}_motion") for one in (anew, changed)]
-            moves = changed.time_s[-n:] >= max(motion.start_time_s for motion in motions)
+            motions = [
+                getattr(one.encounter, f"{body}_motion") for one in (anew, changed)
+            ]
+            moves = changed.time_s[-n:] >= max(
+                motion.start_time_s for motion in motions
+            )
             assert moves.sum() > 20
             for name in (f"{body}_position_m", f"{body}_yaw_deg"):
-                found, expected = (getattr(one, name)[-n:][moves] for one in (changed, anew))
+                found, expected = (
+                    getattr(one, name)[-n:][moves] for one in (changed, anew)
+                )
                 np.testing.assert_allclose(found, expected, atol=2e-5, err_msg=run.id)
         np.testing.assert_array_equal(changed.vru_shape[-n:], anew.vru_shape[-n:])
-        assert changed.last_brake_time_s == pytest.approx(anew.last_brake_time_s, abs=1e-5)
+        assert changed.last_brake_time_s == pytest.approx(
+            anew.last_brake_time_s, abs=1e-5
+        )
         n_compared += 1
     assert n_compared >= 5
 
 
 def test_the_impact_stays_where_and_when_it_was(laid, rule):
     for index in range(5):
-        drawn, n_kept = draw_road_users(laid, STRAIGHT, rule, _streams(index).rng, SCENE)
+        drawn, n_kept = draw_road_users(
+            laid, STRAIGHT, rule, _streams(index).rng, SCENE
+        )
         assert n_kept == 0
         for run, other in zip(laid, drawn, strict=True):
             assert other.time_s is run.time_s
             assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
             for body in ("vut_motion", "vru_motion"):
                 motions = [getattr(one.encounter, body) for one in (run, other)]
-                (there, yaw), (here, turned) = (m.path.at(m.distance_m(0.0)) for m in motions)
+                (there, yaw), (here, turned) = (
+                    m.path.at(m.distance_m(0.0)) for m in motions
+                )
                 assert np.hypot(*(there - here)) < 0.3, run.id
                 assert abs(yaw - turned) < 1.0
             # The road user stays on its way.
@@ -104,9 +123,13 @@ def test_a_nearer_start_is_nearer_by_its_share(laid, rule):
     for run in laid:
         speed_mps = run.encounter.vru_motion.speed_mps
         nearer = change_motion(run, rule, speed_mps=speed_mps, nearer_share=0.25)
-        lengths = [float(one.encounter.vru_motion.distance_m(0.0)) for one in (run, nearer)]
+        lengths = [
+            float(one.encounter.vru_motion.distance_m(0.0)) for one in (run, nearer)
+        ]
         assert lengths[1] == pytest.approx(0.75 * lengths[0], abs=1e-6)
-        np.testing.assert_allclose(nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6)
+        np.testing.assert_allclose(
+            nearer.vru_position_m[-1], run.vru_position_m[-1], atol=1e-6
+        )
         start = run.encounter.vru_motion.path.at(0.25 * lengths[0])[0]
         np.testing.assert_allclose(nearer.vru_position_m[0], start, atol=1e-6)
 
@@ -125,29 +148,37 @@ def test_a_way_is_turned_about_the_impact_and_lies_aside(laid, rule, turn_deg, a
             continue
         n_met += 1
         assert first_contact_s(other.encounter) == pytest.approx(0.0, abs=1e-6)
-        path, distances_m = other.encounter.vru_motion.path, np.linspace(0.0, 20.0, 30)
+        path = other.encounter.vru_motion.path
+        distances_m = np.linspace(0.0, 20.0, 30)
         whole_m = float(motion.distance_m(0.0))
         there_m, yaw_deg = motion.path.at(whole_m)
-        # As far from the impact as before, and by so much to the left of the turned heading.
+        # As far from the impact as before, and by so much to the left of the turned
+        # heading.
         angle = np.radians(yaw_deg + turn_deg)
         shifted_m = there_m + aside_m * np.array([-np.sin(angle), np.cos(angle)])
         planned, planned_yaw = motion.path.at(distances_m)
         positions, yaws = path.at(distances_m)
         np.testing.assert_allclose(
-            np.hypot(*(positions - shifted_m).T), np.hypot(*(planned - there_m).T), atol=1e-6
+            np.hypot(*(positions - shifted_m).T),
+            np.hypot(*(planned - there_m).T),
+            atol=1e-6,
         )
         np.testing.assert_allclose(path.at(whole_m)[0], shifted_m, atol=1e-9)
         np.testing.assert_allclose(yaws - planned_yaw, turn_deg, atol=1e-9)
     assert n_met >= 4
 
 
-def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a_car(laid, rule):
+def test_headings_are_drawn_for_the_cases_named_alone_and_nobody_walks_through_a_car(
+    laid, rule
+):
     turned = {run.case.family: [] for run in laid}
     for index in range(60):
         drawn, _ = draw_road_users(laid, ROBUSTNESS, rule, _streams(index).rng, SCENE)
         for run, other in zip(laid, drawn, strict=True):
             motion = other.encounter.vru_motion
-            before = run.encounter.vru_motion.path.at(run.encounter.vru_motion.distance_m(0.0))[1]
+            before = run.encounter.vru_motion.path.at(
+                run.encounter.vru_motion.distance_m(0.0)
+            )[1]
             turned[run.case.family].append(
                 float(motion.path.at(motion.distance_m(0.0))[1] - before)
             )
@@ -168,7 +199,8 @@ def _heading_deg(run):
 
 def test_a_way_through_a_parked_car_is_not_free(laid):
     run = next(run for run in laid if run.case.name == "CPNA-25")
-    motion, actor = run.encounter.vru_motion, pick_actor("parked-car-small", "test")
+    motion = run.encounter.vru_motion
+    actor = pick_actor("parked-car-small", "test")
     (east, north), _ = motion.path.at(0.5 * float(motion.distance_m(0.0)))
 
     def parked(east_m):
@@ -209,17 +241,25 @@ def test_speeds_and_starts_are_drawn_evenly_within_their_limits(laid, rule):
     assert set(by_class) == {"pedestrian", "cyclist", "motorcyclist", "car"}
     for name, run in by_class.items():
         low, high = ROBUSTNESS.speed_kmh(name)
-        planned, faster, nearer = run.encounter.vru_motion, [], []
+        planned = run.encounter.vru_motion
+        faster = []
+        nearer = []
         for index in range(120):
-            ((other,), _) = draw_road_users([run], STRAIGHT, rule, _streams(index).rng, SCENE)
+            ((other,), _) = draw_road_users(
+                [run], STRAIGHT, rule, _streams(index).rng, SCENE
+            )
             motion = other.encounter.vru_motion
             faster.append((motion.speed_mps - planned.speed_mps) / MPS_PER_KMH)
-            nearer.append(1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0)))
+            nearer.append(
+                1.0 - float(motion.distance_m(0.0)) / float(planned.distance_m(0.0))
+            )
         # Mean and deviation of a uniform distribution, to four standard errors.
         for values, least, most in ((faster, low, high), (nearer, 0.0, 0.25)):
             assert least - 1e-6 <= min(values) <= max(values) <= most + 1e-6
             spread = (most - least) / np.sqrt(12.0)
-            assert np.mean(values) == pytest.approx(0.5 * (least + most), abs=4 * spread / 120**0.5)
+            assert np.mean(values) == pytest.approx(
+                0.5 * (least + most), abs=4 * spread / 120**0.5
+            )
             assert np.std(values) == pytest.approx(spread, rel=0.2)
 
 
@@ -252,7 +292,8 @@ def test_off_it_changes_nothing(setting, candidates):
     plain = Uncertainty()
     (sample,) = draw_samples(setting, candidates, plain, n_samples=1, seed=0)
     assert sample.setting.runs == setting.runs
-    default, robust = load_uncertainty("default"), load_uncertainty("robustness")
+    default = load_uncertainty("default")
+    robust = load_uncertainty("robustness")
     assert default.road_users.are_as_planned
     for name in ("mounting", "latency", "packet_loss", "draws_detections"):
         assert getattr(robust, name) == getattr(default, name)
@@ -272,7 +313,8 @@ def test_worlds_differ_in_what_people_do_and_in_nothing_else(setting, candidates
             assert run.last_brake_time_s == last_s
     one, other = (sample.setting.runs for sample in worlds)
     assert all(
-        not np.allclose(a.vru_position_m, b.vru_position_m) for a, b in zip(one, other, strict=True)
+        not np.allclose(a.vru_position_m, b.vru_position_m)
+        for a, b in zip(one, other, strict=True)
     )
 
 
@@ -310,14 +352,23 @@ def test_a_sampled_table_is_that_of_its_worlds_runs(setting, candidates):
             "pedestrian_kmh = [1.0, 3.0]",
             "pedestrian_kmh: got [1.0, 3.0]; expected [low, high] in km",
         ),
-        ("pedestrian_kmh = [-2.0]", "pedestrian_kmh: got shape (1,); expected shape (2,)"),
+        (
+            "pedestrian_kmh = [-2.0]",
+            "pedestrian_kmh: got shape (1,); expected shape (2,)",
+        ),
         ("pedestrian_kmh = 3", "pedestrian_kmh: got 3; expected a list"),
-        ("walker_kmh = [0, 1]", "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, "),
+        (
+            "walker_kmh = [0, 1]",
+            "road_users: got 'walker_kmh'; expected one of pedestrian_kmh, ",
+        ),
         (
             "heading_deg = {CPNA = [5, 10]}",
             "heading_deg.CPNA: got [5.0, 10.0]; expected [low, high] in",
         ),
-        ("heading_deg = {CPXY = [0, 10]}", "heading_deg: got 'CPXY'; expected one of CBFA, "),
+        (
+            "heading_deg = {CPXY = [0, 10]}",
+            "heading_deg: got 'CPXY'; expected one of CBFA, ",
+        ),
         ("path_m = {CBTAns = 3}", "path_m.CBTAns: got 3; expected a list"),
         ("path_m = 3", "path_m: got 3; expected a section"),
         ("start_nearer_share = 1.5", "start_nearer_share: got 1.5; expected 0 to 0.9"),
@@ -332,7 +383,9 @@ def test_limits_that_cannot_be_are_refused(tmp_path, text, message):
         "start_nearer_share": "0.25",
     }
     key, _, value = text.partition(" = ")
-    lines = "\n".join(f"{name} = {number}" for name, number in {**fields, key: value}.items())
+    lines = "\n".join(
+        f"{name} = {number}" for name, number in {**fields, key: value}.items()
+    )
     path = tmp_path / "mine.toml"
     path.write_text(f"[road_users]\n{lines}\n")
     with pytest.raises(InputError) as caught:
@@ -348,7 +401,9 @@ def test_a_file_may_take_the_rest_from_a_name(tmp_path):
     assert (mine.packet_loss, mine.name) == (0.2, "mine.toml")
     assert mine.mounting == load_uncertainty("default").mounting
     path.write_text('as = "best"\n')
-    with pytest.raises(InputError, match="as: got 'best'; expected one of as-measured, default, "):
+    with pytest.raises(
+        InputError, match="as: got 'best'; expected one of as-measured, default, "
+    ):
         load_uncertainty(str(path))
 
 
@@ -358,12 +413,16 @@ MEASURED = load_uncertainty("as-measured").road_users
 
 def test_measured_speeds_are_drawn_as_often_as_measured():
     people = MeasuredPeople(
-        probability=(0.1, 0.5, 0.9), speed_kmh=(4.0, 5.0, 8.0), start_mps2=(0.5, 1.0, 1.5)
+        probability=(0.1, 0.5, 0.9),
+        speed_kmh=(4.0, 5.0, 8.0),
+        start_mps2=(0.5, 1.0, 1.5),
     )
     rng = np.random.default_rng(4)
     drawn = np.array([people.draw(rng, 5.0) for _ in range(4000)])
     shares = [0.2, 0.5, 0.7]
-    for column, values in zip(drawn.T, (people.speed_kmh, people.start_mps2), strict=True):
+    for column, values in zip(
+        drawn.T, (people.speed_kmh, people.start_mps2), strict=True
+    ):
         expected = np.interp(shares, people.probability, values)
         np.testing.assert_allclose(np.quantile(column, shares), expected, atol=0.1)
     assert abs(np.corrcoef(drawn.T)[0, 1]) < 0.05
@@ -374,7 +433,8 @@ def test_each_run_has_people_of_its_own(laid, rule):
     drawn, _ = draw_road_users(laid, MEASURED, rule, _streams().rng, SCENE)
     speeds = {}
     for run, planned in zip(drawn, laid, strict=True):
-        before, motion = planned.encounter.vru_motion, run.encounter.vru_motion
+        before = planned.encounter.vru_motion
+        motion = run.encounter.vru_motion
         measured = MEASURED.measured.get(run.encounter.vru.class_name)
         if measured is None or motion is before:
             assert motion.speed_mps == before.speed_mps
@@ -397,7 +457,9 @@ def test_each_run_has_people_of_its_own(laid, rule):
 def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
     run = next(run for run in laid if run.encounter.vru_motion.acceleration_distance_m)
     speed_mps = run.encounter.vru_motion.speed_mps
-    quick = change_motion(run, rule, speed_mps=speed_mps, start_mps2=2.0).encounter.vru_motion
+    quick = change_motion(
+        run, rule, speed_mps=speed_mps, start_mps2=2.0
+    ).encounter.vru_motion
     assert quick.acceleration_distance_m == pytest.approx(speed_mps**2 / 4.0)
     assert quick.acceleration_mps2 == pytest.approx(2.0)
     assert quick.distance_m(0.0) == pytest.approx(
@@ -408,14 +470,23 @@ def test_who_starts_faster_is_at_the_impact_in_the_same_moment(laid, rule):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("speed_kmh = [5, 4], start_mps2 = [1, 2]", "speed_kmh: got [5.0, 4.0]; expected at least"),
-        ("speed_kmh = [5], start_mps2 = [1, 2]", "people.pedestrian.speed_kmh: got [5.0]"),
+        (
+            "speed_kmh = [5, 4], start_mps2 = [1, 2]",
+            "speed_kmh: got [5.0, 4.0]; expected at least",
+        ),
+        (
+            "speed_kmh = [5], start_mps2 = [1, 2]",
+            "people.pedestrian.speed_kmh: got [5.0]",
+        ),
         (
             "speed_kmh = [5, nan], start_mps2 = [1, 2]",
             "people.pedestrian.speed_kmh: got [5, nan]",
         ),
         ("speed_kmh = [5, 6]", "people.pedestrian"),
-        ("pace = [5, 6]", "people.pedestrian: got 'pace'; expected one of speed_kmh, start_mps2"),
+        (
+            "pace = [5, 6]",
+            "people.pedestrian: got 'pace'; expected one of speed_kmh, start_mps2",
+        ),
     ],
 )
 def test_people_that_cannot_be_are_told_in_one_line(tmp_path, text, message):

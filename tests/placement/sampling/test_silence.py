@@ -12,10 +12,16 @@ from placement.detectors.built_in import LastingNoise
 from placement.evaluator.surroundings import draw_index
 from placement.sampling.detection_kernels import draw_frames, lose_frames, random_bits
 from placement.sampling.tables import blinded_frames, silence
-from placement.sampling.uncertainty import Blinding, Outages, Uncertainty, load_uncertainty
+from placement.sampling.uncertainty import (
+    Blinding,
+    Outages,
+    Uncertainty,
+    load_uncertainty,
+)
 from placement.sampling.worlds import draw_samples, link_frames
 
-N_RUNS, N_FRAMES = 2000, 6
+N_RUNS = 2000
+N_FRAMES = 6
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +30,8 @@ def many(setting, build_setting):
     (run, *_) = setting.runs
     short = cut_run(run, slice(-N_FRAMES, None))
     runs = [
-        replace(short, id=f"{number}", encounter=replace(run.encounter)) for number in range(N_RUNS)
+        replace(short, id=f"{number}", encounter=replace(run.encounter))
+        for number in range(N_RUNS)
     ]
     return build_setting(setting.scene, runs)
 
@@ -33,15 +40,21 @@ def many(setting, build_setting):
 def poses(look):
     east = look("east", [-130.0, 8.85, 6.8], yaw_deg=0.0, pitch_deg=-15.0, site_id="a")
     west = replace(east, id="west", pose=replace(east.pose, yaw_deg=180.0))
-    far = replace(east, id="far", site_id="b", pose=replace(east.pose, position_m=[0.0, 0.0, 6.0]))
+    far = replace(
+        east, id="far", site_id="b", pose=replace(east.pose, position_m=[0.0, 0.0, 6.0])
+    )
     lidar = replace(east, id="lidar", sensor=next(iter(load_lidars().values())))
-    steep = replace(far, id="steep", site_id="c", pose=replace(far.pose, pitch_deg=-60.0))
+    steep = replace(
+        far, id="steep", site_id="c", pose=replace(far.pose, pitch_deg=-60.0)
+    )
     return (east, west, far, lidar, steep)
 
 
 def told(setting, poses, uncertainty, *, draw=0, seed=0):
     """Frames that reach the VUT of all, (n_poses, n_runs, n_frames)."""
-    sample = next(iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed)))
+    sample = next(
+        iter(draw_samples(setting, poses, uncertainty, n_samples=1, seed=seed))
+    )
     sample = replace(sample, streams=replace(sample.streams, draw=draw))
     every = np.ones((len(poses), setting.axis.n_frames), dtype=bool)
     table = pack_table(tuple(pose.id for pose in poses), setting.axis, every)
@@ -56,8 +69,12 @@ def near(share, n):
 # Units out of order
 
 
-def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its_units(many, poses):
-    drawn = told(many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2)))
+def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its_units(
+    many, poses
+):
+    drawn = told(
+        many, poses, Uncertainty(outages=Outages(unit_share=0.1, pole_share=0.2))
+    )
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))  # whole runs
     out = ~drawn[:, :, 0]
     assert out.mean(axis=1).tolist() == [near(1.0 - 0.9 * 0.8, N_RUNS)] * len(poses)
@@ -68,14 +85,19 @@ def test_a_unit_out_of_order_tells_nothing_for_a_run_and_a_pole_silences_all_its
 
 def test_outages_are_drawn_anew_each_time_that_a_world_is_looked_at(many, poses):
     uncertainty = Uncertainty(outages=Outages(unit_share=0.5))
-    first, again, other = (told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1))
+    first, again, other = (
+        told(many, poses, uncertainty, draw=draw) for draw in (0, 0, 1)
+    )
     assert np.array_equal(first, again)
     assert (first[0, :, 0] == other[0, :, 0]).mean() == near(0.5, N_RUNS)
     assert uncertainty.draws_anew
 
 
 def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses):
-    twins = (poses[0], replace(poses[0], id="b", pose=replace(poses[0].pose, yaw_deg=30.0)))
+    twins = (
+        poses[0],
+        replace(poses[0], id="b", pose=replace(poses[0].pose, yaw_deg=30.0)),
+    )
     drawn = told(many, twins, Uncertainty(outages=Outages(unit_share=0.5)))
     assert np.array_equal(*drawn)
 
@@ -84,7 +106,8 @@ def test_poses_that_are_tried_for_one_unit_are_out_of_order_together(many, poses
 
 
 def test_a_dirty_camera_sees_nothing_for_a_run_and_a_lidar_does_not_mind(many, poses):
-    clean, dirty = Uncertainty(), Uncertainty(blinding=Blinding(dirty_share=0.3))
+    clean = Uncertainty()
+    dirty = Uncertainty(blinding=Blinding(dirty_share=0.3))
     assert told(many, poses, clean).all()
     drawn = told(many, poses, dirty)
     assert np.array_equal(drawn.all(axis=2), drawn.any(axis=2))
@@ -107,8 +130,12 @@ def test_low_sun_dazzles_those_who_look_towards_it(many, poses):
 
 def test_the_sun_shines_by_day_alone(many, poses):
     sun = Blinding(low_sun_share=1.0, sun_below_deg=1.0, dazzled_within_deg=180.0)
-    nights = replace(many, runs=tuple(replace(run, weather="night") for run in many.runs))
-    by_day, by_night = (told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights))
+    nights = replace(
+        many, runs=tuple(replace(run, weather="night") for run in many.runs)
+    )
+    by_day, by_night = (
+        told(one, poses[:1], Uncertainty(blinding=sun)) for one in (many, nights)
+    )
     assert not by_day.any()
     assert by_night.all()
 
@@ -119,12 +146,16 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
 
     def blinded(blinding, setting=many, towards=poses[:1]):
         uncertainty = Uncertainty(blinding=blinding)
-        sample = next(iter(draw_samples(setting, towards, uncertainty, n_samples=1, seed=0)))
+        sample = next(
+            iter(draw_samples(setting, towards, uncertainty, n_samples=1, seed=0))
+        )
         return blinded_frames(sample).reshape(N_RUNS, N_FRAMES)
 
     assert blinded(dirt)[:, 0].mean() == near(0.3, N_RUNS)
     (yaw_deg,) = {run.vut_yaw_deg[0] for run in many.runs}
-    level = replace(poses[0], pose=replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0))
+    level = replace(
+        poses[0], pose=replace(poses[0].pose, yaw_deg=yaw_deg, pitch_deg=0.0)
+    )
     dazzled = ~told(many, [level], Uncertainty(blinding=sun))[0]
     assert np.array_equal(blinded(sun), dazzled)
     assert dazzled.mean() == near(1.0 / 3.0, N_RUNS)
@@ -135,8 +166,10 @@ def test_the_vut_is_dazzled_by_the_same_sun_and_each_is_another_car(many, poses)
 
 
 def test_single_losses_are_a_coin_per_frame_as_without_bursts():
-    run, place = np.repeat(10 * np.arange(500), 8), np.tile(np.arange(8), 500)
-    key, packed = np.uint64(7), np.full(500, 255, dtype=np.uint8)
+    run = np.repeat(10 * np.arange(500), 8)
+    place = np.tile(np.arange(8), 500)
+    key = np.uint64(7)
+    packed = np.full(500, 255, dtype=np.uint8)
     lose_frames(run, place, key, 0.3, np.uint64(8), 1.0, packed)
     coins = np.array([int(random_bits(key, int(n))) >> 12 for n in run + place])
     arrived = np.unpackbits(packed, bitorder="little").astype(bool)
@@ -166,7 +199,9 @@ def test_units_of_one_pole_lose_the_same_messages_if_asked_for(many, poses):
 
 def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
     """Noise of a unit in frames (n_runs, length), found by asking for every limit."""
-    numbers = np.concatenate([start + np.arange(length) for start in range(0, 5 * runs, 5)])
+    numbers = np.concatenate(
+        [start + np.arange(length) for start in range(0, 5 * runs, 5)]
+    )
     links = link_frames(numbers)
     limits = np.linspace(-4.0, 4.0, 81)
     below = np.zeros(len(numbers))
@@ -175,7 +210,8 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
         draw_frames(
             np.array([[limit]]),
             *(np.zeros(len(numbers), dtype=np.int64),) * 2,
-            *(links.run_of_frame, links.place_of_frame),
+            links.run_of_frame,
+            links.place_of_frame,
             np.uint64(unit),
             lasting.frame_correlation(correlation),
             lasting.person[numbers],
@@ -190,7 +226,9 @@ def _noise(lasting, *, unit, runs=4000, length=4, correlation=0.7):
 def _lasting(person, unit_person, n=20_000):
     drawn = np.repeat(np.random.default_rng(0).standard_normal(n // 5), 5)
     return LastingNoise(
-        person=np.sqrt(person) * drawn, person_share=person, unit_person_share=unit_person
+        person=np.sqrt(person) * drawn,
+        person_share=person,
+        unit_person_share=unit_person,
     )
 
 
@@ -218,7 +256,9 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
     response = load_planning_detector("response")
     chancy = replace(setting, detector=response, table_detector=response)
     shares = {"draws_detections": True, "person_share": 1.0}
-    sample = next(iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0)))
+    sample = next(
+        iter(draw_samples(chancy, poses, Uncertainty(**shares), n_samples=1, seed=0))
+    )
     numbers = np.unique(draw_index(setting.runs))
     detector = sample.setting.detector
     noise = detector._noise(numbers, np.random.default_rng(1))
@@ -238,10 +278,19 @@ def test_the_vut_and_units_find_the_same_people_hard_to_see(setting, poses):
             "[outages]\nunit_share = 2\npole_share = 0",
             "outages.unit_share: got 2.0; expected 0 to 1",
         ),
-        ("[messages]\npacket_loss = 0\nburst_frames = 0.5", "messages.burst_frames: got 0.5; "),
-        ("[messages]\npacket_loss = 0\nshared_by = 'all'", "messages.shared_by: got 'all'; expec"),
+        (
+            "[messages]\npacket_loss = 0\nburst_frames = 0.5",
+            "messages.burst_frames: got 0.5; ",
+        ),
+        (
+            "[messages]\npacket_loss = 0\nshared_by = 'all'",
+            "messages.shared_by: got 'all'; expec",
+        ),
         ("[fleet]\nv2x_share = 1.5", "fleet.v2x_share: got 1.5; expected 0 to 1"),
-        ("[detector]\nis_drawn = 1", "detector.is_drawn: got 1; expected true or false"),
+        (
+            "[detector]\nis_drawn = 1",
+            "detector.is_drawn: got 1; expected true or false",
+        ),
         (
             "[detector]\nis_drawn = true\nperson_share = 0.6\nunit_person_share = 0.5",
             "detector.unit_person_share: got 0.5; expected 0 to 0.4",
@@ -261,6 +310,7 @@ def test_what_cannot_be_names_file_and_field(tmp_path, text, message):
 def test_mounting_by_name_is_that_of_the_table(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('as = "default"\nmounting = "calibrated"')
-    calibrated, by_eye = load_uncertainty(str(path)), load_uncertainty()
+    calibrated = load_uncertainty(str(path))
+    by_eye = load_uncertainty()
     assert (calibrated.mounting.yaw_sd_deg, by_eye.mounting.yaw_sd_deg) == (0.2, 1.0)
     assert calibrated.outages == by_eye.outages != Outages()

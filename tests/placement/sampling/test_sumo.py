@@ -28,13 +28,16 @@ def _loads_sumo():
     if importlib.util.find_spec("libsumo") is None:
         return False
     return (
-        subprocess.run([sys.executable, "-c", "import libsumo"], capture_output=True).returncode
+        subprocess.run(
+            [sys.executable, "-c", "import libsumo"], capture_output=True
+        ).returncode
         == 0
     )
 
 
 needs_sumo = pytest.mark.skipif(
-    not _loads_sumo(), reason="SUMO is not installed (extra traffic), or a library of the system"
+    not _loads_sumo(),
+    reason="SUMO is not installed (extra traffic), or a library of the system",
 )
 LANE_REACH_M = 2.0
 
@@ -51,7 +54,13 @@ def lasting(run, seconds):
     n = round(10 * seconds)
     frames = {
         name: np.repeat(getattr(run, name)[-1:], n, axis=0)
-        for name in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg", "vru_shape")
+        for name in (
+            "vut_position_m",
+            "vut_yaw_deg",
+            "vru_position_m",
+            "vru_yaw_deg",
+            "vru_shape",
+        )
     }
     return replace(run, time_s=np.arange(1 - n, 1) / 10.0, **frames)
 
@@ -92,14 +101,17 @@ def test_every_arm_of_the_studys_junction_has_its_three_turns():
 @needs_sumo
 def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
     """Front bumpers, which SUMO moves along its lanes, against lanes straight on from the map."""
-    scene, demand = load_study_scene(), load_demand()
+    scene = load_study_scene()
+    demand = load_demand()
     run = next(run for run in runs if run.id == "CBLA/east/50")
     away = replace(lasting(run, 60.0), approach="nowhere")  # no VUT in this window
     found = drive(scene, demand, [away]).trajectories
     half_m = 0.5 * np.array([body.length_m for body in found.bodies])
     vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
     yaw = np.radians(found.yaw_deg)
-    front = found.position_m + half_m[vehicle, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    front = found.position_m + half_m[vehicle, None] * np.column_stack(
+        [np.cos(yaw), np.sin(yaw)]
+    )
     lines = []
     for lane in scene.lanes:
         if lane.kind == "driving":
@@ -107,7 +119,9 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
             for end, before in ((0, 1), (-1, -2)):
                 ahead = points[end] - points[before]
                 tip = points[end] + 150.0 * ahead / np.hypot(*ahead)
-                points = np.concatenate([[tip], points] if end == 0 else [points, [tip]])
+                points = np.concatenate(
+                    [[tip], points] if end == 0 else [points, [tip]]
+                )
             lines.append(shapely.LineString(points))
     to_lane_m = shapely.distance(shapely.MultiLineString(lines), shapely.points(front))
     in_junction = shapely.contains_xy(shapely.Polygon(scene.outline_m), *front.T)
@@ -124,7 +138,8 @@ def test_a_minute_of_traffic_stays_on_the_lanes_of_the_scene(runs):
 
 @needs_sumo
 def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
-    scene, demand = load_study_scene(), replace(load_demand(), warm_up_s=10.0)
+    scene = load_study_scene()
+    demand = replace(load_demand(), warm_up_s=10.0)
     ids = ("CBLA/east/50", "CBNA/east/60")
     chosen = [lasting(run, 2.0) for run in runs if run.id in ids]
     first, again, other = (drive(scene, demand, chosen, seed) for seed in (1, 1, 2))
@@ -137,7 +152,8 @@ def test_the_same_seed_drives_the_same_traffic_and_another_one_another(runs):
 @needs_sumo
 def test_vehicles_behind_the_vut_react_to_it(runs):
     """The VUT stands still in the lanes' middle: who comes from behind stops behind it."""
-    scene, demand = load_study_scene(), load_demand()
+    scene = load_study_scene()
+    demand = load_demand()
     run = next(run for run in runs if run.id == "CBLA/east/50")
     lane = next(lane for lane in scene.lanes if lane.id == "-1_0").centreline_m
     ahead = (lane[-1] - lane[-2]) / np.hypot(*(lane[-1] - lane[-2]))
@@ -163,7 +179,10 @@ def test_vehicles_behind_the_vut_react_to_it(runs):
     vehicle = np.repeat(np.arange(len(found.bodies)), np.diff(found.row_start))
     closest = np.flatnonzero(in_lane & is_late)[(along_m < 0.0) & (along_m > -12.0)]
     gap_m = behind_m - 0.5 * np.array(
-        [run.encounter.vut.length_m + found.bodies[v].length_m for v in vehicle[closest]]
+        [
+            run.encounter.vut.length_m + found.bodies[v].length_m
+            for v in vehicle[closest]
+        ]
     )
     assert gap_m.min() > 0.0
 
@@ -198,7 +217,8 @@ def test_a_pocket_for_turning_is_an_edge_of_its_own():
     pocket = replace(
         entry,
         id="west-pocket",
-        centreline_m=np.array([points[-1] - 30.0 * ahead, points[-1]]) - entry.width_m * left,
+        centreline_m=np.array([points[-1] - 30.0 * ahead, points[-1]])
+        - entry.width_m * left,
     )
     network = network_of(replace(scene, lanes=(*scene.lanes, pocket)), load_demand())
     assert all(
@@ -221,7 +241,9 @@ def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
         id="through",
         kind="connecting",
         width_m=3.5,
-        centreline_m=np.array([ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]]),
+        centreline_m=np.array(
+            [ends["west-in-0"][-1], [0.0, -1.5], ends["east-out-0"][0]]
+        ),
     )
     network = network_of(replace(scene, lanes=(*scene.lanes, through)), load_demand())
     assert {turn: set(exits) for turn, exits in network.ways["west"].items()} == {
@@ -235,7 +257,8 @@ def test_lanes_through_the_junction_are_driven_where_the_map_has_them():
 def test_lanes_that_keep_left_are_driven_on_the_left():
     scene = protocol_scene()
     mirrored = tuple(
-        replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0]) for lane in scene.lanes
+        replace(lane, centreline_m=lane.centreline_m * [1.0, -1.0])
+        for lane in scene.lanes
     )
     network = network_of(replace(scene, lanes=mirrored, keeps_left=True), load_demand())
     right = network_of(scene, load_demand())
@@ -251,6 +274,7 @@ def test_a_vut_that_comes_from_beyond_the_network_joins_in_when_it_is_there(runs
     run = lasting(next(run for run in runs if run.id == "CBLA/east/50"), 2.0)
     position = np.array(run.vut_position_m)
     position[:10] += [1000.0, 0.0]
-    scene, demand = load_study_scene(), replace(load_demand(), warm_up_s=10.0)
+    scene = load_study_scene()
+    demand = replace(load_demand(), warm_up_s=10.0)
     found = drive(scene, demand, [replace(run, vut_position_m=position)])
     assert len(found.trajectories.bodies) > 0

@@ -49,7 +49,9 @@ def planned(setting, candidates):
 
 @pytest.fixture(scope="module")
 def stacked(setting, candidates, default):
-    return sampled_table(setting, candidates, default, n_samples=3, compute=Compute(seed=1))
+    return sampled_table(
+        setting, candidates, default, n_samples=3, compute=Compute(seed=1)
+    )
 
 
 def _detected(table):
@@ -59,9 +61,12 @@ def _detected(table):
 # One table of many
 
 
-def test_without_uncertainty_one_sample_is_the_plans_table(setting, candidates, planned):
+def test_without_uncertainty_one_sample_is_the_plans_table(
+    setting, candidates, planned
+):
     sampled = sampled_table(setting, candidates, Uncertainty(), n_samples=1)
-    table, axis = sampled.table, setting.axis
+    table = sampled.table
+    axis = setting.axis
     assert np.array_equal(table.packed, planned.packed)
     assert table.packed.any()
     assert table.pose_ids == planned.pose_ids
@@ -77,12 +82,18 @@ def test_without_uncertainty_many_samples_are_the_plans_table_again_and_again(
     setting, candidates, planned
 ):
     sampled = sampled_table(setting, candidates, load_uncertainty("none"), n_samples=3)
-    assert planned.axis.n_frames % 8  # else the bits of the next world would begin a byte
+    assert (
+        planned.axis.n_frames % 8
+    )  # else the bits of the next world would begin a byte
     assert np.array_equal(_detected(sampled.table), np.tile(_detected(planned), 3))
-    assert sampled.table.axis.weight == pytest.approx(np.tile(setting.axis.weight, 3) / 3.0)
+    assert sampled.table.axis.weight == pytest.approx(
+        np.tile(setting.axis.weight, 3) / 3.0
+    )
 
 
-def test_worlds_stand_side_by_side_and_weigh_the_same(setting, candidates, default, stacked):
+def test_worlds_stand_side_by_side_and_weigh_the_same(
+    setting, candidates, default, stacked
+):
     table, axis, n_runs = stacked.table, setting.axis, setting.axis.n_runs
     assert table.axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
     assert stacked.sample_index.tolist() == [0] * n_runs + [1] * n_runs + [2] * n_runs
@@ -90,7 +101,9 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(setting, candidates, defau
     assert table.axis.cases == axis.cases * 3
     samples = list(draw_samples(setting, candidates, default, n_samples=3, seed=1))
     parts = [_table(sample, seed=1) for sample in samples]
-    assert np.array_equal(_detected(table), np.hstack([_detected(part) for part in parts]))
+    assert np.array_equal(
+        _detected(table), np.hstack([_detected(part) for part in parts])
+    )
     assert (
         table.axis.last_brake_time_s.tolist()
         == np.concatenate(
@@ -99,7 +112,9 @@ def test_worlds_stand_side_by_side_and_weigh_the_same(setting, candidates, defau
     )
     for run in range(table.axis.n_runs):
         frames = table.axis.frames_of(run)
-        assert np.array_equal(table.axis.time_s[frames], axis.time_s[axis.frames_of(run % n_runs)])
+        assert np.array_equal(
+            table.axis.time_s[frames], axis.time_s[axis.frames_of(run % n_runs)]
+        )
 
 
 def test_the_same_seed_gives_the_same_table_and_another_one_another(
@@ -109,8 +124,12 @@ def test_the_same_seed_gives_the_same_table_and_another_one_another(
         setting, candidates, default, n_samples=3, compute=Compute(seed=1, workers=2)
     )
     assert np.array_equal(again.table.packed, stacked.table.packed)
-    assert np.array_equal(again.table.axis.last_brake_time_s, stacked.table.axis.last_brake_time_s)
-    other = sampled_table(setting, candidates, default, n_samples=1, compute=Compute(seed=2))
+    assert np.array_equal(
+        again.table.axis.last_brake_time_s, stacked.table.axis.last_brake_time_s
+    )
+    other = sampled_table(
+        setting, candidates, default, n_samples=1, compute=Compute(seed=2)
+    )
     n = setting.axis.n_frames
     assert not np.array_equal(_detected(other.table), _detected(stacked.table)[:, :n])
     parts = np.split(_detected(stacked.table), 3, axis=1)
@@ -121,11 +140,16 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
     late = Uncertainty(latency=LatencyJitter(mean_s=0.3))
     sampled = sampled_table(setting, candidates, late, n_samples=1)
     assert np.array_equal(sampled.table.packed, planned.packed)
-    before, after = setting.axis.last_brake_time_s, sampled.table.axis.last_brake_time_s
+    before = setting.axis.last_brake_time_s
+    after = sampled.table.axis.last_brake_time_s
     assert after == pytest.approx(before - 0.3)
     # As good as a rule with the longer latency.
     detected = _detected(planned).any(axis=0)
-    for memory_s in (0.2, 1.0, np.inf):  # the age of a track is asked for at the moved moment, too
+    for memory_s in (
+        0.2,
+        1.0,
+        np.inf,
+    ):  # the age of a track is asked for at the moved moment, too
         rule = replace(setting.rule, track_memory_s=memory_s)
         slower = replace(rule, latency_s=rule.latency_s + 0.3)
         here_s = live_confirmation_times_s(detected, sampled.table.axis, rule=rule)
@@ -136,7 +160,9 @@ def test_latency_moves_the_deadline_and_nothing_else(setting, candidates, planne
 
 def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
     off = Uncertainty(mounting=MountingErrors(yaw_sd_deg=10.0))
-    sampled = sampled_table(setting, candidates, off, n_samples=1, compute=Compute(seed=3))
+    sampled = sampled_table(
+        setting, candidates, off, n_samples=1, compute=Compute(seed=3)
+    )
     (sample,) = draw_samples(setting, candidates, off, n_samples=1, seed=3)
     by_hand = _plan(setting, sample.candidates, seed=3)
     assert np.array_equal(sampled.table.packed, by_hand.packed)
@@ -145,17 +171,22 @@ def test_units_that_are_off_detect_otherwise(setting, candidates, planned):
 
 @given(
     st.integers(1, 40).flatmap(
-        lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=4)
+        lambda n: st.lists(
+            st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=4
+        )
     )
 )
 def test_bits_are_appended_where_they_belong(worlds):
-    n_bits, n = len(worlds[0]), len(worlds)
+    n_bits = len(worlds[0])
+    n = len(worlds)
     packed = np.zeros((2, -(-n * n_bits // 8)), dtype=np.uint8)
     for index, bits in enumerate(worlds):
         rows = np.array([bits, [not bit for bit in bits]])
         part = np.packbits(rows, axis=1, bitorder="little")
         _append(packed, part, first_bit=index * n_bits, n_bits=n_bits)
-    found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(bool)
+    found = np.unpackbits(packed, axis=1, count=n * n_bits, bitorder="little").astype(
+        bool
+    )
     assert found[0].tolist() == [bit for bits in worlds for bit in bits]
     assert np.array_equal(found[1], ~found[0])
     assert not np.unpackbits(packed, axis=1, bitorder="little")[:, n * n_bits :].any()
@@ -163,14 +194,18 @@ def test_bits_are_appended_where_they_belong(worlds):
 
 def test_workers_are_checked(setting, candidates):
     with pytest.raises(InputError) as caught:
-        sampled_table(setting, candidates, Uncertainty(), n_samples=1, compute=Compute(workers=0))
+        sampled_table(
+            setting, candidates, Uncertainty(), n_samples=1, compute=Compute(workers=0)
+        )
     assert str(caught.value) == "workers: got 0; expected a whole number, at least 1"
 
 
 # Cache and progress
 
 
-def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, stacked, tmp_path):
+def test_each_world_has_a_cached_table_of_its_own(
+    setting, candidates, default, stacked, tmp_path
+):
     calls = []
     for n_samples in (2, 3, 3):
         found = sampled_table(
@@ -185,7 +220,8 @@ def test_each_world_has_a_cached_table_of_its_own(setting, candidates, default, 
         assert len(list(tmp_path.glob("table-*.npz"))) == n_samples
     assert np.array_equal(found.table.packed, stacked.table.packed)
     stage = "sampled detection tables"
-    built, cached = (stage, 5, 6), (stage, 3, 3)
+    built = (stage, 5, 6)
+    cached = (stage, 3, 3)
     assert built in calls  # two mount positions in each of three worlds
     assert calls[0] == (stage, 0, 0)
     assert calls[-3:] == [(stage, 1, 3), (stage, 2, 3), cached]
@@ -201,7 +237,9 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
     assert np.array_equal(again.table.packed, first.table.packed)
     sampled_table(chancy, candidates, Uncertainty(), **options)
     assert len(list(tmp_path.iterdir())) == 3  # both worlds are the plan
-    linked = replace(chancy, table_detector=replace(chancy.table_detector, frame_correlation=0.1))
+    linked = replace(
+        chancy, table_detector=replace(chancy.table_detector, frame_correlation=0.1)
+    )
     other = sampled_table(linked, candidates, drawn, **options)
     assert len(list(tmp_path.iterdir())) == 5
     assert not np.array_equal(other.table.packed, first.table.packed)
@@ -219,17 +257,23 @@ def test_drawn_tables_are_kept_apart(setting, candidates, tmp_path):
         ("geometric", Fisheye(k1=-0.02)),
     ],
 )
-def test_a_world_beside_others_is_as_it_is_alone(setting, candidates, default, planner, lens):
+def test_a_world_beside_others_is_as_it_is_alone(
+    setting, candidates, default, planner, lens
+):
     """What is kept of one world, for eyes that come up again, is what is found in another."""
     if lens is not None:
         candidates = [
-            replace(one, sensor=replace(one.sensor, name="bent", lens=lens, roll_deg=3.0))
+            replace(
+                one, sensor=replace(one.sensor, name="bent", lens=lens, roll_deg=3.0)
+            )
             for one in candidates
             if isinstance(one.sensor, CameraModel)
         ]
     setting = replace(setting, table_detector=load_planning_detector(planner))
     worlds = list(draw_samples(setting, candidates, default, n_samples=6, seed=4))
-    heights = [{pose.pose.position_m[2] for pose in world.candidates} for world in worlds]
+    heights = [
+        {pose.pose.position_m[2] for pose in world.candidates} for world in worlds
+    ]
     assert len(set.union(*heights)) < sum(map(len, heights))  # they do come up again
     assert len({len(world.vehicles) for world in worlds}) > 1
     for at_once in (1, 2):
@@ -258,13 +302,15 @@ def test_a_vehicle_that_waits_hides_a_vru_behind_it(
 ):
     """By hand: a box from 12.5 to 20.5 m east, 0.5 to 3.0 m north, 3.4 m high.
 
-    The VRU stands 3 m north of it, the cameras 10.5 m south of it. A ray down to the road below
-    the VRU passes the box's upper edge, 13 m away of 16 m, at 3/16 of the camera's height: from
-    20 m up all of the VRU is seen; from 9 m up the lowest ray over the edge is 2.11 m high there,
-    above its 1.8 m.
+    The VRU stands 3 m north of it, the cameras 10.5 m south of it. A ray down to the
+    road below the VRU passes the box's upper edge, 13 m away of 16 m, at 3/16 of the
+    camera's height: from 20 m up all of the VRU is seen; from 9 m up the lowest ray
+    over the edge is 2.11 m high there, above its 1.8 m.
     """
     assert (truck.length_m, truck.width_m, truck.height_m) == (8.0, 2.5, 3.4)
-    setting = build_setting(junction_scene, [standing_still([16.5, 6.0])], table_detector=keen)
+    setting = build_setting(
+        junction_scene, [standing_still([16.5, 6.0])], table_detector=keen
+    )
     cameras = [
         look(f"{z:g}", [16.5, -10.0, z], yaw_deg=90.0, pitch_deg=pitch)
         for z, pitch in ((9.0, -25.0), (20.0, -50.0))
@@ -285,10 +331,14 @@ def test_what_waits_in_the_way_of_the_vut_hides_nothing(
     junction_scene, junction_runs, standing_still, build_setting, look, keen, truck
 ):
     """The same box, but the VUT comes from the east, in whose lane it would stand."""
-    runs = [standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")]
+    runs = [
+        standing_still([16.5, 6.0], run=junction_runs[way]) for way in ("west", "east")
+    ]
     setting = build_setting(junction_scene, runs, table_detector=keen)
     camera = look("low", [16.5, -10.0, 9.0], yaw_deg=90.0, pitch_deg=-25.0)
-    (row,) = _detected(sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table)
+    (row,) = _detected(
+        sampled_table(setting, [camera], _queue_of(truck, 1.0), n_samples=1).table
+    )
     hidden, seen = (row[setting.axis.frames_of(index)] for index in (0, 1))
     assert not hidden.any()
     assert seen.all()

@@ -44,7 +44,9 @@ def _corners(placed):
 
 
 def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
-    traffic = _traffic(taken_share=1.0, parked_gap_m=0.8, clear_of_mouth_m=5.0, along_arm_m=40.0)
+    traffic = _traffic(
+        taken_share=1.0, parked_gap_m=0.8, clear_of_mouth_m=5.0, along_arm_m=40.0
+    )
     vehicles = build_street(junction_scene, traffic).draw(_rng())
     van = traffic.vehicles[0].actor
     # From 5 m to 40 m behind the mouth: 4.9 m and 0.8 m, six times.
@@ -56,10 +58,14 @@ def test_a_full_parking_lane_is_a_row_of_bumpers(junction_scene):
         if v.pose.position_m[0] > MOUTH_M
     )
     assert len(vehicles) == 4 * 12
-    expected = [(-beside, MOUTH_M + x, 0.0) for x in ahead]  # out of the junction: eastwards
+    expected = [
+        (-beside, MOUTH_M + x, 0.0) for x in ahead
+    ]  # out of the junction: eastwards
     expected += [(beside, MOUTH_M + x, 180.0) for x in ahead]
     assert np.array(on_east_arm) == pytest.approx(np.array(expected), abs=1e-9)
-    assert all(v.pose.position_m[2] == 0.0 and v.pose.pitch_deg == 0.0 for v in vehicles)
+    assert all(
+        v.pose.position_m[2] == 0.0 and v.pose.pitch_deg == 0.0 for v in vehicles
+    )
 
 
 def test_an_empty_street_is_empty(junction_scene):
@@ -68,7 +74,9 @@ def test_an_empty_street_is_empty(junction_scene):
 
 def test_the_share_of_places_taken_is_as_asked(junction_scene):
     # Places and vehicles are equally long here: every place is a coin of its own.
-    traffic = _traffic(taken_share=0.3, free_place_m=5.7, parked_gap_m=0.8, along_arm_m=62.0)
+    traffic = _traffic(
+        taken_share=0.3, free_place_m=5.7, parked_gap_m=0.8, along_arm_m=62.0
+    )
     street = build_street(junction_scene, traffic)
     n_places = 8 * 10
     counts = [len(street.draw(_rng(index))) for index in range(60)]
@@ -88,14 +96,19 @@ def test_a_queue_begins_at_the_stop_line_and_goes_on_behind(junction_scene):
     vehicles = build_street(junction_scene, traffic).draw(_rng())
     # Pedestrians cross 2 m inside the mouth: the first bumper is 1 m behind it.
     middles = MOUTH_M + 1.0 + 2.45 + 6.9 * np.arange(4)
-    found = sorted(v.pose.position_m[0] for v in vehicles if v.pose.position_m[0] > MOUTH_M)
+    found = sorted(
+        v.pose.position_m[0] for v in vehicles if v.pose.position_m[0] > MOUTH_M
+    )
     assert found == pytest.approx(middles.tolist())
-    assert {round(v.pose.position_m[1], 9) for v in vehicles if v.pose.yaw_deg == 180.0} == {1.75}
+    assert {
+        round(v.pose.position_m[1], 9) for v in vehicles if v.pose.yaw_deg == 180.0
+    } == {1.75}
 
 
 def test_queues_are_as_long_as_the_shares_say(junction_scene):
     street = build_street(
-        junction_scene, _traffic(waiting_share=0.4, following_share=0.5, along_arm_m=80.0)
+        junction_scene,
+        _traffic(waiting_share=0.4, following_share=0.5, along_arm_m=80.0),
     )
     lengths = Counter()
     for index in range(150):
@@ -115,9 +128,13 @@ def test_the_stop_line_is_at_the_mouth_or_before_the_crosswalk(junction_scene):
     (lane,) = arm.entry_lanes
     assert stop_line_m(arm, lane, 3.0) == pytest.approx(1.0)
     assert stop_line_m(arm, lane, 1.5) == 0.0
-    outside = replace(arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[0.0, 1.0]))
+    outside = replace(
+        arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[0.0, 1.0])
+    )
     assert stop_line_m(outside, lane, 3.0) == pytest.approx(8.5 + 3.0)
-    along = replace(arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[1.0, 0.0]))
+    along = replace(
+        arm, crosswalk=Line(point_m=np.array([20.0, 0.0]), direction=[1.0, 0.0])
+    )
     assert stop_line_m(along, lane, 3.0) == 0.0
 
 
@@ -125,23 +142,30 @@ def test_kinds_come_as_often_as_their_shares_say(junction_scene):
     actors = load_actors()
     kinds = (
         VehicleKind(actor=actors["parked-van"], parked_share=0.25, waiting_share=0.0),
-        VehicleKind(actor=actors["parked-car-small"], parked_share=0.75, waiting_share=1.0),
+        VehicleKind(
+            actor=actors["parked-car-small"], parked_share=0.75, waiting_share=1.0
+        ),
     )
     traffic = _traffic(vehicles=kinds, taken_share=1.0, waiting_share=1.0)
     street = build_street(junction_scene, traffic)
-    parked, waiting = Counter(), Counter()
+    parked = Counter()
+    waiting = Counter()
     for index in range(12):
         for placed in street.draw(_rng(index)):
             beside_m = np.abs(placed.pose.position_m[:2]).min()
             (waiting if beside_m < 3.5 else parked)[placed.actor.name] += 1
     n = parked.total()
-    assert parked["parked-van"] / n == pytest.approx(0.25, abs=4.0 * np.sqrt(0.1875 / n))
+    assert parked["parked-van"] / n == pytest.approx(
+        0.25, abs=4.0 * np.sqrt(0.1875 / n)
+    )
     assert set(waiting) == {"parked-car-small"}
 
 
 def test_nobody_stands_in_a_wall_or_in_another_one(default):
     scene = protocol_scene(boxes=[("wall", 40.0, 1.75, 0.3, 6.0, 2.0)])
-    traffic = _traffic(waiting_share=1.0, following_share=1.0, waiting_gap_m=0.1, along_arm_m=60.0)
+    traffic = _traffic(
+        waiting_share=1.0, following_share=1.0, waiting_gap_m=0.1, along_arm_m=60.0
+    )
     east = [
         _corners(v)
         for v in build_street(scene, traffic).draw(_rng())
@@ -162,7 +186,8 @@ def test_a_bridge_above_the_roofs_is_in_nobodys_way():
     lifted = replace(
         scene,
         vertices_m=scene.vertices_m
-        + np.where(np.arange(len(scene.vertices_m)) >= 3, 3.0, 0.0)[:, None] * [0.0, 0.0, 1.0],
+        + np.where(np.arange(len(scene.vertices_m)) >= 3, 3.0, 0.0)[:, None]
+        * [0.0, 0.0, 1.0],
     )
     traffic = _traffic(waiting_share=1.0)
     counts = [len(build_street(s, traffic).draw(_rng())) for s in (scene, lifted)]
@@ -190,7 +215,10 @@ def many_ways(actors, rule):
     names = ("CPNCO-50", "CPTAfs-50", "CBTAns-0", "CPLA-25", "CBNA", "CPFA-50")
     cases = [
         replace(
-            case, vut_speeds_kmh=tuple(sorted({min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]}))
+            case,
+            vut_speeds_kmh=tuple(
+                sorted({min(case.vut_speeds_kmh), case.vut_speeds_kmh[-1]})
+            ),
         )
         for case in (load_cases()[name] for name in names)
     ]
@@ -211,15 +239,21 @@ def _swept(run, rule):
         (encounter.vru, encounter.vru_motion, vru_m),
     ):
         position, yaw = motion.path.at(np.arange(0.0, end_m, 0.02))
-        yield footprint_corners(position, yaw, length_m=body.length_m, width_m=body.width_m)
+        yield footprint_corners(
+            position, yaw, length_m=body.length_m, width_m=body.width_m
+        )
 
 
-def test_no_sampled_vehicle_stands_in_a_swept_path(many_ways, build_setting, default, rule):
+def test_no_sampled_vehicle_stands_in_a_swept_path(
+    many_ways, build_setting, default, rule
+):
     assert rule.build_up_s == 0.0
     setting = build_setting(load_study_scene(), many_ways)
     crowded = replace(
         default,
-        traffic=replace(default.traffic, taken_share=0.9, waiting_share=0.9, clear_of_mouth_m=0.0),
+        traffic=replace(
+            default.traffic, taken_share=0.9, waiting_share=0.9, clear_of_mouth_m=0.0
+        ),
     )
     n_standing = n_left_out = 0
     for sample in draw_samples(setting, (), crowded, n_samples=1, seed=4):
@@ -230,9 +264,14 @@ def test_no_sampled_vehicle_stands_in_a_swept_path(many_ways, build_setting, def
             n_left_out += len(sample.vehicles) - len(added)
             for swept in _swept(run, rule):
                 for placed in added:
-                    near = np.hypot(*(swept.mean(axis=1) - placed.pose.position_m[:2]).T) < 12.0
+                    near = (
+                        np.hypot(*(swept.mean(axis=1) - placed.pose.position_m[:2]).T)
+                        < 12.0
+                    )
                     apart = footprint_separation(swept[near], _corners(placed))
-                    assert apart.min(initial=np.inf) > crowded.traffic.clearance_m - 1e-9
+                    assert (
+                        apart.min(initial=np.inf) > crowded.traffic.clearance_m - 1e-9
+                    )
             for placed in added:
                 for other in planned.obstruction:
                     assert footprint_separation(_corners(placed), _corners(other)) > 0.0

@@ -79,7 +79,10 @@ def test_shares_of_a_kind_are_shares(field, value):
         ),
         (
             lambda: LatencyJitter(distribution="uniform", mean_s=0.01, sd_s=0.006),
-            "sd_s: got 0.006; expected less spread around a mean of 0.01 s: none below 0",
+            (
+                "sd_s: got 0.006; expected less spread around a mean of 0.01 s: none"
+                " below 0"
+            ),
         ),
         (
             lambda: LatencyJitter(mean_s=0.01, budget=load_latency_budget("cpm-50ms")),
@@ -95,7 +98,9 @@ def test_shares_of_a_kind_are_shares(field, value):
             "vehicles: got none; expected at least one kind of vehicle",
         ),
         (
-            lambda: StandingTraffic(waiting_share=0.5, vehicles=(_kind(waiting=0.4),) * 2),
+            lambda: StandingTraffic(
+                waiting_share=0.5, vehicles=(_kind(waiting=0.4),) * 2
+            ),
             "vehicles: waiting_share: got a sum of 0.8; expected shares that sum to 1",
         ),
         (
@@ -134,7 +139,9 @@ def test_by_default_nothing_is_uncertain():
     st.floats(0.05, 0.57),
     st.integers(0, 1000),
 )
-def test_latency_has_its_mean_and_deviation_and_is_never_negative(kind, mean_s, ratio, seed):
+def test_latency_has_its_mean_and_deviation_and_is_never_negative(
+    kind, mean_s, ratio, seed
+):
     jitter = LatencyJitter(distribution=kind, mean_s=mean_s, sd_s=ratio * mean_s)
     drawn = jitter.draw_s(np.random.default_rng(seed), 4000, rule_latency_s=0.025)
     assert drawn.min() >= 0.0
@@ -142,7 +149,9 @@ def test_latency_has_its_mean_and_deviation_and_is_never_negative(kind, mean_s, 
     assert abs(drawn.mean() - mean_s) <= 6.0 * ratio * mean_s / np.sqrt(4000)
     assert drawn.std() == pytest.approx(ratio * mean_s, rel=0.15)
     if kind == "uniform":
-        assert np.abs(drawn - mean_s).max() <= np.sqrt(3.0) * ratio * mean_s * (1.0 + 1e-9)
+        assert np.abs(drawn - mean_s).max() <= np.sqrt(3.0) * ratio * mean_s * (
+            1.0 + 1e-9
+        )
 
 
 def test_latency_without_spread_is_its_mean():

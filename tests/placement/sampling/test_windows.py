@@ -36,7 +36,9 @@ def tracks(*columns, step_s=0.1):
         row_start=starts,
         time_s=np.concatenate(time),
         position_m=np.concatenate([points for _, points, _ in columns]),
-        yaw_deg=np.concatenate([np.full(len(points), yaw) for _, points, yaw in columns]),
+        yaw_deg=np.concatenate(
+            [np.full(len(points), yaw) for _, points, yaw in columns]
+        ),
         step_s=step_s,
         first_s=min(times[0] for times in time),
         last_s=max(times[-1] for times in time),
@@ -56,7 +58,9 @@ def standing(position_m, n_frames, *, yaw_deg=0.0):
 
 
 def test_a_window_has_the_frames_that_the_tracks_have():
-    found = tracks((0.0, straight(-10.0, 10.0, 201), 0.0), (15.0, straight(5.0, 5.0, 101), 90.0))
+    found = tracks(
+        (0.0, straight(-10.0, 10.0, 201), 0.0), (15.0, straight(5.0, 5.0, 101), 90.0)
+    )
     time_s = 12.0 + 0.1 * np.arange(51)
     one, other = cut_window(found, time_s, middle_m=MIDDLE_M)
     assert one.position_m[:, 0] == pytest.approx(-10.0 + time_s)
@@ -67,7 +71,8 @@ def test_a_window_has_the_frames_that_the_tracks_have():
 
 def test_nobody_farther_than_the_reach_is_in_a_window():
     found = tracks(
-        (0.0, straight(-150.0, 150.0, 301), 0.0), (0.0, straight(130.0, 140.0, 301), 0.0)
+        (0.0, straight(-150.0, 150.0, 301), 0.0),
+        (0.0, straight(130.0, 140.0, 301), 0.0),
     )
     (one,) = cut_window(found, 0.1 * np.arange(301), middle_m=MIDDLE_M)
     assert np.nanmin(one.position_m[:, 0]) == pytest.approx(-100.0)
@@ -79,7 +84,9 @@ def test_nobody_farther_than_the_reach_is_in_a_window():
 
 def test_a_shorter_run_has_the_last_frames_of_the_window():
     (body,) = cut_window(
-        tracks((0.0, straight(0.0, 20.0, 21), 0.0)), 0.1 * np.arange(41), middle_m=MIDDLE_M
+        tracks((0.0, straight(0.0, 20.0, 21), 0.0)),
+        0.1 * np.arange(41),
+        middle_m=MIDDLE_M,
     )
     tail = last_frames(body, 30)
     assert np.array_equal(tail.position_m, body.position_m[-30:], equal_nan=True)
@@ -143,7 +150,8 @@ def test_who_passes_between_two_frames_is_found(standing_still):
 def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
     run = standing_still([20.0, 0.0])
     n = len(run.time_s)
-    # The VRU looks north: its own half length is 0.3 m along north, half its width 0.25 m east.
+    # The VRU looks north: its own half length is 0.3 m along north, half its width 0.25
+    # m east.
     vru = run.encounter.vru
     edge_m = 20.0 + 0.5 * vru.width_m + 0.5 * VAN.length_m
     near, far = (standing([edge_m + gap_m, 0.0], n) for gap_m in (0.49, 0.51))
@@ -152,7 +160,8 @@ def test_a_clearance_keeps_vehicles_away_and_no_farther(standing_still):
 
 def test_who_stands_in_a_parked_car_is_found_and_who_passes_it_is_not():
     parked = PlacedActor(actor=VAN, pose=Pose(position_m=[0.0, 3.0, 0.0], yaw_deg=0.0))
-    inside, beside = standing([1.0, 2.0], 4), standing([0.0, 3.0 - VAN.width_m - 0.01], 4)
+    inside = standing([1.0, 2.0], 4)
+    beside = standing([0.0, 3.0 - VAN.width_m - 0.01], 4)
     position = np.array(inside.position_m)
     position[[0, 3]] = np.nan
     gone = replace(inside, position_m=position)
@@ -200,7 +209,11 @@ def recorded():
 
 def worlds(setting, recorded, **options):
     uncertainty = with_moving_traffic(Uncertainty(), recorded)
-    return [*draw_samples(setting, (), uncertainty, **{"n_samples": 2, "seed": 1, **options})]
+    return [
+        *draw_samples(
+            setting, (), uncertainty, **{"n_samples": 2, "seed": 1, **options}
+        )
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +231,9 @@ def record(sample):
 def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, recorded):
     first = [record(sample) for sample in worlds(driven, recorded)]
     assert first == [record(sample) for sample in worlds(driven, recorded)]
-    assert first[:1] == [record(sample) for sample in worlds(driven, recorded, n_samples=1)]
+    assert first[:1] == [
+        record(sample) for sample in worlds(driven, recorded, n_samples=1)
+    ]
     assert first[0] != first[1]
     assert first[0] != record(worlds(driven, recorded, seed=2)[0])
     assert first[0] != record(worlds(driven, recorded, purpose="judge")[0])
@@ -226,13 +241,16 @@ def test_the_same_seed_draws_the_same_traffic_and_another_one_another(driven, re
 
 def test_who_would_be_in_the_way_is_left_out_and_counted(driven, recorded):
     (sample,) = worlds(driven, recorded, n_samples=1)
-    runs, count = sample.setting.runs, sample.driving
+    runs = sample.setting.runs
+    count = sample.driving
     assert not sample.looks_as_planned
     assert count.n_runs == len(runs)
     assert count.n_vehicles == sum(len(run.traffic) for run in runs) + count.n_left_out
     assert 0 < count.n_left_out < count.n_vehicles
     assert not any(
-        meets for run in runs for meets in meets_road_users(run, run.traffic, clearance_m=0.5)
+        meets
+        for run in runs
+        for meets in meets_road_users(run, run.traffic, clearance_m=0.5)
     )
     assert f"{count.n_left_out} of {count.n_vehicles} vehicles" in str(count)
 
@@ -242,7 +260,9 @@ def test_runs_of_one_group_see_the_same_moment_of_the_same_traffic(
 ):
     whole = junction_runs["west"]
     short = cut_run(whole, slice(-15, None), id="short")
-    (sample,) = worlds(build_setting(junction_scene, [whole, short]), recorded, n_samples=1)
+    (sample,) = worlds(
+        build_setting(junction_scene, [whole, short]), recorded, n_samples=1
+    )
     long_traffic, short_traffic = (run.traffic for run in sample.setting.runs)
     tails = {body.position_m[-15:].tobytes() for body in long_traffic}
     assert short_traffic

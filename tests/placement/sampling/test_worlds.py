@@ -51,32 +51,46 @@ def test_without_uncertainty_a_sample_is_the_plan(setting, candidates):
     assert sample.candidates == candidates
     assert all(a is b for a, b in zip(sample.candidates, candidates, strict=True))
     assert sample.setting.runs == setting.runs
-    assert np.array_equal(sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s)
+    assert np.array_equal(
+        sample.setting.axis.last_brake_time_s, setting.axis.last_brake_time_s
+    )
     assert sample.vehicles == ()
 
 
-def test_the_same_seed_draws_the_same_worlds_and_another_one_others(setting, candidates, default):
+def test_the_same_seed_draws_the_same_worlds_and_another_one_others(
+    setting, candidates, default
+):
     def draw(**options):
         options = {"n_samples": 2, "seed": 5, **options}
-        return [_record(s) for s in draw_samples(setting, candidates, default, **options)]
+        return [
+            _record(s) for s in draw_samples(setting, candidates, default, **options)
+        ]
 
     first = draw()
     assert draw() == first
     assert draw(n_samples=3)[:2] == first
     for other in (draw(seed=6), draw(purpose="judge"), first[::-1]):
         for one, another in zip(first, other, strict=True):
-            assert all(part != same for part, same in zip(one[:3], another[:3], strict=True))
+            assert all(
+                part != same for part, same in zip(one[:3], another[:3], strict=True)
+            )
 
 
-def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(setting, default):
+def test_worlds_are_drawn_when_they_are_asked_for_and_wishes_checked_at_once(
+    setting, default
+):
     worlds = draw_samples(setting, (), default, n_samples=10**9, seed=0)
-    assert next(iter(worlds)).streams == RandomStreams(seed=0, purpose="choose", index=0)
+    assert next(iter(worlds)).streams == RandomStreams(
+        seed=0, purpose="choose", index=0
+    )
     for field, value, message in (
         ("n_samples", 0, "samples: got 0; expected a whole number, at least 1"),
         ("n_samples", 2.0, "samples: got 2.0; expected a whole number, at least 1"),
     ):
         with pytest.raises(InputError) as caught:
-            draw_samples(setting, (), default, **{"n_samples": 1, "seed": 0, field: value})
+            draw_samples(
+                setting, (), default, **{"n_samples": 1, "seed": 0, field: value}
+            )
         assert str(caught.value) == message
 
 
@@ -104,19 +118,29 @@ def test_errors_have_their_spread_and_no_bias(setting, look):
 def test_few_heights_stand_for_the_normal_distribution(setting, look):
     """Three, whose mean, variance and fourth moment are those of the normal distribution."""
     poses = [look(f"{i}", [float(i), 0.0, 6.0], yaw_deg=0.0) for i in range(4000)]
-    (sample,) = draw_samples(setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1)
-    steps, count = np.unique((_offsets(sample)[:, 2] / 0.1).round(9), return_counts=True)
+    (sample,) = draw_samples(
+        setting, poses, _mounting(0.0, 0.0, 0.1), n_samples=1, seed=1
+    )
+    steps, count = np.unique(
+        (_offsets(sample)[:, 2] / 0.1).round(9), return_counts=True
+    )
     assert steps == pytest.approx([-np.sqrt(3.0), 0.0, np.sqrt(3.0)])
     share = count / count.sum()
     assert share == pytest.approx([1 / 6, 2 / 3, 1 / 6], abs=4.0 * np.sqrt(0.25 / 4000))
     exact = np.array([1 / 6, 2 / 3, 1 / 6])
-    assert [exact @ steps**power for power in (1, 2, 3, 4, 5)] == pytest.approx([0, 1, 0, 3, 0])
+    assert [exact @ steps**power for power in (1, 2, 3, 4, 5)] == pytest.approx(
+        [0, 1, 0, 3, 0]
+    )
 
 
 def test_poses_of_one_mount_are_off_by_the_same(setting, candidates, look):
-    extra = [look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))]
+    extra = [
+        look(n, [0.0, 0.0, h], yaw_deg=y) for n, h, y in (("a", 6, 0), ("b", 7, 90))
+    ]
     poses = (*candidates, *extra)
-    (sample,) = draw_samples(setting, poses, _mounting(1.0, 1.0, 0.1), n_samples=1, seed=2)
+    (sample,) = draw_samples(
+        setting, poses, _mounting(1.0, 1.0, 0.1), n_samples=1, seed=2
+    )
     off = _offsets(sample).round(9)
     mounts = [mount_key(pose) for pose in poses]
     assert len(set(mounts)) == 3
@@ -138,9 +162,14 @@ def test_errors_do_not_depend_on_what_else_is_tried(setting, candidates, default
 
 
 def test_no_sensor_ends_up_underground_or_looks_over_its_shoulder(setting, look):
-    low = [look(f"{i}", [float(i), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5) for i in range(50)]
+    low = [
+        look(f"{i}", [float(i), 0.0, 0.2], yaw_deg=0.0, pitch_deg=-89.5)
+        for i in range(50)
+    ]
     low.append(look("lowest", [0.0, 9.0, 0.05], yaw_deg=0.0, pitch_deg=89.5))
-    (sample,) = draw_samples(setting, low, _mounting(0.0, 20.0, 0.5), n_samples=1, seed=0)
+    (sample,) = draw_samples(
+        setting, low, _mounting(0.0, 20.0, 0.5), n_samples=1, seed=0
+    )
     assert min(pose.pose.position_m[2] for pose in sample.candidates[:-1]) == 0.1
     assert sample.candidates[-1].pose.position_m[2] >= 0.05
     assert max(abs(pose.pose.pitch_deg) for pose in sample.candidates) == 90.0
@@ -168,9 +197,16 @@ def test_a_run_that_no_braking_avoids_stays_one(setting, candidates):
 
 
 def test_the_evaluator_is_told_how_many_messages_are_lost(setting, candidates):
-    lossy = replace(setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5))
-    (sample,) = draw_samples(lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0)
-    assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (0.2, 0.5)
+    lossy = replace(
+        setting, radio=replace(setting.radio, packet_loss=0.4, vam_rate=0.5)
+    )
+    (sample,) = draw_samples(
+        lossy, candidates, Uncertainty(packet_loss=0.2), n_samples=1, seed=0
+    )
+    assert (sample.setting.radio.packet_loss, sample.setting.radio.vam_rate) == (
+        0.2,
+        0.5,
+    )
 
 
 # RandomStreams
@@ -183,7 +219,9 @@ def test_every_thing_has_a_generator_of_its_own():
         for purpose in ("choose", "judge")
         for index in (0, 1)
     ]
-    first = {luck.rng(*key).random() for luck in lucks for key in (("a",), ("b",), ("a", 1))}
+    first = {
+        luck.rng(*key).random() for luck in lucks for key in (("a",), ("b",), ("a", 1))
+    }
     assert len(first) == 24
     assert lucks[0].rng("a").random() == lucks[0].rng("a").random()
 
@@ -191,7 +229,9 @@ def test_every_thing_has_a_generator_of_its_own():
 def test_a_pose_keeps_its_luck_under_another_name(candidates):
     one, other = candidates[:2]
     assert pose_key(replace(one, id="U1")) == pose_key(one) != pose_key(other)
-    moved = replace(one, pose=Pose(position_m=one.pose.position_m + 1.0, yaw_deg=one.pose.yaw_deg))
+    moved = replace(
+        one, pose=Pose(position_m=one.pose.position_m + 1.0, yaw_deg=one.pose.yaw_deg)
+    )
     assert pose_key(moved) != pose_key(one)
     assert mount_key(moved) == mount_key(one)
 
@@ -223,7 +263,9 @@ def test_heavy_runs_are_there_as_often_as_they_weigh_and_are_drawn_each_by_itsel
 
 
 def test_weathers_of_a_repeated_run_share_its_draws(setting):
-    fog = tuple(replace(run, id=f"{run.id} in fog", weather="fog") for run in setting.runs)
+    fog = tuple(
+        replace(run, id=f"{run.id} in fog", weather="fog") for run in setting.runs
+    )
     runs = (*setting.runs, *fog)
     axis = build_frame_axis(runs, np.tile([0.05, 0.4, 0.05], 2))
     often = repeat_heavy_runs(replace(setting, runs=runs, axis=axis), most=10)

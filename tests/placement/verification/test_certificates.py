@@ -10,7 +10,11 @@ from certified import Document, document_of, two_of_twelve
 from geometry.errors import InputError
 from placement.layout import Certificate
 from placement.optimiser import PlacementProblem, solve_placement
-from placement.verification.certificates import CERTIFICATE_FILE, load_certificate, save_certificate
+from placement.verification.certificates import (
+    CERTIFICATE_FILE,
+    load_certificate,
+    save_certificate,
+)
 from placement.verification.instances import INSTANCE_FILE
 from placement.verification.recomputation import stage_names
 
@@ -27,7 +31,10 @@ def document(problem) -> Document:
 
 def test_a_certificate_can_be_read_again(problem, document, tmp_path):
     save_certificate(tmp_path, document, problem)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == [CERTIFICATE_FILE, INSTANCE_FILE]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [
+        CERTIFICATE_FILE,
+        INSTANCE_FILE,
+    ]
     text = (tmp_path / CERTIFICATE_FILE).read_text(encoding="utf-8")
     assert json.loads(text, parse_constant=pytest.fail) == document
     stored = load_certificate(tmp_path / CERTIFICATE_FILE)
@@ -57,30 +64,54 @@ def test_an_infinite_gap_survives_json(problem, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("schema"), "schema: got None; expected place-rsus/certificate/1"),
+        (
+            lambda d: d.pop("schema"),
+            "schema: got None; expected place-rsus/certificate/1",
+        ),
         (lambda d: d.update(schema="x"), "schema: got 'x'"),
         (lambda d: d.pop("instance"), r"instance: got nothing"),
         (lambda d: d.update(instance=[]), r"instance: got \[\]; expected a table"),
         (lambda d: d["instance"].pop("sha256"), "instance.sha256: got nothing"),
         (lambda d: d.pop("model"), "model: got nothing"),
-        (lambda d: d.update(layout=[]), r"layout: got \[\]; expected a list of at least one"),
+        (
+            lambda d: d.update(layout=[]),
+            r"layout: got \[\]; expected a list of at least one",
+        ),
         (lambda d: d.update(layout={}), r"layout: got {}; expected a list"),
         (lambda d: d["layout"].append(1), r"layout\[2\]: got 1; expected a table"),
-        (lambda d: d["layout"][0].update(row=-1), r"layout\[0\].row: got -1; expected a whole"),
+        (
+            lambda d: d["layout"][0].update(row=-1),
+            r"layout\[0\].row: got -1; expected a whole",
+        ),
         (lambda d: d["layout"][0].update(row=True), r"layout\[0\].row: got True"),
         (lambda d: d["layout"][0].update(row=1.0), r"layout\[0\].row: got 1.0"),
         (lambda d: d["layout"][0].pop("pose"), r"layout\[0\].pose: got nothing"),
         (lambda d: d["layout"][0].update(unit="U1"), r"layout\[0\].unit: got 'U1'"),
         (lambda d: d.update(stages=[]), r"stages: got \[\]"),
         (lambda d: d["stages"][0].pop("bound"), r"stages\[0\].bound: got nothing"),
-        (lambda d: d["stages"][0].update(bound=None), r"stages\[0\].bound: got None; expected a"),
-        (lambda d: d["stages"][0].update(objective="1"), r"stages\[0\].objective: got '1'"),
-        (lambda d: d["stages"][0].update(objective=float("nan")), r"stages\[0\].objective: got"),
-        (lambda d: d["stages"][0].update(is_proven=1), r"stages\[0\].is_proven: got 1; expected"),
+        (
+            lambda d: d["stages"][0].update(bound=None),
+            r"stages\[0\].bound: got None; expected a",
+        ),
+        (
+            lambda d: d["stages"][0].update(objective="1"),
+            r"stages\[0\].objective: got '1'",
+        ),
+        (
+            lambda d: d["stages"][0].update(objective=float("nan")),
+            r"stages\[0\].objective: got",
+        ),
+        (
+            lambda d: d["stages"][0].update(is_proven=1),
+            r"stages\[0\].is_proven: got 1; expected",
+        ),
         (lambda d: d.pop("is_proven"), "is_proven: got nothing"),
         (lambda d: d.update(solver=""), "solver: got ''; expected text"),
         (lambda d: d["presolve"].update(n_runs=[1]), r"presolve.n_runs: got \[1\]"),
-        (lambda d: d["presolve"].update(n_runs=[1, -1]), r"presolve.n_runs\[1\]: got -1"),
+        (
+            lambda d: d["presolve"].update(n_runs=[1, -1]),
+            r"presolve.n_runs\[1\]: got -1",
+        ),
     ],
 )
 def test_a_field_that_is_wrong_is_named(problem, document, tmp_path, change, message):
@@ -91,10 +122,14 @@ def test_a_field_that_is_wrong_is_named(problem, document, tmp_path, change, mes
         load_certificate(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"\xff", b"[" * 100_000, b"9" * 5000])
+@pytest.mark.parametrize(
+    "content", [b"", b"[]", b"{", b"\xff", b"[" * 100_000, b"9" * 5000]
+)
 def test_a_file_that_is_no_certificate_is_refused(tmp_path, content):
     path = tmp_path / CERTIFICATE_FILE
-    with pytest.raises(InputError, match="got No such file or directory; expected a readable"):
+    with pytest.raises(
+        InputError, match="got No such file or directory; expected a readable"
+    ):
         load_certificate(path)
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"certificate\.json"):

@@ -44,7 +44,10 @@ def problem(frame_axis) -> PlacementProblem:
         ),
         fusion="any",
         rule=AebRule(
-            deceleration_mps2=7.72, latency_s=0.025, n_confirmations=1, frame_rate_hz=10.0
+            deceleration_mps2=7.72,
+            latency_s=0.025,
+            n_confirmations=1,
+            frame_rate_hz=10.0,
         ),
         floors=(
             Floor(name="--target", share=0.5),
@@ -81,7 +84,9 @@ def assert_same(one: Any, other: Any) -> None:
 
 @given(problem=questions())
 @SHARED_FOLDER
-def test_every_problem_comes_back_as_it_was(problem: PlacementProblem, tmp_path: Path) -> None:
+def test_every_problem_comes_back_as_it_was(
+    problem: PlacementProblem, tmp_path: Path
+) -> None:
     floors = tuple(replace(floor, share=float(floor.share)) for floor in problem.floors)
     problem = replace(problem, floors=floors)
     path = tmp_path / "instance.npz"
@@ -92,7 +97,9 @@ def test_every_problem_comes_back_as_it_was(problem: PlacementProblem, tmp_path:
     assert [entry.name for entry in tmp_path.iterdir()] == ["instance.npz"]
 
 
-def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(problem, tmp_path):
+def test_a_problem_with_every_wish_comes_back_and_makes_the_same_file(
+    problem, tmp_path
+):
     for name in ("one.npz", "two.npz"):
         save_problem(tmp_path / name, problem)
     assert_same(load_problem(tmp_path / "one.npz"), problem)
@@ -115,7 +122,9 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
     return {
         "a bit": replace(problem, table=replace(table, packed=packed)),
         "a pose": replace(problem, table=replace(table, pose_ids=("a", "b", "d"))),
-        "names run together": replace(problem, table=replace(table, pose_ids=("a,b", "", "c"))),
+        "names run together": replace(
+            problem, table=replace(table, pose_ids=("a,b", "", "c"))
+        ),
         "a run": on_axis(run_ids=("A/north/20", "A/north/30", "B/north/21")),
         "cases": on_axis(cases=("A", "B", "B")),
         "approaches": on_axis(approaches=("north", "north", "east")),
@@ -124,7 +133,9 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
         "speeds": on_axis(vut_speed_kmh=np.array([20.0, 30.0, 21.0])),
         "weights": on_axis(weight=np.array([0.25, 0.5, 0.25])),
         "last brake times": on_axis(last_brake_time_s=np.array([-0.1, -0.1, -np.inf])),
-        "frames of runs": on_axis(run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10),
+        "frames of runs": on_axis(
+            run_start=np.array([0, 3, 7, 10]), time_s=np.arange(10) / 10
+        ),
         "times": on_axis(time_s=axis.time_s - 0.01),
         "sites": limited(site_index=np.array([0, 0, 1])),
         "capacity": limited(site_capacity=np.array([1, 3])),
@@ -146,11 +157,16 @@ def variations(problem: PlacementProblem) -> dict[str, PlacementProblem]:
         "tail": replace(problem, tail=0.25),
         "no floor": replace(problem, floors=()),
         "floor": replace(problem, floors=(replace(first, share=0.75), second)),
-        "floor's failures": replace(problem, floors=(first, replace(second, n_failures=2))),
-        "floor's runs": replace(
-            problem, floors=(first, replace(second, is_counted=np.array([True, False, False])))
+        "floor's failures": replace(
+            problem, floors=(first, replace(second, n_failures=2))
         ),
-        "floor of all runs": replace(problem, floors=(first, replace(second, is_counted=None))),
+        "floor's runs": replace(
+            problem,
+            floors=(first, replace(second, is_counted=np.array([True, False, False]))),
+        ),
+        "floor of all runs": replace(
+            problem, floors=(first, replace(second, is_counted=None))
+        ),
         **{
             field: replace(problem, rule=replace(problem.rule, **{field: 2}))
             for field in (
@@ -172,8 +188,11 @@ def test_the_hash_changes_with_whatever_changes(problem):
     assert all(len(text) == 64 for text in hashes.values())
 
 
-def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(problem, tmp_path):
-    path, axis = tmp_path / "a.npz", problem.table.axis
+def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(
+    problem, tmp_path
+):
+    path = tmp_path / "a.npz"
+    axis = problem.table.axis
     save_problem(path, problem)
     with np.load(path) as archive:
         assert "positions" not in archive.files  # as before there were any
@@ -183,14 +202,18 @@ def test_files_without_positions_have_all_runs_at_zero_and_others_come_back(prob
     save_problem(path, there)
     assert_same(load_problem(path), there)
     rewrite(path, there, positions=np.array(["-15", "0", "far"]))
-    with pytest.raises(InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: positions: got 'far'; expected 0, or metres"
+    ):
         load_problem(path)
     rewrite(path, there, positions=np.array(["-15", "0"]))
     with pytest.raises(InputError, match=r"a\.npz: positions: got "):
         load_problem(path)
 
 
-def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(problem, tmp_path):
+def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(
+    problem, tmp_path
+):
     for memory_s, is_there in ((np.inf, False), (1.0, True)):
         rule = replace(problem.rule, track_memory_s=memory_s)
         save_problem(tmp_path / "a.npz", replace(problem, rule=rule))
@@ -199,7 +222,9 @@ def test_tracks_that_live_for_ever_make_the_files_of_programs_without_a_memory(p
         assert load_problem(tmp_path / "a.npz").rule.track_memory_s == memory_s
 
 
-def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, tmp_path):
+def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(
+    problem, tmp_path
+):
     packed = problem.table.packed.copy()
     packed[:, -1] |= 0b11111100  # ten frames
     axis = replace(problem.table.axis, time_s=-1.0 * -problem.table.axis.time_s)
@@ -213,7 +238,9 @@ def test_bits_behind_the_last_frame_and_the_sign_of_zero_mean_nothing(problem, t
 
 def test_a_name_that_numpy_would_cut_is_refused(problem, tmp_path):
     table = replace(problem.table, pose_ids=("a", "b", "c\0"))
-    with pytest.raises(InputError, match=r"pose_ids: got .*; expected names without a null"):
+    with pytest.raises(
+        InputError, match=r"pose_ids: got .*; expected names without a null"
+    ):
         save_problem(tmp_path / "a.npz", replace(problem, table=table))
     assert list(tmp_path.iterdir()) == []
 
@@ -226,7 +253,9 @@ def rewrite(path: Path, problem: PlacementProblem, **changes: Any) -> None:
     save_problem(path, problem)
     with np.load(path) as archive:
         arrays = {name: archive[name] for name in archive.files} | changes
-    np.savez(path, **{name: array for name, array in arrays.items() if array is not ...})
+    np.savez(
+        path, **{name: array for name, array in arrays.items() if array is not ...}
+    )
 
 
 OPTIONAL = ("budget_units", "budget_eur", "sample_index", "track_memory_s")
@@ -254,42 +283,87 @@ def test_what_may_be_missing_is_none(problem, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": np.array("place-rsus/covering/1")}, "kind: got 'place-rsus/covering/1'"),
+        (
+            {"kind": np.array("place-rsus/covering/1")},
+            "kind: got 'place-rsus/covering/1'",
+        ),
         ({"kind": np.array(1)}, "kind: got no text"),
         ({"kind": np.array(["x"])}, "kind: got no text"),
         ({"more": np.zeros(3)}, "more: got a field; expected none of this name"),
-        ({"weight": np.ones(3, dtype=np.int64)}, "weight: got type int64; expected float64"),
+        (
+            {"weight": np.ones(3, dtype=np.int64)},
+            "weight: got type int64; expected float64",
+        ),
         ({"pose_ids": np.arange(3)}, "pose_ids: got type int64; expected str"),
-        ({"site_index": np.array([0.0, 1.0, 1.0])}, "site_index: got type float64; expected int64"),
-        ({"weight": np.array([[0.5, 0.25, 0.25]])}, r"weight: got 2 axes; expected 1 \(runs\)"),
+        (
+            {"site_index": np.array([0.0, 1.0, 1.0])},
+            "site_index: got type float64; expected int64",
+        ),
+        (
+            {"weight": np.array([[0.5, 0.25, 0.25]])},
+            r"weight: got 2 axes; expected 1 \(runs\)",
+        ),
         ({"tail": np.array([0.5])}, r"tail: got 1 axes; expected 0 \(a single value\)"),
-        ({"weight": np.array([0.5, 0.5])}, r"weight: got shape \(2,\); expected 3 runs"),
-        ({"pose_ids": np.array(["a", "b"])}, r"packed: got shape \(3, 2\); expected 2 poses"),
-        ({"packed": np.zeros((3, 1), np.uint8)}, r"packed: got shape \(3, 1\); expected shape"),
-        ({"packed": np.full((3, 2), 255, np.uint8)}, "packed: got bits behind the last frame"),
+        (
+            {"weight": np.array([0.5, 0.5])},
+            r"weight: got shape \(2,\); expected 3 runs",
+        ),
+        (
+            {"pose_ids": np.array(["a", "b"])},
+            r"packed: got shape \(3, 2\); expected 2 poses",
+        ),
+        (
+            {"packed": np.zeros((3, 1), np.uint8)},
+            r"packed: got shape \(3, 1\); expected shape",
+        ),
+        (
+            {"packed": np.full((3, 2), 255, np.uint8)},
+            "packed: got bits behind the last frame",
+        ),
         ({"pose_ids": np.array(["a", "b", "a"])}, "pose_ids: got an id twice"),
-        ({"rivals": np.zeros((1, 3), np.int64)}, r"rivals: got shape \(1, 3\); expected 2 2"),
+        (
+            {"rivals": np.zeros((1, 3), np.int64)},
+            r"rivals: got shape \(1, 3\); expected 2 2",
+        ),
         ({"rivals": np.array([[0, 5]])}, "rivals: got"),
-        ({"floor_shares": np.zeros(1)}, r"floor_shares: got shape \(1,\); expected 2 floors"),
-        ({"floor_shares": np.array([np.nan, 0.5])}, "--target: got nan; expected a share"),
+        (
+            {"floor_shares": np.zeros(1)},
+            r"floor_shares: got shape \(1,\); expected 2 floors",
+        ),
+        (
+            {"floor_shares": np.array([np.nan, 0.5])},
+            "--target: got nan; expected a share",
+        ),
         ({"weight": np.array([0.5, 0.5, 0.5])}, "weight: got .*; expected shares >= 0"),
-        ({"weight": np.array([0.5, np.nan, 0.5])}, "weight: got .*; expected finite numbers"),
+        (
+            {"weight": np.array([0.5, np.nan, 0.5])},
+            "weight: got .*; expected finite numbers",
+        ),
         ({"time_s": np.full(10, np.inf)}, "time_s: got .*; expected finite numbers"),
         ({"last_brake_time_s": np.full(3, np.inf)}, "last_brake_time_s: got inf"),
         ({"last_brake_time_s": np.full(3, np.nan)}, "last_brake_time_s: got"),
         ({"run_start": np.array([0, 3, 2, 10])}, "run_start: got"),
         ({"run_start": np.array([0, 3, 8, 11])}, "time_s: got 10 frames; expected 11"),
         ({"unit_cost_eur": np.array([1.0, np.inf, 1.0])}, "unit_cost_eur: got"),
-        ({"site_index": np.array([0, 1, 2])}, r"site_index: got \[0, 1, 2\]; expected sites 0..1"),
+        (
+            {"site_index": np.array([0, 1, 2])},
+            r"site_index: got \[0, 1, 2\]; expected sites 0..1",
+        ),
         ({"site_capacity": np.array([-1, 2])}, "site_capacity: got"),
         ({"budget_units": np.array(0)}, "budget: got 0"),
         ({"budget_eur": np.array(np.nan)}, "budget_cost: got nan"),
-        ({"fusion": np.array("both")}, "fusion: got 'both'; expected one of any, single"),
+        (
+            {"fusion": np.array("both")},
+            "fusion: got 'both'; expected one of any, single",
+        ),
         ({"goal": np.array("most")}, "goal: got 'most'"),
         ({"survive": np.array(-1)}, "survive: got -1"),
         ({"tail": np.array(0.0)}, "tail: got 0.0"),
         ({"tail": np.array(np.nan)}, "tail: got nan"),
-        ({"sample_index": np.array([0, 5, 0])}, "sample_index: got a sample without weight"),
+        (
+            {"sample_index": np.array([0, 5, 0])},
+            "sample_index: got a sample without weight",
+        ),
         ({"sample_index": np.array([0, -1, 0])}, "sample_index: got other samples"),
         ({"latency_s": np.array(np.nan)}, "aeb.latency_s: got nan"),
         ({"n_confirmations": np.array(0)}, "aeb.n_confirmations: got 0"),
@@ -305,27 +379,37 @@ def test_a_value_that_cannot_be_is_named(problem, tmp_path, changes, message):
 def test_objects_are_never_loaded(problem, tmp_path):
     path = tmp_path / "a.npz"
     rewrite(path, problem, pose_ids=np.array(["a", None, "c"], dtype=object))
-    with pytest.raises(InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: pose_ids: got Object arrays cannot be loaded"
+    ):
         load_problem(path)
 
 
 def test_a_file_that_is_no_instance_is_refused(tmp_path):
     load = load_problem
     path = tmp_path / "a.npz"
-    with pytest.raises(InputError, match=r"a\.npz: got No such file .*; expected a readable"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: got No such file .*; expected a readable"
+    ):
         load(path)
     with pytest.raises(InputError, match="got Is a directory; expected a readable"):
         load(tmp_path)
     for content in (b"", b"PK\3\4", b"4 5\n1 1 1 1 1\n"):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"a\.npz: got .*; expected an undamaged instance"):
+        with pytest.raises(
+            InputError, match=r"a\.npz: got .*; expected an undamaged instance"
+        ):
             load(path)
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    with pytest.raises(InputError, match="got File is not a zip file; expected an undamaged"):
+    with pytest.raises(
+        InputError, match="got File is not a zip file; expected an undamaged"
+    ):
         load(path)
     np.savez(path, rows=np.zeros(3))
-    with pytest.raises(InputError, match=r"a\.npz: kind: got nothing; expected a text such as"):
+    with pytest.raises(
+        InputError, match=r"a\.npz: kind: got nothing; expected a text such as"
+    ):
         load(path)
 
 

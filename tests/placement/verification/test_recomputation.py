@@ -47,16 +47,27 @@ def sets_of(problem: PlacementProblem, size: int, limit: int = 25) -> np.ndarray
 def test_the_checker_calls_nothing_of_the_optimiser():
     for module in (recomputation, verify):
         tree = ast.parse(inspect.getsource(module))
-        for node in tree.body:  # imports for types alone stand deeper, under TYPE_CHECKING
+        for (
+            node
+        ) in tree.body:  # imports for types alone stand deeper, under TYPE_CHECKING
             if isinstance(node, ast.ImportFrom | ast.Import):
-                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+                if isinstance(node, ast.ImportFrom):
+                    names = [node.module or ""]
+                else:
+                    names = []
                 names += [alias.name for alias in node.names]
-                if names == ["optimiser.problem", "Objective"]:  # names of the stages alone
+                if names == [
+                    "optimiser.problem",
+                    "Objective",
+                ]:  # names of the stages alone
                     continue
                 assert not any("optimiser" in name for name in names), module.__name__
         inner = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
         from_optimiser = {
-            alias.name for node in inner if node.module == "optimiser" for alias in node.names
+            alias.name
+            for node in inner
+            if node.module == "optimiser"
+            for alias in node.names
         }
         assert from_optimiser <= {"PlacementProblem", "Floor"}
 
@@ -81,16 +92,24 @@ def test_both_ways_agree_on_every_set(problem: PlacementProblem, size: int) -> N
     allowed = np.logical_and.reduce(list(limit_checks(problem, sets).values()))
     floors = [floor_values(problem, floor, sets) for floor in problem.floors]
     for index, poses in enumerate(sets.tolist()):
-        np.testing.assert_allclose(margin_s[index], run_margins_s(problem, poses), atol=1e-12)
+        np.testing.assert_allclose(
+            margin_s[index], run_margins_s(problem, poses), atol=1e-12
+        )
         value = placement_value(problem, poses)
         for name in value._fields:
             assert found[name][index] == pytest.approx(getattr(value, name), abs=1e-12)
         assert found["units"][index] == len(poses)
-        assert found["apr_survived"][index] == pytest.approx(apr_failed(problem, poses, 2))
+        assert found["apr_survived"][index] == pytest.approx(
+            apr_failed(problem, poses, 2)
+        )
         assert allowed[index] == (size > 0 and is_allowed(problem.limits, poses))
-        assert costs_eur(problem, sets)[index] == pytest.approx(cost_eur(problem.limits, poses))
+        assert costs_eur(problem, sets)[index] == pytest.approx(
+            cost_eur(problem.limits, poses)
+        )
         for floor, reached in zip(problem.floors, floors, strict=True):
-            assert reached[index] == pytest.approx(floor_value(problem, floor, poses), abs=1e-12)
+            assert reached[index] == pytest.approx(
+                floor_value(problem, floor, poses), abs=1e-12
+            )
 
 
 @given(problem=questions())
@@ -116,7 +135,10 @@ def test_no_set_is_better_than_the_simple_limits(problem: PlacementProblem) -> N
             assert set(poses) <= set(usable.tolist())
             for name in stage_names(problem):
                 (value,) = stage_values(problem, name, np.array([poses]))
-                sign = -1.0 if name.is_minimised else 1.0
+                if name.is_minimised:
+                    sign = -1.0
+                else:
+                    sign = 1.0
                 assert sign * value <= sign * limits[name] + 1e-9
 
 
@@ -137,7 +159,9 @@ def test_limits_behind_a_layout_that_avoids_all_hold_for_all_that_do(
 
 
 @given(problem=questions())
-def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProblem) -> None:
+def test_neighbours_are_all_sets_that_differ_in_one_unit(
+    problem: PlacementProblem,
+) -> None:
     rows = list(recomputation.usable_poses(problem)[:3])
     if not rows:
         return
@@ -161,7 +185,9 @@ def test_neighbours_are_all_sets_that_differ_in_one_unit(problem: PlacementProbl
 @given(problem=questions())
 def test_all_sets_are_all_that_may_be_allowed(problem: PlacementProblem) -> None:
     found = {
-        frozenset(poses) for sets in recomputation.all_sets(problem) for poses in sets.tolist()
+        frozenset(poses)
+        for sets in recomputation.all_sets(problem)
+        for poses in sets.tolist()
     }
     assert len(found) == recomputation.n_sets_of_all(problem)
     allowed = {
@@ -182,7 +208,9 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     problem = PlacementProblem(
         table=pack_table(tuple("abcdef"), frame_axis, detected),
         limits=Limits(
-            site_index=np.arange(6), site_capacity=np.ones(6, dtype=np.int64), budget_units=2
+            site_index=np.arange(6),
+            site_capacity=np.ones(6, dtype=np.int64),
+            budget_units=2,
         ),
         fusion="any",
         rule=replace(rule, n_confirmations=2),
@@ -190,5 +218,7 @@ def test_the_best_others_of_a_solved_problem_are_the_solution_itself(frame_axis,
     solution = solve_placement(problem)
     stages = solution.certificate.stages
     best = recomputation.best_others(problem, stages, recomputation.all_sets(problem))
-    assert [other.value for other in best] == pytest.approx([stage.objective for stage in stages])
+    assert [other.value for other in best] == pytest.approx(
+        [stage.objective for stage in stages]
+    )
     assert [other.name for other in best] == [stage.name for stage in stages]

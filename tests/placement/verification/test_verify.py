@@ -23,7 +23,11 @@ from placement.optimiser import (
 )
 from placement.optimiser.problem import Objective
 from placement.verification import verify as verify_module
-from placement.verification.certificates import CERTIFICATE_FILE, load_certificate, save_certificate
+from placement.verification.certificates import (
+    CERTIFICATE_FILE,
+    load_certificate,
+    save_certificate,
+)
 from placement.verification.instances import INSTANCE_FILE, load_problem
 from placement.verification.recomputation import stage_names, stage_values
 from placement.verification.verify import Verification, verify_certificate
@@ -51,7 +55,9 @@ def failed(found: Verification) -> set[str]:
 
 @given(problem=questions())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_the_solver_proves_is_verified(problem: PlacementProblem, tmp_path: Path) -> None:
+def test_what_the_solver_proves_is_verified(
+    problem: PlacementProblem, tmp_path: Path
+) -> None:
     try:
         solution = solve_placement(problem)
     except InputError:
@@ -108,7 +114,9 @@ def test_every_check_is_made_and_every_stage_proven_again(problem, document, tmp
         "floor --target",
     } <= set(names)
     for stage in stage_names(problem):
-        assert {stage, f"{stage}: bound", f"{stage}: gap", f"{stage}: reach"} <= set(names)
+        assert {stage, f"{stage}: bound", f"{stage}: gap", f"{stage}: reach"} <= set(
+            names
+        )
     assert all(proof.is_proven_again for proof in found.proofs)
 
 
@@ -141,7 +149,10 @@ def add_to_objective_and_bound(document: Document) -> None:
     ("change", "checks"),
     [
         (lambda d: stage(d, "apr").update(objective=0.5), {"apr", "apr: gap"}),
-        (lambda d: stage(d, "mean_margin_s").update(bound=0.0), {"mean_margin_s: bound"}),
+        (
+            lambda d: stage(d, "mean_margin_s").update(bound=0.0),
+            {"mean_margin_s: bound"},
+        ),
         (lambda d: stage(d, "cost_eur").update(bound=9999.0), {"cost_eur: bound"}),
         (add_to_objective_and_bound, {"mean_margin_s"}),
         (lambda d: stage(d, "apr").update(gap=0.5), {"apr: gap"}),
@@ -182,7 +193,9 @@ def test_a_layout_beyond_a_limit_is_found(problem, document, tmp_path):
     beyond = {
         "units": replace(limits, budget_units=1),
         "money": replace(limits, budget_eur=150.0),
-        "site capacity": replace(limits, site_index=np.zeros(12, dtype=np.int64), rivals=None),
+        "site capacity": replace(
+            limits, site_index=np.zeros(12, dtype=np.int64), rivals=None
+        ),
         "forced units": replace(limits, is_forced=forced),
         "forced sites": replace(
             limits, is_forced_site=~np.isin(np.arange(6), limits.site_index[rows])
@@ -206,10 +219,14 @@ def test_every_bit_of_the_table_counts(problem, document, tmp_path):
         detected = problem.table.detected(slice(None))
         detected[rng.integers(12), rng.integers(detected.shape[1])] ^= True
         table = pack_table(problem.table.pose_ids, problem.table.axis, detected)
-        assert "instance" in failed(verify(tmp_path, replace(problem, table=table), document))
+        assert "instance" in failed(
+            verify(tmp_path, replace(problem, table=table), document)
+        )
 
 
-def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(problem, document, tmp_path):
+def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(
+    problem, document, tmp_path
+):
     blind = np.zeros((12, problem.table.axis.n_frames), dtype=bool)
     table = pack_table(problem.table.pose_ids, problem.table.axis, blind)
     other = replace(problem, table=table)
@@ -220,17 +237,25 @@ def test_a_changed_table_is_found_even_if_the_hash_was_made_to_fit(problem, docu
 
 
 @pytest.mark.parametrize("max_sets", [50_000, 45])
-def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(problem, tmp_path, max_sets):
+def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(
+    problem, tmp_path, max_sets
+):
     """All stages recomputed for a worse layout, and claimed to be proven."""
     problem = replace(problem, floors=())
     presolve = solve_placement(problem).presolve
-    best = {stage.name: stage.objective for stage in solve_placement(problem).certificate.stages}
+    best = {
+        stage.name: stage.objective
+        for stage in solve_placement(problem).certificate.stages
+    }
     n_worse = 0
     for rows in combinations(range(4, 12), 2):
         sets = np.array([rows])
         if rows[0] // 2 == rows[1] // 2:
             continue
-        values = {name: float(stage_values(problem, Objective(name), sets)[0]) for name in best}
+        values = {
+            name: float(stage_values(problem, Objective(name), sets)[0])
+            for name in best
+        }
         if values == pytest.approx(best):
             continue
         stages = tuple(
@@ -246,7 +271,9 @@ def test_a_layout_that_is_not_the_best_is_not_passed_off_as_it(problem, tmp_path
         n_worse += 1
         assert failed(found)
         assert all(name.endswith(": others") for name in failed(found))
-        disproved = {proof.name for proof in found.proofs if proof.reason == "disproved"}
+        disproved = {
+            proof.name for proof in found.proofs if proof.reason == "disproved"
+        }
         if max_sets > 45:
             assert {f"{name}: others" for name in disproved} == failed(found)
     assert n_worse > 10
@@ -266,7 +293,9 @@ def test_what_cannot_be_proven_again_rests_on_the_solver(problem, document, tmp_
 def test_the_layout_file_must_show_the_same_units(problem, document, tmp_path):
     units = [unit["unit"] for unit in document["layout"]]
     for shown in (units[:1], units[::-1], [{**unit, "id": "X"} for unit in units], []):
-        assert failed(verify(tmp_path, problem, document, shown=shown)) == {"layout file"}
+        assert failed(verify(tmp_path, problem, document, shown=shown)) == {
+            "layout file"
+        }
 
 
 def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
@@ -282,7 +311,10 @@ def test_units_on_one_site_are_not_shown_on_two(problem, tmp_path):
         ),
     )
     document = document_of(one_site, solve_placement(one_site))
-    for sites, expected in ((("east", "east"), set()), (("east", "west"), {"layout file"})):
+    for sites, expected in (
+        (("east", "east"), set()),
+        (("east", "west"), {"layout file"}),
+    ):
         for unit, site in zip(document["layout"], sites, strict=True):
             unit["unit"]["site"] = site
         assert failed(verify(tmp_path, one_site, document)) == expected

@@ -52,12 +52,20 @@ def _build_run(
     """
     vru_array = np.array(vru_poses, dtype=float).reshape(-1, 3)
     far = np.tile([-55.0, 55.0, 0.0], (len(vru_array), 1))
-    vut_array = far if vut_poses is None else np.array(vut_poses, dtype=float).reshape(-1, 3)
+    if vut_poses is None:
+        vut_array = far
+    else:
+        vut_array = np.array(vut_poses, dtype=float).reshape(-1, 3)
     motion = Motion(
-        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0), speed_mps=1.0, start_time_s=0.0
+        path=StraightPath(start_m=np.zeros(2), yaw_deg=0.0),
+        speed_mps=1.0,
+        start_time_s=0.0,
     )
     actors = load_actors()
-    some = np.arange(len(vru_array)) if shapes is None else np.broadcast_to(shapes, len(vru_array))
+    if shapes is None:
+        some = np.arange(len(vru_array))
+    else:
+        some = np.broadcast_to(shapes, len(vru_array))
     return Run(
         id=name,
         case=load_cases()["CPNC-50"],
@@ -113,7 +121,9 @@ def small_camera() -> CameraModel:
 def study_runs(actors) -> tuple[Run, ...]:
     """Three cases of the study at two speeds, the last four seconds of each."""
     cases = select_cases("CPNC-50,CBNA,CBLA", speeds="30,60").cases
-    runs, _ = build_runs(load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule())
+    runs, _ = build_runs(
+        load_study_scene(), cases, vut=actors["vut"], rule=load_aeb_rule()
+    )
     return tuple(cut_run(run, slice(-40, None)) for run in runs)
 
 

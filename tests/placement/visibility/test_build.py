@@ -21,7 +21,11 @@ from placement.visibility.build import at_each_mount
 from placement.visibility.sensing import max_distance_m
 
 DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=15.0)
-WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WALLS = (
+    ((4, -6, 0), (4.3, 1, 2.2)),
+    ((-9, 3, 0), (-2, 3.4, 1.2)),
+    ((8, -9, 0), (12, -5, 6)),
+)
 
 
 def _detected(table):
@@ -31,9 +35,15 @@ def _detected(table):
 def _random_world(build_scene, build_run, n_frames=150):
     """A world of walls, and two runs that jump about in it."""
     rng = np.random.default_rng(8)
-    vru = np.column_stack([rng.uniform(-14, 14, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
-    aside = rng.uniform(3.0, 6.0, n_frames) * np.exp(1j * rng.uniform(0, 2 * np.pi, n_frames))
-    vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, n_frames)])
+    vru = np.column_stack(
+        [rng.uniform(-14, 14, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
+    )
+    aside = rng.uniform(3.0, 6.0, n_frames) * np.exp(
+        1j * rng.uniform(0, 2 * np.pi, n_frames)
+    )
+    vut = vru + np.column_stack(
+        [aside.real, aside.imag, rng.uniform(-180, 180, n_frames)]
+    )
     runs = tuple(
         build_run(vru[part::2], vut[part::2], vru=body, name=body)
         for part, body in enumerate(("adult", "cyclist"))
@@ -53,7 +63,13 @@ def candidates(mount, small_camera):
     tele = replace(small_camera, name="tele", horizontal_fov_deg=50.0)
     close = replace(small_camera, name="close", near_m=0.6)
     return [
-        mount(f"{name}/{x:g}/{yaw:g}", [x, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-20.0, camera=camera)
+        mount(
+            f"{name}/{x:g}/{yaw:g}",
+            [x, -12.0, 6.0],
+            yaw_deg=yaw,
+            pitch_deg=-20.0,
+            camera=camera,
+        )
         for yaw in (60.0, 90.0, 150.0, -90.0)
         for name, camera in (("small", small_camera), ("tele", tele), ("close", close))
         for x in (-10.0, 3.0)
@@ -115,8 +131,12 @@ def test_rows_do_not_depend_on_their_company(world, candidates, table):
 def test_columns_do_not_depend_on_other_runs(world, candidates, table, axis_of):
     scene, runs, axis = world
     for index, run in enumerate(runs):
-        alone = build_detection_table(scene, candidates, [run], axis_of([run]), detector=DETECTOR)
-        assert np.array_equal(_detected(alone), _detected(table)[:, axis.frames_of(index)])
+        alone = build_detection_table(
+            scene, candidates, [run], axis_of([run]), detector=DETECTOR
+        )
+        assert np.array_equal(
+            _detected(alone), _detected(table)[:, axis.frames_of(index)]
+        )
 
 
 def test_two_workers_build_the_same_table_as_one(world, candidates, table):
@@ -145,7 +165,8 @@ def test_the_table_is_the_same_every_time_for_a_seed(world, candidates, table):
 
 def _heights_px(run, vru_poses, candidate):
     """Height of the whole body's projection, and whether all of it is in the image, per frame."""
-    heights, inside = [], []
+    heights = []
+    inside = []
     for (east, north, yaw_deg), index in zip(vru_poses, run.vru_shape, strict=True):
         shape = run.encounter.vru.shapes[index]
         pose = Pose(position_m=[east, north, 0.0], yaw_deg=yaw_deg)
@@ -172,7 +193,11 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
     distance = rng.uniform(8.0, 50.0, 1500)
     direction = np.radians(rng.uniform(-35.0, 35.0, 1500))
     poses = np.column_stack(
-        [distance * np.cos(direction), distance * np.sin(direction), rng.uniform(-180, 180, 1500)]
+        [
+            distance * np.cos(direction),
+            distance * np.sin(direction),
+            rng.uniform(-180, 180, 1500),
+        ]
     )
     candidate = mount("any", [0.0, 0.0, 5.0], pitch_deg=-12.0)
     detector = GeometricDetector(min_iou=0.5, min_box_height_px=22.0)
@@ -182,21 +207,27 @@ def test_a_vru_in_the_open_is_detected_if_and_only_if_it_is_high_enough(
         build_scene(), [candidate], [run], axis_of([run]), detector=detector
     )
     (detected,) = _detected(table)
-    low, high = heights < 0.98 * 22.0, heights > 1.02 * 22.0
+    low = heights < 0.98 * 22.0
+    high = heights > 1.02 * 22.0
     assert (inside & low).sum() > 200
     assert (inside & high).sum() > 200
     assert detected[inside & high].all()
     assert not detected[low].any()
 
 
-def test_a_camera_that_is_turned_away_detects_nothing(build_scene, build_run, axis_of, mount):
+def test_a_camera_that_is_turned_away_detects_nothing(
+    build_scene, build_run, axis_of, mount
+):
     angles = np.radians(np.arange(0.0, 360.0, 10.0))
     for radius_m in (0.5, 2.0, 12.0):
         around = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
         run = build_run(np.column_stack([around, np.zeros(36)]), vru="cyclist")
         cams = [
             mount("up", [0.0, 0.0, 5.0], pitch_deg=60.0),
-            *(mount(f"{yaw:g}", [0.0, 0.0, 5.0], yaw_deg=yaw, pitch_deg=0.0) for yaw in (0, 120)),
+            *(
+                mount(f"{yaw:g}", [0.0, 0.0, 5.0], yaw_deg=yaw, pitch_deg=0.0)
+                for yaw in (0, 120)
+            ),
         ]
         table = build_detection_table(
             build_scene(),
@@ -208,23 +239,34 @@ def test_a_camera_that_is_turned_away_detects_nothing(build_scene, build_run, ax
         detected = _detected(table)
         assert not detected[0].any()
         for row, cam in enumerate(cams[1:], start=1):
-            off_axis = np.abs((np.degrees(angles) - cam.pose.yaw_deg + 180.0) % 360.0 - 180.0)
+            off_axis = np.abs(
+                (np.degrees(angles) - cam.pose.yaw_deg + 180.0) % 360.0 - 180.0
+            )
             assert not detected[row][off_axis > 90.0].any()
-            # Five metres below the lens nothing near is in the picture, and 12 m away all is.
+            # Five metres below the lens nothing near is in the picture, and 12 m away
+            # all is.
             assert detected[row][off_axis < 30.0].all() == (radius_m == 12.0)
 
 
-def test_a_vru_above_the_lens_or_in_it_does_no_harm(build_scene, build_run, axis_of, mount):
+def test_a_vru_above_the_lens_or_in_it_does_no_harm(
+    build_scene, build_run, axis_of, mount
+):
     run = build_run([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [1.0, 0.0, 90.0]])
     eyes = [mount(f"{z:g}", [0.0, 0.0, z]) for z in (0.4, 0.9, 1.8, 2.0)]
-    table = build_detection_table(build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR)
+    table = build_detection_table(
+        build_scene(), eyes, [run], axis_of([run]), detector=DETECTOR
+    )
     assert _detected(table).shape == (4, 3)
 
 
 def test_a_table_of_candidates_far_away_is_empty(world, mount):
     scene, runs, axis = world
     table = build_detection_table(
-        scene, [mount("far", [400.0, 0.0, 6.0], yaw_deg=180.0)], runs, axis, detector=DETECTOR
+        scene,
+        [mount("far", [400.0, 0.0, 6.0], yaw_deg=180.0)],
+        runs,
+        axis,
+        detector=DETECTOR,
     )
     assert not table.packed.any()
 
@@ -284,9 +326,9 @@ def test_the_largest_distance_is_reached_in_the_corner_of_the_image():
     towards = np.array([np.cos(half), 0.0, -np.sin(half)])
     across = np.array([np.sin(half), 0.0, np.cos(half)])
     pose = Pose(position_m=np.zeros(3), yaw_deg=0.0)
-    rows = project_points([limit_m * towards, limit_m * towards + 0.01 * across], pose, camera)[
-        :, 1
-    ]
+    rows = project_points(
+        [limit_m * towards, limit_m * towards + 0.01 * across], pose, camera
+    )[:, 1]
     assert abs(rows[0] - rows[1]) == pytest.approx(1.0, rel=1e-2)
 
 
@@ -307,7 +349,9 @@ def test_progress_counts_mount_positions(world, candidates):
         runs,
         axis,
         detector=DETECTOR,
-        compute=Compute(workers=2, progress=lambda stage, done, total: calls.append((done, total))),
+        compute=Compute(
+            workers=2, progress=lambda stage, done, total: calls.append((done, total))
+        ),
     )
     # Two positions, one of them for the model with another near distance, each.
     assert calls == [(done, 4) for done in (1, 2, 3, 4)]
@@ -327,7 +371,10 @@ def test_an_interruption_stops_after_the_positions_at_work(mount, workers):
 
     with pytest.raises(KeyboardInterrupt):
         at_each_mount(
-            many, slow, stage="look", compute=Compute(workers=workers, progress=interrupt)
+            many,
+            slow,
+            stage="look",
+            compute=Compute(workers=workers, progress=interrupt),
         )
     assert 1 <= len(begun) <= 20
     n_begun = len(begun)

@@ -34,7 +34,9 @@ FINGERPRINT = "0123456789abcdef" * 2
 def inputs(build_scene, build_run, mount, small_camera):
     """Arguments of ``table_fingerprint``, by name."""
     tele = replace(small_camera, name="tele", horizontal_fov_deg=40.0)
-    poses = np.column_stack([np.linspace(5.0, 9.0, 11), np.zeros(11), np.full(11, 90.0)])
+    poses = np.column_stack(
+        [np.linspace(5.0, 9.0, 11), np.zeros(11), np.full(11, 90.0)]
+    )
     return {
         "scene": build_scene(((4, -6, 0), (4.3, 1, 2.2))),
         "candidates": [
@@ -42,7 +44,10 @@ def inputs(build_scene, build_run, mount, small_camera):
             mount("b", [0.0, 0.0, 5.0], camera=tele),
             mount("c", [1.0, 0.0, 5.0], camera=tele),
         ],
-        "runs": (build_run(poses, poses + [5.0, 5.0, 0.0]), build_run(poses, vru="cyclist")),
+        "runs": (
+            build_run(poses, poses + [5.0, 5.0, 0.0]),
+            build_run(poses, vru="cyclist"),
+        ),
         "detector": DETECTOR,
         "seed": 0,
     }
@@ -80,7 +85,9 @@ def test_runs_that_were_kept_on_disk_have_the_same_fingerprint(inputs, actors):
         actor=actors["parked-van"], pose=Pose(position_m=[3.0, 2.0, 0.0], yaw_deg=0.0)
     )
     runs = tuple(replace(run, obstruction=(van,)) for run in inputs["runs"])
-    kept = from_bytes(to_bytes(runs[0]), Run, classes=(StraightPath,))  # with a van of its own
+    kept = from_bytes(
+        to_bytes(runs[0]), Run, classes=(StraightPath,)
+    )  # with a van of its own
     assert kept.obstruction[0].actor is not van.actor
     fresh = _fingerprint(inputs | {"runs": runs})
     assert _fingerprint(inputs | {"runs": (kept, runs[1])}) == fresh
@@ -136,15 +143,21 @@ DAMAGES = {
     "empty": lambda path: path.write_bytes(b""),
     "text": lambda path: path.write_text("table", encoding="utf-8"),
     "truncated": lambda path: path.write_bytes(path.read_bytes()[:-40]),
-    "half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "half": lambda path: path.write_bytes(
+        path.read_bytes()[: path.stat().st_size // 2]
+    ),
     "foreign": _foreign(packed=np.zeros((3, 3), np.uint8)),
     "foreign format": _foreign(
-        format="place-rsus/table/0", fingerprint=FINGERPRINT, packed=np.zeros((3, 3), np.uint8)
+        format="place-rsus/table/0",
+        fingerprint=FINGERPRINT,
+        packed=np.zeros((3, 3), np.uint8),
     ),
     "single array": _single_array,
     "pickled": _foreign(format=np.array([{}], dtype=object)),
     "wrong shape": _foreign(
-        format=build_module._FORMAT, fingerprint=FINGERPRINT, packed=np.zeros((3, 99), np.uint8)
+        format=build_module._FORMAT,
+        fingerprint=FINGERPRINT,
+        packed=np.zeros((3, 99), np.uint8),
     ),
     "folder": lambda path: (path.unlink(), path.mkdir()),
 }
@@ -192,7 +205,9 @@ def _saved_again(**changes):
     def write(path):
         with np.load(path) as stored:
             arrays = dict(stored)
-        np.savez(path, **{**arrays, **{name: new(arrays) for name, new in changes.items()}})
+        np.savez(
+            path, **{**arrays, **{name: new(arrays) for name, new in changes.items()}}
+        )
 
     return write
 
@@ -211,12 +226,16 @@ def _turned(arrays):
         {"packed": lambda arrays: arrays["packed"][::-1]},
         {
             "packed": _turned,
-            "content": lambda arrays: content_hash({"packed": _turned(arrays)}, "f" * 32),
+            "content": lambda arrays: content_hash(
+                {"packed": _turned(arrays)}, "f" * 32
+            ),
         },
     ],
     ids=["zeros", "a bit", "rows", "the hash of another fingerprint"],
 )
-def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(stored, caplog, change):
+def test_bits_that_were_changed_and_saved_under_the_same_name_are_not_used(
+    stored, caplog, change
+):
     _, path, _ = stored
     _saved_again(**change)(path)
     assert _load(stored) is None
@@ -230,7 +249,9 @@ def test_a_new_folder_is_the_users_own(stored):
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o755])
-def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(stored, caplog, mode):
+def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(
+    stored, caplog, mode
+):
     _, path, _ = stored
     path.parent.chmod(mode)
     cache._is_usable.cache_clear()
@@ -240,7 +261,9 @@ def test_a_table_where_others_may_write_is_not_believed_which_is_told_once(store
     cache._is_usable.cache_clear()
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away")
+@pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0, reason="only root gives away"
+)
 def test_a_table_of_another_user_is_not_believed(stored, caplog):
     _, path, _ = stored
     os.chown(path, 4321, 4321)
@@ -274,7 +297,9 @@ def test_a_full_disk_is_logged_and_leaves_the_old_table(stored, caplog, monkeypa
 
     monkeypatch.setattr(cache.np, "savez", full)
     save_table(path, table, fingerprint="f" * 32)
-    assert caplog.messages == [f"detection table not cached: {path}: No space left on device"]
+    assert caplog.messages == [
+        f"detection table not cached: {path}: No space left on device"
+    ]
     assert path.read_bytes() == before
     assert os.listdir(path.parent) == ["table.npz"]  # noqa: PTH208
 
@@ -335,7 +360,9 @@ CHANGES = {
     "position": lambda i, a: {
         "candidates": _first(
             i["candidates"],
-            lambda c: replace(c, pose=replace(c.pose, position_m=c.pose.position_m + [0, 0, 1e-9])),
+            lambda c: replace(
+                c, pose=replace(c.pose, position_m=c.pose.position_m + [0, 0, 1e-9])
+            ),
         )
     },
     "yaw": lambda i, a: {
@@ -348,7 +375,9 @@ CHANGES = {
             i["candidates"], lambda c: replace(c, pose=replace(c.pose, pitch_deg=1e-9))
         )
     },
-    "id": lambda i, a: {"candidates": _first(i["candidates"], lambda c: replace(c, id="z"))},
+    "id": lambda i, a: {
+        "candidates": _first(i["candidates"], lambda c: replace(c, id="z"))
+    },
     "order": lambda i, a: {"candidates": i["candidates"][::-1]},
     "fewer": lambda i, a: {"candidates": i["candidates"][:-1]},
     **{
@@ -375,16 +404,24 @@ CHANGES = {
             lambda c: replace(c, sensor=replace(LIDAR, reference_probability=0.91)),
         )
     },
-    "detector contrast": lambda i, a: {"detector": replace(DETECTOR, min_contrast=0.01)},
-    "another kind of detector": lambda i, a: {"detector": load_planning_detector("response")},
-    "detector height": lambda i, a: {"detector": replace(DETECTOR, min_box_height_px=20.001)},
+    "detector contrast": lambda i, a: {
+        "detector": replace(DETECTOR, min_contrast=0.01)
+    },
+    "another kind of detector": lambda i, a: {
+        "detector": load_planning_detector("response")
+    },
+    "detector height": lambda i, a: {
+        "detector": replace(DETECTOR, min_box_height_px=20.001)
+    },
     "seed": lambda i, a: {"seed": 1},
     "run times": lambda i, a: {
         "runs": _first(i["runs"], lambda r: replace(r, time_s=r.time_s * 1.01))
     },
     **{
         f"run {field}": lambda i, a, field=field: {
-            "runs": _first(i["runs"], lambda r: replace(r, **{field: getattr(r, field) + 1e-6}))
+            "runs": _first(
+                i["runs"], lambda r: replace(r, **{field: getattr(r, field) + 1e-6})
+            )
         }
         for field in ("vut_position_m", "vut_yaw_deg", "vru_position_m", "vru_yaw_deg")
     },
@@ -405,21 +442,31 @@ CHANGES = {
         )
     },
     "obstruction": lambda i, a: {"runs": _first(i["runs"], lambda r: _parked(r, a))},
-    "obstruction of another run": lambda i, a: {"runs": (i["runs"][0], _parked(i["runs"][1], a))},
+    "obstruction of another run": lambda i, a: {
+        "runs": (i["runs"][0], _parked(i["runs"][1], a))
+    },
     "run order": lambda i, a: {"runs": i["runs"][::-1]},
 }
 
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_fingerprint_changes_with_what_it_stands_for(inputs, actors, change):
-    assert _fingerprint({**inputs, **CHANGES[change](inputs, actors)}) != _fingerprint(inputs)
+    assert _fingerprint({**inputs, **CHANGES[change](inputs, actors)}) != _fingerprint(
+        inputs
+    )
 
 
 def test_all_changes_have_fingerprints_of_their_own(inputs, actors):
-    found = [_fingerprint({**inputs, **change(inputs, actors)}) for change in CHANGES.values()]
+    found = [
+        _fingerprint({**inputs, **change(inputs, actors)})
+        for change in CHANGES.values()
+    ]
     found += [
         _fingerprint(
-            {**inputs, "runs": _first(inputs["runs"], lambda r, c=c: _parked(r, actors, **c))}
+            {
+                **inputs,
+                "runs": _first(inputs["runs"], lambda r, c=c: _parked(r, actors, **c)),
+            }
         )
         for c in (
             {"position_m": [3.0, 3.1, 0.0]},
@@ -442,7 +489,9 @@ def test_what_it_takes_to_find_somebody_by_lidar_is_part_of_the_fingerprint_wher
 ):
     with_lidar = {**inputs, **CHANGES["a LiDAR"](inputs, {})}
     before = [_fingerprint(given) for given in (inputs, with_lidar)]
-    other = replace(load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1})
+    other = replace(
+        load_lidar_detection(), min_points={"pedestrian": 1, "child": 1, "cyclist": 1}
+    )
     monkeypatch.setattr(build_module, "load_lidar_detection", lambda: other)
     after = [_fingerprint(given) for given in (inputs, with_lidar)]
     assert [a == b for a, b in zip(after, before, strict=True)] == [True, False]
@@ -463,7 +512,8 @@ def test_a_fingerprint_is_the_same_for_equal_inputs(inputs):
         **inputs,
         "scene": replace(scene, vertices_m=scene.vertices_m.copy()),
         "candidates": [
-            replace(c, pose=replace(c.pose), sensor=replace(c.sensor)) for c in inputs["candidates"]
+            replace(c, pose=replace(c.pose), sensor=replace(c.sensor))
+            for c in inputs["candidates"]
         ],
         "runs": tuple(replace(run, time_s=run.time_s.copy()) for run in inputs["runs"]),
         "detector": replace(DETECTOR),
@@ -476,7 +526,10 @@ def test_cameras_of_the_same_name_are_told_apart(inputs, small_camera):
     other = replace(small_camera, horizontal_fov_deg=50.0)
     found = {
         _fingerprint(
-            {**inputs, "candidates": [a, replace(b, sensor=other), replace(c, sensor=third)]}
+            {
+                **inputs,
+                "candidates": [a, replace(b, sensor=other), replace(c, sensor=third)],
+            }
         )
         for third in (small_camera, other)
     }

@@ -14,14 +14,21 @@ from placement.visibility.casting import build_shared_scene, build_world, cast_s
 NEAR_M = 0.35
 FAR_M = 1000.0
 N_POINTS = 60
-# Where a ray ends before its point, and by how much the point is shaken to tell grazing rays.
-END_M, SHAKE_M, N_SHAKEN = 1e-3, 2e-4, 6
+# Where a ray ends before its point, and by how much the point is shaken to tell grazing
+# rays.
+END_M = 1e-3
+SHAKE_M = 2e-4
+N_SHAKEN = 6
 
 
 def _placed(shape, position_m, yaw_deg):
-    return to_world(
-        shape.vertices_m, Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg)
-    ), shape.triangles
+    return (
+        to_world(
+            shape.vertices_m,
+            Pose(position_m=np.append(position_m, 0.0), yaw_deg=yaw_deg),
+        ),
+        shape.triangles,
+    )
 
 
 def _vru_shape(run, frame):
@@ -33,18 +40,28 @@ def _naive_caster(scene, run, frame, library):
     bodies = [
         (scene.vertices_m, scene.triangles),
         *(
-            _placed(parked.actor.shapes[0], parked.pose.position_m[:2], parked.pose.yaw_deg)
+            _placed(
+                parked.actor.shapes[0], parked.pose.position_m[:2], parked.pose.yaw_deg
+            )
             for parked in run.obstruction
         ),
-        _placed(run.encounter.vut.shapes[0], run.vut_position_m[frame], run.vut_yaw_deg[frame]),
-        _placed(_vru_shape(run, frame), run.vru_position_m[frame], run.vru_yaw_deg[frame]),
+        _placed(
+            run.encounter.vut.shapes[0],
+            run.vut_position_m[frame],
+            run.vut_yaw_deg[frame],
+        ),
+        _placed(
+            _vru_shape(run, frame), run.vru_position_m[frame], run.vru_yaw_deg[frame]
+        ),
     ]
     first = np.cumsum([0, *(len(vertices) for vertices, _ in bodies)])
     # The middle only keeps the numbers small: rays are cast in single precision.
     middle = np.append(run.vru_position_m[frame], 0.0)
     caster = CASTERS[library](
         np.concatenate([vertices for vertices, _ in bodies]) - middle,
-        np.concatenate([triangles + n for (_, triangles), n in zip(bodies, first, strict=False)]),
+        np.concatenate(
+            [triangles + n for (_, triangles), n in zip(bodies, first, strict=False)]
+        ),
     )
     return caster, middle
 
@@ -68,9 +85,12 @@ def _compare(scene, runs, eye, frames, *, library="embree"):
     rng = np.random.default_rng(5)
     run_of = np.repeat(np.arange(len(runs)), [len(run.time_s) for run in runs])
     first = np.cumsum([0, *(len(run.time_s) for run in runs)])
-    same, grazing, seen = [], [], []
+    same = []
+    grazing = []
+    seen = []
     for frame in frames:
-        run, local = runs[run_of[frame]], frame - first[run_of[frame]]
+        run = runs[run_of[frame]]
+        local = frame - first[run_of[frame]]
         surface = next(
             s
             for s in world.surfaces
@@ -86,13 +106,19 @@ def _compare(scene, runs, eye, frames, *, library="embree"):
         shaken = np.array(
             [
                 _naive_visible(
-                    caster, middle, eye + rng.normal(scale=SHAKE_M, size=3), points + shake
+                    caster,
+                    middle,
+                    eye + rng.normal(scale=SHAKE_M, size=3),
+                    points + shake,
                 )
                 for shake in rng.normal(scale=SHAKE_M, size=(N_SHAKEN, 3))
             ]
         )
         entry = sight.entry_of_frame[frame]
-        actual = sight.is_visible[entry] if entry >= 0 else np.zeros(N_POINTS, dtype=bool)
+        if entry >= 0:
+            actual = sight.is_visible[entry]
+        else:
+            actual = np.zeros(N_POINTS, dtype=bool)
         assert (entry >= 0) == actual.any()
         same.append(actual == expected)
         grazing.append((shaken != expected).any(axis=0))
@@ -107,13 +133,21 @@ def _assert_same(same, grazing):
 
 
 # What hides: boxes that reach from beside the VRU to far above it, and a low wall.
-WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WALLS = (
+    ((4, -6, 0), (4.3, 1, 2.2)),
+    ((-9, 3, 0), (-2, 3.4, 1.2)),
+    ((8, -9, 0), (12, -5, 6)),
+)
 
 
 def _random_runs(build_run, rng, n_frames, *, vut_between_of, obstruction=()):
     """Random places; the VUT stands between eye and VRU in about half of the frames."""
-    vru = np.column_stack([rng.uniform(-12, 12, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
-    vut = np.column_stack([rng.uniform(-20, 20, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+    vru = np.column_stack(
+        [rng.uniform(-12, 12, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
+    )
+    vut = np.column_stack(
+        [rng.uniform(-20, 20, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
+    )
     between = rng.random(n_frames) < 0.5
     share = rng.uniform(0.4, 0.9, (n_frames, 1))
     vut[between, :2] = (vut_between_of + share * (vru[:, :2] - vut_between_of))[between]
@@ -145,7 +179,9 @@ def test_sight_is_what_rays_one_by_one_see_in_the_world(build_scene, build_run, 
     assert (seen == 0.0).any() or (seen < 0.2).any()
 
 
-def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(build_scene, build_run, actors):
+def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(
+    build_scene, build_run, actors
+):
     eye = np.array([-14.0, -3.0, 2.5])
     (plain, cyclist) = _random_runs(
         build_run, np.random.default_rng(11), 30, vut_between_of=eye[:2]
@@ -170,7 +206,9 @@ def test_sight_is_the_naive_one_with_parked_bodies_of_one_run_only(build_scene, 
     assert (seen[n:] <= seen[:n] + 1e-12).all()
 
 
-def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run, actors):
+def test_worlds_that_share_a_scene_are_seen_as_each_alone(
+    build_scene, build_run, actors
+):
     """Other things stand there, and some views are asked for only later."""
     rng = np.random.default_rng(21)
     scene = build_scene(*WALLS)
@@ -179,20 +217,31 @@ def test_worlds_that_share_a_scene_are_seen_as_each_alone(build_scene, build_run
     eyes = rng.uniform([-15, -15, 1], [15, 15, 8], (3, 3))
     n_hidden = set()
     for _ in range(3):
-        pose = Pose(position_m=[*rng.uniform(-10, 10, 2), 0.0], yaw_deg=rng.uniform(-180, 180))
+        pose = Pose(
+            position_m=[*rng.uniform(-10, 10, 2), 0.0], yaw_deg=rng.uniform(-180, 180)
+        )
         parked = (PlacedActor(actor=actors["parked-van"], pose=pose),)
         changed = [runs[0], replace(runs[1], obstruction=parked)]
         options = {"n_points": N_POINTS, "seed": 0}
         worlds = [
-            build_world(scene, changed, **options, shared=shared) for shared in (common, None)
+            build_world(scene, changed, **options, shared=shared)
+            for shared in (common, None)
         ]
         is_asked = rng.random(len(worlds[0].views.yaw_deg)) < 0.6
         for eye in eyes:
             cached, alone = (
-                cast_sight(world, eye, near_m=NEAR_M, is_asked=is_asked, is_foreseen=is_asked)
+                cast_sight(
+                    world, eye, near_m=NEAR_M, is_asked=is_asked, is_foreseen=is_asked
+                )
                 for world in worlds
             )
-            for name in ("view_index", "is_visible", "is_whole", "visible_share", "entry_of_frame"):
+            for name in (
+                "view_index",
+                "is_visible",
+                "is_whole",
+                "visible_share",
+                "entry_of_frame",
+            ):
                 assert np.array_equal(getattr(cached, name), getattr(alone, name))
             n_hidden.add(int((~cached.is_visible).sum()))
     assert len(n_hidden) > 3
@@ -205,15 +254,21 @@ def test_sight_is_the_naive_one_at_the_studys_junction(study_runs):
     n_frames = sum(len(run.time_s) for run in study_runs)
     for site in rng.choice(len(scene.sites), 3, replace=False):
         eye = scene.sites[site].position_m + [0.3, 0.2, 7.0]
-        same, grazing, _ = _compare(scene, study_runs, eye, rng.choice(n_frames, 10, replace=False))
+        same, grazing, _ = _compare(
+            scene, study_runs, eye, rng.choice(n_frames, 10, replace=False)
+        )
         _assert_same(same, grazing)
 
 
 def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):
     wall = ((3.0, -20.0, 0.0), (3.4, 20.0, 9.0))
-    run = build_run([[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [9.0, 2.0, 30.0], [0.0, 3.0, 0.0]])
+    run = build_run(
+        [[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [9.0, 2.0, 30.0], [0.0, 3.0, 0.0]]
+    )
     world = build_world(build_scene(wall), [run], n_points=N_POINTS, seed=0)
-    sight = cast_sight(world, np.array([-3.0, 0.0, 4.0]), near_m=NEAR_M, max_distance_m=FAR_M)
+    sight = cast_sight(
+        world, np.array([-3.0, 0.0, 4.0]), near_m=NEAR_M, max_distance_m=FAR_M
+    )
     assert (sight.entry_of_frame == -1).tolist() == [True, False, True, False]
     assert sight.is_visible.any(axis=1).all()
     assert sight.is_whole.all()
@@ -222,7 +277,9 @@ def test_no_entry_is_a_frame_in_which_nothing_is_seen(build_scene, build_run):
 def test_bodies_beyond_the_distance_are_not_looked_at(build_scene, build_run):
     run = build_run([[10.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
     world = build_world(build_scene(), [run], n_points=N_POINTS, seed=0)
-    sight = cast_sight(world, np.array([0.0, 0.0, 3.0]), near_m=NEAR_M, max_distance_m=20.0)
+    sight = cast_sight(
+        world, np.array([0.0, 0.0, 3.0]), near_m=NEAR_M, max_distance_m=20.0
+    )
     assert (sight.entry_of_frame >= 0).tolist() == [True, False]
 
 
@@ -252,7 +309,8 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
         padded = np.vstack([sight.is_visible, np.zeros((1, N_POINTS), dtype=bool)])
         return padded[sight.entry_of_frame]
 
-    sieve, sieved = casting._find_between, []
+    sieve = casting._find_between
+    sieved = []
 
     def watched(*given):
         sieved.append(sieve(*given))
@@ -260,7 +318,9 @@ def test_the_sieve_keeps_every_frame_in_which_the_vut_blocks_a_ray(
 
     monkeypatch.setattr(casting, "_find_between", watched)
     with_sieve = cast()
-    monkeypatch.setattr(casting, "AROUND_BODY_M", 1.0e6)  # nothing passes a box as large
+    monkeypatch.setattr(
+        casting, "AROUND_BODY_M", 1.0e6
+    )  # nothing passes a box as large
     assert np.array_equal(with_sieve, cast())
     n_frames = sum(len(run.time_s) for run in runs)
     assert 0 < len(sieved[1][0]) < 0.8 * n_frames
@@ -294,14 +354,19 @@ def test_both_ray_libraries_see_the_same(build_scene, build_run):
 
 
 def test_each_frame_shows_its_own_shape(build_scene, build_run):
-    runs = [build_run([[10.0, 0.0, 90.0]], shapes=index, name=f"{index}") for index in (0, 2, 5)]
+    runs = [
+        build_run([[10.0, 0.0, 90.0]], shapes=index, name=f"{index}")
+        for index in (0, 2, 5)
+    ]
     world = build_world(build_scene(), runs, n_points=N_POINTS, seed=0)
     assert [surface.shape_index for surface in world.surfaces] == [0, 2, 5]
     for frame, run in enumerate(runs):
         view = world.views.view_of_frame[frame]
         shape = _vru_shape(run, 0)
         points = world.views.points_m[view] + world.origin_m - [10.0, 0.0, 0.0]
-        assert np.ptp(points[:, 1]) == pytest.approx(np.ptp(shape.vertices_m[:, 0]), abs=1e-5)
+        assert np.ptp(points[:, 1]) == pytest.approx(
+            np.ptp(shape.vertices_m[:, 0]), abs=1e-5
+        )
 
 
 def test_equal_obstructions_are_one_static_world(build_scene, build_run, actors):

@@ -17,7 +17,11 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for
 
-WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WALLS = (
+    ((4, -6, 0), (4.3, 1, 2.2)),
+    ((-9, 3, 0), (-2, 3.4, 1.2)),
+    ((8, -9, 0), (12, -5, 6)),
+)
 DETECTOR = GeometricDetector(min_iou=0.5, min_box_height_px=12.0, min_contrast=0.05)
 MOUNT = (1.0, -2.0, 6.0)
 
@@ -26,7 +30,8 @@ MOUNT = (1.0, -2.0, 6.0)
 def world(build_scene, build_run, actors):
     rng = np.random.default_rng(3)
     van = PlacedActor(
-        actor=actors["parked-van"], pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0)
+        actor=actors["parked-van"],
+        pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0),
     )
     runs = []
     for body in ("adult", "child", "cyclist"):
@@ -58,9 +63,15 @@ def looks_of(mount, rng, cameras):
 
 def evidence_of(sensing, candidate):
     """What a camera sees of every entry, by numpy, whatever its picture shows."""
-    camera, sight, pose = candidate.sensor, sensing.sight, candidate.pose
-    points = sensing.world.views.points_m[sight.view_index].astype(float) - sensing.eye_m
-    right, down, depth = np.moveaxis(points @ camera_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0)
+    camera = candidate.sensor
+    sight = sensing.sight
+    pose = candidate.pose
+    points = (
+        sensing.world.views.points_m[sight.view_index].astype(float) - sensing.eye_m
+    )
+    right, down, depth = np.moveaxis(
+        points @ camera_rotation(pose.yaw_deg, pose.pitch_deg), -1, 0
+    )
     at = np.stack([right, down], axis=-1) / np.maximum(depth, 0.01)[..., None]
     shown = shown_points(at.reshape(-1, 2), camera).reshape(at.shape)
     columns, rows = np.moveaxis(shown, -1, 0)
@@ -75,9 +86,13 @@ def evidence_of(sensing, candidate):
 
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("seed", range(3))
-def test_boxes_through_lenses_are_those_of_numpy(world, mount, small_camera, model, seed):
+def test_boxes_through_lenses_are_those_of_numpy(
+    world, mount, small_camera, model, seed
+):
     rng = np.random.default_rng(seed)
-    looks = looks_of(mount, rng, [random_camera(rng, small_camera, model) for _ in range(6)])
+    looks = looks_of(
+        mount, rng, [random_camera(rng, small_camera, model) for _ in range(6)]
+    )
     sensing = sensing_of(world, small_camera.near_m)
     parts = list(sensing.evidence(looks))
     n_seen = 0
@@ -87,7 +102,8 @@ def test_boxes_through_lenses_are_those_of_numpy(world, mount, small_camera, mod
         for rows, part in parts:
             some = rows == row
             entries = part.draw_index[some]
-            # Of whole bodies the corners of the hull are projected: a lens bends what is between.
+            # Of whole bodies the corners of the hull are projected: a lens bends what
+            # is between.
             near = {"rtol": 1e-5, "atol": 0.2 if part is parts[0][1] else 1e-2}
             np.testing.assert_allclose(part.visible_px[some], visible[entries], **near)
             np.testing.assert_allclose(part.amodal_px[some], amodal[entries], **near)
@@ -104,7 +120,10 @@ def test_a_lens_that_does_next_to_nothing_detects_what_the_pinhole_does(
     world, mount, small_camera, detector
 ):
     rng = np.random.default_rng(8)
-    fovs = [replace(small_camera, horizontal_fov_deg=fov) for fov in (40.0, 70.0, 110.0, 150.0)]
+    fovs = [
+        replace(small_camera, horizontal_fov_deg=fov)
+        for fov in (40.0, 70.0, 110.0, 150.0)
+    ]
     looks = looks_of(mount, rng, fovs)
     sensing = sensing_of(world, small_camera.near_m, load_planning_detector(detector))
     plain = sensing.detected(looks)
@@ -132,7 +151,9 @@ def test_a_lens_of_zeros_has_the_pinholes_bits(world, mount, small_camera):
 @pytest.mark.parametrize("model", MODELS)
 def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, model):
     rng = np.random.default_rng(11)
-    looks = looks_of(mount, rng, [random_camera(rng, small_camera, model) for _ in range(8)])
+    looks = looks_of(
+        mount, rng, [random_camera(rng, small_camera, model) for _ in range(8)]
+    )
     every = sensing_of(world, small_camera.near_m).packed(looks)
     for some in [[look] for look in looks] + [looks]:
         sight = cast_for(world, np.array(MOUNT), [(look, DETECTOR) for look in some])
@@ -142,10 +163,14 @@ def test_no_view_is_left_out_that_a_lens_detects(world, mount, small_camera, mod
     assert every.any()
 
 
-def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(world, mount, small_camera):
+def test_evidence_says_how_much_of_a_body_the_picture_cuts_off(
+    world, mount, small_camera
+):
     rng = np.random.default_rng(2)
     camera = random_camera(rng, small_camera, "fisheye")
-    ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(looks_of(mount, rng, [camera]))
+    ((_, plain), (_, part)) = sensing_of(world, 0.35).evidence(
+        looks_of(mount, rng, [camera])
+    )
     assert (plain.inside_share == 1.0).all()
     assert ((part.inside_share >= 0.0) & (part.inside_share <= 1.0)).all()
     size = [camera.width_px, camera.height_px] * 2

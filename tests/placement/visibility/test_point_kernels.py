@@ -15,9 +15,15 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing, cast_for
 
-WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WALLS = (
+    ((4, -6, 0), (4.3, 1, 2.2)),
+    ((-9, 3, 0), (-2, 3.4, 1.2)),
+    ((8, -9, 0), (12, -5, 6)),
+)
 DETECTORS = {
-    "far-sighted": GeometricDetector(min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05),
+    "far-sighted": GeometricDetector(
+        min_iou=0.5, min_box_height_px=3.0, min_contrast=0.05
+    ),
     "geometric": load_planning_detector("geometric"),
     "response": load_planning_detector("response"),
 }
@@ -28,13 +34,16 @@ def world(build_scene, build_run, actors):
     """Road users that jump about among walls and a van, by day and in fog, the VUT near them."""
     rng = np.random.default_rng(12)
     van = PlacedActor(
-        actor=actors["parked-van"], pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0)
+        actor=actors["parked-van"],
+        pose=Pose(position_m=[-3.0, -4.0, 0.0], yaw_deg=30.0),
     )
     runs = []
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (90, 3)) * [20.0, 20.0, 180.0]
         aside = rng.uniform(2.5, 6.0, 90) * np.exp(1j * rng.uniform(0, 2 * np.pi, 90))
-        vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, 90)])
+        vut = vru + np.column_stack(
+            [aside.real, aside.imag, rng.uniform(-180, 180, 90)]
+        )
         for obstruction, weather in (((), "day"), ((van,), "fog")):
             name = f"{body}/{weather}"
             run = build_run(vru, vut, vru=body, obstruction=obstruction, name=name)
@@ -43,8 +52,11 @@ def world(build_scene, build_run, actors):
 
 
 def _sensing(world, candidates, detector, *, for_lidar=False):
-    position_m, near_m = candidates[0].pose.position_m, candidates[0].sensor.near_m
-    sight = cast_sight(world, position_m, near_m=near_m, max_distance_m=1000.0, for_lidar=for_lidar)
+    position_m = candidates[0].pose.position_m
+    near_m = candidates[0].sensor.near_m
+    sight = cast_sight(
+        world, position_m, near_m=near_m, max_distance_m=1000.0, for_lidar=for_lidar
+    )
     return build_sensing(world, sight, position_m, detector)
 
 
@@ -82,7 +94,9 @@ def test_every_verdict_is_that_of_numpy(world, mount, small_camera, detector, se
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_evidence_is_that_of_numpy_wherever_anything_is_seen(world, mount, small_camera, seed):
+def test_evidence_is_that_of_numpy_wherever_anything_is_seen(
+    world, mount, small_camera, seed
+):
     looks = _random_looks(mount, np.random.default_rng(100 + seed), small_camera, 8)
     sensing = _sensing(world, looks, DETECTORS["geometric"])
     parts = list(sensing.evidence(looks))
@@ -93,12 +107,24 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(world, mount, small
         seen = np.flatnonzero(height_px >= sensing.detector.min_box_height_px)
         picked = [np.flatnonzero(rows == row) for rows, _ in parts]
         entries = np.concatenate(
-            [part.draw_index[some] for (_, part), some in zip(parts, picked, strict=True)]
+            [
+                part.draw_index[some]
+                for (_, part), some in zip(parts, picked, strict=True)
+            ]
         )
         assert np.array_equal(np.sort(entries), seen)
-        for name in ("visible_px", "amodal_px", "inside_share", "visible_share", "aspect_deg"):
+        for name in (
+            "visible_px",
+            "amodal_px",
+            "inside_share",
+            "visible_share",
+            "aspect_deg",
+        ):
             values = np.concatenate(
-                [getattr(part, name)[some] for (_, part), some in zip(parts, picked, strict=True)]
+                [
+                    getattr(part, name)[some]
+                    for (_, part), some in zip(parts, picked, strict=True)
+                ]
             )
             # Far outside the image single precision is coarse.
             np.testing.assert_allclose(
@@ -107,7 +133,9 @@ def test_evidence_is_that_of_numpy_wherever_anything_is_seen(world, mount, small
     assert len(row_index) > 0
 
 
-def test_many_sensors_at_once_detect_what_each_does_alone(world, mount, small_camera, monkeypatch):
+def test_many_sensors_at_once_detect_what_each_does_alone(
+    world, mount, small_camera, monkeypatch
+):
     looks = _random_looks(mount, np.random.default_rng(5), small_camera, 6)
     lidar = replace(load_lidars()["carla-ncap-lidar"], near_m=small_camera.near_m)
     looks.insert(3, replace(looks[0], id="lidar", sensor=lidar))
@@ -129,7 +157,9 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 ):
     looks = _random_looks(mount, np.random.default_rng(9), small_camera, 12)
     detector = DETECTORS[detector]
-    some, every = (_sensing(world, looks, detector, for_lidar=known) for known in (False, True))
+    some, every = (
+        _sensing(world, looks, detector, for_lidar=known) for known in (False, True)
+    )
     assert np.array_equal(some.sight.is_whole, every.sight.is_whole)
     assert np.array_equal(some.sight.visible_share, every.sight.visible_share)
     assert np.array_equal(some.packed(looks), every.packed(looks))
@@ -140,24 +170,35 @@ def test_a_camera_need_not_know_what_a_whole_body_hides_of_itself(
 
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("seed", range(3))
-def test_no_view_is_left_out_that_a_sensor_detects(world, mount, small_camera, detector, seed):
+def test_no_view_is_left_out_that_a_sensor_detects(
+    world, mount, small_camera, detector, seed
+):
     looks = _random_looks(mount, np.random.default_rng(20 + seed), small_camera, 5)
     lidar = load_lidars()["carla-ncap-lidar"]
-    looks.insert(2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m)))
-    detector, position_m = DETECTORS[detector], looks[0].pose.position_m
+    looks.insert(
+        2, replace(looks[0], sensor=replace(lidar, near_m=small_camera.near_m))
+    )
+    detector = DETECTORS[detector]
+    position_m = looks[0].pose.position_m
     for some in (looks, looks[:1]):
         sight = cast_for(world, position_m, [(look, detector) for look in some])
         every = _sensing(world, some, detector, for_lidar=True)
         found = build_sensing(world, sight, position_m, detector).packed(some)
         assert np.array_equal(found, every.packed(some))
         assert found.any() or some is not looks
-    assert len(sight.view_index) < len(every.sight.view_index)  # one camera looks one way
+    assert len(sight.view_index) < len(
+        every.sight.view_index
+    )  # one camera looks one way
 
 
 @given(cameras(), angles_deg, pitches_deg, numbers(0.3, 12.0))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_camera_gets_the_verdicts_of_numpy(world, mount, camera, yaw_deg, pitch_deg, height_m):
-    look = mount("a", [1.0, -9.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg, camera=camera)
+def test_any_camera_gets_the_verdicts_of_numpy(
+    world, mount, camera, yaw_deg, pitch_deg, height_m
+):
+    look = mount(
+        "a", [1.0, -9.0, height_m], yaw_deg=yaw_deg, pitch_deg=pitch_deg, camera=camera
+    )
     assume(camera.near_m < 5.0)
     sensing = _sensing(world, [look], DETECTORS["far-sighted"])
     expected = NumpySensing(sensing).detected(look)

@@ -26,7 +26,11 @@ from placement.visibility.build import N_POINTS
 from placement.visibility.casting import build_world, cast_sight
 from placement.visibility.sensing import build_sensing
 
-WALLS = (((4, -6, 0), (4.3, 1, 2.2)), ((-9, 3, 0), (-2, 3.4, 1.2)), ((8, -9, 0), (12, -5, 6)))
+WALLS = (
+    ((4, -6, 0), (4.3, 1, 2.2)),
+    ((-9, 3, 0), (-2, 3.4, 1.2)),
+    ((8, -9, 0), (12, -5, 6)),
+)
 WEATHERS = ("day", "night", "rain", "fog")
 STUDY = load_lidars()["carla-ncap-lidar"]
 SURE = replace(STUDY, reference_range_m=1.0e6)  # whatever it hits comes back
@@ -46,7 +50,9 @@ def _jumping(build_run, reach_m):
     for body in ("adult", "child", "cyclist"):
         vru = rng.uniform(-1.0, 1.0, (80, 3)) * [reach_m, reach_m, 180.0]
         aside = rng.uniform(3.0, 6.0, 80) * np.exp(1j * rng.uniform(0, 2 * np.pi, 80))
-        vut = vru + np.column_stack([aside.real, aside.imag, rng.uniform(-180, 180, 80)])
+        vut = vru + np.column_stack(
+            [aside.real, aside.imag, rng.uniform(-180, 180, 80)]
+        )
         runs.append(build_run(vru, vut, vru=body, name=body))
     return tuple(runs)
 
@@ -54,7 +60,9 @@ def _jumping(build_run, reach_m):
 @pytest.fixture(scope="module")
 def table_of(axis_of):
     def build(scene, candidates, runs, detector=FAR_SIGHTED):
-        table = build_detection_table(scene, candidates, runs, axis_of(runs), detector=detector)
+        table = build_detection_table(
+            scene, candidates, runs, axis_of(runs), detector=detector
+        )
         return table.detected(slice(None))
 
     return build
@@ -94,7 +102,13 @@ def test_no_weather_shows_what_the_day_does_not(
 ):
     random_runs = _jumping(build_run, 40.0)
     candidates = [
-        mount(f"{name}/{yaw:g}", [-10.0, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-20.0, camera=sensor)
+        mount(
+            f"{name}/{yaw:g}",
+            [-10.0, -12.0, 6.0],
+            yaw_deg=yaw,
+            pitch_deg=-20.0,
+            camera=sensor,
+        )
         for yaw in (20.0, 60.0)
         for name, sensor in (("camera", small_camera), ("lidar", STUDY))
     ]
@@ -103,7 +117,9 @@ def test_no_weather_shows_what_the_day_does_not(
     found = found.reshape(4, 4, -1)  # candidate, weather, frame
     by_day = found[:, 0]
     assert (found <= by_day[:, None]).all()
-    assert (found[::2, 3] < by_day[::2]).any(axis=1).all()  # cameras: LiDARs do not see that far
+    assert (
+        (found[::2, 3] < by_day[::2]).any(axis=1).all()
+    )  # cameras: LiDARs do not see that far
     assert np.array_equal(by_day, table_of(scene, candidates, random_runs, detector))
     # At night a laser sees what it sees by day.
     assert np.array_equal(found[1::2, 1], by_day[1::2])
@@ -115,7 +131,9 @@ def test_no_weather_shows_what_the_day_does_not(
 def _evidence_of_frames(scene, runs, candidate, detector):
     """What the table and what the evaluator get to see, in the frames that the table casts."""
     world = build_world(scene, runs, n_points=N_POINTS, seed=0)
-    position, pose, camera = candidate.pose.position_m, candidate.pose, candidate.sensor
+    position = candidate.pose.position_m
+    pose = candidate.pose
+    camera = candidate.sensor
     sight = cast_sight(world, position, near_m=camera.near_m, max_distance_m=1000.0)
     made = build_sensing(world, sight, position, detector)
     (_, whole), (_, part) = made.evidence([candidate])
@@ -130,14 +148,20 @@ def _evidence_of_frames(scene, runs, candidate, detector):
     rows = row_of_entry[sight.entry_of_frame[frames]]
     by_points = replace(whole, **{name: values[rows] for name, values in every.items()})
     by_points = replace(by_points, contrast=made.contrast[0, by_points.draw_index])
-    by_pixels = perceive_frames(build_surroundings(scene, runs).take(frames), (pose, camera))
+    by_pixels = perceive_frames(
+        build_surroundings(scene, runs).take(frames), (pose, camera)
+    )
     return by_points, by_pixels
 
 
-def test_the_response_foretold_by_points_is_that_of_pixels(build_scene, random_runs, mount):
+def test_the_response_foretold_by_points_is_that_of_pixels(
+    build_scene, random_runs, mount
+):
     """Points are 10 cm apart, and a share of them is no share of pixels: a tenth on most frames."""
     candidate = mount("a", [-10.0, -12.0, 6.0], yaw_deg=50.0, pitch_deg=-20.0)
-    evidence = _evidence_of_frames(build_scene(*WALLS), random_runs, candidate, RESPONSE)
+    evidence = _evidence_of_frames(
+        build_scene(*WALLS), random_runs, candidate, RESPONSE
+    )
     by_points, by_pixels = (RESPONSE.probability(one) for one in evidence)
     is_seen = (by_points > 0.05) | (by_pixels > 0.05)
     assert is_seen.sum() > 100
@@ -162,7 +186,9 @@ def test_a_table_of_the_response_counts_frames_from_the_planned_probability_on(
     for plan_probability in (0.2, 0.5, 0.8):
         detector = replace(RESPONSE, plan_probability=plan_probability)
         (found,) = table_of(scene, [candidate], random_runs, detector)
-        assert (found == (RESPONSE.probability(evidence) >= plan_probability)).mean() > 0.93
+        assert (
+            found == (RESPONSE.probability(evidence) >= plan_probability)
+        ).mean() > 0.93
         assert found.any()
 
 
@@ -202,7 +228,9 @@ def block_run(build_run):
             length_m=0.5,
             width_m=1.0,
             height_m=1.8,
-            shapes=(Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces),),
+            shapes=(
+                Shape(vertices_m=mesh.vertices + [0.0, 0.0, 0.9], triangles=mesh.faces),
+            ),
         )
         run = build_run([[distance_m + 0.25, 0.0, yaw_deg]])
         return replace(
@@ -218,7 +246,9 @@ def block_run(build_run):
 def test_a_plate_gets_its_area_by_the_square_of_the_distance_times_the_density(
     mount, block_run, expected_points, distance_m
 ):
-    found = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE), block_run(distance_m))
+    found = expected_points(
+        mount("a", [0.0, 0.0, 0.9], camera=SURE), block_run(distance_m)
+    )
     expected = 1.0 * 1.8 / distance_m**2 * float(beams_per_steradian(SURE, 0.0))
     assert found == pytest.approx(expected, rel=0.06, abs=1.0)
 
@@ -229,20 +259,28 @@ def test_as_many_points_are_expected_on_a_body_as_beams_end_on_it(
 ):
     """On average over poses all around, in the open: within 8 %."""
     candidate = mount("a", [0.0, 0.0, 1.2], camera=SURE)
-    n_expected, n_beams = 0, []
+    n_expected = 0
+    n_beams = []
     monkeypatch.setattr(
-        perceive, "_is_enough", lambda echoes, *given: n_beams.append(len(echoes.distance_m))
+        perceive,
+        "_is_enough",
+        lambda echoes, *given: n_beams.append(len(echoes.distance_m)),
     )
     for yaw_deg in range(0, 360, 60):
         run = build_run([[8.0, 0.5, yaw_deg]], vru=body)
         n_expected += expected_points(candidate, run)
         scan_frames(
-            build_surroundings(build_scene(), [run]), candidate.pose, SURE, np.random.default_rng(0)
+            build_surroundings(build_scene(), [run]),
+            candidate.pose,
+            SURE,
+            np.random.default_rng(0),
         )
     assert n_expected == pytest.approx(sum(n_beams), rel=0.08)
 
 
-def test_only_the_part_inside_the_field_of_view_counts(mount, block_run, expected_points):
+def test_only_the_part_inside_the_field_of_view_counts(
+    mount, block_run, expected_points
+):
     """The beams end 15 degrees below the axis: looking up by 15, the lower half is left out."""
     run = block_run(8.0)
     level, raised, turned = (
@@ -252,7 +290,9 @@ def test_only_the_part_inside_the_field_of_view_counts(mount, block_run, expecte
     assert raised == pytest.approx(0.5 * level, rel=0.15)
     assert turned == pytest.approx(0.5 * level, rel=0.15)
     away = expected_points(mount("a", [0.0, 0.0, 0.9], camera=SURE, yaw_deg=60.0), run)
-    beyond = expected_points(mount("a", [0.0, 0.0, 0.9], camera=replace(SURE, range_m=7.0)), run)
+    beyond = expected_points(
+        mount("a", [0.0, 0.0, 0.9], camera=replace(SURE, range_m=7.0)), run
+    )
     assert (away, beyond) == (0, 0)
 
 
@@ -260,8 +300,11 @@ def test_a_lidars_table_leaves_of_those_with_enough_points_who_are_near_enough(
     build_scene, random_runs, mount, table_of
 ):
     at = mount("a", [-30.0, -12.0, 6.0], yaw_deg=20.0, pitch_deg=-12.0, camera=SURE)
-    rule, table = load_planning_detector(), load_detector("pointrcnn-2019").lidar
-    half_at_30_m = replace(table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5)
+    rule = load_planning_detector()
+    table = load_detector("pointrcnn-2019").lidar
+    half_at_30_m = replace(
+        table, distance_m=((0.0, 60.0),) * 5, recall=((1.0, 0.0),) * 5
+    )
     by_points, found = (
         table_of(build_scene(), [at], random_runs, replace(rule, lidar=lidar))[0]
         for lidar in (None, half_at_30_m)
@@ -280,14 +323,23 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
 ):
     scene = build_scene(*WALLS)
     candidates = [
-        mount(f"{x:g}/{yaw:g}", [x, -12.0, 6.0], yaw_deg=yaw, pitch_deg=-18.0, camera=lidar)
+        mount(
+            f"{x:g}/{yaw:g}",
+            [x, -12.0, 6.0],
+            yaw_deg=yaw,
+            pitch_deg=-18.0,
+            camera=lidar,
+        )
         for x in (-10.0, 3.0)
         for yaw in (60.0, 90.0, 120.0)
     ]
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
-        [scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0)) for c in candidates]
+        [
+            scan_frames(surroundings, c.pose, lidar, np.random.default_rng(0))
+            for c in candidates
+        ]
     )
     agreement = (found == scans).mean(axis=1)
     assert agreement.min() > 0.93
@@ -296,7 +348,10 @@ def test_the_table_detects_in_the_frames_in_which_a_scan_does(
 
 
 RING = replace(
-    STUDY, horizontal_fov_deg=360.0, vertical_fov_deg=60.0, points_per_second=10.0 * 52 * 360
+    STUDY,
+    horizontal_fov_deg=360.0,
+    vertical_fov_deg=60.0,
+    points_per_second=10.0 * 52 * 360,
 )
 SECTOR = replace(RING, horizontal_fov_deg=120.0, points_per_second=10.0 * 52 * 120)
 
@@ -320,7 +375,9 @@ def test_a_ring_detects_where_a_sector_of_the_same_steps_does(
     candidates = [
         mount("ring", [1.0, -2.0, 5.0], pitch_deg=0.0, camera=RING),
         *(
-            mount(f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=SECTOR)
+            mount(
+                f"{yaw:g}", [1.0, -2.0, 5.0], yaw_deg=yaw, pitch_deg=0.0, camera=SECTOR
+            )
             for yaw in (0.0, 120.0, -120.0, 180.0)
         ),
     ]
@@ -343,7 +400,10 @@ def test_the_table_of_a_ring_detects_in_the_frames_in_which_a_scan_does(
     found = table_of(scene, candidates, random_runs)
     surroundings = build_surroundings(scene, random_runs)
     scans = np.array(
-        [scan_frames(surroundings, c.pose, RING, np.random.default_rng(0)) for c in candidates]
+        [
+            scan_frames(surroundings, c.pose, RING, np.random.default_rng(0))
+            for c in candidates
+        ]
     )
     assert (found == scans).mean(axis=1).min() > 0.93
     assert 0.2 < scans.mean() < 0.9

@@ -16,13 +16,18 @@ from placement.evaluator.perceive import (
     perceive_frames,
     scan_frames,
 )
-from placement.evaluator.surroundings import build_surroundings, load_vut_camera, load_vut_lidar
+from placement.evaluator.surroundings import (
+    build_surroundings,
+    load_vut_camera,
+    load_vut_lidar,
+)
 from placement.visibility.build import build_detection_table
 from placement.visibility.casting import build_world, cast_sight
 
 LINES_M = np.arange(-80.0, 81.0, 4.0)
 WALL = ((3.0, 8.0, 0.0), (12.0, 8.3, 1.1))
-NEAR_M, FAR_M = 0.35, 1000.0
+NEAR_M = 0.35
+FAR_M = 1000.0
 
 
 def with_ground(scene, height_of):
@@ -50,7 +55,9 @@ def some_runs(build_run, seed, n_frames=12):
     runs = []
     for name in ("adult", "cyclist"):
         vru, vut = (
-            np.column_stack([rng.uniform(-25, 25, (n_frames, 2)), rng.uniform(-180, 180, n_frames)])
+            np.column_stack(
+                [rng.uniform(-25, 25, (n_frames, 2)), rng.uniform(-180, 180, n_frames)]
+            )
             for _ in range(2)
         )
         car = PlacedActor(
@@ -97,7 +104,10 @@ def test_a_ridge_hides_in_the_table_what_lies_in_its_shadow(behind_the_ridge):
     world = build_world(scene, runs, n_points=120, seed=0)
     sight = cast_sight(world, EYE_M, near_m=NEAR_M, max_distance_m=FAR_M)
     flat = build_world(
-        replace(scene, vertices_m=scene.vertices_m * [1, 1, 0]), runs, n_points=120, seed=0
+        replace(scene, vertices_m=scene.vertices_m * [1, 1, 0]),
+        runs,
+        n_points=120,
+        seed=0,
     )
     free = cast_sight(flat, EYE_M, near_m=NEAR_M, max_distance_m=FAR_M)
     over_m = over_ridge_m(world.views.points_m + world.origin_m)
@@ -105,13 +115,17 @@ def test_a_ridge_hides_in_the_table_what_lies_in_its_shadow(behind_the_ridge):
     visible = np.zeros_like(free.is_visible)
     visible[sight.view_index] = sight.is_visible
     is_sure = np.abs(over_m) > 1.0e-3
-    np.testing.assert_array_equal(visible[is_sure], (free.is_visible & (over_m > 0.0))[is_sure])
+    np.testing.assert_array_equal(
+        visible[is_sure], (free.is_visible & (over_m > 0.0))[is_sure]
+    )
     shares = visible.sum(axis=1) / free.is_visible.sum(axis=1)
     assert shares.min() < 0.05
     assert shares.max() == 1.0
 
 
-def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(behind_the_ridge, camera):
+def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(
+    behind_the_ridge, camera
+):
     scene, runs = behind_the_ridge
     pose = Pose(position_m=EYE_M, yaw_deg=0.0, pitch_deg=-5.0)
     seen = perceive_frames(build_surroundings(scene, runs), (pose, camera))
@@ -120,17 +134,22 @@ def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(behind_the_ridge
     np.testing.assert_array_equal(seen.amodal_px, free.amodal_px)
     (run,) = runs
     n_cut = 0
-    for frame, (visible, amodal) in enumerate(zip(seen.visible_px, free.amodal_px, strict=True)):
+    for frame, (visible, amodal) in enumerate(
+        zip(seen.visible_px, free.amodal_px, strict=True)
+    ):
         body = run.encounter.vru.shapes[0].vertices_m
         points = to_world(
-            body, Pose(position_m=np.append(run.vru_position_m[frame], 0.0), yaw_deg=90.0)
+            body,
+            Pose(position_m=np.append(run.vru_position_m[frame], 0.0), yaw_deg=90.0),
         )
         if (over_ridge_m(points) < -0.01).all():
             assert not visible.any()
             continue
-        # Rows of a camera that looks along the ridge's normal: its edge is the same in each column.
+        # Rows of a camera that looks along the ridge's normal: its edge is the same in
+        # each column.
         down = np.radians(5.0)
-        depth, rise = 20.0, 4.0 - EYE_M[2]
+        depth = 20.0
+        rise = 4.0 - EYE_M[2]
         row = 0.5 * camera.height_px + camera.focal_length_px * (
             -(depth * np.sin(down) + rise * np.cos(down))
             / (depth * np.cos(down) - rise * np.sin(down))
@@ -142,16 +161,27 @@ def test_a_ridge_hides_in_the_evaluator_what_lies_in_its_shadow(behind_the_ridge
     assert n_cut >= 4
 
 
-def test_a_lifted_world_looks_as_one_at_zero(build_scene, build_run, mount, camera, axis_of):
+def test_a_lifted_world_looks_as_one_at_zero(
+    build_scene, build_run, mount, camera, axis_of
+):
     flat = build_scene(WALL)
     high = with_ground(flat, lambda east, north: 0.0 * east + 37.5)
     runs = some_runs(build_run, 3)
     axis = axis_of(runs)
-    tables, evidence, scans, own = [], [], [], []
+    tables = []
+    evidence = []
+    scans = []
+    own = []
     for scene, up_m in ((flat, 0.0), (high, 37.5)):
         here = on(scene, runs)
         candidates = [
-            mount(f"{x}/{yaw}", [x, -6.0, 6.0 + up_m], yaw_deg=yaw, pitch_deg=-15.0, camera=camera)
+            mount(
+                f"{x}/{yaw}",
+                [x, -6.0, 6.0 + up_m],
+                yaw_deg=yaw,
+                pitch_deg=-15.0,
+                camera=camera,
+            )
             for x in (-12.0, 14.0)
             for yaw in (0.0, 90.0, 180.0)
         ]
@@ -161,10 +191,14 @@ def test_a_lifted_world_looks_as_one_at_zero(build_scene, build_run, mount, came
             ).packed
         )
         surroundings = build_surroundings(scene, here)
-        evidence.append([perceive_frames(surroundings, (c.pose, camera)) for c in candidates])
+        evidence.append(
+            [perceive_frames(surroundings, (c.pose, camera)) for c in candidates]
+        )
         own.append(perceive_frames(surroundings, load_vut_camera()))
         rng = np.random.default_rng(0)
-        scans.append(scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng))
+        scans.append(
+            scan_frames(surroundings, candidates[0].pose, load_vut_lidar(), rng)
+        )
     assert tables[0].any()
     np.testing.assert_array_equal(*tables)
     np.testing.assert_array_equal(*scans)
@@ -180,7 +214,8 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(0.05, 0.2, 2)
     scene = with_ground(
-        build_scene(WALL), lambda east, north: 2.0 * np.sin(a * east) + 1.5 * np.cos(b * north)
+        build_scene(WALL),
+        lambda east, north: 2.0 * np.sin(a * east) + 1.5 * np.cos(b * north),
     )
     runs = on(scene, some_runs(build_run, seed))
     world = build_world(scene, runs, n_points=40, seed=0)
@@ -192,7 +227,11 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
         for index in range(len(run.time_s)):
             bodies = [
                 (run.encounter.vut.shapes[0], run.vut_position_m, run.vut_yaw_deg),
-                (run.traffic[0].actor.shapes[0], run.traffic[0].position_m, run.traffic[0].yaw_deg),
+                (
+                    run.traffic[0].actor.shapes[0],
+                    run.traffic[0].position_m,
+                    run.traffic[0].yaw_deg,
+                ),
                 (
                     run.encounter.vru.shapes[run.vru_shape[index]],
                     run.vru_position_m,
@@ -201,25 +240,39 @@ def test_on_hills_the_table_sees_what_single_rays_reach(build_scene, build_run, 
             ]
             parts = [(scene.vertices_m, scene.triangles)]
             parts += [
-                (to_world(one.actor.shapes[0].vertices_m, one.pose), one.actor.shapes[0].triangles)
+                (
+                    to_world(one.actor.shapes[0].vertices_m, one.pose),
+                    one.actor.shapes[0].triangles,
+                )
                 for one in run.obstruction
             ]
             for shape, position, yaw in bodies:
                 height = ground_height_m(scene, position[index])
-                pose = Pose(position_m=np.append(position[index], height), yaw_deg=yaw[index])
+                pose = Pose(
+                    position_m=np.append(position[index], height), yaw_deg=yaw[index]
+                )
                 parts.append((to_world(shape.vertices_m, pose), shape.triangles))
             first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
             caster = build_caster(
                 np.concatenate([vertices for vertices, _ in parts]) - world.origin_m,
-                np.concatenate([faces + n for (_, faces), n in zip(parts, first, strict=False)]),
+                np.concatenate(
+                    [faces + n for (_, faces), n in zip(parts, first, strict=False)]
+                ),
             )
             view = world.views.view_of_frame[frame]
             ways = world.views.points_m[view] - (eye - world.origin_m)
             length = np.linalg.norm(ways, axis=1)[:, None]
             starts = (eye - world.origin_m) + NEAR_M * ways / length
             vectors = ways * (1.0 - (NEAR_M + 1.0e-3) / length)
-            reached = ~caster.is_blocked(starts.astype(np.float32), vectors.astype(np.float32))
+            reached = ~caster.is_blocked(
+                starts.astype(np.float32), vectors.astype(np.float32)
+            )
             entry = sight.entry_of_frame[frame]
-            visible = sight.is_visible[entry] if entry >= 0 else np.zeros(len(reached), dtype=bool)
-            assert (visible == reached).mean() >= 0.9  # rays along edges may go either way
+            if entry >= 0:
+                visible = sight.is_visible[entry]
+            else:
+                visible = np.zeros(len(reached), dtype=bool)
+            assert (
+                visible == reached
+            ).mean() >= 0.9  # rays along edges may go either way
             frame += 1

@@ -32,12 +32,15 @@ def _distance_m(points, corners):
     best = np.full(height.shape, np.inf)
     for start, end in ((a, b), (b, c), (c, a)):
         side = end - start
-        is_above &= (np.cross(np.broadcast_to(side, foot.shape), foot - start) * normal).sum(
-            -1
-        ) >= -1e-12
-        share = np.clip(((points[:, None] - start) * side).sum(-1) / (side**2).sum(-1), 0.0, 1.0)
+        is_above &= (
+            np.cross(np.broadcast_to(side, foot.shape), foot - start) * normal
+        ).sum(-1) >= -1e-12
+        share = np.clip(
+            ((points[:, None] - start) * side).sum(-1) / (side**2).sum(-1), 0.0, 1.0
+        )
         best = np.minimum(
-            best, np.linalg.norm(points[:, None] - start - share[..., None] * side, axis=-1)
+            best,
+            np.linalg.norm(points[:, None] - start - share[..., None] * side, axis=-1),
         )
     return np.where(is_above, np.abs(height), best).min(axis=1)
 
@@ -51,7 +54,8 @@ def test_points_lie_on_the_mesh(surface):
 
 
 def test_the_box_around_the_points_is_that_of_the_shape(surface):
-    vertices, points = _shape(surface).vertices_m, surface.points_m
+    vertices = _shape(surface).vertices_m
+    points = surface.points_m
     assert np.array_equal(points.min(axis=0), vertices.min(axis=0))
     assert np.array_equal(points.max(axis=0), vertices.max(axis=0))
 
@@ -70,7 +74,9 @@ def test_points_are_evenly_spread(surface):
     n_extremes = 26
     assert pdist(surface.points_m[n_extremes:]).min() > 0.05
     # A thicker sample of the same surface: nothing is far from a point.
-    fine = build_surface(surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7).points_m
+    fine = build_surface(
+        surface.actor, surface.shape_index, n_points=4 * N_POINTS, seed=7
+    ).points_m
     assert cKDTree(surface.points_m).query(fine)[0].max() < 0.12
 
 
@@ -84,7 +90,10 @@ def test_the_seed_decides(surface):
 
 
 def test_fewer_points_than_extremes_can_be_asked_for(actors):
-    assert build_surface(actors["adult"], 0, n_points=5, seed=0).points_m.shape == (5, 3)
+    assert build_surface(actors["adult"], 0, n_points=5, seed=0).points_m.shape == (
+        5,
+        3,
+    )
 
 
 def test_the_parts_around_the_points_make_up_the_surface(surface):
@@ -105,8 +114,10 @@ def test_the_parts_around_the_points_make_up_the_surface(surface):
 
 def test_samples_are_chosen_one_by_one_the_farthest_from_all_before():
     rng = np.random.default_rng(2)
-    samples, first = rng.normal(size=(400, 3)), rng.normal(size=(4, 3))
-    points, expected = list(first), []
+    samples = rng.normal(size=(400, 3))
+    first = rng.normal(size=(4, 3))
+    points = list(first)
+    expected = []
     for _ in range(30):
         farthest = int(np.argmax(cdist(samples, points).min(axis=1)))
         expected.append(farthest)

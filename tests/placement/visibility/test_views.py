@@ -5,9 +5,12 @@ from hypothesis import strategies as st
 from placement.visibility import views
 from placement.visibility.views import HiddenPoints
 
-N_ROWS, N_POINTS = 12, 19  # points do not fill their bytes
+N_ROWS = 12
+N_POINTS = 19  # points do not fill their bytes
 
-ROWS = st.lists(st.integers(0, N_ROWS - 1), unique=True).map(lambda rows: np.array(rows, dtype=int))
+ROWS = st.lists(st.integers(0, N_ROWS - 1), unique=True).map(
+    lambda rows: np.array(rows, dtype=int)
+)
 
 
 def _truth(eye):
@@ -16,7 +19,8 @@ def _truth(eye):
 
 @given(st.lists(st.tuples(st.integers(0, 3), ROWS, ROWS), max_size=8))
 def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
-    kept, found = HiddenPoints(N_ROWS, N_POINTS), set()
+    kept = HiddenPoints(N_ROWS, N_POINTS)
+    found = set()
     for eye, rows, foreseen in asked:
 
         def find(index, eye=eye):
@@ -26,7 +30,9 @@ def test_what_is_kept_is_what_was_found_and_nothing_is_found_twice(asked):
             return _truth(eye)[index]
 
         before = set(found)
-        assert np.array_equal(kept.look(eye, rows, find, foreseen=foreseen), _truth(eye)[rows])
+        assert np.array_equal(
+            kept.look(eye, rows, find, foreseen=foreseen), _truth(eye)[rows]
+        )
         if {(eye, row) for row in rows.tolist()} <= before:
             assert found == before  # what is foreseen can wait
         else:

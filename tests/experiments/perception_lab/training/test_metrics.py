@@ -56,7 +56,9 @@ def test_average_precision_by_hand():
     )
     assert average_precision(scored) == pytest.approx(0.5 * 1.0 + 0.5 * 2.0 / 3.0)
     # One miss of two until there is a false alarm per picture, none from there on.
-    assert log_average_miss_rate(scored) == pytest.approx((0.5**8 * 1e-10) ** (1 / 9), rel=1e-6)
+    assert log_average_miss_rate(scored) == pytest.approx(
+        (0.5**8 * 1e-10) ** (1 / 9), rel=1e-6
+    )
 
 
 def test_a_network_that_finds_nothing_misses_all():
@@ -67,9 +69,14 @@ def test_a_network_that_finds_nothing_misses_all():
     assert log_average_miss_rate(scored) == 1.0
 
 
-@given(st.lists(st.tuples(st.booleans(), st.floats(0.0, 1.0)), max_size=12), st.floats(0.1, 9.0))
+@given(
+    st.lists(st.tuples(st.booleans(), st.floats(0.0, 1.0)), max_size=12),
+    st.floats(0.1, 9.0),
+)
 def test_metrics_are_shares(rows, n_pictures):
-    found = [(BOX[0] if near else BOX[0] + 90.0, confidence) for near, confidence in rows]
+    found = [
+        (BOX[0] if near else BOX[0] + 90.0, confidence) for near, confidence in rows
+    ]
     scored = _scored(found, n_pictures=n_pictures)
     assert 0.0 <= average_precision(scored) <= 1.0
     assert 0.0 <= log_average_miss_rate(scored) <= 1.0

@@ -26,7 +26,9 @@ from placement.setting import build_setting
 
 @pytest.fixture(scope="module")
 def setting():
-    question = Question(cases="CPNA-75,CPNCO-50", along_arms="0", speeds="20", approaches="east")
+    question = Question(
+        cases="CPNA-75,CPNCO-50", along_arms="0", speeds="20", approaches="east"
+    )
     return build_setting(question, load_study_scene())
 
 
@@ -68,7 +70,9 @@ def test_forty_kept_crops_are_on_a_page(tmp_path):
     crops.rgb[dark] //= 100
     save_crops(tmp_path / "here-11.npz", crops)
     told = []
-    sheet = pictures.draw_sheet(pictures.stored_looks(tmp_path, seed=0), tell=told.append)
+    sheet = pictures.draw_sheet(
+        pictures.stored_looks(tmp_path, seed=0), tell=told.append
+    )
     assert sheet.size == (8 * CROP_PX, 5 * (CROP_PX + pictures._CAPTION_PX))
     assert told[0] == "1 of 40: adult, day, 80 px, here"
     assert told[-2].startswith("40 of 40: ")
@@ -84,13 +88,18 @@ def test_forty_kept_crops_are_on_a_page(tmp_path):
 
 
 def test_a_page_of_nothing_but_darkness_is_refused():
-    row = {"rgb": np.zeros((CROP_PX, CROP_PX, 3), np.uint8), "box_px": np.array([9, 9, 40, 90])}
+    row = {
+        "rgb": np.zeros((CROP_PX, CROP_PX, 3), np.uint8),
+        "box_px": np.array([9, 9, 40, 90]),
+    }
     with pytest.raises(InputError, match="only dark ones"):
         pictures.draw_sheet([itertools.repeat(("here", row))])
 
 
 def test_a_folder_without_crops_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"crops of adults, day, made by python -m exp"):
+    with pytest.raises(
+        InputError, match=r"crops of adults, day, made by python -m exp"
+    ):
         pictures.draw_sheet(pictures.stored_looks(tmp_path, seed=0))
 
 
@@ -109,7 +118,9 @@ def test_photographs_with_labels_are_shown_to_a_network(tmp_path):
             rows, columns = np.nonzero(image[..., 0] > 200)
             block = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
             boxes = np.array([block, [0, 0, 9, 9], block], dtype=float)
-            return ImageBoxes(boxes, np.array([0, 0, 1]), np.array([0.9, 0.6, 0.4]), {0: "person"})
+            return ImageBoxes(
+                boxes, np.array([0, 0, 1]), np.array([0.9, 0.6, 0.4]), {0: "person"}
+            )
 
     picture = np.zeros((100, 200, 3), np.uint8)
     picture[20:70, 50:70] = (255, 0, 0)
@@ -127,12 +138,19 @@ def test_photographs_with_labels_are_shown_to_a_network(tmp_path):
     assert text.startswith(
         "1 photographs; boxes of confidence 0.5 and more: 2, of them on nobody: 1."
     )
-    assert "| pedestrian | 2 | 40 to 50 px | 1 |\n| cyclist | 1 | 50 to 50 px | 1 |" in text
+    assert (
+        "| pedestrian | 2 | 40 to 50 px | 1 |\n| cyclist | 1 | 50 to 50 px | 1 |"
+        in text
+    )
     labels.write_text("Pedestrian 0 0\n")
-    with pytest.raises(InputError, match=r"a\.txt:1: got 3 fields; expected 8 to 16 fields"):
+    with pytest.raises(
+        InputError, match=r"a\.txt:1: got 3 fields; expected 8 to 16 fields"
+    ):
         photographs_text(tmp_path, Seen())
     (tmp_path / "image_2" / "a.png").write_bytes(b"no picture")
-    with pytest.raises(InputError, match=r"a\.png: got cannot identify .*; expected a picture"):
+    with pytest.raises(
+        InputError, match=r"a\.png: got cannot identify .*; expected a picture"
+    ):
         photographs_text(tmp_path, Seen())
     labels.unlink()
     with pytest.raises(InputError, match="label_2: got no labels; expected files NAME"):

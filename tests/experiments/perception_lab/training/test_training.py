@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.perception_lab.training.crops import CROP_PX, Crops, load_crops, save_crops
+from experiments.perception_lab.training.crops import (
+    CROP_PX,
+    Crops,
+    load_crops,
+    save_crops,
+)
 
 torch = pytest.importorskip("torch", reason="the group `train` is not installed")
 
@@ -12,15 +17,19 @@ def _toys(n_crops, seed):
     """Bright upright bars with a dark head in noise; every fifth crop is empty."""
     rng = np.random.default_rng(seed)
     rgb = rng.normal(90.0, 12.0, (n_crops, CROP_PX, CROP_PX, 3))
-    boxes, classes = np.zeros((n_crops, 4)), np.full(n_crops, -1)
+    boxes = np.zeros((n_crops, 4))
+    classes = np.full(n_crops, -1)
     for row in range(n_crops):
         if row % 5 == 0:
             continue
-        width, height = rng.integers(12, 24), rng.integers(40, 80)
-        left, top = rng.integers(0, CROP_PX - width), rng.integers(0, CROP_PX - height)
+        width = rng.integers(12, 24)
+        height = rng.integers(40, 80)
+        left = rng.integers(0, CROP_PX - width)
+        top = rng.integers(0, CROP_PX - height)
         rgb[row, top : top + height, left : left + width] = 220.0
         rgb[row, top : top + 10, left : left + width] = 20.0
-        boxes[row], classes[row] = (left, top, left + width, top + height), 0
+        boxes[row] = (left, top, left + width, top + height)
+        classes[row] = 0
     heights = boxes[:, 3] - boxes[:, 1]
     return Crops(
         rgb=rgb.clip(0, 255).astype(np.uint8),
@@ -53,7 +62,9 @@ def test_a_minute_of_training_beats_chance(trained):
     test = _toys(60, 9)
     everything = np.ones(60, dtype=bool)
     learnt = average_precision(_score(test, find_boxes(network, test), everything))
-    chance = average_precision(_score(test, find_boxes(VruNetwork().eval(), test), everything))
+    chance = average_precision(
+        _score(test, find_boxes(VruNetwork().eval(), test), everything)
+    )
     assert learnt > chance + 0.3
 
 
