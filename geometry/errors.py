@@ -77,6 +77,21 @@ def check_name(name: str, where: str) -> None:
         raise InputError(where, name, "printable text")
 
 
+def clean_name(name: str) -> str:
+    """A name of a map, which its user cannot change, without characters that nobody sees.
+
+    Spaces of other kinds become plain ones; see :func:`check_name` for the names of
+    users.
+
+    >>> clean_name("Haupt\u00adstraße\u00a01")
+    'Hauptstraße 1'
+    """
+    if name.isprintable():
+        return name
+    spaced = (" " if character.isspace() else character for character in name)
+    return "".join(character for character in spaced if character.isprintable())
+
+
 def check_field(
     value: object, where: str, field: str, is_valid: bool, expected: str
 ) -> None:

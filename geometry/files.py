@@ -43,6 +43,7 @@ MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
 MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
 _PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
 _STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
+_OF_NO_FILE = (ConnectionError, TimeoutError, ChildProcessError, BlockingIOError)
 _YOUNG_S = 60.0  # a process may have made it and not locked it yet
 
 
@@ -229,6 +230,23 @@ def write_atomically(
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def is_about(error: OSError, *paths: Path) -> bool:
+    """True if a system's error is about some paths, what lies in them, or folders above them.
+
+    One that names no file is taken to be, for writing to an open file names none; but
+    not one of a connection, pipe or process.
+    """
+    if error.filename is None:
+        return not isinstance(error, _OF_NO_FILE)
+    if isinstance(error.filename, int):  # an open file's number
+        return False
+    named = Path(os.fsdecode(error.filename)).absolute()
+    whole = [path.absolute() for path in paths]
+    return any(
+        named.is_relative_to(path) or path.is_relative_to(named) for path in whole
+    )
 
 
 # ---------- TOML

@@ -30,14 +30,6 @@ CLASS_NAMES = (
 Turn = Literal["left", "through", "right", "reverse"]
 _SOLID_CLASSES = ("building", "wall", "vegetation", "parked vehicle")
 _MIN_AREA_M2 = 1.0e-6
-MAX_COORDINATE_M = 10_000.0
-"""Farthest that anything of a scene may lie from its origin, along each axis."""
-MAX_LINE_POINTS = 10_000
-"""Most points of a lane's line, or of an outline."""
-MAX_LANES = 2_000
-MAX_CROSSWALKS = 500
-LANE_WIDTH_M = (0.5, 30.0)
-"""Narrowest and widest lane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,16 +71,18 @@ class Site:
     def __post_init__(self) -> None:
         where = f"site {self.id}"
         check_name(self.id, f"{where}.id")
+        check_name(self.kind, f"{where}.kind")
         check = partial(check_field, self, where)
         set_arrays(self, f"{where}.", position_m=(3,), height_range_m=(2,))
         _check_near(self.position_m, f"{where}.position_m")
-        _check_near(self.height_range_m, f"{where}.height_range_m")
+        limits = load_limits()
         low, high = self.height_range_m.tolist()
-        if not 0.0 < low <= high:
+        if not 0.0 < low <= high <= limits.coordinate_m:
             expected = "[low, high] in metres, 0 < low <= high"
+            if low > 0.0 and high > limits.coordinate_m:
+                expected += f" <= {limits.coordinate_m:,.0f}"
             raise InputError(f"{where}.height_range_m", [low, high], expected)
         capacity = self.capacity_units
-        limits = load_limits()
         is_whole = isinstance(capacity, int) and not isinstance(capacity, bool)
         is_count = is_whole and 1 <= capacity <= limits.capacity_units
         check(
@@ -143,8 +137,8 @@ class LeadingRoad:
     lanes_out: int
 
     def __post_init__(self) -> None:
+        check_name(self.name, f"road {self.name}.name")
         set_arrays(self, "", point_m=(2,), direction=(2,))
-        _check_near(self.point_m, f"road {self.name}.point_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,6 +176,7 @@ class Scene:
     ] = ()  #: that lead to the junction; none: the map does not say
 
     def __post_init__(self) -> None:
+        check_name(self.name, "scene: name")
         shapes = {
             "vertices_m": (-1, 3),
             "outline_m": (-1, 2),
@@ -190,12 +185,9 @@ class Scene:
         set_arrays(self, f"{self.name}: ", **shapes, source_origin_m=(2,))
         for name in shapes:
             _check_near(getattr(self, name), f"{self.name}: {name}")
-        for name, most in (
-            ("outline_m", MAX_LINE_POINTS),
-            ("crosswalks_m", MAX_CROSSWALKS),
-            ("lanes", MAX_LANES),
-        ):
-            _check_count(len(getattr(self, name)), most, f"{self.name}: {name}")
+        for road in self.roads:
+            _check_near(road.point_m, f"{self.name}: road {road.name}.point_m")
+        self._check_sizes()
         for name in ("triangles", "triangle_instance"):
             array = np.array(getattr(self, name), dtype=np.int32)
             object.__setattr__(self, name, freeze(array))
@@ -221,6 +213,26 @@ class Scene:
             if repeated:
                 raise InputError(f"{self.name}: {kind}s", repeated[0], "every id once")
 
+    def _check_sizes(self) -> None:
+        """Raise InputError if there is more of something than any junction has."""
+        limits = load_limits()
+        for name, most in (
+            ("outline_m", limits.line_points),
+            ("crosswalks_m", limits.crosswalks),
+            ("lanes", limits.lanes),
+        ):
+            _check_count(len(getattr(self, name)), most, f"{self.name}: {name}")
+        lengths_m = np.linalg.norm(np.diff(self.crosswalks_m, axis=1), axis=2).ravel()
+        for index in np.flatnonzero(lengths_m > limits.crosswalk_length_m)[:1]:
+            where = f"{self.name}: crosswalks_m[{index}]"
+            got = f"{lengths_m[index]:,.0f} metres from end to end"
+            refuse(where, got, f"at most {limits.crosswalk_length_m:,.0f}")
+        steps = (np.diff(lane.centreline_m, axis=0) for lane in self.lanes)
+        length_m = sum(float(np.hypot(*step.T).sum()) for step in steps)
+        if length_m > limits.lanes_length_m:
+            got = f"{length_m:,.0f} metres of them"
+            refuse(f"{self.name}: lanes", got, f"at most {limits.lanes_length_m:,.0f}")
+
     def __repr__(self) -> str:
         return (
             f"Scene({self.name!r}, {len(self.triangles)} triangles, "
@@ -237,7 +249,7 @@ class Lane:
     # one lane to the start of another; or "assumed": straight on from beyond the map to
     # the start of one
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: float  # full width, within ``LANE_WIDTH_M``
+    width_m: Annotated[float, Meta(gt=0.0)]  # full width, see :func:`is_lane_width`
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
@@ -246,30 +258,35 @@ class Lane:
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
         check_name(self.id, f"{where}.id")
+        check_name(self.kind, f"{where}.kind")
         set_arrays(self, f"{where}.", centreline_m=(-1, 2))
         _check_near(self.centreline_m, f"{where}.centreline_m")
-        _check_count(len(self.centreline_m), MAX_LINE_POINTS, f"{where}.centreline_m")
+        most = load_limits().line_points
+        _check_count(len(self.centreline_m), most, f"{where}.centreline_m")
         if not is_lane_width(self.width_m):
-            low_m, high_m = LANE_WIDTH_M
+            low_m, high_m = load_limits().lane_width_m
             raise InputError(
                 f"{where}.width_m", self.width_m, f"{low_m:g} to {high_m:g} metres"
             )
 
 
 def is_lane_width(width_m: float) -> bool:
-    """True if a lane may be so wide."""
-    low_m, high_m = LANE_WIDTH_M
+    """True if a lane of a scene may be so wide."""
+    low_m, high_m = load_limits().lane_width_m
     return low_m <= width_m <= high_m
 
 
-def _check_near(values_m: FloatArray, where: str) -> None:
-    """Raise InputError if a coordinate lies farther from the origin than a scene reaches."""
-    if not values_m.size:
-        return
-    farthest = float(values_m.flat[np.abs(values_m).argmax()])
-    if abs(farthest) > MAX_COORDINATE_M:
-        limit = f"{MAX_COORDINATE_M:,.0f}"
-        raise InputError(where, farthest, f"-{limit} to {limit} metres from the origin")
+def _check_near(points_m: FloatArray, where: str) -> None:
+    """Raise InputError if a coordinate of points (.., d) is beyond what a scene may reach."""
+    most_m = load_limits().coordinate_m
+    is_far = (np.abs(points_m) > most_m).any(axis=-1)
+    if is_far.any():
+        first = np.argwhere(is_far)[0].tolist()  # [] if it is but one point
+        place = "".join(f"[{index}]" for index in first)
+        got = points_m[tuple(first)].tolist()
+        raise InputError(
+            f"{where}{place}", got, f"metres within {most_m:,.0f} of the origin"
+        )
 
 
 def _check_count(count: int, most: int, where: str) -> None:

@@ -36,7 +36,7 @@ from .notes import Kind, Note
 from .phrases import Phrase, pack_phrase, unpack_phrase
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
-from .untrusted_files import NoFiles, check_gltf, refuse_bomb
+from .untrusted_files import check_gltf, mesh_resolver, refuse_bomb
 
 FORMAT = "place-rsus scene"
 VERSION = 1
@@ -201,7 +201,7 @@ def save_scene(
 
 
 def load_scene_folder(path: Path) -> Scene:
-    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
+    """Scene that :func:`save_scene` has written into a folder or packed as .zip.
 
     Raises
     ------
@@ -209,9 +209,10 @@ def load_scene_folder(path: Path) -> Scene:
         It is no such folder, a field is missing or not of its kind, or the meshes do
         not fit.
     """
+    where = f"{path}/{SCENE_FILE}"
     with _as_folder(path) as folder:
-        table = _read_scene_file(folder, shown=path)
-        where = f"{path}/{SCENE_FILE}"
+        with _named(path):
+            table = _read_scene_file(folder, shown=path)
         meshes = _read_glb(folder / THINGS_FILE, shown=f"{path}/{THINGS_FILE}")
     bodies = []
     for index, thing in enumerate(table.things):
@@ -235,15 +236,29 @@ def load_scene_folder(path: Path) -> Scene:
         "skipped",
     ):  # these have other forms in a scene
         del fields[name]
-    return Scene(
-        **fields,
-        **join_bodies(bodies),
-        crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
-        notes=tuple(
+    with _named(path):
+        notes = tuple(
             _read_note(note, f"{where}: skipped[{index}]")
             for index, note in enumerate(table.skipped)
-        ),
-    )
+        )
+        return Scene(
+            **fields,
+            **join_bodies(bodies),
+            crosswalks_m=crosswalk_lines(line.ends_m for line in table.crosswalks),
+            notes=notes,
+        )
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name the scene's file in refusals that do not name it yet."""
+    try:
+        yield
+    except InputError as error:
+        if error.where.startswith(str(path)):
+            raise
+        where = f"{path}/{SCENE_FILE}: {error.where}"
+        raise InputError(where, error.got, error.expected) from None
 
 
 def _note_entry(note: Note) -> dict[str, Any]:
@@ -396,7 +411,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
         check_gltf(path)  # a header that claims more would be given memory
-        options = {"resolver": NoFiles(shown), "skip_materials": True, "process": False}
+        resolver = mesh_resolver(path, where=shown)
+        options = {"resolver": resolver, "skip_materials": True, "process": False}
         with open_file(path) as file:
             loaded = trimesh.load_scene(file, file_type="glb", **options)
         meshes = {

@@ -406,13 +406,20 @@ def _angles_rad(rays: FloatArray, camera: CameraModel) -> FloatArray:
     return np.where(np.isnan(angle), math.atan(_reach(camera)), angle)
 
 
-# ---------- largest values of sensors and sites
+# ---------- largest values of sensors, sites and scenes
 class _Limits(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     camera_pixels: int
     least_frame_rate_hz: float
     lidar_points_per_frame: int
     price_eur: float
     capacity_units: int
+    coordinate_m: float
+    line_points: int
+    lanes: int
+    lanes_length_m: float
+    lane_width_m: tuple[float, float]
+    crosswalks: int
+    crosswalk_length_m: float
 
 
 @cache

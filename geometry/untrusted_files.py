@@ -277,39 +277,76 @@ class _View(Struct, frozen=True):
     byteStride: _Size = 0
 
 
+class _Data(Struct, frozen=True):
+    uri: str | None = None
+
+
 class _Node(Struct, frozen=True):
     children: tuple[_Size, ...] = ()
 
 
 class _Gltf(Struct, frozen=True):
     accessors: tuple[_Accessor, ...] = ()
+    buffers: tuple[_Data, ...] = ()
     bufferViews: tuple[_View, ...] = ()
+    images: tuple[_Data, ...] = ()
     nodes: Annotated[tuple[_Node, ...], Meta(max_length=_MAX_NODES)] = ()
     extensionsRequired: tuple[str, ...] = ()
 
 
-class NoFiles:
-    """Resolver for trimesh that opens no file: a mesh has all its data in itself."""
+def mesh_resolver(path: Path, *, where: str = "", is_beside: bool = False) -> Any:
+    """A resolver for trimesh that opens nothing outside of a mesh's own file.
 
-    def __init__(self, where: str) -> None:
-        self._where = where
+    `is_beside`: the format keeps its geometry in files beside it; those are opened, if
+    they are regular files in the mesh's folder, or below it, and all of them together
+    have a mesh's size. `where` names the mesh in messages; empty: its path. The
+    resolver's ``get`` raises InputError.
+    """
+    from trimesh.resolvers import Resolver
 
-    def __getitem__(self, name: str) -> bytes:
-        """Raise InputError: the mesh names a file."""
-        got = f"a reference to {str(name)[:100]!r}"
-        refuse(self._where, got, "all of its data in the file itself")
+    shown, folder = where or str(path), path.resolve().parent
 
-    get = __getitem__
+    class OwnResolver(Resolver):  # type: ignore[misc]
+        def __init__(self) -> None:
+            self._n_left = MAX_FILE_BYTES
+
+        def get(self, name: str) -> bytes:
+            got = f"a reference to {name[:100]!r}"
+            if not is_beside:
+                refuse(shown, got, "all of its data in the file itself")
+            target = (folder / name.strip()).resolve()
+            if "://" in name or not target.is_relative_to(folder):
+                refuse(shown, got, "files in its own folder")
+            data = read_bytes(target, max_bytes=self._n_left)
+            self._n_left -= len(data)
+            return data
+
+        def keys(self) -> list[str]:
+            return []
+
+        def namespaced(self, namespace: str) -> Any:
+            refuse(
+                shown, f"a reference to {namespace[:100]!r}", "files in its own folder"
+            )
+
+        def write(self, name: str, data: object) -> None:
+            raise NotImplementedError(name)
+
+    return OwnResolver()
 
 
 def check_gltf(path: Path) -> None:
     """Check the claims of a glTF 2 file before memory is given to it.
 
+    A binary one has all of its data in itself: neither a buffer nor an image is another
+    file.
+
     Raises InputError if it is no glTF 2; claims more elements than five million
     triangles have; or has nodes with several parents, or that are their own ancestors.
     """
     where = str(path)
-    if path.suffix.lower() == ".glb":
+    is_binary = path.suffix.lower() == ".glb"
+    if is_binary:
         text = _binary_header(path)
     else:
         text = read_bytes(path)
@@ -318,6 +355,12 @@ def check_gltf(path: Path) -> None:
     document = parse_object(text.decode("utf-8", "replace"), where, "glTF")
     known = {key: document[key] for key in _Gltf.__struct_fields__ if key in document}
     header = read_table(known, _Gltf, where)
+    for name in ("buffers", "images"):
+        for index, data in enumerate(getattr(header, name)):
+            if is_binary and data.uri is not None and not data.uri.startswith("data:"):
+                got = data.uri[:100]
+                expected = "all data in the file itself"
+                raise InputError(f"{where}: {name}[{index}].uri", got, expected)
     children = [child for node in header.nodes for child in node.children]
     if max(children, default=-1) >= len(header.nodes):
         raise InputError(f"{where}: nodes.children", max(children), "indices of nodes")

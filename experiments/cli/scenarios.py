@@ -10,6 +10,7 @@ import click
 import msgspec
 
 from geometry.errors import InputError, Unquoted
+from geometry.files import is_about
 from placement.question import Question
 
 from ..language import mark
@@ -321,6 +322,8 @@ def show(
                 path.parent.mkdir(parents=True, exist_ok=True)
             save_film(path, scene, run, progress=progress)
     except OSError as error:
+        if not is_about(error, path):
+            raise
         raise unwritable(path, error) from None
     progress.stop()
     tell(f"Written to {path}.")

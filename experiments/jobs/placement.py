@@ -11,7 +11,7 @@ from pathlib import Path
 from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
-from geometry.files import write_atomically
+from geometry.files import is_about, write_atomically
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
@@ -617,6 +617,8 @@ def _saved_elsewhere(folder: Path, answer: Mapping[str, str]) -> Iterator[None]:
         kept = Path(tempfile.mkdtemp(prefix="place-rsus-kept-"))
         for name, text in answer.items():
             write_atomically(kept / name, text)
-        raise folders.unwritable(
-            folder, error, f"; layout and numbers are kept in {kept}"
-        ) from error
+        more = f"layout and numbers are kept in {kept}"
+        if not is_about(error, folder):
+            error.add_note(more)
+            raise
+        raise folders.unwritable(folder, error, f"; {more}") from error

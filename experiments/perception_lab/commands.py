@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geometry.files import is_about
 from placement.compute import Compute
 from placement.question import question_fields
 
@@ -437,6 +438,8 @@ def render(
             path.parent.mkdir(parents=True, exist_ok=True)
         written = job.save(path, seen)
     except OSError as error:
+        if not is_about(error, path):
+            raise
         raise unwritable(path, error) from None
     progress.stop()
     for file in written:

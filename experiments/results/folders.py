@@ -23,6 +23,7 @@ import msgspec
 from geometry.errors import InputError, Unquoted
 from geometry.files import (
     is_abandoned,
+    is_about,
     lock_while_alive,
     open_file,
     read_text,
@@ -199,7 +200,7 @@ def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Pat
                 raise InputError(
                     error.where, error.got, f"{error.expected}{more}"
                 ) from error
-            if isinstance(error, OSError) and _is_of(error, real, temporary):
+            if isinstance(error, OSError) and is_about(error, real, temporary):
                 raise unwritable(folder, error, more) from error
             error.add_note(more.removeprefix("; "))
         shutil.rmtree(temporary, ignore_errors=True)
@@ -207,14 +208,6 @@ def new_result_folder(folder: Path, *, sign: Path | None = None) -> Iterator[Pat
             for parent in made:
                 parent.rmdir()
         raise
-
-
-def _is_of(error: OSError, *folders: Path) -> bool:
-    """True if a system's error names no file at all, or one in some folders or above them."""
-    if error.filename is None:
-        return True
-    path = Path(os.fsdecode(error.filename))
-    return any(path.is_relative_to(one) or one.is_relative_to(path) for one in folders)
 
 
 def _check_name(folder: Path) -> None:

@@ -30,6 +30,7 @@ from ..scene import (
     is_lane_width,
     join_bodies,
 )
+from ..sensors import load_limits
 from ..terrain import GROUND, Terrain, houses_of, on_ground
 from .georeferences import LocalFrame, frame_at, transform
 from .relief import Relief, find_relief
@@ -40,6 +41,7 @@ from .source_map import (
     SourceMap,
     Thing,
     build_pole_body,
+    counted,
     plain_id,
     unique_id,
 )
@@ -142,6 +144,7 @@ def cut_out(
                     replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0))
                 )
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
+    skipped += _odd_lanes(roads, junction)
     others = [
         frame.take(one.outline_m, roads)
         for one in roads.junctions
@@ -384,6 +387,20 @@ def _lanes(
     ]
 
 
+def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
+    """A note of how many of a junction's lanes are left out for their widths, if any."""
+    own = [
+        lane
+        for lane in (*roads.lanes, *roads.connections)
+        if junction.id in (lane.to_junction, lane.from_junction)
+        and lane.kind != "walking"
+    ]
+    n_odd = sum(not is_lane_width(lane.width_m) for lane in own)
+    low_m, high_m = load_limits().lane_width_m
+    why = f"narrower than {low_m:g} m or wider than {high_m:g} m"
+    return counted(Counter({"lanes": n_odd} if n_odd else {}), why)
+
+
 def _leads_straight_on(points_m: FloatArray) -> bool:
     """True if a lane through a junction is about as straight as those that are assumed."""
     way = points_m[-1] - points_m[0]
@@ -499,7 +516,8 @@ def _crosswalks(
     middles = lines.mean(axis=1)
     lengths = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
     off_m = np.array([distance_to_outline_m(middle, outline_m) for middle in middles])
-    return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & (lengths > 0.0)])
+    is_length = (lengths > 0.0) & (lengths <= load_limits().crosswalk_length_m)
+    return np.asarray(lines[(off_m <= _CROSSWALK_WITHIN_M) & is_length])
 
 
 def _near_things(

@@ -28,8 +28,6 @@ from ..junction import build_junction
 from ..notes import Note
 from ..phrases import Phrase
 from ..scene import (
-    MAX_COORDINATE_M,
-    MAX_LINE_POINTS,
     Instance,
     Lane,
     Scene,
@@ -39,6 +37,7 @@ from ..scene import (
     join_bodies,
 )
 from ..scene_checks import arms_that_end
+from ..sensors import load_limits
 from ..terrain import GROUND
 from ..untrusted_files import local_name, read_xml_root, unpacked
 from .cut import LANES_BEYOND_M, build_scene, cut_out
@@ -318,11 +317,11 @@ def _survey(
     # Near the origin, as build_junction's other users have it; nothing but the lanes
     # counts.
     near = []
+    limits = load_limits()
     for lane in (lane for lane in lanes if lane.kind in ("driving", "parking")):
         whole_m = lane.centreline_m[:, :2] - middle
-        line_m = whole_m[(np.abs(whole_m) <= MAX_COORDINATE_M).all(axis=1)][
-            :MAX_LINE_POINTS
-        ]
+        is_near = (np.abs(whole_m) <= limits.coordinate_m).all(axis=1)
+        line_m = whole_m[is_near][: limits.line_points]
         if len(line_m) < 2 or not is_lane_width(lane.width_m):
             continue
         near.append(

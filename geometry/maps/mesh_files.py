@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import check_one_of, refuse
-from ..files import load_data, open_file, read_bytes, reading
+from ..files import load_data, open_file, reading
 from ..scene import CLASS_NAMES
-from ..untrusted_files import MAX_FILE_BYTES, NoFiles, check_gltf
+from ..untrusted_files import MAX_FILE_BYTES, check_gltf, mesh_resolver
 from .source_map import (
     MAX_TRIANGLES,
     SourceMap,
@@ -96,11 +96,7 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
         {"split_objects": True} if path.suffix.lower() == ".obj" else {}
     )
     # Only a .gltf has its geometry in files beside it: its buffers.
-    has_buffers_beside = path.suffix.lower() == ".gltf"
-    if has_buffers_beside:
-        resolver = _folder_resolver(path)
-    else:
-        resolver = NoFiles(where)
+    resolver = mesh_resolver(path, is_beside=path.suffix.lower() == ".gltf")
     options |= {"resolver": resolver, "skip_materials": True, "process": False}
     n_triangles = 0
     parts: list[_Part] = []
@@ -137,26 +133,6 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     if not parts:
         refuse(where, "no triangles", "a mesh of triangles")
     return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
-
-
-def _folder_resolver(path: Path) -> Any:
-    """A resolver that opens files in the mesh's own folder only, and never through a network."""
-    from trimesh.resolvers import FilePathResolver
-
-    folder = path.resolve().parent
-
-    class FolderResolver(FilePathResolver):  # type: ignore[misc]
-        def get(self, name: str) -> bytes:
-            target = (folder / name.strip()).resolve()
-            if "://" in name or not target.is_relative_to(folder):
-                refuse(
-                    str(path),
-                    f"a reference to {name[:100]!r}",
-                    "files in its own folder",
-                )
-            return read_bytes(target, max_bytes=MAX_FILE_BYTES)
-
-    return FolderResolver(str(path))
 
 
 def _placed(

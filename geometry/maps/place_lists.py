@@ -204,6 +204,8 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     if not site_id:
         refuse(f"{where}: id", "nothing", "a name")
     check_name(site_id, f"{where}: id")
+    kind = " ".join(str(values.get("kind", "")).lower().replace("_", " ").split())
+    check_name(kind, f"{where}: kind")
     low = read_number(values, "min_height", where, least=0.0)
     high = read_number(values, "max_height", where, least=0.0)
     if high is None:
@@ -216,9 +218,7 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     return SiteWish(
         id=site_id[:120],
         position_m=read_position(values, where, crs),
-        kind=" ".join(str(values.get("kind", "")).lower().replace("_", " ").split())[
-            :60
-        ],
+        kind=kind[:60],
         z_m=read_number(values, "z", where),
         min_height_m=low,
         max_height_m=high,

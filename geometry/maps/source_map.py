@@ -15,7 +15,7 @@ from shapely import Polygon, make_valid
 from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
-from ..errors import InputError, check_one_of, refuse
+from ..errors import InputError, check_one_of, clean_name, refuse
 from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
@@ -246,6 +246,12 @@ def unit_cylinder(n_sides: int) -> Mesh:
 
 
 # ---------- content of a map file
+def _clean_names(value: object, *fields: str) -> None:
+    """Replace names of a frozen value by what is seen of them: no user can mend a map's own."""
+    for name in fields:
+        object.__setattr__(value, name, clean_name(getattr(value, name)))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
     """One lane between two junctions, or from one to where it ends."""
@@ -271,6 +277,7 @@ class MapLane:
     )
 
     def __post_init__(self) -> None:
+        _clean_names(self, "id", "from_junction", "to_junction")
         where = f"lane {self.id}"
         check_one_of(f"{where}.kind", self.kind, LANE_KINDS)
         if not (np.isfinite(self.width_m) and self.width_m > 0.0):
@@ -311,6 +318,7 @@ class MapJunction:
     ] = ()  # that lead to it, as the map's network has them
 
     def __post_init__(self) -> None:
+        _clean_names(self, "id", "name")
         where = f"junction {self.id}."
         set_arrays(self, where, outline_m=(-1, 2))
         if len(self.outline_m) < 3:
@@ -353,6 +361,7 @@ class Thing:
     is_height_assumed: bool = False  # the source does not give its height
 
     def __post_init__(self) -> None:
+        _clean_names(self, "id")
         where = f"{self.class_name} {self.id}"
         set_arrays(self, f"{where}.", vertices_m=(-1, 3))
         n_vertices = len(self.vertices_m)
@@ -398,6 +407,7 @@ class Pole:
     )
 
     def __post_init__(self) -> None:
+        _clean_names(self, "id")
         check_one_of(f"pole {self.id}.kind", self.kind, POLE_KINDS)
         set_arrays(self, f"pole {self.id}.", position_m=(3,))
 

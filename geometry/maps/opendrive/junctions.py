@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from ...arrays import FloatArray
-from ...errors import InputError, refuse
+from ...errors import InputError, clean_name, refuse
 from ...lines import along_m, unit
 from ...scene import LeadingRoad
 from ..source_map import MapJunction, MapLane, Omissions
@@ -159,7 +159,7 @@ def _leading_road(
     away = road.line.at(np.array(ends_m))[0]
     n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
     return LeadingRoad(
-        name=road.name or f"road {road.id}",
+        name=clean_name(road.name or f"road {road.id}"),
         point_m=section.points_m[index, :2] + middle_m * section.left[index],
         direction=unit(away[0] - away[1]),
         lanes_in=n_lanes[is_start],

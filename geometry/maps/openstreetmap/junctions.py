@@ -12,6 +12,7 @@ from shapely import Point
 from shapely.geometry.base import BaseGeometry
 
 from ...arrays import FloatArray
+from ...errors import clean_name
 from ...junction import chained
 from ...lines import unit
 from ...scene import LeadingRoad, area_of
@@ -660,7 +661,7 @@ def _road(
     )
     if n_in or n_out:
         yield LeadingRoad(
-            name=edge.name or f"way {edge.way_id}",
+            name=clean_name(edge.name or f"way {edge.way_id}"),
             point_m=point,
             direction=(ahead - begin) / step,
             lanes_in=n_in,
