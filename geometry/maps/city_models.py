@@ -38,23 +38,25 @@ from .source_map import (
 )
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_Surfaces = list[
-    list[list[Annotated[int, msgspec.Meta(ge=0)]]]
-]  # rings of indices of vertices
+# Rings of indices of vertices.
+_Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]
 _BOUNDARIES: dict[str, Any] = {
     **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
     "Solid": list[_Surfaces],
     **dict.fromkeys(("MultiSolid", "CompositeSolid"), list[list[_Surfaces]]),
 }
-_MAX_NAME = 80  # characters
+# Characters.
+_MAX_NAME = 80
 _TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
 CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
 """Class of thing by the type of an object."""
 _Table = Mapping[str, Any]
 _GML = "CityGML"
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_MAX_DEPTH = 100  # of elements, and of references to references
-_MAX_VISITS = 20  # per element: references to references could make more of few
+# Of elements, and of references to references.
+_MAX_DEPTH = 100
+# Per element: references to references could make more of few.
+_MAX_VISITS = 20
 _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 # Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry
@@ -106,7 +108,8 @@ def read_cityjson(path: Path) -> SourceMap:
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        with np.errstate(over="ignore"):  # _city_map refuses what is not finite
+        # _city_map refuses what is not finite.
+        with np.errstate(over="ignore"):
             corners = _vertices(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
@@ -273,7 +276,8 @@ def _best(
         level = 1.0
         if kind == "GeometryInstance":
             polygons = templates.place(geometry, vertices, here)
-        else:  # points and lines have none
+        else:
+            # Points and lines have none.
             polygons = _polygons(geometry, vertices, here)
             try:
                 if kind in _BOUNDARIES:
@@ -608,9 +612,8 @@ def _measured_height_m(feature: Element) -> float | None:
             values = [child]
         else:
             values = []
-        if (
-            local_name(child) == "height"
-        ):  # CityGML 3.0: con:height/con:Height/con:value
+        # CityGML 3.0: con:height/con:Height/con:value.
+        if local_name(child) == "height":
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
             unit = (

@@ -43,13 +43,14 @@ from .source_map import (
     unique_id,
 )
 
-LANES_BEYOND_M = (
-    70.0  # cars come from farther away than anything that could hide somebody
-)
+# Cars come from farther away than anything that could hide somebody.
+LANES_BEYOND_M = 70.0
 _SAME_LEVEL_M = 3.0
-_AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
+# Other roads that end here would look like an arm.
+_AT_OUTLINE_M = 2.0
 _CROSSWALK_WITHIN_M = 25.0
-_ASSUMED_M = 60.0  # on beyond the map
+# On beyond the map.
+_ASSUMED_M = 60.0
 _BENDS_PER_M = (
     0.0,
     *(
@@ -58,20 +59,24 @@ _BENDS_PER_M = (
         for sign in (1, -1)
     ),
 )
-_BESIDE_HOUSES_M = 0.3  # between such a lane and houses
+# Between such a lane and houses.
+_BESIDE_HOUSES_M = 0.3
 _LEAST_ASSUMED_M = 5.0
-_MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
-_STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
+# Of a lane next to a junction, whose direction counts there.
+_MOUTH_M = 4.0
+# Between the way through a junction and the lanes at its ends.
+_STRAIGHT_ON_DEG = 25.0
 _DIGITS_M = 0.002
 _NEIGHBOURS_BEYOND_M = 20.0
-_LOWEST_M = 0.2  # lower things hide nobody
-_MORE_M = (
-    80.0  # beyond what is cut out: the ground is levelled with what lies around it
-)
+# Lower things hide nobody.
+_LOWEST_M = 0.2
+# Beyond what is cut out: the ground is levelled with what lies around it.
+_MORE_M = 80.0
 _THINGS_MORE_M = 30.0
 _FAR_FIELDS = ("lanes", "connections")
 _LINES = "crosswalks_m"
-_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
+# Lowest and highest x and y.
+_Square = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -268,7 +273,8 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
     They lead straight on, or where a building stands there round the gentlest bend past
     it, the same for all lanes of an arm; where none does, straight up to it.
     """
-    arms = [  # the lanes behind which the map does not go on
+    # The lanes behind which the map does not go on.
+    arms = [
         [
             lane
             for lane in arm.entry_lanes
@@ -333,9 +339,8 @@ def _lanes(
     Through the others lead only those of the map's lanes that lead about straight on.
     """
     found: list[Lane] = []
-    ends: dict[str, list[Lane]] = defaultdict(
-        list
-    )  # by the junction into which they lead
+    # By the junction into which they lead.
+    ends: dict[str, list[Lane]] = defaultdict(list)
     begins: dict[str, list[Lane]] = defaultdict(list)
     for lane in (
         lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")
@@ -421,9 +426,8 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
 def _apart(points_m: FloatArray) -> FloatArray:
     """A line without points that a file with three digits could not tell from their neighbours."""
     is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
-    if (
-        not is_new[-1] and is_new.sum() > 1
-    ):  # the end stays, and the point before it goes
+    # The end stays, and the point before it goes.
+    if not is_new[-1] and is_new.sum() > 1:
         is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
     return np.asarray(points_m[is_new])
 
@@ -569,9 +573,8 @@ class Neighbourhoods:
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
-        self._share = (
-            radius_m + _THINGS_MORE_M
-        ) / self._half_m  # of the square that has things
+        # Of the square that has things.
+        self._share = (radius_m + _THINGS_MORE_M) / self._half_m
         self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:

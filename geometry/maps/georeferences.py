@@ -21,18 +21,19 @@ if TYPE_CHECKING:
 
 
 WGS84 = "EPSG:4326"
-_DIGITS = 7  # of a degree: a centimetre
+# Of a degree: a centimetre.
+_DIGITS = 7
 _SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
     (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
     (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
     (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
 )
 _MAX_TEXT = 20_000
-_MAX_M = 1e8  # twice around the earth
+# Twice around the earth.
+_MAX_M = 1e8
 _MAX_STRETCH = 0.005
-_EDGE_SHARE = (
-    0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
-)
+# Of the width of an area of use: Bavaria uses UTM 32 two degrees east of it.
+_EDGE_SHARE = 0.5
 _ORIGIN_M = 1000.0
 _MIN_EXTENT_M = 1.0
 
@@ -149,7 +150,8 @@ class Georeference:
             array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
-        if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
+        # Also if a coordinate is not finite.
+        if not (np.abs(array) < _MAX_M).all():
             got = "coordinates that are not on earth"
             refuse(where, got, f"coordinates in {self.source_crs or 'metres'}")
         return array
@@ -184,7 +186,8 @@ def georeference(
         refuse(where, f"a coordinate of {np.abs(box).max():.3g}", "places on earth")
     try:
         crs = horizontal_crs(declared)
-        if crs is not None:  # it may be well-formed, and its numbers make no sense
+        # It may be well-formed, and its numbers make no sense.
+        if crs is not None:
             transform(box[:1], crs_name(crs), WGS84)
     except ProjError:
         crs = None
@@ -264,7 +267,8 @@ def why_no_plane(crs: str) -> str:
         return f"longer than {_MAX_TEXT} characters"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
+            # +init=epsg:.. is old, not wrong.
+            warnings.simplefilter("ignore")
             system = parse_crs(crs)
     except (CRSError, ValueError, TypeError):
         return "not a coordinate reference system that pyproj knows"
@@ -355,7 +359,8 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     else:
         width = east - west
     height = north - south
-    beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
+    # East of the western edge.
+    beside = (lon - west + 180.0) % 360.0 - 180.0
     if (np.abs(point) < _ORIGIN_M).all():
         edge = 0.0
     else:

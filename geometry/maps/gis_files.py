@@ -180,16 +180,14 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 refuse(where, "something else", name)
-        for other in path.parent.glob(
-            f"{glob.escape(path.stem)}.*"
-        ):  # .dbf, .gpkg-wal, ..
+        # .dbf, .gpkg-wal, ..
+        for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):
             check_file(other)
         if path.suffix.lower() == ".gpkg":
             _check_tables(path)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # rings left open and the like, which GDAL mends
+            # Rings left open and the like, which GDAL mends.
+            warnings.simplefilter("ignore")
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
             if layers:
                 named = "one layer, by name: " + ", ".join(layers[:20])

@@ -49,7 +49,8 @@ from .source_map import NOTHING, MapJunction, MapLane, Pole, SourceMap, Thing
 
 _MAX_LISTED = 12
 _NEAR_M = 100.0
-_BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
+# From the outline: signals and crosswalks of the arms.
+_BESIDE_M = 15.0
 SORTS = ("arms", "lanes", "signals", "crossings", "name")
 _LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
 _BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
@@ -158,7 +159,8 @@ def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, .
     check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if sort == "arms":  # the order that they come in
+    # The order that they come in.
+    if sort == "arms":
         return tuple(surveyed)
     return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
@@ -284,9 +286,8 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
-    many = len({one.junction.name for one in surveyed}) < len(
-        surveyed
-    )  # names tell nothing apart
+    # Names tell nothing apart.
+    many = len({one.junction.name for one in surveyed}) < len(surveyed)
     words = []
     for one in surveyed[:_MAX_LISTED]:
         label = one.junction.name
@@ -453,7 +454,8 @@ def _is_city_json(path: Path) -> bool:
     try:
         document = parse_json(read_text(path, "JSON"), str(path), "a map")
     except InputError:
-        return False  # the reader of GeoJSON says what is wrong
+        # The reader of GeoJSON says what is wrong.
+        return False
     return isinstance(document, dict) and document.get("type") == "CityJSON"
 
 
@@ -591,7 +593,8 @@ def cut_scene(
         terrain = read_elevation(
             options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m
         )
-        maps = [roads, terrain, *maps[1:]]  # before others: its heights count
+        # Before others: its heights count.
+        maps = [roads, terrain, *maps[1:]]
     progress("cut the junction out", 0, 0)
     surroundings = cut_out(maps, junction, radius_m=radius_m, ground_m=options.ground_m)
     progress("find sites", 0, 0)

@@ -42,15 +42,20 @@ _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelet
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
 # between the end of a lanelet and the beginning of the next one, at both bounds
 _JOINED_M = 0.5
-_STEP_M = 2.0  # between points of a centreline
-_SAME_M = 0.01  # points nearer than this are one
-_MIN_OVERLAP_M2 = 2.0  # lanelets that cross, merge or part share more ground
-_NOWHERE_DEG = (
-    0.5  # around latitude 0, longitude 0, where maps without a place are drawn
-)
-_BESIDE_M = 25.0  # between lanelets of both directions of a road
-_AGAINST = -0.95  # cosine between their directions
-_MAX_WAYS = 200  # through one junction from one lane
+# Between points of a centreline.
+_STEP_M = 2.0
+# Points nearer than this are one.
+_SAME_M = 0.01
+# Lanelets that cross, merge or part share more ground.
+_MIN_OVERLAP_M2 = 2.0
+# Around latitude 0, longitude 0, where maps without a place are drawn.
+_NOWHERE_DEG = 0.5
+# Between lanelets of both directions of a road.
+_BESIDE_M = 25.0
+# Cosine between their directions.
+_AGAINST = -0.95
+# Through one junction from one lane.
+_MAX_WAYS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,7 +211,8 @@ def _inside(
         return inside
     for one, other in pairs[pairs[:, 0] < pairs[:, 1]].tolist():
         if f"{roads[one].id}r" == roads[other].id:
-            continue  # the same ground, in both directions
+            # The same ground, in both directions.
+            continue
         if shapely.intersection(ground[one], ground[other]).area > _MIN_OVERLAP_M2:
             inside[[one, other]] = True
     return inside
@@ -234,7 +240,8 @@ def _lanes(
     }
     done: set[int] = set()
     starts = [one for one in outside if one not in joints.values()]
-    for start in [*starts, *outside]:  # then what is left: rings
+    # Then what is left: rings.
+    for start in [*starts, *outside]:
         if start in done:
             continue
         chain = [start]
@@ -524,7 +531,8 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         bounds = [_points(element.find(f"{side}Bound")) for side in ("left", "right")]
         name = element.get("id", "")
         if not name:
-            continue  # a reference to one
+            # A reference to one.
+            continue
         types = [one.text or "" for one in element.iter("laneletType")]
         kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
         if any(len(bound) < 2 for bound in bounds):

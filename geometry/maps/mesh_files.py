@@ -30,11 +30,13 @@ UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")[
 ]
 _MIN_SIZE_M = 0.1
 _MAX_SIZE_M = 20_000.0
+# Upward part of a unit normal: of roofs, not of walls, floors, flat roofs.
 _SLANTED = (
     0.1,
     0.98,
-)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
-_MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
+)
+# Of all area: less is no roof to judge by.
+_MIN_SLANTED_SHARE = 0.02
 _SURE_SHARE = 0.9
 _Part = tuple[str, FloatArray, NDArray[np.int32]]
 
@@ -72,7 +74,8 @@ def read_mesh(
     things = []
     for name, vertices, triangles in parts:
         if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
-            triangles = triangles[:, ::-1]  # so that it faces outwards
+            # So that it faces outwards.
+            triangles = triangles[:, ::-1]
         kind = kind_from_name(name)
         if kind:
             its_class = kind.class_name
@@ -113,9 +116,8 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             scene = trimesh.load_scene(
                 file, file_type=path.suffix.lower()[1:], **options
             )
-        for (
-            node
-        ) in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
+        # Sorted below: trimesh keeps them in sets.
+        for node in scene.graph.nodes_geometry:
             matrix, geometry_name = scene.graph[node]
             geometry = scene.geometry[geometry_name]
             if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
@@ -127,9 +129,8 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
                     where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh"
                 )
             if geometry.metadata.get("from_gltf_primitive"):
-                node = scene.graph.transforms.parents.get(
-                    node, node
-                )  # itself named at random
+                # Itself named at random.
+                node = scene.graph.transforms.parents.get(node, node)
             name = _name(str(node), str(geometry_name), path.stem)
             parts.append(
                 (name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}"))

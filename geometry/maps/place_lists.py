@@ -31,7 +31,8 @@ PLACE_FIELDS: dict[str, list[str]] = _WORDS["fields"]
 _FIELDS: dict[str, list[str]] = PLACE_FIELDS | _WORDS["site_fields"]
 _YES_NO: dict[str, bool] = _WORDS["answers"]
 _Row = tuple[str, dict[str, Any]]
-_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
+# A transverse Mercator around a junction has its origin there.
+_NEAR_M = 200_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +57,8 @@ class SiteWish:
     @property
     def n_said(self) -> int:
         """How many details are given."""
-        details = fields(self)[2:]  # but for id and position
+        # But for id and position.
+        details = fields(self)[2:]
         return sum(getattr(self, one.name) != one.default for one in details)
 
 
@@ -107,7 +109,8 @@ def known_columns(
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _WORDS["units"] and len(words) > 1:
             words.pop()
-            if words[-1] == "in" and len(words) > 1:  # "height in m"
+            # "height in m".
+            if words[-1] == "in" and len(words) > 1:
                 words.pop()
         is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
         if is_other and "_".join(words[:-1]) in field_of:

@@ -42,13 +42,15 @@ CHUNK_POINTS = 1_000_000
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
-Points = tuple[
-    FloatArray, NDArray[np.uint8]
-]  # coordinates (n, 3) and LAS classes (n,), 0: none
+# Coordinates (n, 3) and LAS classes (n,), 0: none.
+Points = tuple[FloatArray, NDArray[np.uint8]]
 _MAX_HEADER_BYTES = 65_536
-_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}  # bytes, by type
+# Bytes, by type.
+_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 CELL_M = 1.0
-_MAX_CELLS = 16_000_000  # 4 km x 4 km
+# 4 km x 4 km.
+_MAX_CELLS = 16_000_000
+# cells; buildings wider than the last are taken for hills.
 _WINDOWS = (
     3,
     5,
@@ -57,20 +59,23 @@ _WINDOWS = (
     33,
     65,
     129,
-)  # cells; buildings wider than the last are taken for hills
+)
 _STEP_M = 0.5
-_SLOPE = 0.1  # higher and steeper than this is not ground
+# Higher and steeper than this is not ground.
+_SLOPE = 0.1
 VOXEL_M = 0.25
 _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000
 _MAX_THINGS = 20_000
-_MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # lower things hide nobody
+# Cell of the origin, on every axis.
+_MIDDLE = 1 << 19
+# Lower points are ground: grass, kerbs, noise.
+_GROUND_M = 0.3
+# Lower things hide nobody.
+_MIN_HEIGHT_M = 0.5
 _MIN_VOXELS = 4
-_MIN_NEIGHBOURS = (
-    6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
-)
+# Of 8 in a surface: with fewer, one hole in a hundred is not bridged.
+_MIN_NEIGHBOURS = 6.0
 _MIN_ROOF_M2 = 10.0
 _MIN_FLAT_SHARE = 0.8
 # Classes of LAS 1.4: the surface of a point. Others are of the class that the caller
@@ -82,14 +87,16 @@ _LEFT_OUT = {
     7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
     16: "wire", 17: "bridge deck", 18: "noise",
 }  # fmt: skip
-_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
+# Per axis in a key: 1,048,575 voxels, 262 km of 0.25 m.
+_BITS = 20
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = (
-    20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
-)
-MAX_WALL_VOXELS = 100_000_000  # of all things of a file
-_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
+# Of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m.
+MAX_COLUMN_VOXELS = 20_000_000
+# Of all things of a file.
+MAX_WALL_VOXELS = 100_000_000
+# Cells of a cluster's box that is searched for voids.
+_MAX_DENSE = 30_000_000
 
 
 @contextmanager
@@ -110,9 +117,8 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         _check_header(path)
         with _las_reader(path) as reader:
             crs = None
-            with suppress(
-                Exception
-            ):  # whatever a damaged record makes laspy and pyproj raise
+            # Whatever a damaged record makes laspy and pyproj raise.
+            with suppress(Exception):
                 crs = reader.header.parse_crs()
             yield crs, _chunks(reader, where)
 
@@ -147,7 +153,8 @@ def _check_header(path: Path) -> None:
             refuse(where, "something else", "a LAS file")
         header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
         point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
-        if head[25] >= 4 and len(head) >= 375:  # version 1.4
+        # Version 1.4.
+        if head[25] >= 4 and len(head) >= 375:
             first_extended, n_extended, n_points_14 = struct.unpack_from(
                 "<QIQ", head, 235
             )
@@ -166,7 +173,8 @@ def _check_header(path: Path) -> None:
         if not is_inside or header_bytes + 54 * n_records > first_point:
             refuse(where, f"{n_records:,} records in its header", "as many as fit")
         claimed = first_point + n_points * point_bytes
-        if point_format & 0xC0:  # packed
+        # Packed.
+        if point_format & 0xC0:
             file.seek(header_bytes)
             n_layers = _n_layers(file, where, n_records, point_bytes)
             _check_chunks(file, where, first_point, point_bytes, n_layers)
@@ -216,7 +224,8 @@ def _check_chunks(
         at = struct.unpack("<q", head)[0]
     else:
         at = 0
-    if at == -1:  # of a file that was written as a stream: in its last eight bytes
+    # Of a file that was written as a stream: in its last eight bytes.
+    if at == -1:
         file.seek(-8, 2)
         at = struct.unpack("<q", file.read(8))[0]
     if not first_point < at <= n_bytes - 8:
@@ -231,17 +240,15 @@ def _check_chunks(
         begin += len(sizes) + sum(
             struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
         )
-    if (
-        n_chunks * point_bytes > n_bytes or begin > at
-    ):  # a chunk's first point is not packed
+    # A chunk's first point is not packed.
+    if n_chunks * point_bytes > n_bytes or begin > at:
         refuse(where, f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
     try:
-        for points in reader.chunk_iterator(
-            CHUNK_POINTS
-        ):  # no more than the header has
+        # No more than the header has.
+        for points in reader.chunk_iterator(CHUNK_POINTS):
             xyz = np.stack(
                 [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1
             )
@@ -355,7 +362,8 @@ def _pcd_binary(
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
         table = np.frombuffer(file.read(n * record.itemsize), dtype=record)
-        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+        # NaNs of the signalling kind.
+        with np.errstate(invalid="ignore"):
             xyz = [table[str(column)][:, 0].astype(np.float64) for column in columns]
         yield np.stack(xyz, axis=1)
 
@@ -444,7 +452,8 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
-        closed = grey_closing(surface, size=(3, 3))  # single points below the ground
+        # Single points below the ground.
+        closed = grey_closing(surface, size=(3, 3))
         surface = np.where(closed - surface > 2.0 * _STEP_M, closed, surface)
     is_ground = np.ones(surface.shape, dtype=np.bool_)
     opened = surface
@@ -680,7 +689,8 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-_HALF_OF_NEIGHBOURS = tuple(  # differences of keys
+# Differences of keys.
+_HALF_OF_NEIGHBOURS = tuple(
     (x << 2 * _BITS) + (y << _BITS) + z
     for x, y, z in product((-1, 0, 1), repeat=3)
     if (x, y, z) > (0, 0, 0)
@@ -754,7 +764,8 @@ def filled(keys: IntArray, floor: int) -> IntArray:
     stands = bool((cells[:, 2] <= floor + 1).any())
     dense = np.zeros(tuple(shape + [0, 0, 1]), dtype=np.bool_)
     dense[tuple((cells - low + [0, 0, 1]).T)] = True
-    dense[:, :, 0] = stands  # the ground closes clusters that stand on it
+    # The ground closes clusters that stand on it.
+    dense[:, :, 0] = stands
     dense = binary_fill_holes(dense)[:, :, 1:]
     return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
 
@@ -818,7 +829,8 @@ def faces(
 
 def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
-    step = sign << (2 - axis) * _BITS  # to the neighbour's key
+    # To the neighbour's key.
+    step = sign << (2 - axis) * _BITS
     cells = to_cells(keys[~is_in(keys + step, keys)])
     u, v = [other for other in range(3) if other != axis]
     slab = cells[:, axis]

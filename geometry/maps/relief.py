@@ -16,22 +16,28 @@ from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame, transform
 from .source_map import MapJunction, SourceMap, Thing
 
-_STEP_M = 2.0  # of the grid
-_FLAT_M = 0.1  # ground that is nowhere higher or lower than this is a plane
-_BEYOND_M = 50.0  # points farther outside have no say
+# Of the grid.
+_STEP_M = 2.0
+# Ground that is nowhere higher or lower than this is a plane.
+_FLAT_M = 0.1
+# Points farther outside have no say.
+_BEYOND_M = 50.0
 _SAME_LEVEL_M = 2.0
-_STEEPEST = 0.08  # more than this above the arms' roads is a bridge
-_OTHER_ZERO_M = (
-    3.0  # a map whose things are this far off counts heights from another zero
-)
-_FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there
-_COARSEST_M = 30.0  # the global models; coarser ones know no street
-_MIDDLE_M = 60.0  # there must be a height this near to the junction
+# More than this above the arms' roads is a bridge.
+_STEEPEST = 0.08
+# A map whose things are this far off counts heights from another zero.
+_OTHER_ZERO_M = 3.0
+# At most: what is higher above the ground is meant to be there.
+_FLOATS_M = 3.0
+# The global models; coarser ones know no street.
+_COARSEST_M = 30.0
+# There must be a height this near to the junction.
+_MIDDLE_M = 60.0
 _LIMITS_M = (-500.0, 9000.0)
-_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
-_MAX_BLOCK_BYTES = (
-    100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
-)
+# Around a junction: of 16 cm, 320 m by 320 m.
+_MAX_PIXELS = 4_000_000
+# GDAL unpacks blocks as a whole, and a mask line by line or whole.
+_MAX_BLOCK_BYTES = 100_000_000
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # GDAL would look at files of any of its formats next to the raster, such as a mask.
 _ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
@@ -225,9 +231,8 @@ def read_elevation(
             " (in a checkout: uv run --extra terrain place-rsus ..)"
         ) from None
     with open_file(path) as file:
-        if not file.read(4).startswith(
-            _MAGIC
-        ):  # GDAL goes by content: a text may name an address
+        # GDAL goes by content: a text may name an address.
+        if not file.read(4).startswith(_MAGIC):
             refuse(str(path), "something else", _EXPECTED)
     if not crs:
         expected = (

@@ -36,11 +36,14 @@ from .source_map import (
 _REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
 _JOINED_M = 0.5
-_MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
+# Between carriageways: a narrower gap is a median, no roadside.
+_MEDIAN_M = 8.0
 _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
-_LONGER_M = 1.0  # the outline is not square to every lane
-_BELOW_ROOF_M = 0.3  # a sensor and its bracket
+# The outline is not square to every lane.
+_LONGER_M = 1.0
+# A sensor and its bracket.
+_BELOW_ROOF_M = 0.3
 AUTO = "auto"
 MAP = "map"
 KERB = "kerb:"
@@ -48,11 +51,15 @@ _AUTO: dict[str, float] = load_data("geometry.maps", "sites.toml")["auto"]
 _SPACINGS_M = (2.0, 100.0)
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
-_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
-_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
+# From a lane or the middle of a junction to the kerb.
+_MAX_MOVE_M = 15.0
+# Farther inside, it hangs on the building.
+_MAX_MOVE_FROM_WALL_M = 2.0
 _FROM_WALL_M = 0.3
-_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
-_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
+# From what hangs over the road to the foot of its pole.
+_MAST_ARM_M = 12.0
+# Smaller gaps between lanes are no place to stand.
+_ISLAND_M2 = 4.0
 
 
 def kerb_sites(
@@ -99,9 +106,8 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
         start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), outline)
-        is_stub = (
-            length_m(line) < 2.0 * _AT_OUTLINE_M
-        )  # its far end is at the outline, too
+        # Its far end is at the outline, too.
+        is_stub = length_m(line) < 2.0 * _AT_OUTLINE_M
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
         joined = [line]
@@ -253,7 +259,8 @@ def choose_sites(
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     is_asked_for = not where.startswith(KERB) and where != AUTO
-    taken: Counter[str] = Counter()  # ids that a comma-separated list can name
+    # Ids that a comma-separated list can name.
+    taken: Counter[str] = Counter()
     ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
     wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
     placed = _settled(wishes, surroundings, notes if is_asked_for else [])

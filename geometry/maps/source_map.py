@@ -20,22 +20,32 @@ from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
 
-Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
-_SAME_M = 1e-3  # corners closer than this are one
-_MIN_AREA_M2 = 1e-6  # of a polygon in space
+# Outer ring, then holes; (n, 3) each.
+Polygon3D = Sequence[FloatArray]
+# Corners closer than this are one.
+_SAME_M = 1e-3
+# Of a polygon in space.
+_MIN_AREA_M2 = 1e-6
 _MIN_FOOTPRINT_M2 = 0.01
 NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
-MAX_TRIANGLES = 5_000_000  # of the things of a file
-_MAX_ID = 120  # characters
-_MAX_SKIPPED = 100  # entries
-_MAX_NAME = 200  # characters of a name that are looked at
-_MAX_WORDS = 3  # that are read as one
+# Of the things of a file.
+MAX_TRIANGLES = 5_000_000
+# Characters.
+_MAX_ID = 120
+# Entries.
+_MAX_SKIPPED = 100
+# Characters of a name that are looked at.
+_MAX_NAME = 200
+# That are read as one.
+_MAX_WORDS = 3
 _WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])")
-_MAX_NESTED = 50  # collections within collections
-_SECTIONS = 10  # of a pole's cylinder
+# Collections within collections.
+_MAX_NESTED = 50
+# Of a pole's cylinder.
+_SECTIONS = 10
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
 _FEET_AND_INCHES = re.compile(
@@ -82,9 +92,8 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
-    across = np.zeros(
-        3
-    )  # to the normal: the axis least like it, less what lies along the normal
+    # To the normal: the axis least like it, less what lies along the normal.
+    across = np.zeros(3)
     across[np.argmin(np.abs(normal))] = 1.0
     across -= (across @ normal) * normal
     across /= np.sqrt(across @ across)

@@ -41,7 +41,8 @@ from .roads import (
 )
 
 __all__ = ["read_opendrive"]
-_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
+# A road that is shorter is but a joint between its neighbours.
+_JOINED_M = 1.0e-3
 
 
 def read_opendrive(path: Path) -> SourceMap:
@@ -81,9 +82,8 @@ def read_opendrive(path: Path) -> SourceMap:
     connections = _connections(roads, junctions, where)
     for one in junctions:
         arms = [roads[name] for name, at in ends.items() if one.id in at]
-        if arms and all(
-            road.is_motorway for road in arms
-        ):  # cars are led on through it
+        # Cars are led on through it.
+        if arms and all(road.is_motorway for road in arms):
             why = "motorways merge or part where nobody walks"
             omissions.add("junctions", f"junction {one.id}", why)
             junctions = [other for other in junctions if other is not one]

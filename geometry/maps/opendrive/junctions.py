@@ -17,21 +17,29 @@ from ..source_map import MapJunction, MapLane, Omissions
 from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink, load_facts, numbered, take_id
 
-_AHEAD_M = 10.0  # over which the direction of a road is taken
-_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
-_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
-_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
-_MOUTH_M = 15.0  # of a lane, which is no part of the junction
-_WAY_WIDTH_M = (
-    1.0  # to a lane's end outside: other ends that it passes stay at the outline
-)
-_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
+# Over which the direction of a road is taken.
+_AHEAD_M = 10.0
+# A lane that begins or ends is narrower.
+_MIN_LANE_M = 1.0
+# A car parked at the corner hides who crosses.
+_ARM_KINDS = ("driving", "parking")
+# Lanes end within 1.5 m of it; later steps may move it slightly.
+_AT_OUTLINE_M = 1.0
+# A lane that ends farther off does not end at the junction.
+_MAX_REACH_M = 50.0
+# Of a lane, which is no part of the junction.
+_MOUTH_M = 15.0
+# To a lane's end outside: other ends that it passes stay at the outline.
+_WAY_WIDTH_M = 1.0
+# Hairlines between strips that touch.
+_CLOSE_GAPS_M = 0.05
 _SIMPLIFY_M = 0.02
-_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
+# On a grid, overlays of nearly equal edges cannot fail.
+_GRID_M = 0.001
 _MIN_WIDTH_M = 0.05
 _PIECE_POINTS = 40
-_MAX_POINTS = 200_000  # of the surface of one junction
+# Of the surface of one junction.
+_MAX_POINTS = 200_000
 _MIN_AREA_M2 = 1.0
 
 
@@ -157,7 +165,8 @@ def _leading_road(
     else:
         ends_m = (road.length_m - ahead_m, road.length_m)
     away = road.line.at(np.array(ends_m))[0]
-    n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
+    # Along the road, against it.
+    n_lanes = (n_following, len(lanes) - n_following)
     return LeadingRoad(
         name=road.name or f"road {road.id}",
         point_m=section.points_m[index, :2] + middle_m * section.left[index],
@@ -200,9 +209,8 @@ def build_junctions(
             got = f"roads of {n_points:,} points"
             refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
         own_tips = tips[record.id]
-        with np.errstate(
-            divide="ignore", invalid="ignore"
-        ):  # flags that GEOS leaves behind
+        # Flags that GEOS leaves behind.
+        with np.errstate(divide="ignore", invalid="ignore"):
             surface = _surface(pieces)
             fitted, far = (
                 (None, []) if surface is None else fit_outline(surface, own_tips)

@@ -22,24 +22,31 @@ from .roads import (
     slope,
 )
 
-MAX_POINTS = 5_000_000  # of a file
-_CHORD_ERROR_M = 0.02  # below the 3 cm that are asked for: bounds of bends are sampled
-_TURN_CHORD_ERROR_M = 0.002  # cars turn on these lines
+# Of a file.
+MAX_POINTS = 5_000_000
+# Below the 3 cm that are asked for: bounds of bends are sampled.
+_CHORD_ERROR_M = 0.02
+# Cars turn on these lines.
+_TURN_CHORD_ERROR_M = 0.002
 _MAX_STEP_M = 5.0
-_MAX_PIECE_POINTS = 100_000  # the longest road that is straight takes 20 000
+# The longest road that is straight takes 20 000.
+_MAX_PIECE_POINTS = 100_000
 _MAX_EDGE_M = 10_000.0
 _MAX_HEIGHT_M = 10_000.0
-_MAX_TURN_RAD = 200.0  # of one piece: some thirty rounds
-_MIN_WIDTH_M = 0.05  # below it there is no lane yet, or none any more
+# Of one piece: some thirty rounds.
+_MAX_TURN_RAD = 200.0
+# Below it there is no lane yet, or none any more.
+_MIN_WIDTH_M = 0.05
 _SAME_POINT_M = 0.005
 _MIN_LENGTH_M = 0.01
 # of a lane next to a junction: cases are laid there, so its width there counts
 _STAGED_M = 30.0
-_STUB_M = 5.0  # shorter lanes at a junction are no lanes of their own
-_GAP_M = 0.5  # between such a stub and the lane that goes on
-RoadEnds = tuple[
-    str, str
-]  # junctions at the start and at the end of a road; empty: none
+# Shorter lanes at a junction are no lanes of their own.
+_STUB_M = 5.0
+# Between such a stub and the lane that goes on.
+_GAP_M = 0.5
+# Junctions at the start and at the end of a road; empty: none.
+RoadEnds = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -221,7 +228,8 @@ def _count_steps(
     t = np.abs([evaluate(ds, edges) for ds in tries]).max(axis=(0, 1))
     aside = np.abs([slope(ds, edges) for ds in tries]).max(axis=(0, 1))
     c = edges[..., 2]
-    d = edges[..., 3]  # (n_edges, n) each
+    # (n_edges, n) each.
+    d = edges[..., 3]
     second = np.maximum(np.abs(2.0 * c), np.abs(2.0 * c + 6.0 * d * lengths)).max(
         axis=0
     )
@@ -401,7 +409,8 @@ def _runs(
         if steps.sum() < _MIN_LENGTH_M:
             continue
         is_new = np.append(True, steps > _SAME_POINT_M)
-        is_new[-1] = True  # the end stays, and a point too close before it goes
+        # The end stays, and a point too close before it goes.
+        is_new[-1] = True
         if steps[-1] <= _SAME_POINT_M and len(is_new) > 2:
             is_new[-2] = False
         is_new[0] = True
@@ -425,7 +434,8 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
         is_short = length_m(stub.centreline_m) < _STUB_M and leads_out != bool(
             stub.to_junction
         )
-        if not is_short or stub not in joined:  # by now it may be part of another
+        # By now it may be part of another.
+        if not is_short or stub not in joined:
             continue
         if leads_out:
             own, others = (-1, 0)
@@ -459,7 +469,8 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
                 from_junction=pieces[0].from_junction,
                 to_junction=pieces[1].to_junction,
             )
-            waiting.append(joined[at])  # it may be short, too
+            # It may be short, too.
+            waiting.append(joined[at])
             joined.remove(stub)
             break
     return joined

@@ -26,12 +26,16 @@ from .roads import (
 )
 
 _SIZES = ("length", "width", "height", "radius")
-_MAX_COPIES = 20_000  # of one <repeat>
-_STEP_M = 2.0  # along a sweep
+# Of one <repeat>.
+_MAX_COPIES = 20_000
+# Along a sweep.
+_STEP_M = 2.0
 _BEYOND_M = 1.0
-_FLAT_M = 0.05  # lower slopes are levelled
+# Lower slopes are levelled.
+_FLAT_M = 0.05
 _STRAIGHT_M = 0.02
-_N_ROUND = 12  # corners of a cylinder
+# Corners of a cylinder.
+_N_ROUND = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,7 +170,8 @@ def read_outlines(
         is_new = np.append(True, steps_m(rows) > 1.0e-3)
         if len(rows) > 1 and np.hypot(*(rows[-1, :2] - rows[0, :2])) <= 1.0e-3:
             is_new[-1] = False
-            is_new[0] = True  # closed by naming its first corner again
+            # Closed by naming its first corner again.
+            is_new[0] = True
         rows = rows[is_new]
         is_closed, is_outer = (
             outline.get(key, "true").strip().lower() not in ("false", "0")

@@ -38,15 +38,15 @@ from .roads import (
     take_size,
 )
 
-_CLEARLY_LONGER = (
-    1.3  # of two sides: below it, people cross more nearly across the road
-)
+# Of two sides: below it, people cross more nearly across the road.
+_CLEARLY_LONGER = 1.3
 _MIN_LENGTH_M = 0.5
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
 _STEP_M = 2.0
 _MIN_SIZE_M = 0.5
-_MAX_PLACES = 100_000  # of all objects of a file
+# Of all objects of a file.
+_MAX_PLACES = 100_000
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}
 _NO_SIZE = "it has no outline, length, width or radius"
@@ -69,7 +69,8 @@ def object_kind(element: Element) -> str | None:
     if has_word(
         (object_type, name, subtype), load_facts()["object_words"]["crosswalk"]
     ):
-        return "crosswalk"  # some write them as road marks
+        # Some write them as road marks.
+        return "crosswalk"
     if has_word((object_type, name), load_facts()["flat"]["words"]):
         return None
     if element.find("parkingSpace") is not None:
@@ -127,9 +128,8 @@ def crosswalk_line(
         return None
     if not len(corners):
         return None
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # flags that GEOS leaves behind
+    # Flags that GEOS leaves behind.
+    with np.errstate(divide="ignore", invalid="ignore"):
         box = shapely.MultiPoint(corners).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
         return None
@@ -219,7 +219,8 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
     its side.
     """
     rows: list[list[Space]] = []
-    open_rows: list[list[Space]] = []  # those that may still go on
+    # Those that may still go on.
+    open_rows: list[list[Space]] = []
     for space in sorted(spaces, key=lambda space: space.first_m):
         reach_m = space.first_m - _SAME_ROW_GAP_M
         open_rows = [row for row in open_rows if row[-1].last_m >= reach_m]
@@ -363,9 +364,8 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
     try:
-        with np.errstate(
-            divide="ignore", invalid="ignore"
-        ):  # flags that GEOS leaves behind
+        # Flags that GEOS leaves behind.
+        with np.errstate(divide="ignore", invalid="ignore"):
             body = build_body(
                 one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where
             )

@@ -18,25 +18,30 @@ from ...files import load_data
 from ..georeferences import why_no_plane
 from ..source_map import Omissions
 
-MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
+# Beyond it cubes of arc lengths leave what floats can hold.
+MAX_MAGNITUDE = 1.0e12
 MAX_SIZE_M = 1.0e4
-_UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
+# Written by exporters for unknown values.
+_UNSET = ("", "none", "undefined", "nan")
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
-_ARC_BELOW_RAD = (
-    1.0e-9  # a clothoid that turns by so much more or less than an arc is one
-)
+# A clothoid that turns by so much more or less than an arc is one.
+_ARC_BELOW_RAD = 1.0e-9
 _N_ARC_LENGTH = 2049
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
-_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
+# The first two are spirals whose curvature does not change.
+_CURVES = SHAPES[:3]
 MAX_COORDINATE_M = 1.0e8
-_N_CURVATURES = 33  # samples of a polynomial's curvature
+# Samples of a polynomial's curvature.
+_N_CURVATURES = 33
 _ROUNDED_M = 1.0e-6
-_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+# By which lengths of a file may miss one another.
+_MAX_GAP_M = 1.0
 NO_JUNCTION = "-1"
 _MAX_LENGTH_M = 100_000.0
 _MAX_SECTION_GAP_M = 1.0e-3
-_MAX_LANES = 200  # on one side of a section
+# On one side of a section.
+_MAX_LANES = 200
 SpeedLimits = tuple[tuple[float, float | None], ...]
 """Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
 _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
@@ -418,7 +423,8 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
         v = tuple(take_number(shape, key, where) for key in "abcd")
         return (0.0, 1.0, 0.0, 0.0, *v, 1.0)
     keys = [f"{key}{axis}" for axis in "UV" for key in "abcd"]
-    p_range = shape.get("pRange", "normalized")  # OpenDRIVE 1.4: the default
+    # OpenDRIVE 1.4: the default.
+    p_range = shape.get("pRange", "normalized")
     if p_range not in ("normalized", "arcLength"):
         raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
     if p_range == "normalized":
@@ -584,7 +590,8 @@ class Road:
         for index, (element, _) in enumerate(numbered(parent, tag, self.where)):
             label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
             name = f"road {self.id} {label}"
-            names[name] += 1  # ids are not unique in some files
+            # Ids are not unique in some files.
+            names[name] += 1
             where = f"{self.where} {label}"
             number = names[name]
             if number == 1:

@@ -28,8 +28,10 @@ from .things import (
 )
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
-_CLEAR = 0.8  # of all that shows a side
-_CARRIAGEWAYS_M = (3.0, 30.0)  # apart
+# Of all that shows a side.
+_CLEAR = 0.8
+# Apart.
+_CARRIAGEWAYS_M = (3.0, 30.0)
 
 
 def find_driving_side(elements: Elements) -> tuple[bool, str]:
@@ -97,7 +99,8 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
     one = one[is_opposite]
     other = other[is_opposite]
     apart = middle[other] - middle[one]
-    across = step[one, 0] * apart[:, 1] - step[one, 1] * apart[:, 0]  # > 0: on the left
+    # > 0: on the left.
+    across = step[one, 0] * apart[:, 1] - step[one, 1] * apart[:, 0]
     is_beside = (np.abs(across) >= low_m) & (np.abs(across) <= high_m)
     for index in np.flatnonzero(is_beside):
         if names[one[index]] == names[other[index]]:
@@ -204,9 +207,8 @@ def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements,
     positions = np.full((len(is_near), 2), np.inf)
     positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
     elements = replace(elements, positions_m=positions)
-    is_there = np.append(
-        np.isfinite(positions).all(axis=1), False
-    )  # row -1: not in the file
+    # Row -1: not in the file.
+    is_there = np.append(np.isfinite(positions).all(axis=1), False)
     if is_there[:-1].all():
         return elements, crs
     tags = {row: tags for row, tags in elements.node_tags.items() if is_there[row]}

@@ -25,10 +25,10 @@ DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
 WORDS: dict[str, Any] = DEFAULTS["words"]
 Tags = dict[str, str]
-TagNote = Callable[
-    [str], None
-]  # says that a tag of the way at hand is not followed, and why
-_BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
+# Says that a tag of the way at hand is not followed, and why.
+TagNote = Callable[[str], None]
+# Ways run out of a cut-out.
+_BOX_MARGIN_DEG = 1.0
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
 OPPOSITE = {
@@ -152,9 +152,8 @@ def _collect(path: Path, file_format: str) -> Elements:
             lat_deg = location.lat_without_check()
             places.extend((lon_deg, lat_deg))
             if not location.valid():
-                is_missing = (
-                    max(abs(lat_deg), abs(lon_deg)) > 214.0
-                )  # osmium's value for it
+                # osmium's value for it.
+                is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0
                 if is_missing:
                     got = "no coordinates"
                 else:
@@ -270,7 +269,8 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
             if role != "inner" and ref in by_id
         ]
         tags = relation.tags
-        if not is_meant(tags):  # as it used to be: the outer way has the tags
+        # As it used to be: the outer way has the tags.
+        if not is_meant(tags):
             tags = next((way.tags for way in outers if is_meant(way.tags)), {})
         if tags:
             used.update(way.id for way in outers if is_meant(way.tags))

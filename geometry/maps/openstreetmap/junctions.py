@@ -20,20 +20,23 @@ from .elements import DEFAULTS, Elements, Tags
 from .network import Edge, End, Network, Street, axis_points, surface, trace_streets
 
 _STEP_M = 0.5
-_SAME_ARM_COSINE = np.cos(np.radians(25.0))  # as geometry.junction groups lanes
+# As geometry.junction groups lanes.
+_SAME_ARM_COSINE = np.cos(np.radians(25.0))
 _SAME_ARM_GAP_M = 12.0
-_FORK_DEG = (
-    60.0  # two one-way roads that lie closer to one another than this are one road's
-)
+# Two one-way roads that lie closer to one another than this are one road's.
+_FORK_DEG = 60.0
 _STUB_M: float = DEFAULTS["cross_section"]["stub_m"]
 _STUB = f"it ends nowhere, less than {_STUB_M:g} m beyond a junction: no arm"
-_MAX_ROUNDS = 6  # of taking in forks that lie within an outline; two are usual
-_Path = tuple[tuple[str, bool], ...]  # edges of a street and which way it follows them
-_Placed = dict[
-    tuple[_Path, ...], list[float]
-]  # mouths of arms by the streets of a junction
-_BEYOND_M = 1.0  # of the outline, which is rounded
-_AHEAD_M = 10.0  # over which a direction is taken
+# Of taking in forks that lie within an outline; two are usual.
+_MAX_ROUNDS = 6
+# Edges of a street and which way it follows them.
+_Path = tuple[tuple[str, bool], ...]
+# Mouths of arms by the streets of a junction.
+_Placed = dict[tuple[_Path, ...], list[float]]
+# Of the outline, which is rounded.
+_BEYOND_M = 1.0
+# Over which a direction is taken.
+_AHEAD_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,14 +128,16 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
     limit_m = DEFAULTS["junction"]["max_mouth_m"]
     stations = np.arange(0.0, limit_m, _STEP_M)
     half = np.array([0.5 * street.section_at(one).width_m for one in stations])
-    half -= 0.05  # neighbours may touch
+    # Neighbours may touch.
+    half -= 0.05
     middle, across = axis_points(street, stations)
     ends = [middle + sign * half[:, None] * across for sign in (1.0, -1.0)]
     shapely.prepare(others)
     is_touching = shapely.intersects(
         shapely.linestrings(np.stack(ends, axis=1)), others
     )
-    is_touching[0] = True  # where the streets meet
+    # Where the streets meet.
+    is_touching[0] = True
     clear = np.flatnonzero(~is_touching)
     if len(clear):
         return float(stations[clear[0]])
@@ -301,9 +306,8 @@ def _is_staggered(network: Network, street: Street) -> bool:
         ahead_deg = network.bearing_deg(own)
         turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
         sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
-    return (
-        sides[0] == sides[1]
-    )  # to the same hand of who looks along the street from either end
+    # To the same hand of who looks along the street from either end.
+    return sides[0] == sides[1]
 
 
 # ---------- junctions
@@ -492,11 +496,11 @@ def _reaches(
             for number, at in zip(numbers, (0, -1), strict=True)
         )
         if from_m is None or to_m is None:
-            continue  # inside a junction
+            # Inside a junction.
+            continue
         free_m = max(street.length_m - least_m, 0.0)
-        if (
-            both_m := from_m + to_m
-        ) > free_m:  # two junctions so near that both get less
+        # Two junctions so near that both get less.
+        if (both_m := from_m + to_m) > free_m:
             from_m = from_m * free_m / both_m
             to_m = to_m * free_m / both_m
         names = ["" if number is None else ids[number] for number in numbers]
@@ -602,9 +606,8 @@ def find_leading_roads(
             if end[0] in done:
                 continue
             line = shapely.LineString(network.points_from(end))
-            if shapely.intersects(
-                area, shapely.Point(line.coords[-1])
-            ):  # both its ends lie inside
+            # Both its ends lie inside.
+            if shapely.intersects(area, shapely.Point(line.coords[-1])):
                 done.add(end[0])
                 far = int(network.edges[end[0]].rows[-1 if end[1] else 0])
                 if far not in seen:
@@ -636,12 +639,14 @@ def _road(
     way = end
     rest_m = line.length - left_at_m
     passed = {end[0]}
-    while rest_m < _STUB_M:  # the way beyond a node where it is only cut in two
+    # The way beyond a node where it is only cut in two.
+    while rest_m < _STUB_M:
         index, is_start = way
         row = int(network.edges[index].rows[-1 if is_start else 0])
         others = [one for one in network.ends[row] if one[0] not in passed]
         if len(network.ends[row]) == 1:
-            return  # a stub
+            # A stub.
+            return
         if len(others) != 1 or _directions(network, others[0]) != _directions(
             network, way
         ):

@@ -16,16 +16,16 @@ from .elements import DEFAULTS
 from .junctions import Reach
 from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_between
 
-_BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
+# Between the end of one carriageway and the lane it leads into.
+_BESIDE_END_M = 12.0
 _MIN_LENGTH_M = 0.5
-_SAME_POINT_M = (
-    0.5  # pieces of a lane whose ends are as near as this are one after the other
-)
-_SAME_WAY = 0.5  # cosine of the angle between them
+# Pieces of a lane whose ends are as near as this are one after the other.
+_SAME_POINT_M = 0.5
+# Cosine of the angle between them.
+_SAME_WAY = 0.5
 _BEND_M = 15.0
-_Group = tuple[
-    str, bool
-]  # lanes side by side by their common name, and whether their starts
+# Lanes side by side by their common name, and whether their starts.
+_Group = tuple[str, bool]
 
 
 class _Part(NamedTuple):
@@ -40,7 +40,8 @@ class _Part(NamedTuple):
     road_class: str
 
 
-_Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
+# Id of a lane, and its parts one after the other.
+_Piece = tuple[str, list[_Part]]
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
@@ -158,9 +159,8 @@ def _at_break(
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
-    points_of_lefts: list[
-        tuple[float, float]
-    ] = []  # stations, and how far left of the street
+    # Stations, and how far left of the street.
+    points_of_lefts: list[tuple[float, float]] = []
     for strip, (low, high), ends_left, *_ in parts:
         half = 0.5 * (high - low)
         (begin_left, end_left) = ends_left
@@ -205,9 +205,8 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
-    last_part = parts[
-        -1 if is_forward == bool(to_junction) else 0
-    ]  # as of `speed_limit_kmh`
+    # As of `speed_limit_kmh`.
+    last_part = parts[-1 if is_forward == bool(to_junction) else 0]
     return MapLane(
         id=name,
         kind=parts[0].strip.kind,

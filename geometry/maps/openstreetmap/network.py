@@ -33,16 +33,19 @@ from .elements import (
     tagged_length_m,
 )
 
-Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
+# Kind, width [m], whether it runs as the way does.
+Part = tuple[str, float, bool]
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
-_Widths = tuple[
-    Sequence[float], Sequence[float]
-]  # [m] forward, backward; from left to right there
-_MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
-End = tuple[int, bool]  # an edge and whether its first node is meant
-_MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
+# [m] forward, backward; from left to right there.
+_Widths = tuple[Sequence[float], Sequence[float]]
+# A road goes on into another one that turns off by less.
+_MAX_STRAIGHT_ON_DEG = 60.0
+# An edge and whether its first node is meant.
+End = tuple[int, bool]
+# At sharp bends lines next to a street are cut off.
+_MAX_MITRE = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +64,8 @@ def is_oneway(tags: Tags) -> bool:
     text = tags.get("oneway", "").strip().lower()
     if text in ("yes", "true", "1", "-1", "reverse"):
         return True
-    if text:  # no, alternating, reversible
+    # No, alternating, reversible.
+    if text:
         return False
     return (
         tags.get("junction") in ("roundabout", "circular")
@@ -137,9 +141,8 @@ def roadside_strips(
     tags: Tags, note: TagNote, *, side: str, keeps_left: bool
 ) -> Roadside:
     """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
-    is_near = side == (
-        "left" if keeps_left else "right"
-    )  # the side of traffic along the way
+    # The side of traffic along the way.
+    is_near = side == ("left" if keeps_left else "right")
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
     outer: list[Part] = []
@@ -154,7 +157,8 @@ def roadside_strips(
     usual = DEFAULTS["cross_section"]
     plain = tags.get("cycleway", "")
     if is_oneway(tags) and plain.startswith("opposite") == is_near:
-        plain = ""  # of a one-way road the plain tag means the side of its traffic
+        # Of a one-way road the plain tag means the side of its traffic.
+        plain = ""
     if (named := side_value(tags, "cycleway", side)) is None:
         cycleway = plain
     else:
@@ -576,7 +580,8 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
     n_uses = np.zeros(len(elements.positions_m), dtype=np.int64)
     for rows in chain.from_iterable(found for _, found in runs):
         np.add.at(n_uses, rows[1:-1], 1)
-        np.add.at(n_uses, rows[[0, -1]], 2)  # edges end where ways do
+        # Edges end where ways do.
+        np.add.at(n_uses, rows[[0, -1]], 2)
     edges: list[Edge] = []
     for way, found in runs:
         if not found:
@@ -718,9 +723,8 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
     starts = [
         end for ends in network.ends.values() for end in ends if end not in partner
     ]
-    rest = [
-        (index, True) for index in range(len(network.edges))
-    ]  # rings without an end
+    # Rings without an end.
+    rest = [(index, True) for index in range(len(network.edges))]
     for begin in starts + rest:
         if is_done[begin[0]]:
             continue
@@ -779,9 +783,8 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
     before, after = (np.minimum(np.maximum(one, 0), last) for one in (before, after))
     normal = normals[before] + normals[after]
     squared = np.maximum((normal * normal).sum(axis=1), 1e-9)
-    across = (
-        normal * (2.0 / squared)[:, None]
-    )  # as long as the offsets of both sides need
+    # As long as the offsets of both sides need.
+    across = normal * (2.0 / squared)[:, None]
     length = 2.0 / np.sqrt(squared)
     across *= np.minimum(1.0, _MAX_MITRE / length)[:, None]
     # Left of a segment is its normal: the segment itself is the normal turned back.

@@ -44,14 +44,18 @@ from .network import Edge, Network, axis_points, known_runs, level, lines_of
 
 # ---------- walls and hedges
 _TRUNK_SIDES = 8
-_NEAR_JUNCTION_M = 40.0  # a signal farther from any junction is one for both directions
-_Place = tuple[Reach, float]  # a street and how far along it [m]
-_PARALLEL = 0.8  # cosine: two lines that differ more are not one crosswalk
-_LEAST_M = 0.5  # of a footway on a carriageway
-_LEAST_M2 = 1.0  # of what is left of a building
-_Span = tuple[
-    float, float, bool
-]  # bottom and top above the ground [m], whether they are assumed
+# A signal farther from any junction is one for both directions.
+_NEAR_JUNCTION_M = 40.0
+# A street and how far along it [m].
+_Place = tuple[Reach, float]
+# Cosine: two lines that differ more are not one crosswalk.
+_PARALLEL = 0.8
+# Of a footway on a carriageway.
+_LEAST_M = 0.5
+# Of what is left of a building.
+_LEAST_M2 = 1.0
+# Bottom and top above the ground [m], whether they are assumed.
+_Span = tuple[float, float, bool]
 
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
@@ -178,9 +182,8 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
     traffic: at the stop line, or where an arm begins if that is farther out; those
     where roads meet at every arm.
     """
-    places: dict[int, list[_Place]] = defaultdict(
-        list
-    )  # nodes of junctions lie on all arms
+    # Nodes of junctions lie on all arms.
+    places: dict[int, list[_Place]] = defaultdict(list)
     for reach in reaches:
         for row, station_m in zip(
             reach.street.rows, reach.street.stations_m, strict=True
@@ -312,7 +315,8 @@ def find_crosswalks(network: Network) -> FloatArray:
     limits = DEFAULTS["crosswalk"]
     elements = network.elements
     lines: list[FloatArray] = []
-    covered: set[int] = set()  # nodes that lie on a mapped footway over a road
+    # Nodes that lie on a mapped footway over a road.
+    covered: set[int] = set()
     tree = shapely.STRtree(
         [shapely.linestrings(edge.points_m) for edge in network.edges]
     )
@@ -342,9 +346,8 @@ def find_crosswalks(network: Network) -> FloatArray:
                 continue
             covered.update(rows.tolist())
             lines += found
-    at_row: dict[
-        int, tuple[int, int]
-    ] = {}  # an edge through each node, and the node's place in it
+    # An edge through each node, and the node's place in it.
+    at_row: dict[int, tuple[int, int]] = {}
     for index, edge in enumerate(network.edges):
         for at, row in enumerate(edge.rows.tolist()):
             if row not in at_row or network.edges[at_row[row][0]].is_service:
@@ -359,7 +362,8 @@ def find_crosswalks(network: Network) -> FloatArray:
     for line in lines:
         middle = line.mean(axis=0)
         along = unit(line[1] - line[0])
-        if not any(  # one crosswalk that is mapped in two ways
+        # One crosswalk that is mapped in two ways.
+        if not any(
             np.hypot(*(middle - other.mean(axis=0))) <= limits["same_m"]
             and abs(along @ unit(other[1] - other[0])) > _PARALLEL
             for other in taken
@@ -371,9 +375,8 @@ def find_crosswalks(network: Network) -> FloatArray:
 def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
     """A line (2, 2) over each road that a footway crosses, with all its carriageways."""
     limits = DEFAULTS["crosswalk"]
-    joined: list[
-        tuple[LineString, BaseGeometry]
-    ] = []  # parts of the footway, and carriageways
+    # Parts of the footway, and carriageways.
+    joined: list[tuple[LineString, BaseGeometry]] = []
     crossed = [
         (part, area)
         for edge in edges
