@@ -48,13 +48,17 @@ _JOINED_M = 1.0e-3
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes in driving direction, connecting roads lanes
-    through their junctions, whose outlines are those of these roads' surface; objects
-    and signals become things, poles, crosswalks and parking lanes. Heights are
-    absolute; across, roads have their superelevation and shape.
+    Roads outside junctions become lanes in driving direction, connecting roads
+    lanes through their junctions, whose outlines are those of these roads'
+    surface; objects and signals become things, poles, crosswalks and parking
+    lanes. Heights are absolute; across, roads have their superelevation and
+    shape.
 
-    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a
-    number or has one out of range, or needs too many points.
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no OpenDRIVE, has no roads, lacks a number
+        or has one out of range, or needs too many points.
 
     References
     ----------
@@ -127,7 +131,29 @@ def read_opendrive(path: Path) -> SourceMap:
 def _read_roads(
     root: Element, where: str, offset: Offset, omissions: Omissions
 ) -> dict[str, Road]:
-    """All roads by id; the neighbours of those without a length are joined, which is noted."""
+    """All roads by id; neighbours of roads without a length are joined.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+    offset : Offset
+        Offset of the file's header.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    roads : dict of str to Road
+        Without those that are shorter than a millimetre, which are noted.
+
+    Raises
+    ------
+    InputError
+        There is no road, or an id comes twice.
+    """
     roads: dict[str, Road] = {}
     joints: dict[str, tuple[RoadLink, RoadLink]] = {}
     for element, _ in numbered(root, "road", where):
@@ -159,7 +185,20 @@ def _read_roads(
 def _beyond(
     link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]
 ) -> RoadLink:
-    """What a link leads to, roads without a length passed over."""
+    """What a link leads to, roads without a length passed over.
+
+    Parameters
+    ----------
+    link : RoadLink
+        Link of a road.
+    joints : Mapping[str, tuple[RoadLink, RoadLink]]
+        Links of the roads without a length, by their ids.
+
+    Returns
+    -------
+    link : RoadLink
+        It leads to a road with a length, a junction or nothing.
+    """
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break
@@ -172,6 +211,7 @@ def _beyond(
 
 
 def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
+    """Sampled sections of all roads, by id; too many points are refused."""
     sampled: dict[str, tuple[SampledSection, ...]] = {}
     n_points = 0
     for road in roads.values():
@@ -188,6 +228,7 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
 def _connections(
     roads: Mapping[str, Road], junctions: Sequence[MapJunction], where: str
 ) -> tuple[MapLane, ...]:
+    """Lanes through the given junctions; too many points are refused."""
     there = {junction.id for junction in junctions}
     found: list[MapLane] = []
     n_points = 0

@@ -1,4 +1,4 @@
-"""Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
+"""OpenDRIVE junctions: records, roads that lead there, and outlines."""
 
 from collections import defaultdict
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -45,19 +45,53 @@ _MIN_AREA_M2 = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionRecord:
-    """A junction as the file has it."""
+    """Junction as the file has it.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    name : str
+        Name in the file; may be empty.
+    has_surface : bool
+        By its type it has connecting roads.
+    incoming : tuple of str
+        Ids of the roads that lead to it.
+    element : Element
+        For further content.
+    """
 
     id: str
     name: str
-    has_surface: bool  # by its type it has connecting roads
-    incoming: tuple[str, ...]  # ids of the roads that lead to it
-    element: Element  # for further content
+    has_surface: bool
+    incoming: tuple[str, ...]
+    element: Element
 
 
 def read_junction_records(
     root: Element, where: str, omissions: Omissions
 ) -> dict[str, JunctionRecord]:
-    """Junctions of a document, by id; raises InputError if an id is missing or double."""
+    """Junctions of a document, by id; those without surface are noted.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    records : dict of str to JunctionRecord
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        An id is missing or comes twice.
+    """
     found: dict[str, JunctionRecord] = {}
     without_surface = load_facts()["without_surface"]
     for element, here in numbered(root, "junction", where):
@@ -87,10 +121,24 @@ def find_road_ends(
     junctions: Mapping[str, JunctionRecord],
     omissions: Omissions,
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of the roads outside junctions, by id of the road.
+    """Junctions at both ends of the roads outside junctions, by road.
 
-    They come from the roads' own links, or else from the connecting roads that lead to
-    them. Links to missing roads and junctions are noted in `omissions`.
+    They come from the roads' own links, or else from the connecting roads that
+    lead to them. Links to missing roads and junctions are noted in `omissions`.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    junctions : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    ends : dict of str to (str, str)
+        Junctions at the start and at the end; empty: none.
     """
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
@@ -99,6 +147,7 @@ def find_road_ends(
                 led_to.setdefault((link.id, link.contact), road.junction)
 
     def junction_at(road: Road, link: RoadLink, end: str) -> str:
+        """Junction that a link leads to, directly or through a road; empty: none."""
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
             name = f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}"
@@ -128,7 +177,22 @@ def leading_roads(
     ends: Mapping[str, RoadEnds],
     sampled: Mapping[str, Sequence[SampledSection]],
 ) -> dict[str, tuple[LeadingRoad, ...]]:
-    """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
+    """Roads that lead to each junction, by its id.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    ends : Mapping[str, RoadEnds]
+        Junctions at both ends of each road.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+
+    Returns
+    -------
+    leading : dict of str to tuple of LeadingRoad
+        With the driving lanes recorded at that end.
+    """
     found: dict[str, tuple[LeadingRoad, ...]] = defaultdict(tuple)
     for road_id, at in ends.items():
         for junction, is_start in zip(at, (True, False), strict=True):
@@ -141,6 +205,22 @@ def leading_roads(
 def _leading_road(
     road: Road, section: SampledSection, is_start: bool
 ) -> LeadingRoad | None:
+    """Road at one of its ends; None: no driving lane is there.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    section : SampledSection
+        Section at that end.
+    is_start : bool
+        The road's start is meant.
+
+    Returns
+    -------
+    lead : LeadingRoad or None
+        Its direction is away from the junction to the road.
+    """
     if is_start:
         index = 0
     else:
@@ -185,12 +265,39 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with their outlines, and lanes without links to missing junctions.
+    """Junctions with their outlines, and lanes without links to others.
 
-    An outline is that of the union of the driving lanes of the connecting roads,
-    without holes; the ends of driving and parking lanes that lead there lie on it.
-    Junctions without surface, and lanes that end far from theirs, are noted. Raises
-    InputError if a junction needs too many points.
+    An outline is that of the union of the driving lanes of the connecting
+    roads, without holes; the ends of driving and parking lanes that lead there
+    lie on it. Junctions without surface, and lanes that end far from theirs,
+    are noted.
+
+    Parameters
+    ----------
+    records : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+    lanes : sequence of MapLane
+        Lanes outside junctions.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    junctions : list of MapJunction
+        Those that have a surface.
+    lanes : list of MapLane
+        Without links to junctions that are left out.
+
+    Raises
+    ------
+    InputError
+        A junction needs too many points.
     """
     members: dict[str, list[str]] = {}
     for road in roads.values():
@@ -246,7 +353,22 @@ def with_known_junctions(
     junctions: Sequence[MapJunction],
     apart: Container[tuple[str, str]] = (),
 ) -> list[MapLane]:
-    """Lanes that name these junctions alone, and none that they lie `apart` from, by its id."""
+    """Lanes that name no other junctions than the given ones.
+
+    Parameters
+    ----------
+    lanes : iterable of MapLane
+        Lanes of the map.
+    junctions : sequence of MapJunction
+        Junctions of the map.
+    apart : Container[tuple[str, str]]
+        Ids of junctions and lanes that lie too far from each other.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        With empty names in place of other junctions.
+    """
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
@@ -267,7 +389,18 @@ def with_known_junctions(
 def lanes_by_junction(
     lanes: Iterable[MapLane],
 ) -> dict[str, list[tuple[MapLane, FloatArray]]]:
-    """Lanes that end or begin at each junction, by its id, as lines (n, 2) away from it."""
+    """Lanes at each junction, as lines away from it.
+
+    Parameters
+    ----------
+    lanes : iterable of MapLane
+        Lanes of the map.
+
+    Returns
+    -------
+    tips : dict of str to list of (MapLane, (n, 2) float)
+        By id of the junction. [m]
+    """
     tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
     for lane in lanes:
         line = lane.centreline_m[:, :2]
@@ -277,7 +410,18 @@ def lanes_by_junction(
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
-    """Largest part of the union of the strips of driving lanes, without holes, or None."""
+    """Largest part of the union of driving lanes, without holes, or None.
+
+    Parameters
+    ----------
+    sections : sequence of SampledSection
+        Sections of the connecting roads.
+
+    Returns
+    -------
+    surface : Polygon or None
+        In metres.
+    """
     rings = [
         np.concatenate([inner, outer[::-1]])
         for section in sections
@@ -301,7 +445,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def largest_polygon(shape: Any) -> Any:
-    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
+    """Largest polygon of a shape with its holes filled; None: it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
@@ -313,7 +457,25 @@ def largest_polygon(shape: Any) -> Any:
 def fit_outline(
     surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]
 ) -> tuple[Any, list[MapLane]]:
-    """Move an outline to the ends of the lanes that lead to it; and the lanes too far outside."""
+    """Surface whose outline meets the ends of lanes, and lanes too far off.
+
+    Lanes that end inside cut their mouths out of the surface; those that end
+    outside extend it by a narrow way.
+
+    Parameters
+    ----------
+    surface : Any
+        Polygon of the junction. [m]
+    tips : Sequence[tuple[MapLane, FloatArray]]
+        Lanes and their lines away from the junction. [m]
+
+    Returns
+    -------
+    surface : Polygon
+        With the mouths of lanes fitted.
+    far : list of MapLane
+        Lanes that do not end at the junction.
+    """
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])

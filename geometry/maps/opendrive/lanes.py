@@ -1,4 +1,9 @@
-"""Lanes of roads: sampled as points, joined along lane sections and with short stubs."""
+"""Lanes of OpenDRIVE roads, sampled as points and joined to lines.
+
+A road is sampled section by section. Lanes of consecutive sections that
+continue each other become one line, and short stubs at junctions are joined
+to the lanes beyond them.
+"""
 
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -51,10 +56,20 @@ RoadEnds = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledLane:
-    """A lane of a section as points."""
+    """Lane of a section as points.
+
+    Attributes
+    ----------
+    record : LaneRecord
+        The lane as the file has it.
+    inner_m : (n,) float
+        Edge towards the reference line, to the left of that. [m]
+    outer_m : (n,) float
+        Edge away from the reference line, to the left of that. [m]
+    """
 
     record: LaneRecord
-    inner_m: FloatArray  # (n,), its edges, to the left of the reference line
+    inner_m: FloatArray
     outer_m: FloatArray
 
     @property
@@ -69,24 +84,37 @@ class SampledLane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampledSection:
-    """A lane section as points."""
+    """Lane section as points.
 
-    s_m: FloatArray  # (n,), stations from its start to its end
-    points_m: FloatArray  # (n, 3), of the reference line
-    left: FloatArray  # (n, 2), unit vectors to the left of it
-    # (n,), by which the surface rises towards it: sine of the superelevation
+    Attributes
+    ----------
+    s_m : (n,) float
+        Stations from its start to its end. [m]
+    points_m : (n, 3) float
+        Of the reference line. [m]
+    left : (n, 2) float
+        Unit vectors to the left of it.
+    rise : (n,) float
+        By which the surface rises towards it: sine of the superelevation.
+    lanes : dict[int, SampledLane]
+        By number.
+    """
+
+    s_m: FloatArray
+    points_m: FloatArray
+    left: FloatArray
     rise: FloatArray
-    lanes: dict[int, SampledLane]  # by number
+    lanes: dict[int, SampledLane]
 
     def points_at(self, t_m: FloatArray) -> FloatArray:
-        """Points (n, 3) of the surface some metres to the left of the reference line."""
+        """Points of the surface beside the reference line, (n, 3)."""
         points = self.points_m.copy()
         points[:, :2] += t_m[:, None] * self.left
         points[:, 2] += t_m * self.rise
         return points
 
     def surface_m(self) -> FloatArray:
-        """Points (m, 3) of the surface: on the reference line and both edges."""
+        """Points of the surface: on the reference line and both edges, (m, 3)."""
         edges = [lane.outer_m for lane in self.lanes.values()] or [
             np.zeros(len(self.s_m))
         ]
@@ -99,8 +127,24 @@ def sample_road(
 ) -> tuple[SampledSection, ...]:
     """Sample all lane sections of a road.
 
-    Stations are at most 5 m apart along any lane, and chords by default at most 3 cm
-    from the curve. Raises InputError if that needs too many points.
+    Stations are at most 5 m apart along any lane.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    chord_error_m : float
+        Largest distance of a chord from the curve. [m]
+
+    Returns
+    -------
+    sections : tuple of SampledSection
+        In order along the road.
+
+    Raises
+    ------
+    InputError
+        That needs too many points.
     """
     bends = road.line.bends()
     return tuple(
@@ -112,6 +156,32 @@ def sample_road(
 def _sample_section(
     road: Road, section: LaneSection, bends: FloatArray, chord_error_m: float
 ) -> SampledSection:
+    """Sample one lane section of a road.
+
+    The section is cut where the line or a cubic begins a new piece; each
+    interval gets the steps that its bends need.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    section : LaneSection
+        The lane section.
+    bends : (n, 3) float
+        See :meth:`~.roads.ReferenceLine.bends`.
+    chord_error_m : float
+        Largest distance of a chord from the curve. [m]
+
+    Returns
+    -------
+    sampled : SampledSection
+        With points for each lane.
+
+    Raises
+    ------
+    InputError
+        The section needs too many points, or leads too far away.
+    """
     starts, lengths = _intervals(road, section)
     inside = starts + 0.5 * lengths
     n_edges = 1 + len(section.left) + len(section.right)
@@ -175,6 +245,7 @@ def _sample_section(
 
 
 def _check_count(road: Road, n_points: float) -> None:
+    """Refuse a road that needs too many points."""
     if n_points > MAX_POINTS:
         refuse(
             road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}"
@@ -182,7 +253,22 @@ def _check_count(road: Road, n_points: float) -> None:
 
 
 def _intervals(road: Road, section: LaneSection) -> tuple[FloatArray, FloatArray]:
-    """Begins and lengths, (n,) each, of stretches in which line and cubics have one piece."""
+    """Stretches of a section in which line and cubics have one piece.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    section : LaneSection
+        The lane section.
+
+    Returns
+    -------
+    starts_m : (n,) float
+        Begins. [m]
+    lengths_m : (n,) float
+        Lengths. [m]
+    """
     cubics: list[PiecewiseCubic] = [road.offset, road.elevation, road.bank]
     for lane in (*section.left, *section.right):
         cubics += [lane.width, lane.border]
@@ -200,7 +286,28 @@ def _border(
     center: FloatArray,
     sign: float,
 ) -> FloatArray:
-    """Outer edge from <border>: a t coordinate, or as some write it a distance on either side."""
+    """Outer edge of a lane from <border>, as coefficients (n, 4).
+
+    A border is a t coordinate, but some files write a distance on either side.
+
+    Parameters
+    ----------
+    lane : LaneRecord
+        The lane.
+    starts : (n,) float
+        Begins of the intervals. [m]
+    inside : (n,) float
+        Their middles. [m]
+    center : (n, 4) float
+        Offset of the lanes from the reference line.
+    sign : {1.0, -1.0}
+        Side: left, right.
+
+    Returns
+    -------
+    edge : (n, 4) float
+        To the left of the reference line.
+    """
     border = lane.border.rebased(starts, inside)
     ds = inside - starts
     is_beyond = sign * (evaluate(ds, border) - evaluate(ds, center)) < 0.0
@@ -216,11 +323,38 @@ def _count_steps(
     bends: FloatArray,
     chord_error_m: float,
 ) -> NDArray[np.int64]:
-    """Steps per interval, (n,) int.
+    """Steps for each interval of a section, (n,).
 
-    A chord of h metres leaves a curve by at most h^2 / 8 times its second derivative,
-    here that of p(s) + t(s) n(s): the bend of the line, widened outwards, the change of
-    t, and the elevation.
+    A chord of h metres leaves a curve by at most h^2 / 8 times its second
+    derivative, here that of p(s) + t(s) n(s): the bend of the line, widened
+    outwards, the change of t, and the elevation.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    lengths : (n,) float
+        Lengths of the intervals. [m]
+    inside : (n,) float
+        Their middles. [m]
+    edges : (n_edges, n, 4) float
+        Edges of the lanes, as cubics.
+    elevation : (n, 4) float
+        Heights, as cubics.
+    bends : (n_pieces, 3) float
+        See :meth:`~.roads.ReferenceLine.bends`.
+    chord_error_m : float
+        Largest distance of a chord from the curve. [m]
+
+    Returns
+    -------
+    n_steps : (n,) int
+        At least 1.
+
+    Raises
+    ------
+    InputError
+        The line turns too often, or an edge lies too far off.
     """
     piece = np.maximum(np.searchsorted(road.line.starts_m, inside, side="right") - 1, 0)
     curvature, change, stride = bends[piece].T
@@ -263,14 +397,29 @@ def _count_steps(
 
 # ---------- lanes
 def lane_kind(lane_type: str) -> str | None:
-    """One of ``LANE_KINDS``, or None if a type of the standard is no lane here."""
+    """One of ``LANE_KINDS``, or None if a type is no lane here."""
     return lane_kinds().get(lane_type.lower())
 
 
 def build_lanes(
     road: Road, sections: Sequence[SampledSection], ends: RoadEnds
 ) -> Iterator[MapLane]:
-    """Lanes of a road outside junctions, each joined along the sections as its links say."""
+    """Lanes of a road outside junctions, joined along its sections.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    sections : sequence of SampledSection
+        Sampled sections of the road, in order.
+    ends : RoadEnds
+        Junctions at the start and at the end of the road.
+
+    Yields
+    ------
+    lane : MapLane
+        In driving direction.
+    """
     used: Counter[str] = Counter()
     for chain in _chains(sections):
         first = next(iter(chain))
@@ -319,7 +468,7 @@ def build_lanes(
 
 
 def connecting_lanes(road: Road) -> list[MapLane]:
-    """Driving lanes of a connecting road that lead through its junction from end to end."""
+    """Driving lanes of a connecting road through its junction."""
     sections = sample_road(road, chord_error_m=_TURN_CHORD_ERROR_M)
     lanes = build_lanes(road, sections, (road.junction, road.junction))
     return [
@@ -349,7 +498,22 @@ def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
 def _following(
     sections: Sequence[SampledSection], index: int, number: int
 ) -> int | None:
-    """Number in a section of the lane that continues one of the section before."""
+    """Number of the lane that continues one of the section before.
+
+    Parameters
+    ----------
+    sections : sequence of SampledSection
+        Sampled sections of the road, in order.
+    index : int
+        Index of the section.
+    number : int
+        Number of the lane in the section before.
+
+    Returns
+    -------
+    following : int or None
+        None: no lane of the same kind and direction continues it.
+    """
     record = sections[index - 1].lanes[number].record
     lanes = sections[index].lanes
     # Some write only the link back.
@@ -376,7 +540,26 @@ def _following(
 def _width_m(
     points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool
 ) -> float:
-    """Mean width of a lane along the metres next to its junctions, or all along without one."""
+    """Mean width of a lane next to its junctions, in metres.
+
+    Without a junction it is the mean width all along.
+
+    Parameters
+    ----------
+    points : (n, 3) float
+        Centreline. [m]
+    widths_m : (n,) float
+        Widths at its points. [m]
+    at_begin : bool
+        A junction lies at its begin.
+    at_end : bool
+        A junction lies at its end.
+
+    Returns
+    -------
+    width_m : float
+        Weighted by length. [m]
+    """
     along = along_m(points)
     steps = steps_m(points)
     middle_m = 0.5 * (along[1:] + along[:-1])
@@ -395,7 +578,21 @@ def _width_m(
 def _runs(
     sections: Sequence[SampledSection], chain: dict[int, int]
 ) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
-    """Stretches of a chain with a lane: centreline, widths, at the road's start, at its end."""
+    """Stretches of a chain on which there is a lane.
+
+    Parameters
+    ----------
+    sections : sequence of SampledSection
+        Sampled sections of the road, in order.
+    chain : dict[int, int]
+        Number of the lane, by index of the section.
+
+    Yields
+    ------
+    run : ((n, 3) float, (n,) float, bool, bool)
+        Centreline, widths, and whether it begins at the road's start and ends
+        at its end. [m]
+    """
     lanes = [(sections[index], sections[index].lanes[chain[index]]) for index in chain]
     middles = [
         part.points_at(0.5 * (lane.inner_m + lane.outer_m)) for part, lane in lanes
@@ -421,10 +618,20 @@ def _runs(
 
 # ---------- short roads at the mouth of a junction
 def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
-    """Join very short lanes that lead to a junction at one end to the lanes at their other end.
+    """Lanes, where very short ones at a junction are joined to the next.
 
-    A stub's points and junction go to the lane of its kind that continues within half a
-    metre and keeps its id.
+    A stub's points and junction go to the lane of its kind that continues
+    within half a metre and keeps its id.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Lanes outside junctions.
+
+    Returns
+    -------
+    joined : list of MapLane
+        Stubs that no lane continues stay.
     """
     joined = list(lanes)
     waiting = deque(lanes)

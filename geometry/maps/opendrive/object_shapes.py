@@ -1,4 +1,4 @@
-"""Places of objects (once, or repeated along a road, with their outlines) and their solids."""
+"""Places of OpenDRIVE objects along a road, their outlines and solids."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -40,7 +40,27 @@ _N_ROUND = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spot:
-    """One place of an object; sizes of its body where given."""
+    """One place of an object; sizes of its body where given.
+
+    Attributes
+    ----------
+    s_m : float
+        Along the road. [m]
+    t_m : float
+        To the left of the reference line. [m]
+    z_m : float
+        Above the road. [m]
+    length_m : float or None
+        Size along the object; None: not given. [m]
+    width_m : float or None
+        Size across the object; None: not given. [m]
+    height_m : float or None
+        Size upwards; None: not given. [m]
+    radius_m : float or None
+        Radius of a round object; None: not given. [m]
+    end : 'Spot or None'
+        Of a <repeat> without distance: one body from here to there.
+    """
 
     s_m: float
     t_m: float
@@ -49,9 +69,7 @@ class Spot:
     width_m: float | None
     height_m: float | None
     radius_m: float | None
-    end: "Spot | None" = (
-        None  # of a <repeat> without distance: one body from here to there
-    )
+    end: "Spot | None" = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,7 +85,30 @@ class Outline:
 
 
 def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
-    """All places of an object on its road; raises InputError if a <repeat> asks for too much."""
+    """All places of an object on its road.
+
+    An object has one place, or those of its <repeat> elements.
+
+    Parameters
+    ----------
+    element : Element
+        XML element.
+    road : Road
+        The road.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    spot : Spot
+        Places beyond the ends of the road are left out.
+
+    Raises
+    ------
+    InputError
+        A <repeat> asks for too many copies, or a number is missing or out of
+        range.
+    """
     own = _read_spot(element, "", where, take_number(element, "s", where), None)
     repeats = list(numbered(element, "repeat", where))
     if not repeats and is_on(road, own.s_m):
@@ -106,7 +147,32 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
 def _read_spot(
     element: Element, side: str, where: str, s_m: float, own: Spot | None
 ) -> Spot:
-    """Place and sizes of an object, or at a side of a <repeat>, which may leave them to it."""
+    """Place and sizes of an object, or of one side of a <repeat>.
+
+    Parameters
+    ----------
+    element : Element
+        XML element.
+    side : {"", "Start", "End"}
+        Ending of the attributes.
+    where : str
+        File and element at hand, for messages.
+    s_m : float
+        Where it lies along the road. [m]
+    own : Spot or None
+        The object's own place, whose values a <repeat> may leave out; None: the
+        object itself is read.
+
+    Returns
+    -------
+    spot : Spot
+        Without an end.
+
+    Raises
+    ------
+    InputError
+        It lies too far off the road, or a number is not finite.
+    """
     if own is None:
         t_m = take_number(element, "t", where)
     else:
@@ -126,11 +192,30 @@ def _read_spot(
 
 
 def is_on(road: Road, s_m: float) -> bool:
-    """A station is on the road, with some tolerance for rounding."""
+    """True if a station lies on the road, within a tolerance for rounding."""
     return -_BEYOND_M <= s_m <= road.length_m + _BEYOND_M
 
 
 def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
+    """Place between two others, as copies of a <repeat> have it.
+
+    Parameters
+    ----------
+    start : Spot
+        First place.
+    end : Spot
+        Last place.
+    share : float
+        How far it lies from the first towards the last, 0 to 1.
+    s_m : float
+        Where it lies along the road. [m]
+
+    Returns
+    -------
+    spot : Spot
+        Sizes are None where one side has none.
+    """
+
     def mix(name: str) -> float | None:
         one = getattr(start, name)
         other = getattr(end, name)
@@ -144,7 +229,22 @@ def _between(start: Spot, end: Spot, share: float, s_m: float) -> Spot:
 
 
 def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
-    """Point (3,) of the road's plane below or above a place, and heading of the road there."""
+    """Point of the road below or above a place, and the heading there.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+
+    Returns
+    -------
+    point_m : (3,) float
+        In the coordinates of the map. [m]
+    heading_rad : float
+        Of the road's reference line. [rad]
+    """
     points, heading = road.place(np.array([spot.s_m]), np.array([spot.t_m]))
     return points[0], float(heading[0])
 
@@ -152,7 +252,29 @@ def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
 def read_outlines(
     element: Element, road: Road, spot: Spot, where: str
 ) -> Iterator[Outline]:
-    """Outlines of an object at one of its places."""
+    """Outlines of an object at one of its places.
+
+    Parameters
+    ----------
+    element : Element
+        XML element.
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    outline : Outline
+        Without corners that repeat the one before.
+
+    Raises
+    ------
+    InputError
+        A corner lies too far away, or a number is missing or not finite.
+    """
     found = [*numbered(element, "outline", where)]
     for group, here in numbered(element, "outlines", where):
         found += numbered(group, "outline", here)
@@ -190,11 +312,31 @@ def read_outlines(
 def _read_corners(
     outline: Element, element: Element, road: Road, spot: Spot, where: str
 ) -> FloatArray:
-    """x, y, z, height, s, t of corners: (n, 6)."""
+    """Corners of an outline as x, y, z, height, s and t: (n, 6).
+
+    Parameters
+    ----------
+    outline : Element
+        Element with <cornerLocal> or <cornerRoad> children.
+    element : Element
+        XML element.
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    corners : (n, 6) float
+        Empty if it has no corner. [m]
+    """
     foot, road_heading = place(road, spot)
     turn = take_number_or(element, "hdg", where, 0.0)
 
     def read(tag: str, keys: str, height_key: str) -> list[tuple[float, ...]]:
+        """Values of all corners with a tag: the keys, then two heights."""
         return [
             (
                 *(take_number(corner, key, here) for key in keys),
@@ -226,7 +368,24 @@ def _read_corners(
 def box_corners(
     spot: Spot, length_m: float, width_m: float, turn_rad: float
 ) -> FloatArray:
-    """Corners (4, 2) of a place's box as s and t."""
+    """Corners of a place's box as s and t, (4, 2).
+
+    Parameters
+    ----------
+    spot : Spot
+        Place of the object.
+    length_m : float
+        Along the object. [m]
+    width_m : float
+        Across the object. [m]
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    corners_m : (4, 2) float
+        Counter-clockwise. [m]
+    """
     u = 0.5 * length_m * np.array([-1.0, 1.0, 1.0, -1.0])
     v = 0.5 * width_m * np.array([-1.0, -1.0, 1.0, 1.0])
     along, across = turned(u, v, turn_rad)
@@ -242,11 +401,33 @@ def build_prism(
     holes_m: Sequence[FloatArray] = (),
     where: str,
 ) -> Mesh:
-    """A closed solid over an open outline (n, 2) with floor and roof heights (n,) at its corners.
+    """Closed solid over an outline, with its own heights at each corner.
 
-    With holes, or if the outline crosses itself, floor and roof are level at the lowest
-    and highest corner. Raises InputError if the outline has no area, or the solid no
-    height.
+    With holes, or if the outline crosses itself, floor and roof are level at
+    the lowest and highest corner.
+
+    Parameters
+    ----------
+    outline_m : (n, 2) float
+        Open outline. [m]
+    bottom_m : (n,) float
+        Height of the floor at each corner. [m]
+    top_m : (n,) float
+        Height of the roof at each corner. [m]
+    holes_m : sequence of (k, 2) float
+        Outlines of holes. [m]
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    mesh : Mesh
+        Vertices, and triangles counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        The outline has no area, or the solid no height.
     """
     is_flat = max(np.ptp(bottom_m), np.ptp(top_m)) < _FLAT_M or len(outline_m) < 3
     if is_flat or len(holes_m) or not shapely.Polygon(outline_m).is_valid:
@@ -280,7 +461,26 @@ def build_prism(
 def build_band(
     line_m: FloatArray, left: FloatArray, *, width_m: Any, bottom_m: Any, top_m: Any
 ) -> Mesh:
-    """A wall along a line (n, 2), with unit vectors to its left (n, 2); other arrays are (n,)."""
+    """Wall along a line, closed at both ends.
+
+    Parameters
+    ----------
+    line_m : (n, 2) float
+        Middle of the wall. [m]
+    left : (n, 2) float
+        Unit vectors to its left.
+    width_m : (n,) float
+        Thickness. [m]
+    bottom_m : (n,) float
+        Height of its foot. [m]
+    top_m : (n,) float
+        Height of its top. [m]
+
+    Returns
+    -------
+    mesh : Mesh
+        Vertices, and triangles counter-clockwise seen from outside.
+    """
     table = np.column_stack([line_m, left, width_m, bottom_m, top_m])
     share = np.linspace(0.0, 1.0, len(table))[:, None]
     if np.abs(table - (table[0] + share * (table[-1] - table[0]))).max() < _STRAIGHT_M:
@@ -310,7 +510,22 @@ def build_band(
 
 
 def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> Mesh:
-    """An upright cylinder above the middle of its base (3,)."""
+    """Upright cylinder.
+
+    Parameters
+    ----------
+    foot_m : (3,) float
+        Middle of its base. [m]
+    radius_m : float
+        Radius. [m]
+    height_m : float
+        Height. [m]
+
+    Returns
+    -------
+    mesh : Mesh
+        Twelve sides.
+    """
     angle = 2.0 * np.pi * np.arange(_N_ROUND) / _N_ROUND
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     vertices, triangles = extrude(ring, bottom_m=0.0, top_m=1.0)
@@ -318,7 +533,22 @@ def build_cylinder(foot_m: FloatArray, *, radius_m: float, height_m: float) -> M
 
 
 def build_tree(foot_m: FloatArray, *, crown_radius_m: float, height_m: float) -> Mesh:
-    """A trunk and an ellipsoid of leaves above a foot (3,)."""
+    """Trunk and an ellipsoid of leaves.
+
+    Parameters
+    ----------
+    foot_m : (3,) float
+        Middle of the trunk's base. [m]
+    crown_radius_m : float
+        Radius of the crown. [m]
+    height_m : float
+        Height of the tree's top above its foot. [m]
+
+    Returns
+    -------
+    mesh : Mesh
+        Two closed solids.
+    """
     shares = load_facts()["tree"]
     stem_m = shares["stem_share"] * height_m
     radius_m = min(shares["trunk_radius_share"] * height_m, crown_radius_m)
@@ -343,7 +573,28 @@ def build_body(
     turn_rad: float,
     where: str,
 ) -> tuple[Mesh, bool] | None:
-    """Body of an object at a place, and whether its height is assumed; None: no extent."""
+    """Body of an object at a place, and whether its height is assumed.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    kind : str
+        See :func:`~.objects.object_kind`.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    body : (Mesh, bool) or None
+        None: the object has no extent.
+    """
     height_m = spot.height_m
     has_outline = any(outline.is_outer for outline in outlines)
     has_corner_heights = has_outline and any(
@@ -371,6 +622,22 @@ def build_body(
 
 
 def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> Mesh:
+    """Solids over all outer outlines of an object; open ones become walls.
+
+    Parameters
+    ----------
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    height_m : float
+        Height where the corners have none. [m]
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    mesh : Mesh
+        One mesh of all of them.
+    """
     holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
     for outline in (outline for outline in outlines if outline.is_outer):
@@ -399,7 +666,7 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
 def _holes_inside(
     outline_m: FloatArray, holes: Sequence[FloatArray]
 ) -> list[FloatArray]:
-    """The holes of this outline, if an object has several outlines."""
+    """Holes that lie within one outline of an object."""
     if not holes or len(outline_m) < 3:
         return []
     shape = shapely.Polygon(outline_m).buffer(0.0)
@@ -412,7 +679,7 @@ def _holes_inside(
 
 
 def _left_of(line_m: FloatArray) -> FloatArray:
-    """Unit vectors (n, 2) to the left of a line; at its corners halfway between both sides."""
+    """Unit vectors to the left of a line, (n, 2); at corners the bisector."""
     steps = np.diff(line_m, axis=0)
     steps = steps / np.maximum(np.hypot(*steps.T), 1.0e-9)[:, None]
     before = np.concatenate([steps[:1], steps])
@@ -425,10 +692,29 @@ def _left_of(line_m: FloatArray) -> FloatArray:
 
 
 def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
+    """Body from one place to another along the road, as a wall.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    start : Spot
+        Where it begins.
+    end : Spot
+        Where it ends.
+    height_m : float
+        Height where the places have none. [m]
+
+    Returns
+    -------
+    mesh : Mesh
+        It follows the road in steps of 2 m.
+    """
     n_points = max(2, int(np.ceil((end.s_m - start.s_m) / _STEP_M)) + 1)
     share = np.linspace(0.0, 1.0, n_points)
 
     def mix(name: str, fallback: float) -> FloatArray:
+        """Values from start to end, (n,); `fallback` where the start has none."""
         one = getattr(start, name)
         other = getattr(end, name)
         if one is None:
@@ -453,7 +739,26 @@ def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
 def _simple(
     road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float
 ) -> Mesh | None:
-    """A tree, a cylinder or a box, or None if it has no extent."""
+    """Tree, cylinder or box at a place, or None if it has no extent.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    kind : str
+        See :func:`~.objects.object_kind`.
+    spot : Spot
+        Place of the object.
+    height_m : float
+        Height of the body. [m]
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    mesh : Mesh or None
+        None: not enough sizes are given.
+    """
     foot, heading = place(road, spot)
     foot[2] += spot.z_m
     radius_m = spot.radius_m

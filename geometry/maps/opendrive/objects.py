@@ -1,4 +1,8 @@
-"""Objects and signals along the roads: buildings, trees, crosswalks, parking spaces, poles."""
+"""Objects and signals along OpenDRIVE roads.
+
+Objects become things, poles, crosswalks and parking lanes; signals become
+poles and crosswalks.
+"""
 
 from bisect import bisect_left
 from collections import Counter
@@ -57,11 +61,21 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object from its type and name; None: none that matters here.
+    """Kind of an object from its type and name; None: none that matters.
 
-    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked
-    vehicle", one of ``POLE_KINDS``, or "obstacle" if the standard's type says no more
-    than that.
+    "crosswalk", "parking space", "tree", "vegetation", "building", "wall",
+    "parked vehicle", one of ``POLE_KINDS``, or "obstacle" if the standard's
+    type says no more than that.
+
+    Parameters
+    ----------
+    element : Element
+        The <object>.
+
+    Returns
+    -------
+    kind : str or None
+        The words are those of ``data/opendrive.toml``.
     """
     object_type = element.get("type", "")
     name = element.get("name", "")
@@ -91,9 +105,19 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+    """Kind of a signal from its name and types; None: other paint.
 
     What the file calls static is no traffic light, whatever its name.
+
+    Parameters
+    ----------
+    element : Element
+        The <signal>.
+
+    Returns
+    -------
+    kind : {"traffic light", "crosswalk", "sign"} or None
+        A crosswalk is painted on the road.
     """
     facts = load_facts()["signals"]
     texts = (
@@ -120,7 +144,27 @@ def signal_kind(element: Element) -> str | None:
 def crosswalk_line(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> FloatArray | None:
-    """Line (2, 2) the long way through the smallest box, or across the road; None: no extent."""
+    """Line on which pedestrians cross; None: the object has no extent.
+
+    It runs the long way through the smallest box around the outline, or across
+    the road if that box is nearly square.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    line_m : (2, 2) float or None
+        Begin and end. [m]
+    """
     corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
     if len(corners) == 2:
         if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M:
@@ -151,7 +195,26 @@ def crosswalk_line(
 def _corners(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Corners (n, 2) of an object's outline or box: on the map, and as s and t; None: no extent."""
+    """Corners of an object's outline or box; None: it has no extent.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        On the map. [m]
+    road_m : (n, 2) float
+        The same as s and t. [m]
+    """
     outer = next((outline for outline in outlines if outline.is_outer), None)
     if outer is not None:
         return outer.points_m, outer.road_m
@@ -164,7 +227,24 @@ def _corners(
 def cross_paths(
     records: Mapping[str, JunctionRecord], roads: Mapping[str, Road]
 ) -> Iterator[FloatArray]:
-    """Lines of the paths on which pedestrians cross junctions (OpenDRIVE 1.8, <crossPath>)."""
+    """Lines of the paths on which pedestrians cross junctions.
+
+    Parameters
+    ----------
+    records : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+
+    Yields
+    ------
+    line_m : (2, 2) float
+        Begin and end. [m]
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8, element <crossPath>.
+    """
     for record in records.values():
         for path in record.element.findall("crossPath"):
             road = roads.get(path.get("crossingRoad", ""))
@@ -177,7 +257,19 @@ def cross_paths(
 # ---------- parking spaces
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """A parking space as a box along its road: s from first to last, t from right to left."""
+    """Parking space as a box along its road.
+
+    Attributes
+    ----------
+    first_m : float
+        First station. [m]
+    last_m : float
+        Last station. [m]
+    right_m : float
+        T of its right side. [m]
+    left_m : float
+        T of its left side. [m]
+    """
 
     first_m: float
     last_m: float
@@ -186,14 +278,31 @@ class Space:
 
     @property
     def t_m(self) -> float:
-        """Of its middle, to the left of the reference line, in metres."""
+        """Position of its middle to the left of the reference line, in metres."""
         return 0.5 * (self.right_m + self.left_m)
 
 
 def read_space(
     road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
 ) -> Space | None:
-    """One parking space, or a strip of them; None if it has no extent."""
+    """One parking space, or a strip of them; None if it has no extent.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    space : Space or None
+        In stations and offsets of its road.
+    """
     if spot.end is not None:
         if spot.width_m is None:
             return None
@@ -213,10 +322,22 @@ def read_space(
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
-    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
+    """Parking lanes of a road: spaces in a row become one lane.
 
-    It is as wide as the spaces are on average, and runs in the direction of traffic on
-    its side.
+    A lane is as wide as its spaces are on average, and runs in the direction of
+    traffic on its side.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spaces : sequence of Space
+        Parking spaces along the road, in any order.
+
+    Yields
+    ------
+    lane : MapLane
+        Of the kind "parking".
     """
     rows: list[list[Space]] = []
     # Those that may still go on.
@@ -258,21 +379,46 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
 # ---------- all objects
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Objects along the roads."""
+    """Objects along the roads.
+
+    Attributes
+    ----------
+    things : list of Thing
+        Solids that can hide somebody.
+    poles : list of Pole
+        Poles that could carry sensors.
+    crosswalks_m : list of (2, 2) float
+        Lines on which pedestrians cross. [m]
+    spaces : dict[str, list[Space]]
+        Parking spaces by id of the road.
+    """
 
     things: list[Thing] = field(default_factory=list)
     poles: list[Pole] = field(default_factory=list)
-    crosswalks_m: list[FloatArray] = field(default_factory=list)  # (2, 2) each
-    spaces: dict[str, list[Space]] = field(
-        default_factory=dict
-    )  # parking spaces by id of the road
+    crosswalks_m: list[FloatArray] = field(default_factory=list)
+    spaces: dict[str, list[Space]] = field(default_factory=dict)
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads; what is left out is noted in `omissions`.
+    """Objects of all roads; what is left out is noted.
 
-    Raises InputError if a number is missing or not finite, or there are too many
-    objects or corners.
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    found : Found
+        In the coordinates of the map.
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite, or there are too many objects or
+        corners.
     """
     found = Found()
     n_places = n_vertices = n_counted = 0
@@ -310,7 +456,20 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
 def _taken_objects(
     roads: Mapping[str, Road], omissions: Omissions
 ) -> Iterator[tuple[str, RoadElement]]:
-    """Objects of a kind that matters; the others are noted."""
+    """Objects of a kind that matters; the others are noted.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Yields
+    ------
+    taken : (str, RoadElement)
+        Kind and object.
+    """
     names: Counter[str] = Counter()
     for road in roads.values():
         for tag, why in load_facts()["not_taken"].items():
@@ -334,7 +493,26 @@ def _taken_objects(
 
 
 def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
-    """Add an object at one of its places to `found`; False: it has no size."""
+    """Add an object at one of its places; False: it has no size.
+
+    Parameters
+    ----------
+    kind : str
+        See :func:`object_kind`.
+    one : RoadElement
+        The object.
+    spot : Spot
+        Place of the object.
+    name : str
+        Id of the thing, unique in the map.
+    found : Found
+        Objects found so far; extended.
+
+    Returns
+    -------
+    has_size : bool
+        False: nothing was added.
+    """
     if kind in POLE_KINDS:
         if spot.height_m is None:
             top_m = 0.0
@@ -386,10 +564,33 @@ def read_signals(
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
+    """Poles of signals, and crosswalks that are written as signals.
 
-    A signal that hangs over a driving lane has no pole there. Raises InputError if a
-    number is missing or not finite.
+    There is one pole for each signal, but none for those that hang over a
+    driving lane.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+    offset : Offset
+        Offset of the file's header.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    poles : list of Pole
+        With the height of the signal's top.
+    crosswalks_m : list of (2, 2) float
+        Lines on which pedestrians cross. [m]
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite.
     """
     facts = load_facts()["signals"]
     poles: list[Pole] = []
@@ -439,7 +640,24 @@ def read_signals(
 def _painted_line(
     one: RoadElement, s_m: float, t_m: float, edges: Sequence[tuple[float, float]]
 ) -> FloatArray | None:
-    """Line (2, 2) of a crosswalk across the driving lanes, or as wide as it says; None: neither."""
+    """Line of a painted crosswalk; None: its length is not known.
+
+    Parameters
+    ----------
+    one : RoadElement
+        The signal.
+    s_m : float
+        Where it lies along the road. [m]
+    t_m : float
+        To the left of the reference line. [m]
+    edges : Sequence[tuple[float, float]]
+        Edges (right, left) of the driving lanes there. [m]
+
+    Returns
+    -------
+    line_m : (2, 2) float or None
+        As long as the signal says, or across all driving lanes. [m]
+    """
     length_m = take_size(one.element, "width", one.where)
     if not length_m and edges:
         length_m = max(left for _, left in edges) - min(right for right, _ in edges)
@@ -458,7 +676,30 @@ def _painted_line(
 def _find_position(
     one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
 ) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
-    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown)."""
+    """Foot below a signal, its top above the foot, and its place.
+
+    Parameters
+    ----------
+    one : RoadElement
+        The signal.
+    s_m : float
+        Where it lies along its road. [m]
+    t_m : float
+        To the left of the reference line. [m]
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    foot_m : (3,) float
+        On the road's surface. [m]
+    top_m : float
+        Above the foot. [m]
+    place : (str, float, float) or None
+        Road, s and t; None: the file gives x, y and z instead. [m]
+    """
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -482,7 +723,7 @@ def _find_position(
 def _driving_edges(
     sections: Sequence[SampledSection], s_m: float
 ) -> list[tuple[float, float]]:
-    """Edges (right, left) of the driving lanes at a station."""
+    """Edges (right, left) of the driving lanes at a station, in metres."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
@@ -498,10 +739,21 @@ def _driving_edges(
 
 # ---------- poles
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """Join poles within half a metre of one another.
+    """Poles, where those within half a metre of one another are joined.
 
-    A joined pole is as high as the highest and of the most telling kind; it stands
-    where the file has the pole itself, or else where the first signal hangs.
+    A joined pole is as high as the highest and of the most telling kind; it
+    stands where the file has the pole itself, or else where the first signal
+    hangs.
+
+    Parameters
+    ----------
+    poles : sequence of Pole
+        Poles of signals and objects.
+
+    Returns
+    -------
+    joined : list of Pole
+        In the order of the first pole of each group.
     """
     if len(poles) < 2:
         return list(poles)

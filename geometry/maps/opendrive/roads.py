@@ -1,4 +1,8 @@
-"""Roads of a file with all that runs along them, the header, and checked attributes of XML."""
+"""OpenDRIVE roads with all that runs along them, and the header.
+
+The file is read through functions that check each attribute, so that
+messages say where a number is wrong.
+"""
 
 import math
 from collections import Counter
@@ -48,10 +52,26 @@ _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 def take_number(element: Element, key: str, where: str) -> float:
-    """Finite number of an attribute that must be there, at most ``MAX_MAGNITUDE`` in size.
+    """Finite number of an attribute that must be there.
 
-    `where` is file and element, for messages: "Town.xodr: road 5 geometry[2]". Raises
-    InputError if the attribute is missing, no number, or not finite.
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element, for messages: "Town.xodr: road 5 geometry[2]".
+
+    Returns
+    -------
+    value : float
+        At most ``MAX_MAGNITUDE`` in size.
+
+    Raises
+    ------
+    InputError
+        The attribute is missing, no number, or not finite.
     """
     text = element.get(key)
     if text is None:
@@ -67,7 +87,29 @@ def take_number(element: Element, key: str, where: str) -> float:
 
 
 def take_number_or(element: Element, key: str, where: str, default: float) -> float:
-    """Finite number of an attribute, or the default if it is missing or left open."""
+    """Finite number of an attribute, or the default if it is left open.
+
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element at hand, for messages.
+    default : float
+        Value if the attribute is missing, empty or "none".
+
+    Returns
+    -------
+    value : float
+        At most ``MAX_MAGNITUDE`` in size.
+
+    Raises
+    ------
+    InputError
+        The attribute is no number, or not finite.
+    """
     is_open = element.get(key, "").strip().lower() in _UNSET
     if is_open:
         return default
@@ -75,9 +117,26 @@ def take_number_or(element: Element, key: str, where: str, default: float) -> fl
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
-    """A length, width, height or radius; None if it is missing, left open or not above 0.
+    """Length, width, height or radius; None: not given, or not above 0.
 
-    Raises InputError if it is not finite, or larger than anything beside a road.
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    size_m : float or None
+        In metres.
+
+    Raises
+    ------
+    InputError
+        It is not finite, or larger than anything beside a road.
     """
     value = take_number_or(element, key, where, 0.0)
     if value > MAX_SIZE_M:
@@ -88,7 +147,25 @@ def take_size(element: Element, key: str, where: str) -> float | None:
 
 
 def take_id(element: Element, where: str) -> str:
-    """Attribute id; raises InputError if it is missing or empty."""
+    """Attribute ``id``, without spaces around it.
+
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    id : str
+        Not empty.
+
+    Raises
+    ------
+    InputError
+        It is missing or empty.
+    """
     text = element.get("id", "").strip()
     if not text:
         refuse(f"{where}.id", "nothing", "an id")
@@ -98,7 +175,22 @@ def take_id(element: Element, where: str) -> str:
 def numbered(
     parent: Element | None, tag: str, where: str
 ) -> Iterator[tuple[Element, str]]:
-    """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
+    """Children with a tag, and their names for messages.
+
+    Parameters
+    ----------
+    parent : Element or None
+        Parent of the children; None: there are none.
+    tag : str
+        Their tag.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    child : (Element, str)
+        The name is such as "Town.xodr: road 5 geometry[2]".
+    """
     for index, child in enumerate([] if parent is None else parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
 
@@ -106,7 +198,20 @@ def numbered(
 # ---------- the header
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Offset from the coordinates of a file to those of its projection; rotation is applied first.
+    """Offset from the coordinates of a file to those of its projection.
+
+    The rotation is applied first.
+
+    Attributes
+    ----------
+    x_m : float
+        Eastwards. [m]
+    y_m : float
+        Northwards. [m]
+    z_m : float
+        Upwards. [m]
+    heading_rad : float
+        Rotation, counter-clockwise. [rad]
 
     References
     ----------
@@ -120,7 +225,7 @@ class Offset:
     heading_rad: float = 0.0
 
     def apply(self, points_m: FloatArray) -> FloatArray:
-        """Points (n, 2) in the projection."""
+        """Points in the projection, (n, 2)."""
         cos = math.cos(self.heading_rad)
         sin = math.sin(self.heading_rad)
         return np.asarray(
@@ -129,7 +234,20 @@ class Offset:
 
 
 def read_offset(root: Element, where: str) -> Offset:
-    """Offset of a document's header; all zero without one."""
+    """Offset of a document's header; all zero without one.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    offset : Offset
+        From the element ``header/offset``.
+    """
     element = root.find("header/offset")
     keys = {"x_m": "x", "y_m": "y", "z_m": "z", "heading_rad": "hdg"}
     if element is None:
@@ -141,10 +259,22 @@ def read_offset(root: Element, where: str) -> Offset:
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
-    """Coordinate reference system of a document: one for pyproj, and the declared one.
+    """Reference system of a document: one for pyproj, and the declared one.
 
-    The first is projected, in metres and without parameters of heights; it is empty if
-    the file names none, or one that does not fit (noted in `omissions`).
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    crs : str
+        Projected, in metres and without parameters of heights; empty if the
+        file names none, or one that does not fit, which is noted.
+    source : str
+        As the file declares it; empty: it does not.
     """
     element = root.find("header/geoReference")
     if element is None:
@@ -173,7 +303,10 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
 # ---------- facts of the format
 @cache
 def load_facts() -> dict[str, Any]:
-    """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""
+    """Lane kinds, words, types and assumed numbers of the format.
+
+    They are those of ``geometry/maps/data/opendrive.toml``.
+    """
     return load_data("geometry.maps", "opendrive.toml")
 
 
@@ -185,12 +318,27 @@ def lane_kinds() -> dict[str, str]:
 
 
 def assumed(key: str) -> float:
-    """A number of the section of assumptions."""
+    """Number that is assumed where a file gives none."""
     return float(load_facts()["assumed"][key])
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of circular arcs; curvatures, in 1/m, turn to the left."""
+    """Points and headings of circular arcs that start along x.
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    curvature : (n,) float
+        To the left. [1/m]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the start of the arc. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from x. [rad]
+    """
     half = 0.5 * curvature * s_m
     chord = s_m * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
@@ -199,10 +347,34 @@ def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]
 def spiral(
     s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
+    """Points and headings of clothoids that start along x.
 
-    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2
-    / 2 leaves the Fresnel integrals C and S.
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    start_curvature : (n,) float
+        At the start, to the left. [1/m]
+    curvature_slope : (n,) float
+        Change of the curvature per metre. [1/m^2]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the start of the clothoid. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from x. [rad]
+
+    Notes
+    -----
+    Completing the square in the heading k0 s + k' s^2 / 2 leaves the Fresnel
+    integrals C and S. Clothoids that hardly bend more than an arc are computed
+    as one.
+
+    References
+    ----------
+    .. [1] M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions",
+       section 7.3.
     """
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
@@ -223,7 +395,24 @@ def spiral(
 def turned(
     x: FloatArray, y: FloatArray, angle_rad: Any
 ) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of vectors that are turned counter-clockwise."""
+    """Coordinates of vectors that are turned counter-clockwise.
+
+    Parameters
+    ----------
+    x : FloatArray
+        First coordinates.
+    y : FloatArray
+        Second coordinates.
+    angle_rad : float or array
+        Angle. [rad]
+
+    Returns
+    -------
+    x : FloatArray
+        First coordinates of the turned vectors.
+    y : FloatArray
+        Their second coordinates.
+    """
     cos = np.cos(angle_rad)
     sin = np.sin(angle_rad)
     return x * cos - y * sin, x * sin + y * cos
@@ -232,7 +421,24 @@ def turned(
 def polynomial(
     p: FloatArray, u: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
+    """Points and headings of two cubics in u and v.
+
+    Parameters
+    ----------
+    p : (n,) float
+        Parameter of the curve.
+    u : (n, 4) float
+        Coefficients a, b, c, d of u.
+    v : (n, 4) float
+        Coefficients a, b, c, d of v.
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        U and v. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from u. [rad]
+    """
     points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
     du = slope(p, u)
     dv = slope(p, v)
@@ -245,7 +451,22 @@ def polynomial(
 
 
 def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
-    """The u, (n,), at which a curve v(u) has a given arc length from 0 to `length_m`."""
+    """The u at which a curve v(u) has a given arc length, (n,).
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    v : (4,) float
+        Coefficients a, b, c, d of v.
+    length_m : float
+        Largest u that is searched. [m]
+
+    Returns
+    -------
+    u : (n,) float
+        By the trapezoidal rule on a fine grid. [m]
+    """
     grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
     speed = np.hypot(1.0, slope(grid, v))
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
@@ -258,32 +479,60 @@ def evaluate(p: FloatArray, k: FloatArray) -> FloatArray:
 
 
 def slope(p: FloatArray, k: FloatArray) -> FloatArray:
-    """Their first derivatives."""
+    """First derivatives of cubics with coefficients k (..., 4) at p (...)."""
     return k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
 
 
 # ---------- the reference line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceLine:
-    """Pieces one after the other.
+    """Reference line of a road: pieces one after the other.
 
-    `parameters` has nine columns: curvature (of a line: 0), or that of the start and
-    its slope; or coefficients a, b, c, d of u and of v, and the factor from arc length
-    to parameter.
+    Attributes
+    ----------
+    starts_m : (n,) float
+        Begin of each piece along the road. [m]
+    lengths_m : (n,) float
+        Length of each piece. [m]
+    origins_m : (n, 2) float
+        Begins of the pieces. [m]
+    shapes : NDArray[np.int64]
+        (n,), indices into SHAPES.
+    parameters : (n, 9) float
+        Curvature (of a line: 0), or curvature at the start and its slope; or
+        coefficients a, b, c, d of u and of v, and the factor from arc length to
+        parameter.
+    wheres : tuple of str
+        For messages.
     """
 
-    starts_m: FloatArray  # (n,), along the road
-    lengths_m: FloatArray  # (n,)
-    origins_m: FloatArray  # (n, 2), begins of the pieces
+    starts_m: FloatArray
+    lengths_m: FloatArray
+    origins_m: FloatArray
     headings_rad: FloatArray  # (n,)
-    shapes: NDArray[np.int64]  # (n,), indices into SHAPES
-    parameters: FloatArray  # (n, 9)
-    wheres: tuple[str, ...]  # for messages
+    shapes: NDArray[np.int64]
+    parameters: FloatArray
+    wheres: tuple[str, ...]
 
     def at(
         self, s_m: FloatArray, inside_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (k, 2) and headings (k,) at arc lengths; `inside_m` selects where two meet."""
+        """Points and headings at arc lengths.
+
+        Parameters
+        ----------
+        s_m : (k,) float
+            Arc lengths along the road. [m]
+        inside_m : (k,) float, optional
+            Arc lengths that select the piece where two meet. [m]
+
+        Returns
+        -------
+        points_m : (k, 2) float
+            In the coordinates of the map. [m]
+        heading_rad : (k,) float
+            Counter-clockwise from east. [rad]
+        """
         if inside_m is None:
             lookup = s_m
         else:
@@ -305,6 +554,24 @@ class ReferenceLine:
     def _local(
         self, shape: str, piece: NDArray[np.int64], s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
+        """Points and headings of pieces of one shape, in their own frames.
+
+        Parameters
+        ----------
+        shape : str
+            One of ``SHAPES``.
+        piece : (k,) int
+            Index of the piece of each point.
+        s : (k,) float
+            Arc length from the begin of the piece. [m]
+
+        Returns
+        -------
+        points_m : (k, 2) float
+            From the begin of the piece. [m]
+        heading_rad : (k,) float
+            Against that of the begin. [rad]
+        """
         parameters = self.parameters[piece]
         if shape in _CURVES:
             return spiral(s, parameters[:, 0], parameters[:, 1])
@@ -322,6 +589,11 @@ class ReferenceLine:
         The largest curvature [1/m], its largest change per metre [1/m^2], and the
         largest distance that the line takes per metre of s (1 except for parametric
         polynomials).
+
+        Returns
+        -------
+        bends : (n, 3) float
+            One row for each piece.
         """
         rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
@@ -335,6 +607,20 @@ class ReferenceLine:
 
 
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
+    """Largest curvature, its change and the stride of a polynomial piece.
+
+    Parameters
+    ----------
+    k : (9,) float
+        Parameters of the piece.
+    length_m : float
+        Its length. [m]
+
+    Returns
+    -------
+    bends : (float, float, float)
+        See :meth:`ReferenceLine.bends`.
+    """
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
     du = slope(p, k[:4])
@@ -358,9 +644,28 @@ def read_reference_line(
 ) -> ReferenceLine:
     """Read a road's planView.
 
-    Raises InputError if there is no piece of a length above 0, a number is missing or
-    not finite, a piece begins outside the road or far from its begin, or has an unknown
-    shape.
+    Parameters
+    ----------
+    road : Element
+        The <road>.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the road. [m]
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    line : ReferenceLine
+        Pieces ascending along the road.
+
+    Raises
+    ------
+    InputError
+        There is no piece of a length above 0, a number is missing or not
+        finite, a piece begins outside the road or far from its begin, or has an
+        unknown shape.
     """
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
@@ -393,7 +698,25 @@ def read_reference_line(
 
 
 def _read_piece(element: Element, where: str) -> tuple[float, ...]:
-    """s, x, y, hdg, length, index of the shape, nine parameters."""
+    """Row of a piece of the reference line.
+
+    Parameters
+    ----------
+    element : Element
+        The <geometry>.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    row : tuple of float
+        S, x, y, hdg, length, index of the shape, nine parameters.
+
+    Raises
+    ------
+    InputError
+        A number is missing or out of range, or the shape is unknown.
+    """
     keys = ("s", "x", "y", "hdg", "length")
     s, x, y, heading, length_m = (take_number(element, key, where) for key in keys)
     for key, value in (("x", x), ("y", y)):
@@ -410,6 +733,22 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
 
 
 def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
+    """Nine parameters of a shape, see :class:`ReferenceLine`.
+
+    Parameters
+    ----------
+    shape : Element
+        The <line>, <arc>, <spiral>, <poly3> or <paramPoly3>.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the piece. [m]
+
+    Returns
+    -------
+    parameters : tuple of float
+        Nine; unused ones are 0.
+    """
     if shape.tag == "line" or length_m <= _ROUNDED_M:
         return (0.0,) * 9
     if shape.tag == "arc":
@@ -437,15 +776,37 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
 # ---------- cubics along a road
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PiecewiseCubic:
-    """a + b ds + c ds^2 + d ds^3 with ds counted from the start of a piece; 0 before the first."""
+    """Cubics a + b ds + c ds^2 + d ds^3, one for each piece along a road.
 
-    starts_m: FloatArray  # (n,), begins of the pieces, ascending
-    coefficients: FloatArray  # (n, 4): a, b, c, d
+    ds counts from the start of a piece; before the first one the value is 0.
+
+    Attributes
+    ----------
+    starts_m : (n,) float
+        Begins of the pieces, ascending. [m]
+    coefficients : (n, 4) float
+        A, b, c, d.
+    """
+
+    starts_m: FloatArray
+    coefficients: FloatArray
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
+        """Coefficients of the same cubics counted from other stations (k, 4).
 
-        `inside_m` (k,) are stations that select the piece where two meet.
+        This is Taylor's shift.
+
+        Parameters
+        ----------
+        starts_m : (k,) float
+            Stations to count from. [m]
+        inside_m : (k,) float
+            Stations that select the piece where two meet. [m]
+
+        Returns
+        -------
+        coefficients : (k, 4) float
+            A, b, c, d.
         """
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
@@ -459,7 +820,7 @@ class PiecewiseCubic:
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
     def at(self, s_m: FloatArray) -> FloatArray:
-        """Values, (k,)."""
+        """Values at stations, (k,)."""
         return self.rebased(s_m, s_m)[:, 0]
 
 
@@ -471,10 +832,27 @@ def read_cubics(
     start_key: str = "s",
     first_m: float = 0.0,
 ) -> PiecewiseCubic:
-    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
+    """Read cubics: children with a tag and attributes a, b, c, d.
 
-    `first_m` is the zero of the attribute `start_key`. Of several that begin at one
-    station the last one holds.
+    Of several that begin at one station the last one holds.
+
+    Parameters
+    ----------
+    parent : Element or None
+        Parent of the elements; None: there are none.
+    tag : str
+        Tag of the elements.
+    where : str
+        File and element at hand, for messages.
+    start_key : str
+        Attribute of the begin.
+    first_m : float
+        Station from which that attribute counts. [m]
+
+    Returns
+    -------
+    cubics : PiecewiseCubic
+        Sorted by begin.
     """
     rows = [
         tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
@@ -484,7 +862,7 @@ def read_cubics(
 
 
 def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
-    """From rows of start, a, b, c, d."""
+    """Cubics from rows of start, a, b, c, d."""
     table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(
         -1, 5
     )
@@ -495,36 +873,72 @@ def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
 # ---------- roads
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLink:
-    """The road or junction at an end of a road."""
+    """Road or junction at an end of a road.
 
-    kind: str = ""  # "road", "junction"; empty: nothing
+    Attributes
+    ----------
+    kind : str
+        "road", "junction"; empty: nothing.
+    id : str
+        Id of that road or junction.
+    contact : str
+        End of the other road: "start" or "end".
+    """
+
+    kind: str = ""
     id: str = ""
-    contact: str = ""  # end of the other road: "start" or "end"
+    contact: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneRecord:
-    """A lane of one lane section."""
+    """Lane of one lane section.
 
-    number: int  # its id: negative to the right of the reference line, counted outwards
-    type: str  # of the standard: "driving", "sidewalk", ...
-    is_reversed: (
-        bool  # driven against the direction of its side (OpenDRIVE 1.7 and later)
-    )
-    predecessors: tuple[
-        int, ...
-    ]  # numbers in the section before; successors: in the one after
+    Attributes
+    ----------
+    number : int
+        Its id: negative to the right of the reference line, counted outwards.
+    type : str
+        Of the standard: "driving", "sidewalk", ...
+    is_reversed : bool
+        Driven against the direction of its side (OpenDRIVE 1.7 and later).
+    predecessors : tuple of int
+        Numbers in the section before; successors: in the one after.
+    successors : tuple of int
+        Numbers in the section after.
+    width : PiecewiseCubic
+        Width along the road; without pieces: not given.
+    border : PiecewiseCubic
+        Lateral position of its outer edge; without pieces: not given.
+    limits : SpeedLimits
+        Speed limits of the lane's own.
+    """
+
+    number: int
+    type: str
+    is_reversed: bool
+    predecessors: tuple[int, ...]
     successors: tuple[int, ...]
-    width: PiecewiseCubic  # along the road; without pieces: not given
-    border: (
-        PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
-    )
+    width: PiecewiseCubic
+    border: PiecewiseCubic
     limits: SpeedLimits = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSection:
-    """A stretch of a road with the same lanes, listed from the reference line outwards."""
+    """Stretch of a road with the same lanes.
+
+    Attributes
+    ----------
+    start_m : float
+        First station. [m]
+    end_m : float
+        Last station. [m]
+    left : tuple of LaneRecord
+        Lanes to the left, listed from the reference line outwards.
+    right : tuple of LaneRecord
+        Lanes to the right, listed from the reference line outwards.
+    """
 
     start_m: float
     end_m: float
@@ -534,28 +948,64 @@ class LaneSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
-    """One road."""
+    """One road with its lanes and links.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    name : str
+        Name in the file; may be empty.
+    where : str
+        File and road, for messages.
+    junction : str
+        Junction of which it is a connecting road; NO_JUNCTION: none.
+    length_m : float
+        Length along the reference line. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    line : ReferenceLine
+        Reference line.
+    elevation : PiecewiseCubic
+        Height of the reference line, without the header's offset.
+    base_m : float
+        The header's offset in height. [m]
+    offset : PiecewiseCubic
+        Shift of the lanes to the left of the reference line.
+    sections : tuple of LaneSection
+        Lane sections, one after the other.
+    before : RoadLink
+        Link at its start.
+    after : RoadLink
+        Link at its end.
+    bank : PiecewiseCubic
+        Roll around the reference line, its left side upwards. [rad]
+    element : Element
+        XML element, for objects and signals.
+    limits : SpeedLimits
+        Speed limits of the road.
+    """
 
     id: str
     name: str
-    where: str  # for messages
-    junction: str  # of which it is a connecting road; NO_JUNCTION: none
+    where: str
+    junction: str
     length_m: float
     keeps_left: bool
     line: ReferenceLine
-    elevation: PiecewiseCubic  # of the reference line, without the header's offset
-    base_m: float  # the header's offset in height
-    offset: PiecewiseCubic  # of the lanes to the left of the reference line
+    elevation: PiecewiseCubic
+    base_m: float
+    offset: PiecewiseCubic
     sections: tuple[LaneSection, ...]
-    before: RoadLink  # at its start
-    after: RoadLink  # at its end
-    bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
-    element: Element  # for objects and signals
+    before: RoadLink
+    after: RoadLink
+    bank: PiecewiseCubic
+    element: Element
     limits: SpeedLimits = ()
 
     @property
     def is_motorway(self) -> bool:
-        """True if it says so all along, and has no sidewalk."""
+        """True if the road says so all along, and has no sidewalk."""
         types = [element.get("type", "") for element in self.element.findall("type")]
         lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
         has_walkers = any(
@@ -568,7 +1018,22 @@ class Road:
         )
 
     def speed_limit_kmh(self, s_m: float, lane: LaneRecord) -> float | None:
-        """Limit of a lane at a station in km/h, the lane's own or else the road's; None: none."""
+        """Speed limit of a lane at a station in km/h; None: there is none.
+
+        The lane's own limit counts first, then the road's.
+
+        Parameters
+        ----------
+        s_m : float
+            Station. [m]
+        lane : LaneRecord
+            The lane.
+
+        Returns
+        -------
+        limit_kmh : float or None
+            Of the last limit that begins at or before the station.
+        """
         for limits in (lane.limits, self.limits):
             here = [limit_kmh for start_m, limit_kmh in limits if start_m <= s_m + 1e-6]
             if here:
@@ -576,7 +1041,22 @@ class Road:
         return None
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""
+        """Points on the road's surface, and headings of its reference line.
+
+        Parameters
+        ----------
+        s_m : (n,) float
+            Stations; clipped to the road. [m]
+        t_m : (n,) float
+            To the left of the reference line. [m]
+
+        Returns
+        -------
+        points_m : (n, 3) float
+            In the coordinates of the map. [m]
+        heading_rad : (n,) float
+            Counter-clockwise from east. [rad]
+        """
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
@@ -585,7 +1065,20 @@ class Road:
         return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
-        """Its objects or signals; `names` counts names over all roads, to make them unique."""
+        """Objects or signals of the road.
+
+        Parameters
+        ----------
+        tag : {"object", "signal"}
+            Tag of the elements.
+        names : Counter[str]
+            Counts of names over all roads, to make them unique; extended.
+
+        Yields
+        ------
+        element : RoadElement
+            In the order of the file.
+        """
         parent = self.element.find(f"{tag}s")
         for index, (element, _) in enumerate(numbered(parent, tag, self.where)):
             label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
@@ -603,16 +1096,48 @@ class Road:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadElement:
-    """An object or signal of a road."""
+    """Object or signal of a road.
+
+    Attributes
+    ----------
+    element : Element
+        XML element.
+    road : Road
+        Road that it belongs to.
+    name : str
+        Unique in the file.
+    where : str
+        For messages.
+    """
 
     element: Element
     road: Road
-    name: str  # unique in the file
-    where: str  # for messages
+    name: str
+    where: str
 
 
 def read_road(element: Element, where: str, offset: Offset) -> Road:
-    """Read a road element; raises InputError if a necessary value is missing or out of range."""
+    """Read a road element.
+
+    Parameters
+    ----------
+    element : Element
+        The <road>.
+    where : str
+        File and element at hand, for messages.
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    road : Road
+        With its line, lanes and links.
+
+    Raises
+    ------
+    InputError
+        A necessary value is missing or out of range.
+    """
     road_id = take_id(element, f"{where}: road")
     where = f"{where}: road {road_id}"
     length_m = take_number(element, "length", where)
@@ -652,7 +1177,26 @@ def _read_limits(
     start_key: str = "s",
     first_m: float = 0.0,
 ) -> SpeedLimits:
-    """Speed limits of a road's types, or of a lane; those that are no numbers are none."""
+    """Speed limits of a road's types, or of a lane.
+
+    Limits that are no numbers are none.
+
+    Parameters
+    ----------
+    elements : sequence of Element
+        Elements with a speed, or that are one.
+    where : str
+        File and element at hand, for messages.
+    start_key : str
+        Attribute of the begin.
+    first_m : float
+        Station from which that attribute counts. [m]
+
+    Returns
+    -------
+    limits : SpeedLimits
+        Ascending by station.
+    """
     limits = []
     for element in elements:
         start_m = first_m + take_number_or(element, start_key, where, 0.0)
@@ -677,6 +1221,7 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     keys = {"kind": "elementType", "id": "elementId", "contact": "contactPoint"}
 
     def link(side: str) -> RoadLink:
+        """Link of one side; empty if the road has none."""
         words = road.find(f"link/{side}")
         if words is None:
             found = {}
@@ -690,6 +1235,27 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
 def _read_sections(
     lanes: Element | None, where: str, length_m: float
 ) -> tuple[LaneSection, ...]:
+    """Lane sections of a road, each ending where the next one begins.
+
+    Parameters
+    ----------
+    lanes : Element or None
+        The <lanes>; None: the road has none.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the road. [m]
+
+    Returns
+    -------
+    sections : tuple of LaneSection
+        Ascending along the road.
+
+    Raises
+    ------
+    InputError
+        There is no section, or one begins outside the road or has no lane 0.
+    """
     found = []
     for element, here in numbered(lanes, "laneSection", where):
         start_m = take_number(element, "s", here)
@@ -728,6 +1294,29 @@ def _read_sections(
 def _read_side(
     section: Element, side: str, where: str, start_m: float
 ) -> tuple[LaneRecord, ...]:
+    """Lanes of one side of a section, from the reference line outwards.
+
+    Parameters
+    ----------
+    section : Element
+        The <laneSection>.
+    side : {"left", "right"}
+        Side of the reference line.
+    where : str
+        File and element at hand, for messages.
+    start_m : float
+        Where the section begins. [m]
+
+    Returns
+    -------
+    lanes : tuple of LaneRecord
+        Numbered outwards.
+
+    Raises
+    ------
+    InputError
+        A number is missing, comes twice or has the wrong sign.
+    """
     if side == "left":
         sign = 1
     else:
@@ -761,7 +1350,10 @@ def _read_side(
 
 
 def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:
-    """Numbers of the lanes that continue this one; a link that is no number is ignored."""
+    """Numbers of the lanes that continue this one.
+
+    A link that is no number is ignored.
+    """
     ids = [link.get("id", "").strip() for link in lane.findall(f"link/{side}")]
     return tuple(
         int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10

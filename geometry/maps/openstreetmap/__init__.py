@@ -1,4 +1,4 @@
-"""Maps from OpenStreetMap: a file of its data in, lanes, junctions, buildings and poles out."""
+"""Maps from OpenStreetMap: lanes, junctions, buildings, poles and more."""
 
 from collections import Counter
 from dataclasses import replace
@@ -35,7 +35,22 @@ _CARRIAGEWAYS_M = (3.0, 30.0)
 
 
 def find_driving_side(elements: Elements) -> tuple[bool, str]:
-    """True if traffic keeps left, and what shows it; empty: nothing, it is assumed."""
+    """True if traffic keeps left, and what in the file shows it.
+
+    A tag counts first, then roundabouts, then carriageways side by side.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    keeps_left : bool
+        False if nothing shows the side.
+    how : str
+        What shows it; empty: nothing, the side is assumed.
+    """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     sides = Counter(way.tags.get("driving_side") for way in ways)
     if sides["left"] or sides["right"]:
@@ -49,6 +64,7 @@ def find_driving_side(elements: Elements) -> tuple[bool, str]:
 
 
 def _points(way: Way, elements: Elements) -> list[FloatArray]:
+    """Lines of a way in driving direction, (n, 2) each."""
     if runs_backward(way.tags):
         step = -1
     else:
@@ -57,7 +73,22 @@ def _points(way: Way, elements: Elements) -> list[FloatArray]:
 
 
 def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
-    """Votes of roundabouts: driven clockwise if traffic keeps left; parts of a ring count too."""
+    """Votes of roundabouts: driven clockwise if traffic keeps left.
+
+    Parts of a ring count, too.
+
+    Parameters
+    ----------
+    ways : list of Way
+        Roads for cars.
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    votes : Counter of bool
+        True: traffic keeps left.
+    """
     votes: Counter[bool] = Counter()
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
@@ -72,7 +103,22 @@ def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
 
 
 def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
-    """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
+    """Votes of streets with two carriageways side by side.
+
+    The other carriageway lies on the right if traffic keeps left.
+
+    Parameters
+    ----------
+    ways : list of Way
+        Roads for cars.
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    votes : Counter of bool
+        True: traffic keeps left.
+    """
     votes: Counter[bool] = Counter()
     segments_m: list[FloatArray] = []
     names: list[str] = []
@@ -116,12 +162,32 @@ def read_openstreetmap(
     staggered_m: float = 0.0,
     progress: Progress = silent,
 ) -> SourceMap:
-    """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
+    """Read a file of OpenStreetMap data, XML or PBF.
 
-    Coordinates are metres around the middle of the roads, heights are above the ground.
-    `keeps_left`: by default what the file shows. Two side roads that meet a road from
-    either side no farther apart than `staggered_m` are one junction, as are any roads
-    within 25 m. Raises InputError: it is damaged or too large, or has no road.
+    Suffixes are .osm, .osm.gz, .osm.bz2 and .osm.pbf. Coordinates are metres
+    around the middle of the roads, heights are above the ground.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what the file shows.
+    staggered_m : float
+        Two side roads that meet a road from either side no farther apart than
+        this are one junction, as are any roads within 25 m. [m]
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions, things, poles and crosswalks.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or too large, or has no road.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
@@ -175,7 +241,7 @@ def read_openstreetmap(
 
 
 def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
-    """Nodes of roads that say how high above the sea they lie, (n, 3), in metres."""
+    """Nodes of roads that say how high they lie, (n, 3), in metres."""
     found = [
         (*elements.positions_m[row], height_m)
         for row in rows.tolist()
@@ -186,7 +252,31 @@ def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
 
 
 def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements, str]:
-    """Elements in metres around the middle of the roads but those far off; and their CRS."""
+    """Elements in metres around the middle of the roads, and their CRS.
+
+    Elements far from the roads are taken for missing ones.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    rows : np.ndarray
+        Rows of the nodes of roads.
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    elements : Elements
+        With positions; infinite for nodes far off.
+    crs : str
+        Transverse Mercator around the middle of the roads.
+
+    Raises
+    ------
+    InputError
+        The roads span more than a place does.
+    """
     lon_lat = elements.lon_lat_deg[rows]
     low = lon_lat.min(axis=0)
     high = lon_lat.max(axis=0)

@@ -1,4 +1,11 @@
-"""Junctions of a network: their nodes, arms, outlines, names; the roads that lead to them."""
+"""Junctions of a network: nodes, arms, outlines, and roads that lead there.
+
+Nodes where roads meet are joined to clusters, one for each junction. The
+streets that leave a cluster are its arms; lanes begin at their mouths.
+Forks of carriageways next to a cluster are taken into it, meetings that
+nobody would call a junction are dropped, and the search starts again until
+nothing changes.
+"""
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,12 +48,24 @@ _AHEAD_M = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arm:
-    """A street that leaves a junction."""
+    """Street that leaves a junction.
 
-    street: Street  # away from the junction, from its node
-    index: int  # of the street, among all
-    is_begin: bool  # the street as listed begins here; otherwise it is turned round
-    mouth_m: float = 0.0  # distance from its node at which lanes begin
+    Attributes
+    ----------
+    street : Street
+        The street away from the junction, from its node.
+    index : int
+        Of the street, among all.
+    is_begin : bool
+        The street as listed begins here; otherwise it is turned round.
+    mouth_m : float
+        Distance from its node at which lanes begin. [m]
+    """
+
+    street: Street
+    index: int
+    is_begin: bool
+    mouth_m: float = 0.0
 
     @property
     def direction(self) -> FloatArray:
@@ -68,10 +87,23 @@ class Arm:
 
 
 def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
-    """Find how far from a junction's nodes its arms begin.
+    """Arms of a junction with the distance at which their lanes begin.
 
-    They begin a corner beyond the point where their carriageways have left those of the
-    others and of the streets `inside`; the carriageways of one arm begin side by side.
+    They begin a corner beyond the point where their carriageways have left
+    those of the others and of the streets `inside`; the carriageways of one arm
+    begin side by side.
+
+    Parameters
+    ----------
+    arms : sequence of Arm
+        Arms of one junction.
+    inside : sequence of Street
+        Streets between nodes of the junction.
+
+    Returns
+    -------
+    placed : list of Arm
+        The same arms, in order.
     """
     limits = DEFAULTS["junction"]
     directions = [arm.direction for arm in arms]
@@ -82,6 +114,7 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
     middle = [surface(street, 0.0, street.length_m) for street in inside]
 
     def is_in_way(one: int, other: int) -> bool:
+        """True if one arm must begin beyond the carriageway of another one."""
         if one == other or directions[one] @ directions[other] < _SAME_ARM_COSINE:
             return one != other
         # Carriageways of one road may overlap.
@@ -109,7 +142,18 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
 
 
 def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
-    """Indices of streets that lead the same way side by side, and so are one arm."""
+    """Groups of streets that lead the same way side by side: one arm each.
+
+    Parameters
+    ----------
+    arms : sequence of Arm
+        Arms of one junction.
+
+    Returns
+    -------
+    groups : list of list of int
+        Indices of `arms`.
+    """
     directions = [arm.direction for arm in arms]
     points = [arm.mouth_point_m for arm in arms]
 
@@ -124,7 +168,21 @@ def group_arms(arms: Sequence[Arm]) -> list[list[int]]:
 
 
 def _clear_from_m(street: Street, others: BaseGeometry) -> float:
-    """Distance in metres at which a street's cross-section first touches no other surface."""
+    """Distance at which a street's cross-section leaves other surfaces.
+
+    Parameters
+    ----------
+    street : Street
+        The street.
+    others : BaseGeometry
+        Road surface of everything else in the junction.
+
+    Returns
+    -------
+    distance_m : float
+        From the street's begin; the largest allowed one if it never leaves
+        them. [m]
+    """
     limit_m = DEFAULTS["junction"]["max_mouth_m"]
     stations = np.arange(0.0, limit_m, _STEP_M)
     half = np.array([0.5 * street.section_at(one).width_m for one in stations])
@@ -147,17 +205,29 @@ def _clear_from_m(street: Street, others: BaseGeometry) -> float:
 # ---------- nodes of junctions
 @dataclass(slots=True)
 class Clusters:
-    """Nodes of junctions, joined step by step."""
+    """Nodes of junctions, joined step by step.
 
-    of_row: dict[int, int] = field(
-        default_factory=dict
-    )  # junction's number by node row
-    members: dict[int, list[int]] = field(
-        default_factory=dict
-    )  # node rows by junction's number
+    Attributes
+    ----------
+    of_row : dict[int, int]
+        Number of the junction, by row of the node.
+    members : dict[int, list[int]]
+        Rows of nodes, by number of the junction.
+    """
+
+    of_row: dict[int, int] = field(default_factory=dict)
+    members: dict[int, list[int]] = field(default_factory=dict)
 
     def add(self, row: int, number: int | None = None) -> None:
-        """Add a node to a junction, by default a new one."""
+        """Add a node to a junction, by default to a new one.
+
+        Parameters
+        ----------
+        row : int
+            Row of the node.
+        number : int or None
+            Number of the junction; None: a new one, named after the node.
+        """
         if row not in self.of_row:
             if number is None:
                 self.of_row[row] = row
@@ -166,7 +236,15 @@ class Clusters:
             self.members.setdefault(self.of_row[row], []).append(row)
 
     def join(self, one: int, other: int) -> None:
-        """Make one junction of two."""
+        """Make one junction of two.
+
+        Parameters
+        ----------
+        one : int
+            Number of the junction that stays.
+        other : int
+            Number of the junction that is merged into it.
+        """
         if one != other:
             for row in self.members[other]:
                 self.of_row[row] = one
@@ -174,10 +252,23 @@ class Clusters:
 
 
 def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
-    """Nodes where roads meet, or roads and yards at a signal; those of one junction together.
+    """Nodes where roads meet, those of one junction together.
 
-    Two side roads that meet a road from either side no farther apart than `staggered_m`
-    are one.
+    A node counts if at least three roads on the ground meet there, or roads and
+    yards at a signal, unless it is a mere fork.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    staggered_m : float
+        Two side roads that meet a road from either side no farther apart than
+        this are one junction. [m]
+
+    Returns
+    -------
+    clusters : Clusters
+        At least one node for each junction.
     """
     clusters = Clusters()
     for row, ends in network.ends.items():
@@ -196,7 +287,21 @@ def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
 
 
 def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
-    """A node where one road splits into its two carriageways, or into road and ramp."""
+    """True if one road splits into carriageways, or into road and ramp.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    ends : tuple of End
+        Ends of the edges that meet at the node.
+
+    Returns
+    -------
+    is_fork : bool
+        Exactly three roads meet, two of them one-way and close to each other in
+        direction.
+    """
     ends = tuple(end for end in ends if not network.edges[end[0]].is_service)
     if len(ends) != 3 or any(network.edges[index].is_roundabout for index, _ in ends):
         return False
@@ -223,7 +328,7 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
 
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
-    """Make one junction of the nodes of a ring and of what touches it."""
+    """Make one junction of the nodes of each ring and of what touches it."""
     rings = Clusters()
     for edge in network.edges:
         if edge.is_roundabout and not edge.is_service:
@@ -252,6 +357,12 @@ def _size_m(network: Network, rows: Sequence[int]) -> float:
 
 
 def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None:
+    """Join junctions that are linked by a short street.
+
+    The shortest links are taken first. A junction never grows beyond its
+    largest size, except around a roundabout. `staggered_m` is the longest link
+    between two side roads on either side of a road.
+    """
     limits = DEFAULTS["junction"]
     of_row = clusters.of_row
     links = []
@@ -289,7 +400,7 @@ def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None
 
 
 def _is_staggered(network: Network, street: Street) -> bool:
-    """True if at each end of a street one side road leaves it, and they lie on either side."""
+    """True if one side road leaves each end of a street, to either side."""
     (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
     sides = []
     for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
@@ -313,21 +424,49 @@ def _is_staggered(network: Network, street: Street) -> bool:
 # ---------- junctions
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reach:
-    """The part of a street that has lanes, and the junctions at its ends."""
+    """Part of a street that has lanes, and the junctions at its ends.
+
+    Attributes
+    ----------
+    street : Street
+        The whole street.
+    begin_m : float
+        Station where lanes begin. [m]
+    end_m : float
+        Station where lanes end; there are none if it is not beyond the begin.
+        [m]
+    from_junction : str
+        Id of the junction at the begin; empty: none.
+    to_junction : str
+        Id of the junction at the end; empty: none.
+    """
 
     street: Street
-    begin_m: (
-        float  # station where lanes begin; there are none if the end is not beyond it
-    )
+    begin_m: float
     end_m: float
-    from_junction: str = ""  # id, as of the other; empty: none
+    from_junction: str = ""
     to_junction: str = ""
 
 
 def find_junctions(
     network: Network, *, staggered_m: float = 0.0
 ) -> tuple[list[Reach], list[MapJunction]]:
-    """Streets outside junctions with the reach of their lanes, and junctions by their ids."""
+    """Streets with the reach of their lanes, and all junctions.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    staggered_m : float
+        See :func:`find_clusters`. [m]
+
+    Returns
+    -------
+    reaches : list of Reach
+        Streets outside junctions.
+    junctions : list of MapJunction
+        Ascending by their ids, which are those of their lowest nodes.
+    """
     elements = network.elements
     clusters = find_clusters(network, staggered_m=staggered_m)
     known: _Placed = {}
@@ -372,6 +511,25 @@ def find_junctions(
 def _arms_by_cluster(
     streets: Sequence[Street], clusters: Clusters, known: _Placed
 ) -> tuple[dict[int, list[Arm]], dict[int, list[Street]]]:
+    """Arms of each junction and streets inside it, by its number.
+
+    Parameters
+    ----------
+    streets : sequence of Street
+        All streets, traced between the nodes of junctions.
+    clusters : Clusters
+        Nodes of junctions; changed in place.
+    known : _Placed
+        Mouths that were placed in earlier rounds, by the streets of a junction;
+        extended.
+
+    Returns
+    -------
+    arms : dict of int to list of Arm
+        Streets that leave the junction.
+    inside : dict of int to list of Street
+        Streets that lead back to it.
+    """
     limit_m = DEFAULTS["junction"]["max_size_m"]
     arms: dict[int, list[Arm]] = {number: [] for number in clusters.members}
     inside: dict[int, list[Street]] = defaultdict(list)
@@ -405,7 +563,11 @@ def _arms_by_cluster(
 def _take_in_forks(
     network: Network, clusters: Clusters, arms: Mapping[int, Sequence[Arm]]
 ) -> bool:
-    """Join forks in an arm before it begins, and those at the tip of a splitter island."""
+    """Join forks next to a junction to it; True if there were any.
+
+    These are forks in an arm before it begins, and those at the tip of a
+    splitter island.
+    """
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
@@ -437,7 +599,22 @@ def _take_in_forks(
 def _take_stubs(
     network: Network, arms: dict[int, list[Arm]], inside: dict[int, list[Street]]
 ) -> list[Arm]:
-    """Take out of the arms what ends nowhere just beyond them; it is part of the junction."""
+    """Move dead ends next to a junction from its arms into it.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    arms : dict[int, list[Arm]]
+        Arms by junction; changed in place.
+    inside : dict[int, list[Street]]
+        Streets inside each junction; changed in place.
+
+    Returns
+    -------
+    stubs : list of Arm
+        What was moved.
+    """
     stubs = []
     for number, here in arms.items():
         blind = [
@@ -453,7 +630,22 @@ def _take_stubs(
 def _drop_small(
     clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements
 ) -> bool:
-    """Drop meetings that nobody would call a junction, where roads merge or end."""
+    """Drop meetings of roads that are no junctions; True if there were any.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        Nodes of junctions; changed in place.
+    arms : Mapping[int, Sequence[Arm]]
+        Arms by junction.
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    has_dropped : bool
+        The network must be traced again.
+    """
     min_arms = DEFAULTS["junction"]["min_arms"]
     least_m = DEFAULTS["cross_section"]["min_road_m"]
     small = {}
@@ -479,7 +671,26 @@ def _reaches(
     arms: Mapping[int, Sequence[Arm]],
     ids: Mapping[int, str],
 ) -> dict[int, Reach]:
-    """The part of each street that has lanes, by its index."""
+    """The part of each street that has lanes, by the street's index.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    streets : sequence of Street
+        All streets.
+    clusters : Clusters
+        Nodes of junctions; changed in place.
+    arms : Mapping[int, Sequence[Arm]]
+        Arms by junction.
+    ids : Mapping[int, str]
+        Ids of junctions, by their numbers.
+
+    Returns
+    -------
+    reaches : dict of int to Reach
+        Streets inside junctions have none.
+    """
     least_m = DEFAULTS["cross_section"]["min_road_m"]
     mouths = {
         (arm.index, arm.is_begin): arm.mouth_m for here in arms.values() for arm in here
@@ -515,7 +726,22 @@ def _reaches(
 
 
 def _road_beside_m(network: Network, street: Street, at: int) -> float:
-    """Half the width of the road into which a yard leads without a junction, in metres."""
+    """Half the width of the road that a yard leads into, in metres.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    street : Street
+        The street.
+    at : int
+        0 for the start of the street, -1 for its end.
+
+    Returns
+    -------
+    distance_m : float
+        0 if the street is no yard. [m]
+    """
     if not street.parts[at][0].is_service:
         return 0.0
     others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
@@ -527,7 +753,22 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
 def _outline(
     arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
 ) -> FloatArray:
-    """Road surface of a junction up to where its arms begin."""
+    """Outline of a junction's road surface, up to where its arms begin.
+
+    Parameters
+    ----------
+    arms : sequence of Arm
+        Arms of one junction.
+    inside : sequence of Street
+        Streets inside the junction.
+    points_m : (n, 2) float
+        Its nodes. [m]
+
+    Returns
+    -------
+    outline_m : (k, 2) float
+        Open ring, with rounded kerbs. [m]
+    """
     corner_m = DEFAULTS["junction"]["corner_m"]
     surfaces = [surface(street, 0.0, street.length_m) for street in inside]
     surfaces += [surface(arm.street, 0.0, arm.mouth_m) for arm in arms]
@@ -562,7 +803,20 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
 
 # ---------- where motorways merge or part
 def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
-    """True if motorways and trunk roads (and whether they lead away) meet, and nobody walks."""
+    """True if motorways or trunk roads merge or part, and nobody walks.
+
+    Parameters
+    ----------
+    arms : Sequence[tuple[Edge, bool]]
+        Edges that meet, and whether they lead away from the meeting.
+    nodes : iterable of Tags
+        Tags of the nodes of the meeting.
+
+    Returns
+    -------
+    is_merge : bool
+        Such a meeting is no junction.
+    """
     edges = [(edge, edge.tags["highway"], is_away) for edge, is_away in arms]
     if not edges or any(
         edge.is_service
@@ -589,11 +843,25 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
 def find_leading_roads(
     network: Network, rows: Iterable[int], outline_m: FloatArray
 ) -> tuple[LeadingRoad, ...]:
-    """Ways that leave a junction and go on.
+    """Roads that leave a junction and go on.
 
-    The network is walked from the junction's nodes until its ways leave the outline.
-    Those that end nowhere less than a stub's length beyond it are no roads. Lanes are
-    those of the tags at the stub's length.
+    The network is walked from the junction's nodes until its ways leave the
+    outline. Those that end nowhere less than a stub's length beyond it are no
+    roads. Lanes are those of the tags at the stub's length.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    rows : iterable of int
+        Rows of the junction's nodes.
+    outline_m : (n, 2) float
+        Its outline. [m]
+
+    Returns
+    -------
+    roads : tuple of LeadingRoad
+        With the numbers of lanes in and out.
     """
     area = area_of(outline_m).buffer(_BEYOND_M)
     shapely.prepare(area)
@@ -623,14 +891,31 @@ def find_leading_roads(
 
 
 def _directions(network: Network, end: End) -> frozenset[bool]:
-    """Directions in which cars drive on an edge: True is away from an end of it."""
+    """Directions in which cars drive on an edge: True is away from `end`."""
     return frozenset(one == end[1] for one in network.edges[end[0]].section.directions)
 
 
 def _road(
     network: Network, end: End, line: Any, left_at_m: float
 ) -> Iterator[LeadingRoad]:
-    """The road on which an edge's line leaves a junction at a distance from one of its ends."""
+    """The road on which an edge leaves a junction, unless it is a stub.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    end : End
+        An edge, and whether its first node is meant.
+    line : Any
+        Line of the edge, a shapely LineString from `end`.
+    left_at_m : float
+        Distance along it at which it leaves the outline. [m]
+
+    Yields
+    ------
+    road : LeadingRoad
+        None if the way ends just beyond the junction or has no lane.
+    """
     points = network.points_from(end)
     stations_m = [left_at_m, left_at_m + _AHEAD_M]
     point, ahead = shapely.get_coordinates(

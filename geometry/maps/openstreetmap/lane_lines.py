@@ -1,4 +1,10 @@
-"""Lines of lanes: cross-sections laid along the streets."""
+"""Lines of lanes: cross-sections laid along the streets.
+
+A street is cut at the breaks between its edges. Each strip of a
+cross-section becomes a part on each stretch, and parts that continue each
+other become one lane. Where carriageways part or merge, the ends of their
+lanes are bent towards each other.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
@@ -29,11 +35,29 @@ _Group = tuple[str, bool]
 
 
 class _Part(NamedTuple):
-    """A lane on one part of a street."""
+    """A lane on one part of a street.
+
+    Attributes
+    ----------
+    strip : Strip
+        Strip of the cross-section that the lane follows.
+    span_m : (float, float)
+        Begin and end of the part along the street. [m]
+    ends_left_m : (float, float)
+        The lane's middle at both ends, to the left of the street. [m]
+    level : int
+        Layer of the edge; 0: on the ground.
+    limit_kmh : float or None
+        Speed limit; None: the tags give none. [km/h]
+    is_two_way : bool
+        Cars drive in both directions here.
+    road_class : str
+        Value of the tag ``highway``.
+    """
 
     strip: Strip
-    span_m: tuple[float, float]  # its stations
-    ends_left_m: tuple[float, float]  # its middle, left of the street, at both ends
+    span_m: tuple[float, float]
+    ends_left_m: tuple[float, float]
     level: int
     limit_kmh: float | None
     is_two_way: bool
@@ -45,10 +69,20 @@ _Piece = tuple[str, list[_Part]]
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """One lane per strip of each street and stretch between junctions.
+    """Lanes of all streets outside junctions, one for each strip.
 
-    If the number of lanes of a direction changes, all of them end, and the following
-    ones begin at the same points.
+    If the number of lanes of a direction changes, all of them end, and the
+    following ones begin at the same points.
+
+    Parameters
+    ----------
+    reaches : sequence of Reach
+        Parts of streets that have lanes.
+
+    Returns
+    -------
+    lanes : tuple of MapLane
+        Centrelines run in driving direction.
     """
     found = [lane for reach in reaches for lane in _street_lanes(reach)]
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
@@ -56,6 +90,22 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
+    """Lanes of one street, and whether cars drive both ways at their end.
+
+    Walks along the parts of the street. A lane stays open as long as the next
+    part has the same strip and the same number of lanes; otherwise it ends and
+    a new one begins.
+
+    Parameters
+    ----------
+    reach : Reach
+        Part of the street that has lanes.
+
+    Yields
+    ------
+    lane : (MapLane, bool)
+        A lane, and whether the street is two-way at its last part.
+    """
     street = reach.street
     breaks = pairwise(street.breaks_m)
     spans = [(max(low, reach.begin_m), min(high, reach.end_m)) for low, high in breaks]
@@ -107,9 +157,26 @@ def _without_stubs(
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Parts of a street that have lanes of their own, and their stations.
 
-    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub
-    there: the lanes of the part beyond it run on to the junction, unless that is driven
-    in other directions.
+    A way that is cut in two just outside a junction, as at a crosswalk, leaves
+    a stub there: the lanes of the part beyond it run on to the junction, unless
+    that is driven in other directions.
+
+    Parameters
+    ----------
+    parts : sequence of int
+        Indices of the street's parts, ascending.
+    spans : Sequence[tuple[float, float]]
+        Begin and end of every part along the street. [m]
+    reach : Reach
+        The street's part with lanes.
+
+    Returns
+    -------
+    kept : list of int
+        Indices of the parts that stay.
+    whole : list of (float, float)
+        Begin and end of every part, where parts that stay include the stubs
+        next to them. [m]
     """
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept = list(parts)
@@ -138,7 +205,24 @@ def _without_stubs(
 def _at_break(
     strip: Strip, own: Sequence[Strip], others: Sequence[Strip]
 ) -> tuple[float, bool]:
-    """Middle of a lane at a break, left of the street, and whether it simply continues."""
+    """Middle of a lane at a break, and whether the lane simply continues.
+
+    Parameters
+    ----------
+    strip : Strip
+        The lane.
+    own : sequence of Strip
+        Strips on its side of the break.
+    others : sequence of Strip
+        Strips on the other side; empty: the street ends.
+
+    Returns
+    -------
+    left_m : float
+        Middle at the break, to the left of the street. [m]
+    is_continued : bool
+        The other side has the same lane.
+    """
     kind = strip.kind, strip.place
     alike = (
         [one for one in side if (one.kind, one.place) == kind] for side in (own, others)
@@ -158,6 +242,25 @@ def _at_break(
 
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
+    """Lane along parts of a street, or None if it is too short to be one.
+
+    Each part runs straight between short tapers towards the middles at both of
+    its ends.
+
+    Parameters
+    ----------
+    name : str
+        Id of the lane.
+    parts : sequence of _Part
+        Its parts, one after the other.
+    reach : Reach
+        The street's part with lanes.
+
+    Returns
+    -------
+    lane : MapLane or None
+        The lane, in driving direction.
+    """
     taper = DEFAULTS["cross_section"]["taper"]
     # Stations, and how far left of the street.
     points_of_lefts: list[tuple[float, float]] = []
@@ -223,7 +326,18 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
 
 
 def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
-    """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
+    """Stations and heights of a lane: bridges and tunnels with short ramps.
+
+    Parameters
+    ----------
+    parts : sequence of _Part
+        The lane's parts, one after the other.
+
+    Returns
+    -------
+    heights : list of (float, float)
+        Station and height, ascending by station. [m]
+    """
     heights: list[tuple[float, float]] = []
     step_m = DEFAULTS["cross_section"]["level_m"]
     for before, part, after in zip(
@@ -243,7 +357,21 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
 
 
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where those before them end."""
+    """Lanes whose ends meet where carriageways part or merge.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Lanes of all streets.
+    two_way : Set[str]
+        Ids of the lanes of two-way streets: their ends stay, and those of
+        one-way carriageways move.
+
+    Returns
+    -------
+    led : list of MapLane
+        The same lanes, in order.
+    """
     led = list(lanes)
     groups: dict[_Group, list[int]] = defaultdict(list)
     for index, lane in enumerate(lanes):
@@ -287,7 +415,24 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
 def _meeting_groups(
     lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
 ) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
-    """Ends and begins of lanes side by side that go on ahead into each other, nearest first."""
+    """Ends and begins of groups of lanes that go on into each other.
+
+    A group is the set of lanes side by side. Each group is linked to the
+    nearest one that lies ahead; groups that meet already are left out.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Lanes of all streets.
+    groups : Mapping[_Group, Sequence[int]]
+        Indices of lanes side by side, from the kerb, by their common name and
+        whether their starts are meant.
+
+    Yields
+    ------
+    pair : (sequence of int, sequence of int)
+        Lanes that end, and lanes that begin there, the nearest first.
+    """
     keys = list(groups)
     tips = [
         np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]])
@@ -329,6 +474,7 @@ def _meeting_groups(
 
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
+    """First or last point of a lane, (3,)."""
     return np.asarray(lane.centreline_m[0 if is_begin else -1])
 
 
@@ -339,7 +485,21 @@ def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
-    """A line that begins at another point and leads straight to itself, some metres on."""
+    """Line that begins at another point and soon joins the old one.
+
+    Parameters
+    ----------
+    points_m : (n, 3) float
+        The line. [m]
+    begin_m : (3,) float
+        The new first point. [m]
+
+    Returns
+    -------
+    line_m : (k, 3) float
+        It runs straight to a point 15 m along the old line, then follows that.
+        [m]
+    """
     along = along_m(points_m)
     run = np.minimum(_BEND_M, along[-1])
     return np.vstack(

@@ -59,7 +59,20 @@ _Span = tuple[float, float, bool]
 
 
 def find_barriers(elements: Elements) -> Iterator[Thing]:
-    """Walls, hedges and boarded fences; transparent fences and damaged outlines are noted."""
+    """Walls, hedges and boarded fences as solids.
+
+    Fences that one can see through and damaged outlines are noted.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+
+    Yields
+    ------
+    thing : Thing
+        From the ground up to the tagged or the usual height.
+    """
     limits = DEFAULTS["barrier"]
     for way in elements.ways:
         tags = way.tags
@@ -101,6 +114,22 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
 
 
 def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Polygon]:
+    """Footprints of a barrier: its area, or strips along its lines.
+
+    Parameters
+    ----------
+    way : Way
+        The barrier.
+    elements : Elements
+        Elements of the file.
+    thickness_m : float
+        Width of the strips. [m]
+
+    Yields
+    ------
+    footprint : Polygon
+        In metres.
+    """
     if way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all():
         yield from polygons_of(Polygon(elements.positions_m[way.rows]).buffer(0.0))
         return
@@ -113,7 +142,21 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
 
 # ---------- trees
 def find_trees(elements: Elements) -> Iterator[Thing]:
-    """Trees as an upright trunk and an ellipsoid crown, each closed; woods are noted."""
+    """Trees as an upright trunk and an ellipsoid crown, each closed.
+
+    Rows of trees are filled at the usual spacing. Woods are noted: the
+    positions of their trees are unknown.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+
+    Yields
+    ------
+    thing : Thing
+        Of the class "vegetation".
+    """
     add = elements.omissions.add
     for row, tags in elements.node_tags.items():
         if tags.get("natural") == "tree":
@@ -140,9 +183,28 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
 
 
 def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
+    """One tree with the sizes of its tags, or usual ones.
+
+    Parameters
+    ----------
+    name : str
+        Id of the thing.
+    foot_m : (2,) float
+        Where it stands. [m]
+    tags : Tags
+        Tags of the element, by key.
+    note : TagNote
+        Called with the reason where a tag is not followed.
+
+    Returns
+    -------
+    tree : Thing
+        Trunk and crown in one mesh.
+    """
     usual = DEFAULTS["tree"]
 
     def size_m(keys: Sequence[str], highest_m: float) -> float | None:
+        """Tagged size in metres; None: there is none that makes sense."""
         return tagged_length_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
@@ -176,11 +238,23 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
 
 # ---------- poles
 def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
-    """Poles next to roads that could carry sensors; lamps without a pole are noted.
+    """Poles next to roads that could carry sensors.
 
     Signals and signs that are mapped on a road stand at the kerb on the side of
-    traffic: at the stop line, or where an arm begins if that is farther out; those
-    where roads meet at every arm.
+    traffic: at the stop line, or where an arm begins if that is farther out;
+    those where roads meet at every arm.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    reaches : sequence of Reach
+        Parts of streets that have lanes.
+
+    Yields
+    ------
+    pole : Pole
+        Lamps and signals without a pole are noted instead.
     """
     # Nodes of junctions lie on all arms.
     places: dict[int, list[_Place]] = defaultdict(list)
@@ -231,6 +305,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
 
 
 def _kind(tags: Tags) -> str:
+    """Kind of pole that the tags of a node describe; empty: none."""
     kind = WORDS["roadside"].get(
         tags.get("highway", ""), "sign" if "traffic_sign" in tags else ""
     )
@@ -248,7 +323,22 @@ def _kind(tags: Tags) -> str:
 def _at_kerbs(
     places: Sequence[_Place], tags: Tags, *, keeps_left: bool
 ) -> list[FloatArray]:
-    """Feet of the poles of one mapped signal or sign."""
+    """Feet of the poles of one mapped signal or sign, (2,) each.
+
+    Parameters
+    ----------
+    places : sequence of _Place
+        Streets through the node, and where it lies along them.
+    tags : Tags
+        Tags of the element, by key.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Returns
+    -------
+    feet : list of (2,) float
+        At the kerb, each at least 1 m from the others. [m]
+    """
     feet: list[FloatArray] = []
     for reach, station_m in places:
         for is_forward in _directions(reach, station_m, tags):
@@ -272,7 +362,22 @@ def _at_kerbs(
 
 
 def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
-    """Directions along a street in which cars see a signal: True is from its start to its end."""
+    """Directions along a street in which cars see a signal.
+
+    Parameters
+    ----------
+    reach : Reach
+        The street's part with lanes.
+    station_m : float
+        Where the signal lies along the street. [m]
+    tags : Tags
+        Tags of the element, by key.
+
+    Returns
+    -------
+    directions : list of bool
+        True is from the street's start to its end.
+    """
     street = reach.street
     index = street.part_at(station_m)
     edge, is_along = street.parts[index]
@@ -306,11 +411,21 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
 
 # ---------- crosswalks
 def find_crosswalks(network: Network) -> FloatArray:
-    """Lines (n, 2, 2) on which pedestrians cross carriageways, a little beyond the kerbs.
+    """Lines on which pedestrians cross carriageways.
 
-    Where a mapped footway leads over roads it is a straight line along it over each of
-    them; otherwise it runs across the road at the mapped point. Crossings without a
-    road are noted.
+    Where a mapped footway leads over roads it is a straight line along it over
+    each of them; otherwise it runs across the road at the mapped point.
+    Crossings without a road are noted.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars, with the elements of the file.
+
+    Returns
+    -------
+    lines_m : (n, 2, 2) float
+        From a little beyond one kerb to a little beyond the other. [m]
     """
     limits = DEFAULTS["crosswalk"]
     elements = network.elements
@@ -373,7 +488,22 @@ def find_crosswalks(network: Network) -> FloatArray:
 
 
 def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]:
-    """A line (2, 2) over each road that a footway crosses, with all its carriageways."""
+    """Lines over the roads that a footway crosses.
+
+    Carriageways of one road on either side of a median are crossed on one line.
+
+    Parameters
+    ----------
+    walk : LineString
+        The footway.
+    edges : sequence of Edge
+        Roads on its level that it meets.
+
+    Yields
+    ------
+    line_m : (2, 2) float
+        One for each road. [m]
+    """
     limits = DEFAULTS["crosswalk"]
     # Parts of the footway, and carriageways.
     joined: list[tuple[LineString, BaseGeometry]] = []
@@ -405,7 +535,22 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
 def _parts_over(
     walk: LineString, edge: Edge, carriageway: BaseGeometry
 ) -> Iterator[LineString]:
-    """Stretches of a footway on a carriageway that meet the road's axis."""
+    """Stretches of a footway on a carriageway that meet the road's axis.
+
+    Parameters
+    ----------
+    walk : LineString
+        The footway.
+    edge : Edge
+        The road.
+    carriageway : BaseGeometry
+        Its surface.
+
+    Yields
+    ------
+    part : LineString
+        In the direction of the footway.
+    """
     axis = LineString(edge.points_m)
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
@@ -421,6 +566,7 @@ def _parts_over(
 
 
 def _direction(line: LineString) -> FloatArray:
+    """Unit vector from the begin of a line to its end, (2,)."""
     begin, end = np.asarray(line.coords)[[0, -1], :2]
     return unit(end - begin)
 
@@ -428,7 +574,22 @@ def _direction(line: LineString) -> FloatArray:
 def _from_kerb_to_kerb(
     part: LineString, carriageway: BaseGeometry, beyond_m: float
 ) -> FloatArray:
-    """The straight line (2, 2) through a footway's ends on a carriageway, beyond both kerbs."""
+    """Straight line along a footway over a carriageway, beyond both kerbs.
+
+    Parameters
+    ----------
+    part : LineString
+        Stretch of the footway on the carriageway.
+    carriageway : BaseGeometry
+        Road surface, perhaps of several carriageways.
+    beyond_m : float
+        How far the line leads beyond the kerbs. [m]
+
+    Returns
+    -------
+    line_m : (2, 2) float
+        Begin and end. [m]
+    """
     begin = np.asarray(part.coords)[0, :2]
     along = _direction(part)
     reach_m = 2.0 * DEFAULTS["crosswalk"]["max_length_m"]
@@ -446,7 +607,24 @@ def _from_kerb_to_kerb(
 def _across(
     network: Network, row: int, place: tuple[int, int], beyond_m: float
 ) -> FloatArray:
-    """A line from kerb to kerb and a little farther, square to the road at one of its nodes."""
+    """Line across a road at one of its nodes, beyond both kerbs.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    row : int
+        Row of the node.
+    place : tuple[int, int]
+        An edge through the node, and the node's place in it.
+    beyond_m : float
+        How far the line leads beyond the kerbs. [m]
+
+    Returns
+    -------
+    line_m : (2, 2) float
+        Square to the road, or to the bisector where it bends. [m]
+    """
     index, at = place
     edge = network.edges[index]
     points = edge.points_m
@@ -477,9 +655,19 @@ def _across(
 def find_buildings(network: Network) -> Iterator[Thing]:
     """Buildings as prisms from the ground, or from their tagged bottom.
 
-    A building with parts is its parts, and the rest of it unless they cover it. Roofs
-    on stilts begin above those who pass below, buildings over ways that lead through
-    them above the passage.
+    A building with parts is its parts, and the rest of it unless they cover it.
+    Roofs on stilts begin above those who pass below, buildings over ways that
+    lead through them above the passage.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars, with the elements of the file.
+
+    Yields
+    ------
+    thing : Thing
+        Of the class "building".
     """
     omissions = network.elements.omissions
     every = find_areas(network.elements, ("building", "building:part"))
@@ -501,6 +689,7 @@ def find_buildings(network: Network) -> Iterator[Thing]:
 
 
 def _element(area: Area) -> str:
+    """Kind and id of the element of an area, for notes: "way 5"."""
     if area.id.startswith("r"):
         kind = "relation"
     else:
@@ -509,7 +698,7 @@ def _element(area: Area) -> str:
 
 
 def _stands(area: Area, omissions: Omissions) -> bool:
-    """It exists, above the ground, and can be seen."""
+    """True if a building exists, above the ground, and can be seen."""
     tags = area.tags
     kinds = [tags[key] for key in ("building", "building:part") if key in tags]
     if all(kind == "no" for kind in kinds):
@@ -526,7 +715,20 @@ def _stands(area: Area, omissions: Omissions) -> bool:
 def _without_parts(
     outlines: Sequence[Area], parts: Sequence[Area]
 ) -> list[list[Polygon] | None]:
-    """The rest of each outline that no part covers; None: it has no parts."""
+    """The rest of each outline that no building part covers.
+
+    Parameters
+    ----------
+    outlines : sequence of Area
+        Buildings.
+    parts : sequence of Area
+        Building parts, each belonging to the outline in which it lies.
+
+    Returns
+    -------
+    rests : list of (list of Polygon or None)
+        None: the outline has no parts; empty: they cover it.
+    """
     rests: list[list[Polygon] | None] = [None] * len(outlines)
     if not outlines or not parts:
         return rests
@@ -549,11 +751,28 @@ def _without_parts(
 
 
 def _pieces(area: Area, shapes: Sequence[Polygon], name: str) -> Iterator[Area]:
+    """Areas with the shapes that are left of one area."""
     for number, shape in enumerate(shapes):
         yield replace(area, id=numbered(name, number, " "), polygon=shape)
 
 
 def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[Thing]:
+    """Solids of a building: around a passage through it, and above that.
+
+    Parameters
+    ----------
+    area : Area
+        The building.
+    passages : '_Passages'
+        Ways that lead through buildings.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Yields
+    ------
+    thing : Thing
+        One prism for each piece.
+    """
     span = _span(area, omissions)
     if span is None:
         return
@@ -575,6 +794,22 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
 
 
 def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
+    """Prism over an area; an outline without area is noted.
+
+    Parameters
+    ----------
+    area : Area
+        Footprint.
+    span : '_Span'
+        Bottom and top, and whether they are assumed. [m]
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Yields
+    ------
+    thing : Thing
+        None if the outline cannot be extruded.
+    """
     (bottom_m, top_m, is_assumed), where = span, _element(area)
     try:
         mesh = extrude_polygon(
@@ -588,7 +823,20 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
 
 # ---------- heights
 def _span(area: Area, omissions: Omissions) -> _Span | None:
-    """Heights of a building; None: they make no sense, which is noted."""
+    """Bottom and top of a building, and whether they are assumed.
+
+    Parameters
+    ----------
+    area : Area
+        The building.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    span : (float, float, bool) or None
+        None: the heights make no sense, which is noted. [m]
+    """
     usual = DEFAULTS["building"]
     kind = _building_kind(area.tags)
     is_roof = kind in usual["clear_heights_m"]
@@ -618,6 +866,7 @@ def _span(area: Area, omissions: Omissions) -> _Span | None:
 
 
 def _building_kind(tags: Tags) -> str:
+    """Kind of a building or building part; "yes": not known."""
     kind = tags.get("building:part", "yes")
     if kind == "yes":
         return tags.get("building", "yes")
@@ -625,7 +874,20 @@ def _building_kind(tags: Tags) -> str:
 
 
 def _clear_height_m(kind: str, tags: Tags) -> float:
-    """How high what stands on stilts or above the ground begins; 0: it stands on the ground."""
+    """Height at which a building on stilts begins; 0: on the ground.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the building.
+    tags : Tags
+        Tags of the element, by key.
+
+    Returns
+    -------
+    clear_m : float
+        Above the ground. [m]
+    """
     usual = DEFAULTS["building"]
     clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
     return clear_m * max(
@@ -634,7 +896,22 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
-    """Height of the roof in metres, and whether it is assumed."""
+    """Height of a roof in metres; None: the tags give none.
+
+    A height counts first, then storeys and the height of the roof.
+
+    Parameters
+    ----------
+    area : Area
+        The building.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    top_m : float or None
+        Above the ground. [m]
+    """
     tags = area.tags
     usual = DEFAULTS["building"]
     note = partial(omissions.add, "buildings", _element(area))
@@ -654,6 +931,7 @@ def _top_m(area: Area, omissions: Omissions) -> float | None:
 
 
 def _bottom_m(tags: Tags) -> float | None:
+    """Tagged height of a building's bottom in metres; None: none is given."""
     usual = DEFAULTS["building"]
     for key in ("min_height", "building:min_height"):
         height_m = parse_length_m(tags.get(key, ""))
@@ -667,11 +945,14 @@ def _bottom_m(tags: Tags) -> float | None:
 
 
 def _levels(tags: Tags, key: str) -> float | None:
+    """Number of storeys in a tag, or None if it makes no sense."""
     return parse_number(tags.get(key, ""), highest=DEFAULTS["building"]["max_levels"])
 
 
 # ---------- passages
 class _Passages:
+    """Ways that lead through buildings: streets and paths on the ground."""
+
     def __init__(self, network: Network) -> None:
         usual = DEFAULTS["building"]
         # Area of each way, its clear height, and whether it is marked; else only gates
@@ -697,12 +978,26 @@ class _Passages:
     def _add(
         self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float
     ) -> None:
+        """Add a way of a given width and the clear height above it."""
         strip = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
         tagged_m = parse_length_m(tags.get("maxheight", ""))
         self._ways.append((strip, tagged_m or clear_m, _leads_through(tags)))
 
     def through(self, area: Area) -> tuple[BaseGeometry | None, float]:
-        """Area of the ways that lead through a building, and their clear height."""
+        """Area of the ways that lead through a building, and their clear height.
+
+        Parameters
+        ----------
+        area : Area
+            The building.
+
+        Returns
+        -------
+        ways : BaseGeometry or None
+            None: nothing leads through it.
+        clear_m : float
+            Height that must stay free above the ways. [m]
+        """
         is_gate = (
             area.tags.get("historic") in WORDS["gates"]
             or _building_kind(area.tags) in WORDS["gates"]
@@ -726,6 +1021,7 @@ class _Passages:
 
 
 def _leads_through(tags: Tags) -> bool:
+    """True if a way is tagged as a passage through a building."""
     return (
         tags.get("tunnel") == "building_passage"
         or tags.get("covered") in WORDS["covered"]
@@ -734,7 +1030,23 @@ def _leads_through(tags: Tags) -> bool:
 
 # ---------- bridges over roads
 def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
-    """Decks over roads on the ground, unless they lead to a junction near on the bridge."""
+    """Decks of bridges over roads on the ground.
+
+    A deck is left out where a junction on the bridge is near: it would hide
+    that.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    reaches : sequence of Reach
+        Parts of streets that have lanes.
+
+    Yields
+    ------
+    thing : Thing
+        Of the class "building".
+    """
     usual = DEFAULTS["bridge"]
     elements = network.elements
     below = STRtree(
@@ -742,6 +1054,7 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
     )
 
     def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
+        """True if a way is a bridge that crosses a road on the ground."""
         is_bridge = level(tags) > 0 and is_yes(tags.get("bridge"))
         return (
             is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
@@ -774,6 +1087,24 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
 
 
 def _deck(name: str, line_m: FloatArray, width_m: float, layer: int) -> Iterator[Thing]:
+    """Deck of a bridge along a line.
+
+    Parameters
+    ----------
+    name : str
+        Id of the way.
+    line_m : (n, 2) float
+        Its axis. [m]
+    width_m : float
+        Full width. [m]
+    layer : int
+        Its layer, 1 or more.
+
+    Yields
+    ------
+    thing : Thing
+        As high above the ground as its layer.
+    """
     bottom_m = DEFAULTS["building"]["clear_height_m"] * layer
     area = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
     top_m = bottom_m + DEFAULTS["bridge"]["thickness_m"]
