@@ -1,4 +1,4 @@
-"""City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
+"""City models: CityJSON 1.0 to 2.0 and sequences of it; CityGML 1.0 to 3.0."""
 
 import re
 import sys
@@ -66,30 +66,57 @@ _Shape = tuple[int, int, list[Polygon3D]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityObject:
-    """One object of a city model, in the file's coordinates."""
+    """One object of a city model, in the file's coordinates.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    type_name : str
+        One of CLASS_OF_TYPE.
+    polygons : tuple of Polygon3D
+        Its surfaces, or its footprint.
+    words : str
+        Its name and function.
+    is_footprint : bool
+        Level of detail 0: the polygons are to be raised by height_m.
+    height_m : float or None
+        Of the top above the footprint, if the file gives it. [m]
+    """
 
     id: str
-    type_name: str  # one of CLASS_OF_TYPE
-    polygons: tuple[Polygon3D, ...]  # its surfaces, or its footprint
-    words: str = ""  # its name and function
-    is_footprint: bool = (
-        False  # level of detail 0: the polygons are to be raised by height_m
-    )
-    height_m: float | None = (
-        None  # of the top above the footprint, if the file gives it
-    )
+    type_name: str
+    polygons: tuple[Polygon3D, ...]
+    words: str = ""
+    is_footprint: bool = False
+    height_m: float | None = None
 
 
 def read_cityjson(path: Path) -> SourceMap:
-    """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
+    """Read a CityJSON file, or a CityJSONSeq.
 
-    Each object is read in its highest level of detail below 3, or else in level 3; if
-    there is only level 0, its footprint is raised by the measured height. Buildings and
-    their parts become buildings, plants become vegetation, other constructions walls;
-    furniture becomes a wall too, unless its name says lamp or tree. Bridges are left
-    out with tunnels and ground: the scene's road is one plane, and a bridge deck would
-    lie on it. Heights are absolute. Raises InputError if the file cannot be read, is no
-    CityJSON, or has nothing solid.
+    A CityJSONSeq has a first line with the transform, then features. Each
+    object is read in its highest level of detail below 3, or else in level 3;
+    if there is only level 0, its footprint is raised by the measured height.
+    Buildings and their parts become buildings, plants become vegetation, other
+    constructions walls; furniture becomes a wall too, unless its name says lamp
+    or tree. Bridges are left out with tunnels and ground: the scene's road is
+    one plane, and a bridge deck would lie on it.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    source : SourceMap
+        Heights are absolute.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
     documents = list(_documents(read_text(path, "CityJSON"), where))
@@ -122,7 +149,7 @@ def read_cityjson(path: Path) -> SourceMap:
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """Parse the whole file, or each line of a sequence."""
+    """Documents of the file: the whole of it, or each line of a sequence."""
     if where.lower().endswith(".jsonl"):
         lines = text.splitlines()
     else:
@@ -152,6 +179,7 @@ def _transform(table: Any, where: str) -> list[FloatArray]:
 
 
 def _vertices(values: Any, where: str) -> FloatArray:
+    """Vertices of a document, (n, 3)."""
     return float_array(np.empty((0, 3)) if values == [] else values, (-1, 3), where)
 
 
@@ -169,7 +197,27 @@ class _Templates:
     def place(
         self, geometry: _Table, vertices: FloatArray, where: str
     ) -> list[Polygon3D]:
-        """Polygons of a template, moved to its place."""
+        """Polygons of a template, moved to its place.
+
+        Parameters
+        ----------
+        geometry : _Table
+            The GeometryInstance.
+        vertices : (n, 3) float
+            Vertices of the document, one of which is its place.
+        where : str
+            File and element at hand, for messages.
+
+        Returns
+        -------
+        polygons : list of Polygon3D
+            In the file's coordinates.
+
+        Raises
+        ------
+        InputError
+            The template does not exist, or its matrix makes no sense.
+        """
         index: Any = geometry.get("template")
         here = f"{self.where}.templates[{index}]"
         template = _at(self.templates, index, f"{where}.template")
@@ -202,7 +250,28 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects of a known type that have surfaces; the others are counted."""
+    """Objects of a known type that have surfaces; the others are counted.
+
+    Parameters
+    ----------
+    document : _Table
+        Parsed document.
+    vertices : (n, 3) float
+        Its vertices.
+    templates : _Templates
+        Shapes that are used more than once.
+    where : str
+        File and element at hand, for messages.
+    left_out : Counter[str]
+        Counts of objects of other types; extended.
+    empty : Counter[str]
+        Counts of objects without surfaces; extended.
+
+    Yields
+    ------
+    item : CityObject
+        An object whose parts have the surfaces is left out.
+    """
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(
@@ -250,7 +319,7 @@ def _objects(
 
 
 def _height_m(attributes: _Table) -> float | None:
-    """Height in the first of the known attributes; None: there is none, or no number."""
+    """Height in the first of the known attributes; None: there is no number."""
     value = next(
         (attributes[key] for key in _TYPES["heights"] if key in attributes), None
     )
@@ -292,14 +361,36 @@ def _best(
 
 
 def _rank(level: float) -> float:
-    """Usefulness of a level of detail: below 3 the higher the better, then 3, then 0."""
+    """Usefulness of a level of detail: highest below 3, then 3, then 0."""
     if level < 3.0:
         return level
     return 0.99
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Surfaces of a geometry, of solids those of the outer shells; points and lines have none."""
+    """Surfaces of a geometry; points and lines have none.
+
+    Of solids these are the surfaces of the outer shells.
+
+    Parameters
+    ----------
+    geometry : _Table
+        Geometry of an object.
+    vertices : (n, 3) float
+        Vertices of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    polygons : list of Polygon3D
+        Outer ring, then holes.
+
+    Raises
+    ------
+    InputError
+        An index is no vertex, or the nesting does not fit the type.
+    """
     kind = str(geometry.get("type"))
     here = f"{where}.boundaries"
     if kind not in _BOUNDARIES:
@@ -324,6 +415,7 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
 
 
 def _at(values: Any, index: Any, where: str) -> Any:
+    """Value at an index that a file gives; InputError: there is none."""
     if (
         not isinstance(index, int)
         or isinstance(index, bool)
@@ -341,9 +433,30 @@ def _city_map(
     *,
     by_axes: bool,
 ) -> SourceMap:
-    """Map of the objects of a city model, whose axes may be in the order of its reference system.
+    """Map of the objects of a city model.
 
-    Raises InputError: nothing solid, or too much.
+    Parameters
+    ----------
+    path : Path
+        File, for names and messages.
+    objects : sequence of CityObject
+        Objects in the file's coordinates.
+    skipped : sequence of Note
+        Notes on what was left out.
+    declared_crs : str
+        Reference system that the file declares; empty: none.
+    by_axes : bool
+        Coordinates come in the order of axes of the reference system.
+
+    Returns
+    -------
+    source : SourceMap
+        One thing for each object that has an area.
+
+    Raises
+    ------
+    InputError
+        There is nothing solid, or too much.
     """
     where = str(path)
     objects = [item for item in objects if item.polygons]
@@ -391,7 +504,7 @@ def _city_map(
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
-    """One object as triangles; raises InputError if it has no area."""
+    """One object as triangles; InputError: it has no area."""
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -418,7 +531,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """What was left out, for the end of a message."""
+    """Reasons why things were left out, for the end of a message."""
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
     if words:
         return f"; skipped: {words}"
@@ -429,11 +542,25 @@ def _said(skipped: Sequence[Note]) -> str:
 def read_citygml(path: Path) -> SourceMap:
     """Read a CityGML file.
 
-    Types and levels of detail: see :func:`geometry.maps.city_json.read_cityjson`, which
-    reads the same model in its other encoding. Of one level of detail a solid counts
-    more than surfaces; references to polygons of the same file are followed, others are
-    not. Heights are absolute. Raises InputError if the file cannot be read, is no
-    CityGML, or has nothing solid.
+    Types and levels of detail are those of :func:`read_cityjson`, which reads
+    the same model in its other encoding. Of one level of detail a solid counts
+    more than surfaces; references to polygons of the same file are followed,
+    others are not.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    source : SourceMap
+        Heights are absolute.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no CityGML, or has nothing solid.
     """
     where = str(path)
     root = read_xml(path, expected=_GML)
@@ -458,6 +585,8 @@ def read_citygml(path: Path) -> SourceMap:
 
 
 class _Document:
+    """Elements of a file, and an index of those that others refer to."""
+
     def __init__(self, where: str, root: Element) -> None:
         self.where = where
         self.root = root
@@ -482,7 +611,20 @@ class _Document:
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
-        """An object with its own surfaces, without those of its parts."""
+        """Object with its own surfaces, without those of its parts.
+
+        Parameters
+        ----------
+        feature : Element
+            Element of the object.
+        empty : Counter[str]
+            Counts of objects without surfaces; extended.
+
+        Returns
+        -------
+        item : CityObject or None
+            None: it has no surface of its own.
+        """
         type_name = local_name(feature)
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
         ranks = [(level, rank) for level, rank, _ in shapes]
@@ -531,7 +673,27 @@ class _Document:
     def _polygons(
         self, element: Element, depth: int, n_dimensions: int
     ) -> Iterator[Polygon3D]:
-        """Polygons of an element and of those in it, or to which it refers."""
+        """Polygons of an element and of those in it, or to which it refers.
+
+        Parameters
+        ----------
+        element : Element
+            XML element.
+        depth : int
+            How deeply the element is nested, references included.
+        n_dimensions : int
+            Coordinates per point as the elements around it declare; 0: they do not.
+
+        Yields
+        ------
+        polygon : Polygon3D
+            Reversed where an OrientableSurface says so.
+
+        Raises
+        ------
+        InputError
+            Elements or references are nested too deeply.
+        """
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
@@ -569,7 +731,25 @@ class _Document:
                     yield [ring[::-1] for ring in polygon] if is_turned else polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
-        """Points of a ring, (n, 3), in the file's coordinates."""
+        """Points of a ring in the file's coordinates, (n, 3).
+
+        Parameters
+        ----------
+        ring : Element
+            Element with the coordinates.
+        n_dimensions : int
+            Coordinates per point as the elements around it declare; 0: they do not.
+
+        Returns
+        -------
+        points : (n, 3) float
+            Heights are 0 where points have two coordinates.
+
+        Raises
+        ------
+        InputError
+            A coordinate is no number, or one is missing.
+        """
         words: list[str] = []
         for element in ring.iter():
             name = local_name(element)
@@ -594,6 +774,7 @@ class _Document:
 
 
 def _gml_id(element: Element) -> str:
+    """Id of an element, in either version of GML; empty: none."""
     return next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
 
 
@@ -606,7 +787,7 @@ def _n_dimensions(element: Element) -> int:
 
 
 def _measured_height_m(feature: Element) -> float | None:
-    """Height that an object declares; None if it declares none, or one in an unknown unit."""
+    """Height that an object declares in metres; None: none in a known unit."""
     for child in feature:
         if local_name(child) == "measuredHeight":
             values = [child]
@@ -628,7 +809,27 @@ def _measured_height_m(feature: Element) -> float | None:
 
 
 def _reference_system(root: Element, where: str) -> tuple[str, bool]:
-    """The one declared reference system, and whether coordinates follow its order of axes."""
+    """Declared reference system, and whether its order of axes counts.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    declared : str
+        Empty: none.
+    follows_authority : bool
+        Coordinates come in its own order of axes.
+
+    Raises
+    ------
+    InputError
+        Several different ones are declared.
+    """
     from pyproj.exceptions import ProjError
 
     texts = (element.attrib.get("srsName", "").strip() for element in root.iter())

@@ -1,4 +1,4 @@
-"""Surroundings of a junction, cut out of maps, and the scene that is built of them."""
+"""Surroundings of a junction, cut out of maps, and the scene built of them."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
@@ -81,26 +81,48 @@ _Square = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """Surroundings of a junction in the scene's own frame, before sites are chosen."""
+    """Surroundings of a junction in the scene's own frame, without sites.
 
-    frame: LocalFrame  # the middle of the junction is near its origin
-    lanes: tuple[Lane, ...]  # to drive, park and cycle on
-    outline_m: FloatArray  # (n, 2) of the junction's road surface
-    crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
-    things: tuple[
-        Thing, ...
-    ]  # z counts from the road in the junction's middle; ids are unique
-    poles: tuple[Pole, ...]  # feet at z = 0, whatever the ground; ids are unique
+    Attributes
+    ----------
+    frame : LocalFrame
+        Frame of the scene; the middle of the junction is near its origin.
+    lanes : tuple of Lane
+        Lanes to drive, park and cycle on.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    crosswalks_m : (n, 2, 2) float
+        Crosswalks of the junction's arms. [m]
+    things : tuple of Thing
+        Z counts from the road in the junction's middle; ids are unique.
+    poles : tuple of Pole
+        Feet at z = 0, whatever the ground; ids are unique.
+    keeps_left : bool
+        Traffic keeps left.
+    skipped : tuple of Note
+        What was left out or assumed, and why.
+    roads : tuple of LeadingRoad
+        Roads that lead to the junction.
+    terrain : Terrain or None
+        The ground, 0 in the junction's middle; None: a plane.
+    zero_height_m : float or None
+        Height of the junction's middle, as the map counts heights. [m]
+    neighbours_m : tuple of (n, 2) float
+        Outlines of the junctions around it. [m]
+    """
+
+    frame: LocalFrame
+    lanes: tuple[Lane, ...]
+    outline_m: FloatArray
+    crosswalks_m: FloatArray
+    things: tuple[Thing, ...]
+    poles: tuple[Pole, ...]
     keeps_left: bool
     skipped: tuple[Note, ...]
-    roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
-    terrain: Terrain | None = (
-        None  # the ground, 0 in the junction's middle; None: a plane
-    )
-    zero_height_m: float | None = None  # of the middle, as the map counts heights
-    neighbours_m: tuple[
-        FloatArray, ...
-    ] = ()  # (n, 2) each, outlines of the junctions around it
+    roads: tuple[LeadingRoad, ...] = ()
+    terrain: Terrain | None = None
+    zero_height_m: float | None = None
+    neighbours_m: tuple[FloatArray, ...] = ()
 
 
 def cut_out(
@@ -110,12 +132,33 @@ def cut_out(
     radius_m: float,
     ground_m: float | None = None,
 ) -> Surroundings:
-    """Surroundings of a junction of the first map, with buildings and more from the others.
+    """Surroundings of a junction of the first map, with things of the others.
 
-    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in
-    the junction's middle in the other maps; by default 0 if a map counts heights above
-    the ground, or else that of its lowest thing. Raises InputError if the coordinates
-    of the maps do not fit.
+    Lanes are followed 70 m beyond `radius_m`. The ground is that of
+    :func:`geometry.maps.relief.find_relief`.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        Maps, the one with the roads first.
+    junction : MapJunction
+        A junction of the first map.
+    radius_m : float
+        Radius within which things and poles are kept. [m]
+    ground_m : float or None
+        Height of the road in the junction's middle in the other maps; None: 0
+        if a map counts heights above the ground, or else that of its lowest
+        thing. [m]
+
+    Returns
+    -------
+    surroundings : Surroundings
+        In a frame around the junction.
+
+    Raises
+    ------
+    InputError
+        The coordinates of the maps do not fit together.
     """
     roads = maps[0]
     frame = frame_at(maps[0], junction.position_m)
@@ -179,7 +222,29 @@ def _lowered(
     height_m: float | None,
     skipped: list[Note],
 ) -> Iterator[tuple[Thing, FloatArray]]:
-    """Things of a map that rise above the road, with vertices that count heights from it."""
+    """Things that rise above the road, with heights counted from it.
+
+    The others are noted.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    near : sequence of Thing
+        Things near the junction.
+    relief : Relief
+        Ground around the junction.
+    height_m : float or None
+        Height of the road in the junction's middle, as the map counts heights;
+        None: see :meth:`~.relief.Relief.lower`. [m]
+    skipped : list of Note
+        Notes on what was left out; entries are added.
+
+    Yields
+    ------
+    thing : (Thing, (n, 3) float)
+        Thing and its vertices. [m]
+    """
     solid = [thing for thing in near if thing.class_name != "ground"]
     why = "the ground of a scene is that of its roads"
     skipped += [
@@ -206,6 +271,7 @@ def _lowered(
 
 
 def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    """Road that leads to a junction, in the frame of the scene."""
     begin, ahead = frame.take(
         np.stack([road.point_m, road.point_m + road.direction]), source
     )
@@ -221,9 +287,27 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
+    """Scene of the surroundings with a ground, bodies of poles, and sites.
 
-    `source_crs` is the reference system for results; empty: unknown.
+    Poles and sites stand on the ground.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Surroundings of the junction.
+    name : str
+        Name of the scene.
+    source_crs : str
+        Reference system for results; empty: unknown.
+    sites : sequence of Site
+        Where sensors can be mounted.
+    radius_m : float
+        Radius that was cut out. [m]
+
+    Returns
+    -------
+    scene : Scene
+        With lanes assumed beyond the map where it ends.
     """
     terrain = surroundings.terrain
     half = radius_m + LANES_BEYOND_M
@@ -268,10 +352,23 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+    """Lanes to the begins of entry lanes where the map has none.
 
-    They lead straight on, or where a building stands there round the gentlest bend past
-    it, the same for all lanes of an arm; where none does, straight up to it.
+    They lead straight on, or where a building stands there round the gentlest
+    bend past it, the same for all lanes of an arm; where none does, straight up
+    to it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the junction.
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Yields
+    ------
+    lane : Lane
+        Of the kind ``ASSUMED``.
     """
     # The lanes behind which the map does not go on.
     arms = [
@@ -306,7 +403,22 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
-    """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
+    """Points of a circle away from a lane's start, (n, 2).
+
+    Parameters
+    ----------
+    lane : Lane
+        The lane.
+    bend_per_m : float
+        Curvature, to the left of the way there. [1/m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the lane's start outwards. [m]
+    """
     away = -complex(*lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction)
     along = np.array([0.0, _ASSUMED_M])
     if bend_per_m == 0.0:
@@ -319,7 +431,22 @@ def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
 
 
 def _free_m(chain_m: FloatArray, width_m: float, houses: Any) -> float:
-    """How far a lane leads before it comes close to houses; infinite: all of it is clear."""
+    """How far a lane leads before it comes close to houses, in metres.
+
+    Parameters
+    ----------
+    chain_m : (n, 2) float
+        Its centreline. [m]
+    width_m : float
+        Its width. [m]
+    houses : Any
+        Ground that houses cover.
+
+    Returns
+    -------
+    free_m : float
+        Infinite: all of it is clear. [m]
+    """
     line = shapely.LineString(chain_m)
     strip = line.buffer(0.5 * width_m + _BESIDE_HOUSES_M, cap_style="flat")
     hits = shapely.get_coordinates(houses.intersection(strip))
@@ -334,9 +461,30 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction and through it; and those assumed through others around it.
+    """Lanes around a junction, and those assumed through other junctions.
 
-    Through the others lead only those of the map's lanes that lead about straight on.
+    Of the map's own lanes through other junctions, only those count that lead
+    about straight on.
+
+    Parameters
+    ----------
+    roads : SourceMap
+        Map with the roads.
+    junction : MapJunction
+        The junction.
+    frame : LocalFrame
+        Frame of the scene.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    found : list of Lane
+        Lanes of the map.
+    through : list of Lane
+        Lanes that are assumed.
     """
     found: list[Lane] = []
     # By the junction into which they lead.
@@ -389,7 +537,7 @@ def _lanes(
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
-    """True if a lane through a junction is about as straight as those that are assumed."""
+    """True if a lane through a junction is about as straight as assumed ones."""
     way = points_m[-1] - points_m[0]
     ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
     length_m = np.hypot(*way) * np.hypot(*ends.T)
@@ -397,9 +545,22 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
-    """Lanes through a junction, from each one that leads into it and to each one out of it.
+    """Lanes through a junction, for each lane into it and out of it.
 
-    They lead as straight on as there is a lane; lanes that only turn there have none.
+    They lead as straight on as there is a lane; lanes that only turn there have
+    none.
+
+    Parameters
+    ----------
+    ends : sequence of Lane
+        Lanes that lead into the junction.
+    begins : sequence of Lane
+        Lanes that lead out of it.
+
+    Yields
+    ------
+    lane : Lane
+        Of the kind ``CONNECTING``.
     """
     bends: dict[tuple[int, int], float] = {}
     entries = [lane_line(lane, is_in=True, length_m=_MOUTH_M)[0] for lane in ends]
@@ -424,7 +585,10 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
 
 
 def _apart(points_m: FloatArray) -> FloatArray:
-    """A line without points that a file with three digits could not tell from their neighbours."""
+    """Line without points that lie within 2 mm of the one before.
+
+    A file with three digits could not tell them apart.
+    """
     is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
     # The end stays, and the point before it goes.
     if not is_new[-1] and is_new.sum() > 1:
@@ -439,7 +603,28 @@ def _is_elsewhere(
     outline_m: FloatArray,
     reach_m: float,
 ) -> bool:
-    """True if a lane of other roads is far away, on another level, or ends at the outline."""
+    """True if a lane of other roads does not belong to a junction.
+
+    It is far away, on another level, or ends at the outline.
+
+    Parameters
+    ----------
+    line_m : (n, 2) float
+        Its centreline in the scene's frame. [m]
+    lane : MapLane
+        The lane.
+    junction : MapJunction
+        The junction.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    is_elsewhere : bool
+        It is left out.
+    """
     distance = np.hypot(*line_m.T)
     height_m = lane.centreline_m[np.argmin(distance), 2] - junction.height_m
     if distance.min() > reach_m or abs(height_m) > _SAME_LEVEL_M:
@@ -449,7 +634,7 @@ def _is_elsewhere(
 
 
 def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatArray:
-    """The part of a line from one of its ends to where it first leaves the circle."""
+    """Part of a line from one end to where it first leaves the circle."""
     if from_end:
         points = points_m[::-1]
     else:
@@ -466,7 +651,7 @@ def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatA
 
 
 def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
-    """The stretch of a line within the circle that has the most of its points."""
+    """Stretch of a line within the circle that has the most of its points."""
     runs = true_runs(np.hypot(*points_m.T) <= reach_m)
     if not len(runs):
         return points_m[:0]
@@ -498,6 +683,7 @@ def _on_circle(
 def _crosswalks(
     maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray
 ) -> FloatArray:
+    """Crosswalks of all maps near the junction's outline, (n, 2, 2)."""
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
     middles = lines.mean(axis=1)
     lengths = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
@@ -508,7 +694,26 @@ def _crosswalks(
 def _near_things(
     source: SourceMap, frame: LocalFrame, radius_m: float, skipped: list[Note]
 ) -> list[Thing]:
-    """Things within a radius, in the scene's frame except for heights; the others are noted."""
+    """Things within a radius; the others are noted.
+
+    Vertices are in the scene's frame, except for heights.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    frame : LocalFrame
+        Frame of the scene.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+    skipped : list of Note
+        Notes on what was left out; entries are added.
+
+    Returns
+    -------
+    near : list of Thing
+        Those with triangles.
+    """
     if not source.things:
         return []
     near: list[Thing] = []
@@ -546,14 +751,14 @@ def _off_m(points_m: FloatArray) -> float:
 
 
 def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
-    """An id that no other thing has, without characters that separate ids on a command line."""
+    """Id that no other thing has, fit for a command line."""
     clean = plain_id(name) or "thing"
     return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
 
 
 # ---------- many junctions out of maps that are read once
 def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
-    """What a map has, to be found by the boxes around its points; by the names of the fields."""
+    """Search trees over the boxes of everything in a map, by field."""
     points_m = {
         "lanes": [lane.centreline_m for lane in source.lanes],
         "connections": [lane.centreline_m for lane in source.connections],
@@ -569,7 +774,7 @@ def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
 
 
 class Neighbourhoods:
-    """Maps, that with roads first, from which what lies around junctions is taken repeatedly."""
+    """Maps from which what lies around junctions is taken repeatedly."""
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
@@ -614,7 +819,24 @@ def _within(
     *,
     near: _Square,
 ) -> SourceMap:
-    """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
+    """Part of a map: lanes and ground of a square, and nearer things.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    trees : dict[str, shapely.STRtree]
+        See :func:`_trees`.
+    square : ((2,) float, (2,) float)
+        Lowest and highest x and y of lanes and ground. [m]
+    near : ((2,) float, (2,) float)
+        The same of what stands and is painted there. [m]
+
+    Returns
+    -------
+    part : SourceMap
+        Without notes on what was left out.
+    """
     found: dict[str, Any] = {}
     for name, tree in trees.items():
         if name in _FAR_FIELDS:

@@ -1,4 +1,4 @@
-"""Features, buildings and walls from GIS files: GeoJSON, GeoPackage, Shapefile."""
+"""Features, buildings and walls from GeoJSON, GeoPackage and Shapefile."""
 
 import glob
 import re
@@ -56,31 +56,64 @@ _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Feature:
-    """One row of a layer."""
+    """One row of a layer.
 
-    where: str  # file and row, for messages
-    geometry: BaseGeometry | None  # in the file's coordinates
-    values: Mapping[str, Any]  # by name of the column; missing ones are left out
+    Attributes
+    ----------
+    where : str
+        File and row, for messages.
+    geometry : BaseGeometry or None
+        In the file's coordinates.
+    values : Mapping[str, Any]
+        By name of the column; missing ones are left out.
+    """
+
+    where: str
+    geometry: BaseGeometry | None
+    values: Mapping[str, Any]
 
     @property
     def named(self) -> dict[str, Any]:
-        """Values by the column's name in lower case, with _ for everything between words."""
+        """Values by column, in lower case and with _ between words."""
         return {_column(key): value for key, value in self.values.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Features:
-    """One layer."""
+    """One layer.
+
+    Attributes
+    ----------
+    features : tuple of Feature
+        Rows of the layer.
+    crs : str
+        As the file declares it; empty: it does not.
+    """
 
     features: tuple[Feature, ...]
-    crs: str  # as the file declares it; empty: it does not
+    crs: str
 
 
 def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
+    """Read one layer of a GIS file, or of a .zip with one.
 
-    Raises InputError if the file cannot be read, does not have the format of its
-    suffix, has several layers and none is chosen, or has more than 200,000 features.
+    Parameters
+    ----------
+    path : Path
+        GeoJSON, GeoPackage or Shapefile.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, does not have the format of its suffix, has
+        several layers and none is chosen, or has more than 200,000 features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
@@ -94,7 +127,25 @@ def read_features(path: Path, layer: str = "") -> Features:
 
 
 def _read_geojson(path: Path) -> Features:
-    """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
+    """Read GeoJSON (RFC 7946), or its predecessor with a ``crs`` member.
+
+    Nothing that the file refers to is fetched.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file is no GeoJSON, or a geometry is broken.
+    """
     where = str(path)
     document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
@@ -171,6 +222,25 @@ def _geojson_crs(table: Any, where: str) -> str:
 
 
 def _read_with_gdal(path: Path, layer: str) -> Features:
+    """Read a GeoPackage or Shapefile through GDAL.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or of another format, or the layer is not named.
+    """
     import pyogrio
 
     where = str(path)
@@ -235,7 +305,10 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
 
 
 def _check_tables(path: Path) -> None:
-    """Raise InputError if a GeoPackage computes what it holds: that may go on for ever."""
+    """Refuse a GeoPackage that computes what it holds.
+
+    Such a computation may go on for ever.
+    """
     computed = []
     try:
         with closing(
@@ -266,6 +339,7 @@ def _check_tables(path: Path) -> None:
 
 
 def _refuse_many(n_features: int, where: str) -> None:
+    """Refuse a layer with too many features."""
     if n_features > MAX_FEATURES:
         refuse(
             where,
@@ -280,13 +354,32 @@ def read_footprints(
 ) -> SourceMap:
     """Read footprints and raise them to solids.
 
-    Heights come from columns such as ``height``, ``building:levels`` or ``min_height``,
-    in metres unless the column (``height_ft``) or the value ("40 ft") says otherwise;
-    missing or impossible ones are replaced by the defaults of ``data/things.toml``.
-    Lines become walls if `class_name` is "wall", or if a column ``class``, ``kind``,
-    ``type`` or ``barrier`` says wall, fence or hedge. Third coordinates are ignored;
-    heights are above ground. Raises InputError if the file cannot be read, has no area,
-    or has coordinates that are not finite or do not fit its reference system.
+    Heights come from columns such as ``height``, ``building:levels`` or
+    ``min_height``, in metres unless the column (``height_ft``) or the value
+    ("40 ft") says otherwise; missing or impossible ones are replaced by the
+    defaults of ``data/things.toml``. Third coordinates are ignored.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    class_name : str
+        Class of features that do not state theirs. Lines become walls if it is
+        "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says
+        wall, fence or hedge.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    source : SourceMap
+        Heights are above ground.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no area, or has coordinates that are not
+        finite or do not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
@@ -329,7 +422,7 @@ def read_footprints(
 def _kind(
     feature: Feature, class_name: str, left_out: Counter[str]
 ) -> ThingKind | None:
-    """Kind of a feature; None if it is not solid."""
+    """Kind of a feature; None: it is not solid, which is counted."""
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
@@ -350,7 +443,24 @@ def _kind(
 def _raised(
     feature: Feature, kind: ThingKind, thing_id: str, place: Georeference
 ) -> Thing:
-    """A feature as a solid; raises InputError if it has no area."""
+    """Feature as a solid; InputError: it has no area.
+
+    Parameters
+    ----------
+    feature : Feature
+        The feature.
+    kind : ThingKind
+        Its kind.
+    thing_id : str
+        Id of the thing.
+    place : Georeference
+        How to bring the file's coordinates into metres.
+
+    Returns
+    -------
+    thing : Thing
+        Lines become strips as thick as their kind.
+    """
     flat = shapely.force_2d(feature.geometry)
     where = feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
@@ -374,7 +484,24 @@ def _raised(
 
 
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
-    """Heights of floor and roof above ground, and whether that of the roof is assumed."""
+    """Heights of floor and roof above ground.
+
+    Parameters
+    ----------
+    values : Mapping[str, Any]
+        Values of the row, by column.
+    kind : ThingKind
+        Kind of the thing, for the usual height.
+
+    Returns
+    -------
+    bottom_m : float
+        Height of the floor. [m]
+    top_m : float
+        Height of the roof. [m]
+    is_assumed : bool
+        The height of the roof is the usual one.
+    """
     defaults = thing_defaults()
     top, storeys, bottom, lowest = (
         _length_m(values, _WORDS[key])
@@ -394,7 +521,7 @@ def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, b
 
 
 def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
-    """First finite number, in metres, of the columns with one of the names, or None."""
+    """First finite number of some columns in metres, or None."""
     found: dict[int, float] = {}
     for key, value in values.items():
         column = _column(key)
@@ -415,7 +542,10 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """A number, or a text such as "12", "12,5 m" or "40 ft", in metres or without a unit."""
+    """Number of a cell, in metres or without a unit; None: it is none.
+
+    A text may be such as "12", "12,5 m" or "40 ft".
+    """
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
@@ -426,7 +556,7 @@ def _number(value: Any) -> float | None:
 
 
 def _column(key: str) -> str:
-    """Name of a column in lower case, with _ for everything between words."""
+    """Name of a column in lower case, with _ between words."""
     return (
         re.sub(r"[^0-9a-zäöüß]+", "_", key.strip().lower()[:60])
         .replace("ö", "oe")

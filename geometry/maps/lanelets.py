@@ -1,4 +1,7 @@
-"""Maps of lanelets, pieces of lanes between a left and a right bound: Lanelet2 and CommonRoad."""
+"""Maps of lanelets: Lanelet2 and CommonRoad.
+
+A lanelet is a piece of a lane between a left and a right bound.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -60,19 +63,37 @@ _MAX_WAYS = 200
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lanelet:
-    """A piece of a lane; both bounds run in its direction."""
+    """Piece of a lane; both bounds run in its direction.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file; "r" is added for the other direction.
+    kind : str
+        Of MapLane, or "crosswalk".
+    left_m : (n, 3) float
+        Left bound. [m]
+    right_m : (k, 3) float
+        Right bound. [m]
+    is_oneway : bool
+        Cars drive in its direction only.
+    speed_limit_kmh : float or None
+        None: the file gives none. [km/h]
+    is_in_junction : bool
+        The file says so.
+    """
 
     id: str
-    kind: str  # of MapLane, or "crosswalk"
-    left_m: FloatArray  # (n, 3)
-    right_m: FloatArray  # (k, 3)
+    kind: str
+    left_m: FloatArray
+    right_m: FloatArray
     is_oneway: bool = True
     speed_limit_kmh: float | None = None
-    is_in_junction: bool = False  # the file says so
+    is_in_junction: bool = False
 
     @property
     def polygon(self) -> Any:
-        """Its ground."""
+        """Ground of the lanelet, a valid shapely geometry."""
         ring_m = np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]])
         return shapely.make_valid(shapely.Polygon(ring_m))
 
@@ -86,7 +107,7 @@ class Lanelet:
         return np.array([points_at(*pair) for pair in zip(bounds, at, strict=True)])
 
     def turned(self) -> "Lanelet":
-        """The other way."""
+        """The same lanelet in the other direction."""
         return replace(
             self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1]
         )
@@ -95,7 +116,22 @@ class Lanelet:
 def _lanelet(
     name: str, left_m: FloatArray, right_m: FloatArray, **known: Any
 ) -> Lanelet:
-    """A lanelet whose bounds are turned so that the left one lies on the left."""
+    """Lanelet whose bounds are turned so that the left one is on the left.
+
+    Parameters
+    ----------
+    name : str
+        Id of the lanelet.
+    left_m : (n, 3) float
+        Left bound, in any direction. [m]
+    right_m : (k, 3) float
+        Right bound, in any direction. [m]
+
+    Returns
+    -------
+    lanelet : Lanelet
+        Both bounds run in the same direction.
+    """
     along = np.hypot(*(left_m[[0, -1], :2] - right_m[[0, -1], :2]).T).sum()
     across = np.hypot(*(left_m[[0, -1], :2] - right_m[[-1, 0], :2]).T).sum()
     if across < along:
@@ -113,8 +149,24 @@ def _build(
 ) -> tuple[list[MapLane], list[MapLane], list[MapJunction]]:
     """Lanes between junctions, lanes through them, and the junctions.
 
-    A junction is where lanelets of roads share ground, or what the file says: those
-    that touch each other, and those between them.
+    A junction is where lanelets of roads share ground, or what the file says:
+    those that touch each other, and those between them.
+
+    Parameters
+    ----------
+    lanelets : sequence of Lanelet
+        Lanelets of the file.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        Outside junctions.
+    connections : list of MapLane
+        Through junctions.
+    junctions : list of MapJunction
+        Those that lanes lead to; the others are noted.
     """
     roads = _with_right_sides(
         [one for one in lanelets if one.kind == "driving"], omissions
@@ -165,7 +217,22 @@ def _build(
 
 
 def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[Lanelet]:
-    """Lanelets, turned where they then meet others and do not as they are: a mistake of maps."""
+    """Lanelets, with left and right exchanged where a map has them wrong.
+
+    A lanelet is turned if it then meets others and does not as it is.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    roads : list of Lanelet
+        In the same order; those turned are noted.
+    """
     turned = [replace(one.turned(), id=one.id) for one in roads]
     follows = _followers([*roads, *turned])
     n_roads = len(roads)
@@ -188,7 +255,7 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
 
 
 def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
-    """Lanelets that begin where each one ends, at both bounds."""
+    """Indices of the lanelets that begin where each one ends."""
     if not lanelets:
         return []
     begins, ends = (
@@ -202,9 +269,23 @@ def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
 def _inside(
     roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray
 ) -> BoolArray:
-    """Which lanelets lie in a junction, (n,): those that the file says, or that share ground.
+    """Lanelets that lie in a junction, (n,).
 
-    `pairs`, (k, 2), are those whose ground meets.
+    They are those that the file says, or else those that share ground.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    ground : sequence of Any
+        Polygon of each.
+    pairs : (k, 2) int
+        Those whose ground meets.
+
+    Returns
+    -------
+    is_inside : (n,) bool
+        True for lanelets in a junction.
     """
     inside = np.array([one.is_in_junction for one in roads], dtype=bool)
     if inside.any():
@@ -223,7 +304,22 @@ def _lanes(
     follows: Sequence[Sequence[int]],
     junction_of: Mapping[int, str],
 ) -> Iterator[MapLane]:
-    """Lanes outside junctions: lanelets that follow each other without a choice are one."""
+    """Lanes outside junctions: lanelets that follow without a choice.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    follows : Sequence[Sequence[int]]
+        Indices of the lanelets after each one.
+    junction_of : Mapping[int, str]
+        Junction of the lanelets that lie in one.
+
+    Yields
+    ------
+    lane : MapLane
+        Rings come last.
+    """
     before: dict[int, list[int]] = {index: [] for index in range(len(roads))}
     for index, others in enumerate(follows):
         for other in others:
@@ -263,7 +359,24 @@ def _connections(
     group: Sequence[int],
     name: str,
 ) -> list[MapLane]:
-    """Ways through a junction: from each lanelet that nothing of it leads to, to where it ends."""
+    """Ways through a junction, from each lanelet that nothing leads to.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    follows : Sequence[Sequence[int]]
+        Indices of the lanelets after each one.
+    group : sequence of int
+        Indices of the junction's lanelets.
+    name : str
+        Id of the junction.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        At most 200.
+    """
     members = set(group)
     onwards = {
         one: [other for other in follows[one] if other in members] for one in group
@@ -291,6 +404,24 @@ def _map_lane(
     from_junction: str = "",
     to_junction: str = "",
 ) -> MapLane:
+    """Lane along lanelets that follow each other.
+
+    Parameters
+    ----------
+    chain : sequence of Lanelet
+        Lanelets, one after the other.
+    lane_id : str
+        Id of the lane.
+    from_junction : str
+        Junction at its begin; empty: none.
+    to_junction : str
+        Junction at its end; empty: none.
+
+    Returns
+    -------
+    lane : MapLane
+        With the speed limit of the last lanelet that has one.
+    """
     edges_m = np.concatenate([one.edges_m for one in chain], axis=1)
     middle_m = edges_m.mean(axis=0)
     limits = [one.speed_limit_kmh for one in chain if one.speed_limit_kmh is not None]
@@ -306,7 +437,7 @@ def _map_lane(
 
 
 def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
-    """The side, by lanelets beside others that run against them; None: none do."""
+    """True if traffic keeps left; None: no lanelets side by side show it."""
     edges_m = [one.edges_m.mean(axis=0)[:, :2] for one in roads]
     middle_m = np.array([line[len(line) // 2] for line in edges_m]).reshape(-1, 2)
     ahead = np.array([line[-1] - line[0] for line in edges_m]).reshape(-1, 2)
@@ -326,6 +457,7 @@ def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
 
 
 def _cross(one: FloatArray, other: FloatArray) -> float:
+    """Third component of the cross product of two vectors (2,)."""
     return float(one[0] * other[1] - one[1] * other[0])
 
 
@@ -337,6 +469,7 @@ def _source_map(
     keeps_left: bool | None,
     **known: Any,
 ) -> SourceMap:
+    """Map of lanelets; InputError: none of them is for cars."""
     if not any(one.kind == "driving" for one in lanelets):
         raise InputError(str(path), Unquoted("no lanelet for cars"), "a map with roads")
     lanes, connections, junctions = _build(lanelets, omissions)
@@ -367,19 +500,33 @@ def _source_map(
 def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a Lanelet2 map: OpenStreetMap XML with relations of type lanelet.
 
-    Lanelets of roads become lanes and junctions, crosswalks, walkways and bicycle lanes
-    theirs, traffic lights and signs poles, areas of buildings things. Positions are
-    those of ``local_x`` and ``local_y`` where nodes have them, else latitude and
-    longitude, in metres around the middle; a map around 0, 0 has no place on earth.
-    `keeps_left`: by default what neighbours show.
+    Lanelets of roads become lanes and junctions, crosswalks, walkways and
+    bicycle lanes theirs, traffic lights and signs poles, areas of buildings
+    things. Positions are those of ``local_x`` and ``local_y`` where nodes have
+    them, else latitude and longitude, in metres around the middle; a map around
+    0, 0 has no place on earth.
 
-    Raises InputError if the file cannot be read, or has no lanelet for cars.
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what neighbours show.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions, poles and things.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no lanelet for cars.
 
     References
     ----------
-    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC 2018,
-       and
-       ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
+    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC
+       2018, and ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
     """
     elements = read_elements(path)
     omissions = Omissions()
@@ -430,7 +577,24 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 
 
 def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
-    """Places of all nodes in metres, (n, 3), their CRS, and whether they have heights."""
+    """Positions of all nodes, their CRS, and whether they have heights.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    path : Path
+        File, for messages.
+
+    Returns
+    -------
+    points_m : (n, 3) float
+        Heights are 0 where nodes have none. [m]
+    crs : str
+        Empty: the map has no place on earth.
+    has_heights : bool
+        Any node has a height.
+    """
     tags = [elements.node_tags.get(row, {}) for row in range(len(elements.node_ids))]
     if not tags:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
@@ -450,7 +614,22 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:
-    """The lines of a side one after the other; empty where they do not meet."""
+    """Line of a lanelet's side, joined of its ways, (n, 3).
+
+    Parameters
+    ----------
+    relation : Relation
+        The lanelet.
+    side : str
+        Role of the ways: "left", "right" or "outer".
+    ways : Mapping[int, FloatArray]
+        Points of each way, by its id. [m]
+
+    Returns
+    -------
+    line_m : (n, 3) float
+        Empty where the ways do not meet. [m]
+    """
     parts = [
         ways[ref] for ref, role in relation.members if role == side and ref in ways
     ]
@@ -474,6 +653,7 @@ def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> Flo
 
 
 def _poles(elements: Elements, ways: Mapping[int, FloatArray]) -> Iterator[Pole]:
+    """Traffic lights and signs of a Lanelet2 map."""
     kinds = {"traffic_light": "traffic light", "traffic_sign": "sign"}
     for way in elements.ways:
         kind = kinds.get(way.tags.get("type", ""))
@@ -484,6 +664,7 @@ def _poles(elements: Elements, ways: Mapping[int, FloatArray]) -> Iterator[Pole]
 def _buildings(
     elements: Elements, ways: Mapping[int, FloatArray], omissions: Omissions
 ) -> Iterator[Thing]:
+    """Areas of buildings as solids; other areas are noted."""
     for relation in elements.relations:
         subtype = relation.tags.get("subtype", "")
         if relation.tags.get("type") != "multipolygon":
@@ -504,17 +685,33 @@ def _buildings(
 
 # ---------- CommonRoad
 def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
-    """Read the lanelets of a CommonRoad scenario, XML of version 2018b or 2020a, in its own metres.
+    """Read the lanelets of a CommonRoad scenario, in its own metres.
 
-    Its traffic lights and signs become poles; its obstacles are left out: they drive in
-    one scenario. Raises InputError if the file cannot be read, or has no lanelet for
-    cars.
+    The format is XML of version 2018b or 2020a. Traffic lights and signs become
+    poles; obstacles are left out: they drive in one scenario.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what neighbours show.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions and poles.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no lanelet for cars.
 
     References
     ----------
-    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks for
-       motion
-       planning on roads", IV 2017, and the documentation of its XML format, 2020a.
+    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks
+       for motion planning on roads", IV 2017, and the documentation of its XML
+       format, 2020a.
     """
     root = read_xml(path, expected="CommonRoad")
     for element in root.iter():
@@ -557,9 +754,14 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         if one.get("id") and len(place := _points(one.find("position")))
     ]
     return _source_map(
-        path, lanelets, omissions, keeps_left=keeps_left, crs="", heights="above ground",
+        path,
+        lanelets,
+        omissions,
+        keeps_left=keeps_left,
+        crs="",
+        heights="above ground",
         poles=tuple(poles),
-    )  # fmt: skip
+    )
 
 
 def _points(element: Element | None) -> FloatArray:

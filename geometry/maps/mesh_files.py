@@ -48,13 +48,32 @@ def read_mesh(
     up: str | None = None,
     class_name: str = "building",
 ) -> SourceMap:
-    """Read a mesh; every named part of it becomes a thing, where the file has it.
+    """Read a mesh; every named part of it becomes a thing.
 
-    `unit` and the axis `up` must be given for all formats except glTF, which has
-    metres, y up and -z as north. `class_name` is for parts whose names do not say wall,
-    tree, lamp or the like. Raises InputError if the file is damaged; has no triangles,
-    or more than five million; has a size that no junction has; or if all roofs face
-    down.
+    glTF has metres, y up and -z as north; for all other formats unit and up
+    axis must be given.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    unit : str or None
+        One of ``UNITS_M``; None: not given.
+    up : str or None
+        One of ``UP_AXES``; None: not given.
+    class_name : str
+        Class of parts whose names do not say wall, tree, lamp or the like.
+
+    Returns
+    -------
+    source : SourceMap
+        Things where the file has them.
+
+    Raises
+    ------
+    InputError
+        The file is damaged; has no triangles, or more than five million; has a
+        size that no junction has; or all its roofs face down.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -91,7 +110,22 @@ def read_mesh(
 
 
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
-    """Name, vertices and triangles of each part in the file's frame, and counts of the rest."""
+    """Parts of a mesh in the file's frame, and counts of what is no mesh.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    is_gltf : bool
+        The file is glTF.
+
+    Returns
+    -------
+    parts : list of (str, (n, 3) float, (m, 3) int32)
+        Name, vertices and triangles, sorted by name.
+    left_out : Counter of str
+        Kinds of geometry that have no triangles.
+    """
     import trimesh
 
     where = str(path)
@@ -141,7 +175,7 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
 
 
 def _folder_resolver(path: Path) -> Any:
-    """A resolver that opens files in the mesh's own folder only, and never through a network."""
+    """Resolver that opens files in the mesh's own folder only."""
     from trimesh.resolvers import FilePathResolver
 
     folder = path.resolve().parent
@@ -163,6 +197,29 @@ def _folder_resolver(path: Path) -> Any:
 def _placed(
     geometry: Any, matrix: FloatArray, where: str
 ) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices and triangles of a geometry at its place in the scene.
+
+    Parameters
+    ----------
+    geometry : Any
+        Mesh of trimesh.
+    matrix : (4, 4) float
+        Transform from the geometry to the scene.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices : (n, 3) float
+        Those that triangles use, in the file's unit.
+    triangles : (m, 3) int32
+        Reversed if the transform mirrors.
+
+    Raises
+    ------
+    InputError
+        An index or a vertex makes no sense.
+    """
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
     outside = faces[(faces < 0) | (faces >= len(vertices))]
@@ -181,13 +238,13 @@ def _placed(
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
-    """A closed mesh, even if vertices at the same place are not shared."""
+    """True for a closed mesh, even if vertices in one place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     return is_closed(same.reshape(-1)[triangles].astype(np.int32))
 
 
 def _name(node: str, geometry: str, stem: str) -> str:
-    """Name of a part: that of its node, or of its geometry where nodes only have numbers."""
+    """Name of a part: of its node, or of its geometry; else that of the file."""
     for name in (node, geometry):
         if any(letter.isalpha() for letter in name) and name not in (
             "world",
@@ -211,9 +268,10 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse closed buildings whose slanted faces look down: roofs that stand on their heads.
+    """Refuse buildings whose slanted roofs look down: they stand on their heads.
 
-    Boxes with flat roofs look the same both ways, and are not judged.
+    Only closed buildings are judged, and no boxes with flat roofs: they look
+    the same both ways.
     """
     houses = [thing for thing in things if thing.class_name == "building"]
     solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]

@@ -1,4 +1,8 @@
-"""Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
+"""Point clouds (LAS, LAZ, PCD) as ground and as solids of voxels upon it.
+
+Points are read a chunk at a time. The lowest ones give the ground; those
+above it become voxels, and voxels that touch become one thing.
+"""
 
 import re
 import struct
@@ -84,9 +88,17 @@ _GROUND = (2,)
 _VEGETATION = (3, 4, 5)
 _BUILDING = (6,)
 _LEFT_OUT = {
-    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
-    16: "wire", 17: "bridge deck", 18: "noise",
-}  # fmt: skip
+    7: "noise",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    13: "wire",
+    14: "wire",
+    15: "pylon",
+    16: "wire",
+    17: "bridge deck",
+    18: "noise",
+}
 # Per axis in a key: 1,048,575 voxels, 262 km of 0.25 m.
 _BITS = 20
 _MASK = (1 << _BITS) - 1
@@ -101,10 +113,25 @@ _MAX_DENSE = 30_000_000
 
 @contextmanager
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
+    """Open a point cloud: yields its CRS, if any, and chunks of points.
 
-    Raises InputError if it cannot be read, claims more than 50 million points or more
-    than it has bytes for, or is damaged (also while its points are read).
+    Parameters
+    ----------
+    path : Path
+        A ``.las``, ``.laz`` or ``.pcd`` file.
+
+    Yields
+    ------
+    crs : CRS or None
+        As the file declares it.
+    points : iterator of Points
+        Coordinates and classes, a chunk at a time.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, claims more than 50 million points or more than
+        it has bytes for, or is damaged (also while its points are read).
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -125,6 +152,7 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
 
 # ---------- LAS and LAZ files, through laspy
 def _las_reader(path: Path) -> Any:
+    """Open a LAS or LAZ file with laspy; InputError: it is none."""
     where = str(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table
@@ -185,7 +213,29 @@ def _check_header(path: Path) -> None:
 
 
 def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> int:
-    """Number of layers in which chunks of points are packed, 0: none; InputError: no known kind."""
+    """Number of layers in which chunks of points are packed; 0: none.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+    n_records : int
+        Records of the header, of which one describes the packing.
+    point_bytes : int
+        Bytes of an unpacked point.
+
+    Returns
+    -------
+    n_layers : int
+        Each layer has its size before the chunk.
+
+    Raises
+    ------
+    InputError
+        The points are packed in no known way.
+    """
     for _ in range(n_records):
         head = file.read(54)
         if len(head) < 54:
@@ -216,7 +266,21 @@ def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> i
 def _check_chunks(
     file: BinaryIO, where: str, first_point: int, point_bytes: int, n_layers: int
 ) -> None:
-    """Refuse chunks of packed points that claim more bytes than there are before their table."""
+    """Refuse chunks of packed points that claim more bytes than there are.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+    first_point : int
+        Byte at which the points begin.
+    point_bytes : int
+        Bytes of an unpacked point.
+    n_layers : int
+        See :func:`_n_layers`.
+    """
     n_bytes = file.seek(0, 2)
     file.seek(first_point)
     head = file.read(8)
@@ -246,6 +310,7 @@ def _check_chunks(
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
+    """Points of an open LAS file, a chunk at a time."""
     try:
         # No more than the header has.
         for points in reader.chunk_iterator(CHUNK_POINTS):
@@ -264,16 +329,34 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
 
 
 def _one_line(error: BaseException) -> str:
+    """Type and message of an error in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
 
 
 # ---------- PCD files
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
+    """Points of an open PCD file, version 0.7, all of class 0.
 
-    Points without coordinates (NaN) are left out. Raises InputError, while points are
-    read, if the file claims more than 50 million or more than it contains, or is
-    damaged.
+    The data may be ascii or binary. Points without coordinates (NaN) are left
+    out.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : Points
+        A chunk of them.
+
+    Raises
+    ------
+    InputError
+        While points are read: the file claims more than 50 million or more than
+        it contains, or is damaged.
     """
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
@@ -325,6 +408,7 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
+    """Words after each keyword of a PCD header, up to DATA."""
     header: dict[str, list[str]] = {}
     while file.tell() < _MAX_HEADER_BYTES:
         line = file.readline(_MAX_HEADER_BYTES)
@@ -343,6 +427,24 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
 
 
 def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
+    """Whole numbers after a keyword of a PCD header.
+
+    Parameters
+    ----------
+    header : dict[str, list[str]]
+        See :func:`_pcd_header`.
+    key : str
+        Keyword.
+    n : int
+        How many numbers there must be.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    numbers : list of int
+        Not negative.
+    """
     words = header.get(key, [])
     if len(words) != n or not all(re.fullmatch(r"[0-9]{1,18}", word) for word in words):
         raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
@@ -352,6 +454,31 @@ def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> lis
 def _pcd_binary(
     file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
 ) -> Iterator[FloatArray]:
+    """Coordinates of binary PCD data, (n, 3), a chunk at a time.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    record : np.dtype[Any]
+        Layout of a point.
+    columns : list of int
+        Indices of x, y and z among the fields.
+    n_points : int
+        Number of points that the header claims.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : (n, 3) float
+        Chunk of points. [m]
+
+    Raises
+    ------
+    InputError
+        The file is cut off.
+    """
     here = file.tell()
     n_bytes = file.seek(0, 2) - here
     file.seek(here)
@@ -371,6 +498,29 @@ def _pcd_binary(
 def _pcd_ascii(
     file: BinaryIO, columns: list[int], n_points: int, where: str
 ) -> Iterator[FloatArray]:
+    """Coordinates of ascii PCD data, (n, 3), a chunk at a time.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    columns : list of int
+        Indices of x, y and z among the words of a line.
+    n_points : int
+        Number of points that the header claims.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : (n, 3) float
+        Chunk of points. [m]
+
+    Raises
+    ------
+    InputError
+        A line has no numbers, or the file is cut off.
+    """
     n_found = 0
     while lines := file.readlines(32_000_000):
         lines = [line for line in lines if line.strip()][: n_points - n_found]
@@ -399,7 +549,7 @@ class LowestPoints:
         self._z_m: FloatArray = np.empty(0)
 
     def add(self, points_m: FloatArray) -> None:
-        """Add points, (n, 3)."""
+        """Add points, (n, 3), in metres."""
         if not len(points_m):
             return
         cells = np.concatenate(
@@ -417,7 +567,25 @@ class LowestPoints:
         return len(self._z_m)
 
     def grid(self, where: str) -> tuple[IntArray, FloatArray]:
-        """First cell (2,), and heights of cells, (n, m), NaN: none; InputError: too large."""
+        """Grid of the lowest points.
+
+        Parameters
+        ----------
+        where : str
+            File and element at hand, for messages.
+
+        Returns
+        -------
+        first : (2,) int
+            Indices of the first cell.
+        heights_m : (n, m) float
+            Lowest point of each cell; NaN: none. [m]
+
+        Raises
+        ------
+        InputError
+            The points cover too large an area.
+        """
         low = self._cells.min(axis=0)
         shape = self._cells.max(axis=0) - low + 1
         if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
@@ -429,7 +597,18 @@ class LowestPoints:
 
 
 def fill_gaps(heights_m: FloatArray) -> FloatArray:
-    """Heights (n, m) with gaps (NaN) filled from the nearest cell. [m]."""
+    """Heights with gaps filled from the nearest cell that has one.
+
+    Parameters
+    ----------
+    heights_m : (n, m) float
+        NaN: none. [m]
+
+    Returns
+    -------
+    filled_m : (n, m) float
+        Without gaps, unless there is no height at all. [m]
+    """
     if not np.isnan(heights_m).any():
         return heights_m
     _, nearest = distance_transform_edt(np.isnan(heights_m), return_indices=True)
@@ -437,12 +616,22 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
+    """Ground under the lowest points of cells.
 
-    A surface is opened with growing windows. A cell that an opening lowers by more than
-    the ground could rise within half the window carries something, and gets the height
-    of the nearest ground. Part of a house that is lower than the ground behind it is
-    taken for ground.
+    A surface is opened with growing windows. A cell that an opening lowers by
+    more than the ground could rise within half the window carries something,
+    and gets the height of the nearest ground. Part of a house that is lower
+    than the ground behind it is taken for ground.
+
+    Parameters
+    ----------
+    heights_m : (n, m) float
+        Lowest point of each cell; NaN: none. [m]
+
+    Returns
+    -------
+    ground_m : (n, m) float
+        Without gaps. [m]
 
     References
     ----------
@@ -472,15 +661,31 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 
 # ---------- things
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
-    """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
+    """Read a point cloud as things that hide what is behind them.
 
-    Ground is removed: class 2, or else by a filter. The other points become voxels of
-    0.25 m, doubled up to 2 m until those of a thin scan touch; voxels that touch become
-    one thing. A voxel hides exactly where there is a point, while a fitted surface
-    closes gateways or stays open where a scan is thin. Gaps of one voxel are bridged,
-    enclosed voids filled, and roofs seen only from the air filled to the ground.
-    `class_name` is for points without a class. PCD is in metres, z up. Raises
-    InputError if it is damaged or too large, or only ground is left.
+    Ground is removed: class 2, or else by a filter. The other points become
+    voxels of 0.25 m, doubled up to 2 m until those of a thin scan touch; voxels
+    that touch become one thing. A voxel hides exactly where there is a point,
+    while a fitted surface closes gateways or stays open where a scan is thin.
+    Gaps of one voxel are bridged, enclosed voids filled, and roofs seen only
+    from the air filled to the ground. PCD is in metres, z up.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.las``, ``.laz`` or ``.pcd`` file.
+    class_name : str
+        Class of points that do not have one in the file.
+
+    Returns
+    -------
+    source : SourceMap
+        Things, and points of the ground.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or too large, or only ground is left.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
@@ -519,6 +724,26 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
 
 @dataclass(slots=True, kw_only=True)
 class _Scan:
+    """Voxels and lowest points of a scan, collected a chunk at a time.
+
+    Attributes
+    ----------
+    where : str
+        File, for messages.
+    place : Georeference or None
+        Where the scan lies on earth; None: no point was read.
+    origin_m : (3,) float or None
+        Corner near the first points, from which voxels are counted. [m]
+    keys : dict[str, IntArray]
+        Sorted voxels, by kind.
+    lowest : LowestPoints
+        Lowest points of all classes.
+    lowest_ground : LowestPoints
+        Lowest points of class 2.
+    left_out : Counter[str]
+        Numbers of points of classes that hide nothing.
+    """
+
     where: str
     place: Georeference | None = None
     origin_m: FloatArray | None = None
@@ -540,7 +765,17 @@ class _Scan:
     def add(
         self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str
     ) -> None:
-        """Add a chunk of points."""
+        """Add a chunk of points.
+
+        Parameters
+        ----------
+        points_m : (n, 3) float
+            In metres, in the map's coordinates. [m]
+        classes : (n,) int
+            LAS classes; 0: none.
+        class_name : str
+            Class of things that do not state theirs.
+        """
         for number, name in _LEFT_OUT.items():
             if n_points := int((classes == number).sum()):
                 self.left_out[name] += n_points
@@ -571,7 +806,22 @@ class _Scan:
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
-    """Voxels by kind with z counted from the ground, and as coarse as the points are apart."""
+    """Voxels above the ground by kind, as coarse as the scan asks for.
+
+    Parameters
+    ----------
+    scan : _Scan
+        The scan.
+
+    Returns
+    -------
+    heights : dict of str to (n,) int
+        Voxels with z counted from the ground.
+    voxel_m : float
+        Their edge. [m]
+    notes : list of Note
+        Detail that was lost.
+    """
     low, lowest_m = scan.lowest.grid(scan.where)
     if len(scan.lowest_ground):
         ground_m = np.full(lowest_m.shape, np.nan)
@@ -610,13 +860,38 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
 
 
 def _coarser(keys: IntArray) -> IntArray:
+    """Voxels of twice the edge that cover the given ones, sorted."""
     return np.unique(to_keys((to_cells(keys) - _MIDDLE) // 2 + _MIDDLE))
 
 
 def _things(
     heights: dict[str, IntArray], voxel_m: float, scan: _Scan, class_name: str
 ) -> tuple[list[Thing], int]:
-    """One thing per cluster, and the number of clusters that are too small."""
+    """One thing per cluster, and the number of clusters that are too small.
+
+    Parameters
+    ----------
+    heights : dict[str, IntArray]
+        Voxels by kind, with z counted from the ground.
+    voxel_m : float
+        Edge of a voxel. [m]
+    scan : _Scan
+        The scan.
+    class_name : str
+        Class of things that do not state theirs.
+
+    Returns
+    -------
+    things : list of Thing
+        Roofs seen from the air are filled to the ground.
+    n_small : int
+        Clusters that were left out.
+
+    Raises
+    ------
+    InputError
+        There are too many things or triangles.
+    """
     found: list[tuple[str, IntArray]] = []
     small = 0
     for kind, keys in ((kind, keys) for kind, keys in heights.items() if len(keys)):
@@ -662,7 +937,22 @@ def _things(
 
 
 def _stood(keys: IntArray, voxel_m: float) -> IntArray:
-    """Voxels with those below them that were taken for ground: columns that begin just above it."""
+    """Voxels, and those below them that were taken for ground.
+
+    Columns that begin just above the ground are continued down to it.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    voxel_m : float
+        Edge of a voxel. [m]
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
+    """
     cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
@@ -675,7 +965,7 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:
-    """An even patch with nothing below: a roof seen from the air."""
+    """True for an even patch with nothing below: a roof seen from the air."""
     cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
@@ -698,7 +988,18 @@ _HALF_OF_NEIGHBOURS = tuple(
 
 
 def to_keys(cells: IntArray) -> IntArray:
-    """One integer per cell (n, 3), ordered as x, y, z: each from 1 to ``MAX_VOXELS_PER_AXIS``."""
+    """One integer for each cell, in the order of x, y and z.
+
+    Parameters
+    ----------
+    cells : (n, 3) int
+        Indices from 1 to ``MAX_VOXELS_PER_AXIS``.
+
+    Returns
+    -------
+    keys : (n,) int
+        20 bits for each axis.
+    """
     return (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
 
 
@@ -708,7 +1009,7 @@ def to_cells(keys: IntArray) -> IntArray:
 
 
 def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
-    """Which keys are in `sorted_keys`."""
+    """True for keys that are among sorted ones, (n,)."""
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -716,10 +1017,19 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
+    """Cluster of every voxel: voxels that touch are one.
 
-    `keys` are sorted and unique; numbers follow the order of the clusters' first
-    voxels.
+    They touch at a face, an edge or a corner.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+
+    Returns
+    -------
+    labels : (n,) int
+        Numbered in the order of the clusters' first voxels.
     """
     n = len(keys)
     pairs = []
@@ -736,7 +1046,7 @@ def clusters(keys: IntArray) -> IntArray:
 
 
 def bridged(keys: IntArray) -> IntArray:
-    """Voxels, and those between two that lie opposite one another, sorted."""
+    """Voxels, and those between two that lie opposite each other, sorted."""
     between = [keys]
     for step in _HALF_OF_NEIGHBOURS:
         between.append(keys[is_in(keys + 2 * step, keys)] + step)
@@ -750,10 +1060,22 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
+    """Voxels of one cluster, and the voids that they enclose, sorted.
 
-    `floor` is the lowest z above ground. A cluster whose box is too large stays as it
-    is.
+    The ground closes clusters that stand on it. A cluster whose box is too
+    large stays as it is.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    floor : int
+        Lowest z above ground.
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
     """
     cells = to_cells(keys)
     low = cells.min(axis=0)
@@ -775,8 +1097,27 @@ def columns_to(
 ) -> IntArray:
     """Voxels from the floor to the highest of every column, sorted.
 
-    Raises InputError if they are more than any building has, or than `n_left` of what
-    all buildings of a file may have: heights in another unit, or damaged.
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    floor : int
+        Lowest z above ground.
+    where : str
+        File and element at hand, for messages.
+    n_left : int
+        Voxels that the file's other buildings leave.
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
+
+    Raises
+    ------
+    InputError
+        They are more than any building has, or than all buildings of a file may
+        have: heights in another unit, or damaged.
     """
     columns, start = np.unique(keys >> _BITS, return_index=True)
     counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
@@ -806,11 +1147,35 @@ def faces(
     max_triangles: int,
     where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
+    """Surface of voxels: rectangles as large as possible.
 
-    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m`
-    (3,) is the lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen
-    from outside. Raises InputError if there are more than `max_triangles`.
+    Each rectangle is two triangles. The surface is closed, though a rectangle's
+    edge may meet several smaller ones.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    origin_m : (3,) float
+        Lower corner of cell (0, 0, 0). [m]
+    voxel_m : float
+        Edge of a voxel. [m]
+    max_triangles : int
+        Largest number of triangles.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices_m : (k, 3) float
+        Without repetitions. [m]
+    triangles : (m, 3) int32
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        There are more than `max_triangles`.
     """
     quads = np.concatenate(
         [_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)]
@@ -828,7 +1193,22 @@ def faces(
 
 
 def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
-    """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
+    """Corners of the rectangles that face along an axis, (n, 4, 3).
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    axis : int
+        0, 1 or 2: x, y or z.
+    sign : int
+        1 or -1: along the axis or against it.
+
+    Returns
+    -------
+    corners : (n, 4, 3) int
+        Indices of cells, counter-clockwise seen from outside.
+    """
     # To the neighbour's key.
     step = sign << (2 - axis) * _BITS
     cells = to_cells(keys[~is_in(keys + step, keys)])
@@ -854,7 +1234,20 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
 
 
 def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:
-    """First rows of runs whose last column counts on while the others stay, and its last values."""
+    """Runs of rows whose last column counts on while the others stay.
+
+    Parameters
+    ----------
+    columns : tuple of (n,) int
+        Columns of a table.
+
+    Returns
+    -------
+    first : tuple of (m,) int
+        First row of each run.
+    last : (m,) int
+        Last value of the last column in each run.
+    """
     order = np.lexsort(columns[::-1])
     columns = tuple(column[order] for column in columns)
     goes_on = np.diff(columns[-1]) == 1

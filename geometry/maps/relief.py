@@ -1,4 +1,4 @@
-"""Ground around a junction: heights of maps or of a GeoTIFF raster, and things set upon it."""
+"""Ground around a junction: heights of maps or of a GeoTIFF raster."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -46,36 +46,63 @@ _EXPECTED = "a GeoTIFF of heights"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """The ground around a junction: its middle is at z = 0."""
+    """Ground around a junction: its middle is at z = 0.
 
-    terrain: Terrain | None = None  # none: the plane z = 0
-    zero_m: float = (
-        0.0  # height of the middle of the junction as `source` counts heights
-    )
+    Attributes
+    ----------
+    terrain : Terrain or None
+        The ground; None: the plane z = 0.
+    zero_m : float
+        Height of the junction's middle as `source` counts heights. [m]
+    roads : SourceMap or None
+        Map with the roads; None: the ground is a plane.
+    roads_m : Terrain or None
+        Ground of the map with the roads, as that counts heights, where another
+        source has them. [m]
+    notes : tuple of Note
+        What was made of the heights.
+    """
+
+    terrain: Terrain | None = None
+    zero_m: float = 0.0
     roads: SourceMap | None = None
-    # ground of the map with the roads, as that counts heights, where another source has
-    # them
     roads_m: Terrain | None = None
-    notes: tuple[Note, ...] = ()  # what was made of the heights
+    notes: tuple[Note, ...] = ()
 
     def at(self, points_m: FloatArray) -> FloatArray:
-        """Height of the ground at points (n, 2)."""
+        """Height of the ground at points (n, 2), in metres."""
         if self.terrain is None:
             return np.zeros(len(points_m))
         return self.terrain.at(points_m)
 
     def above_m(self, vertices_m: FloatArray) -> FloatArray:
-        """Height of vertices (n, 3) above the ground below them."""
+        """Height of vertices (n, 3) above the ground below them, in metres."""
         return vertices_m[:, 2] - self.at(vertices_m[:, :2])
 
     def lower(
         self, source: SourceMap, things: Sequence[Thing], given_m: float | None
     ) -> Iterator[tuple[FloatArray, bool]]:
-        """Vertices of a map's things with heights from z = 0, and whether they were set down.
+        """Vertices of a map's things with heights from z = 0.
 
-        `given_m` is the height in the map of the road in the junction's middle. Where a
-        map counts heights above the ground, walls follow it, and other things stand on
-        the lowest ground below them.
+        Where a map counts heights above the ground, walls follow it, and other
+        things stand on the lowest ground below them.
+
+        Parameters
+        ----------
+        source : SourceMap
+            The map.
+        things : sequence of Thing
+            Things of the map.
+        given_m : float or None
+            Height in the map of the road in the junction's middle; None: not given.
+            [m]
+
+        Yields
+        ------
+        vertices_m : (n, 3) float
+            Vertices of each thing, in order. [m]
+        is_set_down : bool
+            It would have floated above the ground.
         """
         if source.heights == "above ground" and given_m is None:
             for thing in things:
@@ -105,7 +132,7 @@ class Relief:
     def _zero_m(
         self, source: SourceMap, things: Sequence[Thing], given_m: float | None
     ) -> float:
-        """The height in a map that becomes z = 0."""
+        """Height in a map that becomes z = 0, in metres."""
         if source is self.roads and source.heights == "absolute":
             if self.roads_m is None:
                 return self.zero_m
@@ -122,6 +149,7 @@ class Relief:
 
 
 def _lifted(thing: Thing, up_m: FloatArray | float) -> FloatArray:
+    """Vertices of a thing, (n, 3), raised by some metres."""
     return np.column_stack([thing.vertices_m[:, :2], thing.vertices_m[:, 2] + up_m])
 
 
@@ -132,11 +160,27 @@ def find_relief(
     *,
     half_m: float,
 ) -> Relief:
-    """The ground within a square around a junction of the first map.
+    """Ground within a square around a junction of the first map.
 
-    Heights are those of the first of the other maps that has some near the junction, or
-    of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have no
-    say.
+    Heights are those of the first of the other maps that has some near the
+    junction, or of the roads. Roads on bridges, more than 2 m and 8 % off those
+    of its arms, have no say.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        Maps, the one with the roads first.
+    junction : MapJunction
+        A junction of the first map.
+    frame : LocalFrame
+        Frame of the scene.
+    half_m : float
+        Half the edge of the square around the junction. [m]
+
+    Returns
+    -------
+    relief : Relief
+        A plane where nothing tells heights, or all are alike.
     """
     roads = maps[0]
     own = _near(frame.take(roads.ground_m, roads), half_m)
@@ -172,13 +216,14 @@ def find_relief(
 
 
 def _near(points_m: FloatArray, half_m: float) -> FloatArray:
+    """Points within a square, and 50 m around it."""
     return points_m[(np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)]
 
 
 def _on_level(
     points_m: FloatArray, roads: SourceMap, junction: MapJunction, frame: LocalFrame
 ) -> FloatArray:
-    """Points that are not far above or below the nearest road that leads to the junction."""
+    """Points that lie about as high as the nearest road to the junction."""
     own = [
         one
         for one in roads.lanes
@@ -252,7 +297,31 @@ def read_elevation(
 def _read(
     raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
 ) -> FloatArray:
-    """Points (n, 3) of an open data set within a square."""
+    """Points of an open raster within a square, (n, 3).
+
+    Parameters
+    ----------
+    raster : Any
+        Data set of rasterio.
+    where : str
+        File and element at hand, for messages.
+    crs : str
+        Reference system of the result.
+    middle_m : (2,) float
+        Middle of the square. [m]
+    half_m : float
+        Half the edge of the square around the junction. [m]
+
+    Returns
+    -------
+    points_m : (n, 3) float
+        Middles of the pixels that have a height. [m]
+
+    Raises
+    ------
+    InputError
+        See :func:`read_elevation`.
+    """
     if raster.count != 1:
         refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
@@ -308,6 +377,7 @@ def _read(
 
 
 def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
+    """Refuse a raster that takes too much memory around the junction."""
     if n_pixels > _MAX_PIXELS:
         got = f"{n_pixels:,} pixels around the junction"
         refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
@@ -321,7 +391,7 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
 
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
-    """First and last but one of the pixels that values lie in, one more on each side, inside."""
+    """Range of the pixels that values lie in, with one more on each side."""
     return (
         max(int(np.floor(values.min())) - 1, 0),
         min(int(np.ceil(values.max())) + 1, size),

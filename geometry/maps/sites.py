@@ -1,4 +1,8 @@
-"""Sites of a scene: poles of the map, a planner's list or kerbs, and where each can stand."""
+"""Sites of a scene: poles of the map, a planner's list, or kerbs.
+
+Sites are moved next to the road and out of walls, and dropped where that
+would be too far.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -65,7 +69,27 @@ _ISLAND_M2 = 4.0
 def kerb_sites(
     lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
 ) -> tuple[SiteWish, ...]:
-    """Sites along the outer kerbs of a junction's arms, from its corners 60 m outwards."""
+    """Sites along the outer kerbs of a junction's arms, 60 m outwards.
+
+    Parameters
+    ----------
+    lanes : sequence of Lane
+        Lanes of the scene.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    spacing_m : float
+        Least distance along each kerb. [m]
+
+    Returns
+    -------
+    sites : tuple of SiteWish
+        Half a metre behind the kerbs.
+
+    Raises
+    ------
+    InputError
+        The spacing is below 0.5 m, or the outline has no area.
+    """
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
@@ -102,7 +126,24 @@ def kerb_sites(
 
 
 def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray]:
-    """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
+    """Centrelines of a lane that touches the outline, outwards, (n, 2) each.
+
+    Lanes that continue it are joined to it.
+
+    Parameters
+    ----------
+    lane : Lane
+        The lane.
+    lanes : sequence of Lane
+        All lanes of roads.
+    outline : Any
+        Outline of the junction, a shapely ring.
+
+    Returns
+    -------
+    lines_m : list of (n, 2) float
+        From the outline outwards. [m]
+    """
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
         start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), outline)
@@ -132,7 +173,7 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
 
 
 def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
-    """A lane's surface with a strip on either side, extended by a metre at both ends."""
+    """Surface of a lane with a strip on either side, a metre longer."""
     ends = line[[0, -1]]
     ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
@@ -143,7 +184,24 @@ def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
 def _offset(
     line: FloatArray, offset_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
+    """Points beside a line, every 0.25 m.
+
+    Parameters
+    ----------
+    line : (n, 2) float
+        The line. [m]
+    offset_m : float
+        To the left of the line. [m]
+
+    Returns
+    -------
+    along_m : (k,) float
+        Distances along the line. [m]
+    points_m : (k, 2) float
+        Positions. [m]
+    outwards : (k, 2) float
+        Unit vectors away from the line.
+    """
     pieces = steps_m(line)
     at = along_m(line)
     along: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
@@ -156,7 +214,7 @@ def _offset(
 def _is_median(
     points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
 ) -> BoolArray:
-    """Points beyond which another lane runs parallel, a few metres further outwards."""
+    """True for points beyond which another lane runs parallel, (n,)."""
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
@@ -176,11 +234,25 @@ def _is_median(
 def tidy_sites(
     sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
-    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
+    """Sites outside buildings and apart from each other, and notes.
 
-    Of close ones the site with more details is kept, then the earlier one. `things` are
-    in the same coordinates. Returns the sites kept, in order, and the others with the
-    reason.
+    Of close ones the site with more details is kept, then the earlier one.
+
+    Parameters
+    ----------
+    sites : sequence of SiteWish
+        Sites, in any order.
+    things : sequence of Thing
+        Things in the same coordinates.
+    snap_m : float
+        Sites within this distance are one; 0: none are. [m]
+
+    Returns
+    -------
+    kept : tuple of SiteWish
+        In the given order.
+    notes : tuple of Note
+        The others, with the reason.
     """
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
@@ -204,7 +276,7 @@ def tidy_sites(
 
 
 def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Thing]:
-    """The first thing in whose footprint a point lies, by the index of the point."""
+    """First thing in whose footprint a point lies, by index of the point."""
     found: dict[int, Thing] = {}
     for thing in things:
         if len(thing.triangles):
@@ -215,10 +287,19 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 # ---------- the sites of a scene
 def check_sites(where: str, *, crs: str) -> None:
-    """Check where sites come from without a junction, see :func:`choose_sites`.
+    """Check where sites come from, before a junction is chosen.
 
-    Raises InputError if `where` cannot be read; `crs` is that of the map with the
-    roads.
+    Parameters
+    ----------
+    where : str
+        See :func:`choose_sites`.
+    crs : str
+        Reference system of the map with the roads.
+
+    Raises
+    ------
+    InputError
+        `where` cannot be read.
     """
     if _is_list(where):
         read_sites(Path(where), crs=crs)
@@ -227,7 +308,7 @@ def check_sites(where: str, *, crs: str) -> None:
 
 
 def _is_list(where: str) -> bool:
-    """True if sites are listed in a file. Raises InputError if it is no word either."""
+    """True if sites are listed in a file; InputError: it is no word either."""
     if where in (AUTO, MAP) or where.startswith(KERB):
         return False
     if Path(where).suffix.lower() in SUFFIXES:
@@ -242,11 +323,32 @@ def choose_sites(
 ) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
-    `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates
-    of `roads`), or "auto": the poles of the map but for low sign posts and what belongs
-    to another junction, and masts along the kerbs where none of them is near the
-    middle, see ``data/sites.toml``. Raises InputError if `where` cannot be read, or no
-    site is left within `radius_m`.
+    Parameters
+    ----------
+    where : str
+        "map": the poles of the map; "kerb:SPACING"; a CSV or GeoJSON file (x
+        and y in the coordinates of `roads`); or "auto": the poles of the map
+        but for low sign posts and what belongs to another junction, and masts
+        along the kerbs where none of them is near the middle, see
+        ``data/sites.toml``.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    roads : SourceMap
+        Map with the roads.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+
+    Returns
+    -------
+    sites : tuple of Site
+        Their ids are unique, and a comma-separated list can name them.
+    notes : tuple of Note
+        What was moved, added or left out.
+
+    Raises
+    ------
+    InputError
+        `where` cannot be read, or no site is left within `radius_m`.
     """
     notes: list[Note] = []
     if _is_list(where):
@@ -276,7 +378,24 @@ def choose_sites(
 def _settled(
     wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
 ) -> list[SiteWish]:
-    """Sites next to the road unless they hang, out of walls; those in buildings stay for later."""
+    """Sites next to the road and out of walls; hanging ones stay.
+
+    Sites in buildings stay for :func:`tidy_sites`.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Sites as they were asked for.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        Those that are too far from a place are noted.
+    """
     kept = []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
@@ -296,7 +415,24 @@ def _settled(
 def _own_poles(
     wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
 ) -> list[SiteWish]:
-    """Poles that are sites by default: no low sign posts, and none of another junction."""
+    """Poles that are sites by default.
+
+    Low sign posts, and poles that belong to another junction, are noted.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Poles of the map.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        In the same order.
+    """
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, area_of(surroundings.outline_m))
     other_m = np.full(len(wishes), np.inf)
@@ -335,7 +471,24 @@ def _masts(
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
-    """Masts along the kerbs where no pole is near the junction's middle, which is noted."""
+    """Masts along the kerbs where no pole is near the junction's middle.
+
+    Parameters
+    ----------
+    poles : sequence of SiteWish
+        Poles of the map.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    masts : list of SiteWish
+        Empty if a pole is near.
+    """
     nearest_m = min(
         (float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf
     )
@@ -352,7 +505,22 @@ def _masts(
 def _below_roofs(
     wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
 ) -> list[SiteWish]:
-    """Sites that carry sensors no higher than what is above them lets them."""
+    """Sites that carry sensors no higher than roofs above let them.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Sites.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        Sites where nothing fits below the roof are noted.
+    """
     kept = []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(
@@ -373,6 +541,7 @@ def _below_roofs(
 
 
 def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
+    """Poles of the map as sites; those that are too low are noted."""
     wishes = []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
@@ -388,7 +557,10 @@ def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
 def _kerbs(
     surroundings: Surroundings, spacing_m: float, radius_m: float
 ) -> list[SiteWish]:
-    """Sites along the kerbs, named by where they lie: kerb-ne-1 is the nearest one there."""
+    """Sites along the kerbs, named by where they lie.
+
+    "kerb-ne-1" is the nearest one in the north-east.
+    """
     count: Counter[str] = Counter()
     named = []
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
@@ -409,6 +581,7 @@ def _listed(
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
+    """Sites of a planner's list within the radius; the others are noted."""
     listed = read_sites(path, crs=roads.crs)
     frame = surroundings.frame
     every = [
@@ -427,6 +600,7 @@ def _listed(
 
 
 def _spacing_m(where: str) -> float:
+    """Spacing in a text such as "kerb:15", in metres."""
     low, high = _SPACINGS_M
     spacing_m = float_of(where.removeprefix(KERB))
     if not low <= spacing_m <= high:
@@ -435,11 +609,15 @@ def _spacing_m(where: str) -> float:
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
+    """Kind of pole of a site; "pole" if its kind is unknown."""
     return load_pole_kinds().get(wish.kind, load_pole_kinds()["pole"])
 
 
 def _mounts_m(wish: SiteWish) -> tuple[float, float]:
-    """Lowest and highest mount above the road in metres: as listed, or usual for its kind."""
+    """Lowest and highest mount above the road in metres.
+
+    They are listed, or usual for the site's kind.
+    """
     low_m, high_m = _kind_of(wish).height_range_m
     if wish.min_height_m is not None:
         low_m = wish.min_height_m
@@ -451,6 +629,7 @@ def _mounts_m(wish: SiteWish) -> tuple[float, float]:
 
 
 def _site(wish: SiteWish) -> Site:
+    """Site of a scene; InputError: its lowest mount is not above the road."""
     low_m, high_m = _mounts_m(wish)
     if low_m <= 0.0:
         raise InputError(
@@ -469,10 +648,18 @@ def _site(wish: SiteWish) -> Site:
 
 # ---------- where poles and sites can stand
 class Place(NamedTuple):
-    """Where something can stand: its place (2,) or None, and why it is not where it was."""
+    """Where something can stand, and why it is not where it was.
+
+    Attributes
+    ----------
+    position_m : (2,) float or None
+        None: nowhere near. [m]
+    why : str
+        Empty: it stays.
+    """
 
     position_m: FloatArray | None
-    why: str = ""  # empty: it stays
+    why: str = ""
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
@@ -545,7 +732,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 
 def _without_gaps(area: Any) -> Any:
-    """An area without small holes: gaps between lanes that are drawn a little apart."""
+    """Area without small holes: gaps between lanes drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     islands = [
         [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
@@ -556,7 +743,7 @@ def _without_gaps(area: Any) -> Any:
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:
-    """Things that stand on the ground; roofs, bridges and the like are passed below."""
+    """Things that stand on the ground; one can pass below the others."""
     return [
         thing
         for thing in surroundings.things
@@ -565,7 +752,20 @@ def standing_things(surroundings: Surroundings) -> list[Thing]:
 
 
 def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> FloatArray:
-    """Height above the ground at which buildings begin over points (n, 2); infinite: none, (n,)."""
+    """Height above the ground at which buildings begin over points, (n,).
+
+    Parameters
+    ----------
+    positions_m : (n, 2) float
+        Points. [m]
+    surroundings : Surroundings
+        Surroundings of the junction.
+
+    Returns
+    -------
+    clear_m : (n,) float
+        Infinite: none is above. [m]
+    """
     clear: FloatArray = np.full(len(positions_m), np.inf)
     for thing in surroundings.things:
         above_m = _headroom_m(thing, surroundings)
@@ -580,18 +780,19 @@ def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> Floa
 
 
 def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
+    """Height below a thing that is free, in metres; 0: it has no vertices."""
     if len(thing.vertices_m):
         return headroom_m(thing.vertices_m, surroundings.terrain)
     return 0.0
 
 
 def footprint(thing: Thing) -> Any:
-    """Ground that a thing covers, seen from above: a shapely geometry in metres."""
+    """Ground that a thing covers, seen from above: shapely, in metres."""
     return flat_union(thing.vertices_m[thing.triangles])
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie within the footprint of a thing: below or above it."""
+    """True for points that lie within the footprint of a thing, (n,)."""
     low, high = _box(thing)
     result = np.asarray(
         ((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool
@@ -602,6 +803,7 @@ def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
 
 
 def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest x and y of a thing's vertices, (2,) each."""
     return thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
 
 

@@ -47,7 +47,7 @@ _MAX_SECTION_GAP_M = 1.0e-3
 # On one side of a section.
 _MAX_LANES = 200
 SpeedLimits = tuple[tuple[float, float | None], ...]
-"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
+"""Stations [m] from which limits hold, ascending, and these [km/h]; None: none."""
 _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
@@ -495,21 +495,23 @@ class ReferenceLine:
     lengths_m : (n,) float
         Length of each piece. [m]
     origins_m : (n, 2) float
-        Begins of the pieces. [m]
-    shapes : NDArray[np.int64]
-        (n,), indices into SHAPES.
+        First point of each piece. [m]
+    headings_rad : (n,) float
+        Heading at the first point, counter-clockwise from east. [rad]
+    shapes : (n,) int
+        Indices into ``SHAPES``.
     parameters : (n, 9) float
         Curvature (of a line: 0), or curvature at the start and its slope; or
         coefficients a, b, c, d of u and of v, and the factor from arc length to
         parameter.
     wheres : tuple of str
-        For messages.
+        Where each piece stands in the file, for messages.
     """
 
     starts_m: FloatArray
     lengths_m: FloatArray
     origins_m: FloatArray
-    headings_rad: FloatArray  # (n,)
+    headings_rad: FloatArray
     shapes: NDArray[np.int64]
     parameters: FloatArray
     wheres: tuple[str, ...]
@@ -897,15 +899,16 @@ class LaneRecord:
     Attributes
     ----------
     number : int
-        Its id: negative to the right of the reference line, counted outwards.
+        Id of the lane: negative to the right of the reference line, counted
+        outwards.
     type : str
-        Of the standard: "driving", "sidewalk", ...
+        Type of the standard: "driving", "sidewalk", ...
     is_reversed : bool
         Driven against the direction of its side (OpenDRIVE 1.7 and later).
     predecessors : tuple of int
-        Numbers in the section before; successors: in the one after.
+        Numbers of the lanes before it, in the section before.
     successors : tuple of int
-        Numbers in the section after.
+        Numbers of the lanes after it, in the section after.
     width : PiecewiseCubic
         Width along the road; without pieces: not given.
     border : PiecewiseCubic

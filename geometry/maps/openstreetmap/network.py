@@ -668,9 +668,11 @@ def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
     limit_kmh : float or None
         None: the tags give none, or no number.
 
-    >>> [speed_limit_kmh({"maxspeed": text}, is_forward=True) for text in ("50", "30 mph", "none")]
+    >>> texts = ("50", "30 mph", "none")
+    >>> [speed_limit_kmh({"maxspeed": text}, is_forward=True) for text in texts]
     [50.0, 48.3, None]
-    >>> speed_limit_kmh({"maxspeed": "50", "maxspeed:backward": "FR:zone30"}, is_forward=False)
+    >>> tags = {"maxspeed": "50", "maxspeed:backward": "FR:zone30"}
+    >>> speed_limit_kmh(tags, is_forward=False)
     30.0
     """
     if is_forward:
