@@ -144,7 +144,11 @@ def read_cityjson(path: Path) -> SourceMap:
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
     # Easting comes first, whatever the reference system says.
     return _city_map(
-        path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False
+        path,
+        objects,
+        skipped,
+        crs if isinstance(crs, str) else "",
+        by_axes=False,
     )
 
 
@@ -195,7 +199,10 @@ class _Templates:
         self.vertices = _vertices(values, f"{self.where}.vertices-templates")
 
     def place(
-        self, geometry: _Table, vertices: FloatArray, where: str
+        self,
+        geometry: _Table,
+        vertices: FloatArray,
+        where: str,
     ) -> list[Polygon3D]:
         """Polygons of a template, moved to its place.
 
@@ -275,7 +282,9 @@ def _objects(
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(
-            f"{where}: CityObjects", type(table).__name__, "a table of objects"
+            f"{where}: CityObjects",
+            type(table).__name__,
+            "a table of objects",
         )
     for name, entry in table.items():
         here = f"{where}: {name}"
@@ -331,7 +340,10 @@ def _height_m(attributes: _Table) -> float | None:
 
 
 def _best(
-    geometries: Any, vertices: FloatArray, templates: _Templates, where: str
+    geometries: Any,
+    vertices: FloatArray,
+    templates: _Templates,
+    where: str,
 ) -> tuple[list[Polygon3D], float]:
     """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
@@ -353,7 +365,9 @@ def _best(
                     level = float(str(geometry.get("lod", "1")))
             except ValueError:
                 raise InputError(
-                    f"{here}.lod", geometry.get("lod"), "0 to 3.3"
+                    f"{here}.lod",
+                    geometry.get("lod"),
+                    "0 to 3.3",
                 ) from None
         if polygons and _rank(level) > _rank(best[1]):
             best = (polygons, level)
@@ -404,7 +418,8 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
         nested = chain.from_iterable(shells[0] for shells in solids if shells)
     surfaces = [rings for rings in nested if rings]
     highest = max(
-        (index for rings in surfaces for ring in rings for index in ring), default=-1
+        (index for rings in surfaces for ring in rings for index in ring),
+        default=-1,
     )
     if highest >= len(vertices):
         raise InputError(here, highest, f"vertices 0 to {len(vertices) - 1}")
@@ -468,7 +483,10 @@ def _city_map(
     if not np.isfinite(points).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
     place = georeference(
-        points[:, :2], declared_crs, where=where, follows_authority=by_axes
+        points[:, :2],
+        declared_crs,
+        where=where,
+        follows_authority=by_axes,
     )
     points = place.to_metres(points, where)
     in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
@@ -489,7 +507,9 @@ def _city_map(
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
             refuse(
-                where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city"
+                where,
+                f"more than {MAX_TRIANGLES:,} triangles",
+                "a part of the city",
             )
     if not things:
         refuse(where, "no surface with an area", "buildings" + _said(flat))
@@ -567,7 +587,9 @@ def read_citygml(path: Path) -> SourceMap:
     namespace = root.tag.rpartition("}")[0]
     if local_name(root) != "CityModel" or "citygml" not in namespace.lower():
         raise InputError(
-            where, root.tag, "CityGML: a CityModel in a namespace of CityGML"
+            where,
+            root.tag,
+            "CityGML: a CityModel in a namespace of CityGML",
         )
     document = _Document(where, root)
     left_out: Counter[str] = Counter()
@@ -629,7 +651,9 @@ class _Document:
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
         ranks = [(level, rank) for level, rank, _ in shapes]
         level, kind = max(
-            ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1)
+            ranks,
+            key=lambda one: (_rank(one[0]), one[1]),
+            default=(-1, -1),
         )
         parts = (part for part in feature.iter() if part is not feature)
         has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
@@ -671,7 +695,10 @@ class _Document:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(
-        self, element: Element, depth: int, n_dimensions: int
+        self,
+        element: Element,
+        depth: int,
+        n_dimensions: int,
     ) -> Iterator[Polygon3D]:
         """Polygons of an element and of those in it, or to which it refers.
 

@@ -253,7 +253,9 @@ def _lowered(
     is_low: Counter[str] = Counter()
     n_floating = 0
     for thing, lowered in zip(
-        solid, relief.lower(source, solid, height_m), strict=True
+        solid,
+        relief.lower(source, solid, height_m),
+        strict=True,
     ):
         vertices, is_set_down = lowered
         n_floating += is_set_down
@@ -398,7 +400,10 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
                 lane_id = f"{lane.id} beyond the map"
                 line_m = chain[::-1]
                 yield Lane(
-                    id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m
+                    id=lane_id,
+                    kind=ASSUMED,
+                    width_m=lane.width_m,
+                    centreline_m=line_m,
                 )
 
 
@@ -504,7 +509,10 @@ def _lanes(
         if len(points) < 2 or not is_lane_width(lane.width_m):
             continue
         cut = Lane(
-            id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points
+            id=lane.id,
+            kind=lane.kind,
+            width_m=lane.width_m,
+            centreline_m=points,
         )
         found.append(
             replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns)
@@ -667,7 +675,9 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
 
 
 def _on_circle(
-    inside_m: FloatArray, outside_m: FloatArray, reach_m: float
+    inside_m: FloatArray,
+    outside_m: FloatArray,
+    reach_m: float,
 ) -> FloatArray:
     """Where a segment leaves the circle around the origin."""
     way = outside_m - inside_m
@@ -681,7 +691,9 @@ def _on_circle(
 
 
 def _crosswalks(
-    maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray
+    maps: Sequence[SourceMap],
+    frame: LocalFrame,
+    outline_m: FloatArray,
 ) -> FloatArray:
     """Crosswalks of all maps near the junction's outline, (n, 2, 2)."""
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
@@ -692,7 +704,10 @@ def _crosswalks(
 
 
 def _near_things(
-    source: SourceMap, frame: LocalFrame, radius_m: float, skipped: list[Note]
+    source: SourceMap,
+    frame: LocalFrame,
+    radius_m: float,
+    skipped: list[Note],
 ) -> list[Thing]:
     """Things within a radius; the others are noted.
 
@@ -723,7 +738,9 @@ def _near_things(
         np.concatenate([thing.vertices_m for thing in source.things]), source
     )
     for thing, vertices in zip(
-        source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True
+        source.things,
+        np.split(every, np.cumsum(counts)[:-1]),
+        strict=True,
     ):
         if len(vertices) and len(thing.triangles):
             if _off_m(vertices[:, :2]) > radius_m:

@@ -95,7 +95,9 @@ class LocalFrame:
             points[..., :2] -= self.origin_m
             return points
         points[..., :2] = transform(
-            points[..., :2], source.crs or self.map_crs, self.crs
+            points[..., :2],
+            source.crs or self.map_crs,
+            self.crs,
         )
         if not np.isfinite(points).all():
             got = f"coordinates that {source.crs or self.map_crs} does not have"
@@ -160,7 +162,9 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
     lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
         refuse(
-            where, f"a junction at {np.asarray(point_m).tolist()}", f"a place in {crs}"
+            where,
+            f"a junction at {np.asarray(point_m).tolist()}",
+            f"a place in {crs}",
         )
     return (
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
@@ -203,12 +207,16 @@ def _transformer(from_crs: str, to_crs: str) -> "Transformer":
 
     try:
         return Transformer.from_crs(
-            parse_crs(from_crs), parse_crs(to_crs), always_xy=True
+            parse_crs(from_crs),
+            parse_crs(to_crs),
+            always_xy=True,
         )
     except ProjError:
         where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
         raise InputError(
-            where, Unquoted("no way"), "reference systems that pyproj knows"
+            where,
+            Unquoted("no way"),
+            "reference systems that pyproj knows",
         ) from None
 
 
@@ -367,7 +375,10 @@ def georeference(
     else:
         plane = local_crs(lonlat, WGS84, where=where)
     return Georeference(
-        crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m
+        crs=plane,
+        source_crs=name,
+        is_northing_first=northing_first,
+        z_m=z_m,
     )
 
 

@@ -200,7 +200,8 @@ def _read_geojson(path: Path) -> Features:
                 raise InputError(f"{here}.geometry", got, expected) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
     return Features(
-        features=tuple(features), crs=_geojson_crs(document.get("crs"), where)
+        features=tuple(features),
+        crs=_geojson_crs(document.get("crs"), where),
     )
 
 
@@ -274,7 +275,9 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
             table = pyogrio.read_dataframe(
-                path, layer=layer, max_features=MAX_FEATURES + 1
+                path,
+                layer=layer,
+                max_features=MAX_FEATURES + 1,
             )
     _refuse_many(len(table), where)
     columns = {
@@ -300,7 +303,8 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
         for index, geometry in enumerate(table.geometry.to_numpy())
     ]
     return Features(
-        features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt()
+        features=tuple(features),
+        crs="" if table.crs is None else table.crs.to_wkt(),
     )
 
 
@@ -320,7 +324,9 @@ def _check_tables(path: Path) -> None:
                 if kind == "view":
                     computed.append(name)
                 elif kind == "table" and re.match(
-                    r"\s*CREATE\s+VIRTUAL", made or "", re.IGNORECASE
+                    r"\s*CREATE\s+VIRTUAL",
+                    made or "",
+                    re.IGNORECASE,
                 ):
                     if not re.search(r"\sUSING\s+rtree\b", made, re.IGNORECASE):
                         computed.append(name)
@@ -350,7 +356,10 @@ def _refuse_many(n_features: int, where: str) -> None:
 
 # ---------- footprints
 def read_footprints(
-    path: Path, *, class_name: str = "building", layer: str = ""
+    path: Path,
+    *,
+    class_name: str = "building",
+    layer: str = "",
 ) -> SourceMap:
     """Read footprints and raise them to solids.
 
@@ -420,7 +429,9 @@ def read_footprints(
 
 
 def _kind(
-    feature: Feature, class_name: str, left_out: Counter[str]
+    feature: Feature,
+    class_name: str,
+    left_out: Counter[str],
 ) -> ThingKind | None:
     """Kind of a feature; None: it is not solid, which is counted."""
     if feature.geometry is None or feature.geometry.is_empty:
@@ -441,7 +452,10 @@ def _kind(
 
 
 def _raised(
-    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference
+    feature: Feature,
+    kind: ThingKind,
+    thing_id: str,
+    place: Georeference,
 ) -> Thing:
     """Feature as a solid; InputError: it has no area.
 
@@ -479,7 +493,10 @@ def _raised(
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
     return Thing.of(
-        thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed
+        thing_id,
+        kind.class_name,
+        join(pieces),
+        is_height_assumed=is_assumed,
     )
 
 

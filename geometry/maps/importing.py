@@ -167,7 +167,8 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
         for one, lit, crossed in zip(source.junctions, signals, crossings, strict=True)
     ]
     middle = np.median(
-        [one.junction.position_m for one in found] or [np.zeros(2)], axis=0
+        [one.junction.position_m for one in found] or [np.zeros(2)],
+        axis=0,
     )
 
     def rank(one: Surveyed) -> tuple[float, ...]:
@@ -182,7 +183,9 @@ def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[
     """Number of points inside each junction or next to it."""
     areas = shapely.STRtree([area_of(one.outline_m) for one in junctions])
     _, hit = areas.query(
-        shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M
+        shapely.points(points_m),
+        predicate="dwithin",
+        distance=_BESIDE_M,
     )
     return [*np.bincount(hit, minlength=len(junctions)).tolist()]
 
@@ -367,7 +370,9 @@ def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
 
 
 def _survey(
-    source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]
+    source: SourceMap,
+    junction: MapJunction,
+    lanes: Sequence[MapLane],
 ) -> Surveyed:
     """A junction with its arms and the lanes that lead to it.
 
@@ -468,7 +473,10 @@ class ReadingOptions:
 
 
 def read_map(
-    path: Path, options: ReadingOptions | None = None, *, progress: Progress = silent
+    path: Path,
+    options: ReadingOptions | None = None,
+    *,
+    progress: Progress = silent,
 ) -> SourceMap:
     """Read a map file of any known format.
 
@@ -496,7 +504,9 @@ def read_map(
     crs = options.crs
     if crs and why_no_plane(crs):
         raise InputError(
-            "crs", crs, "one that pyproj knows, in metres, such as EPSG:25832"
+            "crs",
+            crs,
+            "one that pyproj knows, in metres, such as EPSG:25832",
         )
     if not path.exists() or path.is_dir():
         refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
@@ -650,7 +660,10 @@ class ImportedScene:
 
 
 def read_maps(
-    paths: Sequence[Path], reading: ReadingOptions, *, progress: Progress = silent
+    paths: Sequence[Path],
+    reading: ReadingOptions,
+    *,
+    progress: Progress = silent,
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
     """Read map files and list the junctions of the one with roads.
 
@@ -689,7 +702,10 @@ def read_maps(
 
 
 def import_scene(
-    paths: Sequence[Path], options: ImportOptions, *, progress: Progress = silent
+    paths: Sequence[Path],
+    options: ImportOptions,
+    *,
+    progress: Progress = silent,
 ) -> ImportedScene:
     """Make a scene from map files.
 
@@ -766,7 +782,10 @@ def cut_scene(
         half_m = radius_m + LANES_BEYOND_M
         middle_m = junction.position_m
         terrain = read_elevation(
-            options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m
+            options.terrain,
+            crs=roads.crs,
+            middle_m=middle_m,
+            half_m=half_m,
         )
         # Before others: its heights count.
         maps = [roads, terrain, *maps[1:]]
@@ -775,7 +794,10 @@ def cut_scene(
     progress("find sites", 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(
-        options.sites, surroundings, roads, radius_m=radius_m
+        options.sites,
+        surroundings,
+        roads,
+        radius_m=radius_m,
     )
     scene = build_scene(
         surroundings,
@@ -797,7 +819,9 @@ def cut_scene(
 
 
 def _site_notes(
-    poles: Sequence[Pole], sites: Sequence[Site], where: str
+    poles: Sequence[Pole],
+    sites: Sequence[Site],
+    where: str,
 ) -> Iterator[Note]:
     """Notes on sites whose poles are assumed."""
     known = {site.id for site in sites}

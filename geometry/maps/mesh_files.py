@@ -148,7 +148,9 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             check_gltf(path)
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
             scene = trimesh.load_scene(
-                file, file_type=path.suffix.lower()[1:], **options
+                file,
+                file_type=path.suffix.lower()[1:],
+                **options,
             )
         # Sorted below: trimesh keeps them in sets.
         for node in scene.graph.nodes_geometry:
@@ -160,7 +162,9 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
                 refuse(
-                    where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh"
+                    where,
+                    f"more than {MAX_TRIANGLES:,} triangles",
+                    "a simpler mesh",
                 )
             if geometry.metadata.get("from_gltf_primitive"):
                 # Itself named at random.
@@ -195,7 +199,9 @@ def _folder_resolver(path: Path) -> Any:
 
 
 def _placed(
-    geometry: Any, matrix: FloatArray, where: str
+    geometry: Any,
+    matrix: FloatArray,
+    where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """Vertices and triangles of a geometry at its place in the scene.
 
@@ -225,7 +231,9 @@ def _placed(
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
         refuse(
-            where, f"a triangle with vertex {outside[0]}", f"0 to {len(vertices) - 1}"
+            where,
+            f"a triangle with vertex {outside[0]}",
+            f"0 to {len(vertices) - 1}",
         )
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):

@@ -142,7 +142,9 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
 
 
 def known_columns(
-    names: Sequence[str], where: str, fields: Mapping[str, Sequence[str]] = _FIELDS
+    names: Sequence[str],
+    where: str,
+    fields: Mapping[str, Sequence[str]] = _FIELDS,
 ) -> dict[str, str]:
     """Field of every known column.
 
@@ -177,7 +179,9 @@ def known_columns(
         is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
         if is_other and "_".join(words[:-1]) in field_of:
             raise InputError(
-                f"{where}: column {name!r:.60}", words[-1], "metres and euros"
+                f"{where}: column {name!r:.60}",
+                words[-1],
+                "metres and euros",
             )
         field = field_of.get("_".join(words))
         if field is None:
@@ -221,7 +225,9 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
     unknown = [name[:60] for name in dict.fromkeys(names) if name not in known]
     if unknown:
         _log.warning(
-            "%s: columns that are not known, and not read: %s", path, ", ".join(unknown)
+            "%s: columns that are not known, and not read: %s",
+            path,
+            ", ".join(unknown),
         )
 
 
@@ -272,7 +278,9 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values |= {"lon": geometry.x, "lat": geometry.y}
             elif not crs:
                 refuse(
-                    where, f"coordinates in {table.crs[:80]}", "x and y of the scene"
+                    where,
+                    f"coordinates in {table.crs[:80]}",
+                    "x and y of the scene",
                 )
             else:
                 place = transform([geometry.x, geometry.y], table.crs, crs)
@@ -281,7 +289,9 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values.setdefault("z", geometry.z)
         yield where, values
     tell_unknown(
-        (name for feature in table.features for name in feature.values), known, path
+        (name for feature in table.features for name in feature.values),
+        known,
+        path,
     )
 
 
@@ -375,7 +385,9 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
         if abs(value) > limit:
             raise InputError(
-                f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees"
+                f"{where}: {name}",
+                value,
+                f"-{limit:g} to {limit:g} degrees",
             )
     position = transform([lon, lat], WGS84, crs)
     if abs(lon) <= 90.0:
@@ -405,7 +417,11 @@ def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
 
 
 def read_number(
-    values: Mapping[str, Any], field: str, where: str, *, least: float | None = None
+    values: Mapping[str, Any],
+    field: str,
+    where: str,
+    *,
+    least: float | None = None,
 ) -> float | None:
     """Finite number of a field, or None where nothing is stated.
 
@@ -605,7 +621,10 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
         positions = np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(
-        positions_m=positions, junctions=junctions, values=values, column=found
+        positions_m=positions,
+        junctions=junctions,
+        values=values,
+        column=found,
     )
 
 
@@ -650,7 +669,10 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
 
 
 def snap(
-    points_m: FloatArray, junctions_m: FloatArray, *, within_m: float
+    points_m: FloatArray,
+    junctions_m: FloatArray,
+    *,
+    within_m: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Nearest junction of each point, and how far it is.
 
@@ -676,7 +698,10 @@ def snap(
 
 
 def areas_of(
-    areas: Sequence[Area], points_m: FloatArray, *, within_m: float = 0.0
+    areas: Sequence[Area],
+    points_m: FloatArray,
+    *,
+    within_m: float = 0.0,
 ) -> list[list[int]]:
     """Indices of the areas that each point lies in.
 
@@ -696,7 +721,9 @@ def areas_of(
     """
     tree = shapely.STRtree([area.geometry for area in areas])
     point, area = tree.query(
-        shapely.points(points_m), predicate="dwithin", distance=within_m
+        shapely.points(points_m),
+        predicate="dwithin",
+        distance=within_m,
     )
     found: list[list[int]] = [[] for _ in points_m]
     for index, one in sorted(zip(point.tolist(), area.tolist(), strict=True)):

@@ -166,7 +166,9 @@ def _las_reader(path: Path) -> Any:
     if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
         reader.close()
         raise InputError(
-            f"{where}: header", scales.tolist(), "finite scales and offsets"
+            f"{where}: header",
+            scales.tolist(),
+            "finite scales and offsets",
         )
     return reader
 
@@ -184,7 +186,9 @@ def _check_header(path: Path) -> None:
         # Version 1.4.
         if head[25] >= 4 and len(head) >= 375:
             first_extended, n_extended, n_points_14 = struct.unpack_from(
-                "<QIQ", head, 235
+                "<QIQ",
+                head,
+                235,
             )
             n_points = n_points_14 or n_points
             if n_extended and first_extended + 60 * n_extended > n_bytes:
@@ -264,7 +268,11 @@ def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> i
 
 
 def _check_chunks(
-    file: BinaryIO, where: str, first_point: int, point_bytes: int, n_layers: int
+    file: BinaryIO,
+    where: str,
+    first_point: int,
+    point_bytes: int,
+    n_layers: int,
 ) -> None:
     """Refuse chunks of packed points that claim more bytes than there are.
 
@@ -315,7 +323,8 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
         # No more than the header has.
         for points in reader.chunk_iterator(CHUNK_POINTS):
             xyz = np.stack(
-                [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1
+                [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"],
+                axis=1,
             )
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -324,7 +333,9 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
         BaseException
     ) as error:  # laspy raises anything, lazrs even others than Exception
         raise InputError(
-            where, Unquoted(_one_line(error)), "undamaged points"
+            where,
+            Unquoted(_one_line(error)),
+            "undamaged points",
         ) from None
 
 
@@ -363,7 +374,9 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     kinds = header.get("TYPE", [])
     if not {"x", "y", "z"} <= set(names):
         raise InputError(
-            f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them"
+            f"{where}: FIELDS",
+            " ".join(names)[:80],
+            "x, y and z among them",
         )
     sizes = _integers(header, "SIZE", len(names), where)
     has_counts = "COUNT" in header
@@ -382,7 +395,9 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
             kind = ""
         if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
             raise InputError(
-                f"{where}: field {name}", (kind, size), "a TYPE, SIZE and COUNT of PCD"
+                f"{where}: field {name}",
+                (kind, size),
+                "a TYPE, SIZE and COUNT of PCD",
             )
         formats.append((f"{index}", f"<{kind.lower()}{size}", (count,)))
     columns = [names.index(axis) for axis in "xyz"]
@@ -390,13 +405,18 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     if encoding == "ascii":
         first = np.cumsum([0, *counts])
         chunks = _pcd_ascii(
-            file, [int(first[column]) for column in columns], n_points, where
+            file,
+            [int(first[column]) for column in columns],
+            n_points,
+            where,
         )
     elif encoding == "binary":
         chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
     else:
         raise InputError(
-            f"{where}: DATA", encoding, "ascii or binary; convert it first"
+            f"{where}: DATA",
+            encoding,
+            "ascii or binary; convert it first",
         )
     n_found = 0
     for xyz in chunks:
@@ -452,7 +472,11 @@ def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> lis
 
 
 def _pcd_binary(
-    file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
+    file: BinaryIO,
+    record: np.dtype[Any],
+    columns: list[int],
+    n_points: int,
+    where: str,
 ) -> Iterator[FloatArray]:
     """Coordinates of binary PCD data, (n, 3), a chunk at a time.
 
@@ -496,7 +520,10 @@ def _pcd_binary(
 
 
 def _pcd_ascii(
-    file: BinaryIO, columns: list[int], n_points: int, where: str
+    file: BinaryIO,
+    columns: list[int],
+    n_points: int,
+    where: str,
 ) -> Iterator[FloatArray]:
     """Coordinates of ascii PCD data, (n, 3), a chunk at a time.
 
@@ -527,11 +554,14 @@ def _pcd_ascii(
         try:
             rows = [line.split() for line in lines]
             numbers = np.array(
-                [[row[column] for column in columns] for row in rows], dtype=float
+                [[row[column] for column in columns] for row in rows],
+                dtype=float,
             )
         except (ValueError, IndexError):
             raise InputError(
-                where, Unquoted("a line without x, y and z"), "numbers"
+                where,
+                Unquoted("a line without x, y and z"),
+                "numbers",
             ) from None
         n_found += len(lines)
         if len(lines):
@@ -763,7 +793,10 @@ class _Scan:
         return self.origin_m + np.column_stack([east_north_m, height_m[tuple(cells.T)]])
 
     def add(
-        self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str
+        self,
+        points_m: FloatArray,
+        classes: NDArray[np.uint8],
+        class_name: str,
     ) -> None:
         """Add a chunk of points.
 
@@ -865,7 +898,10 @@ def _coarser(keys: IntArray) -> IntArray:
 
 
 def _things(
-    heights: dict[str, IntArray], voxel_m: float, scan: _Scan, class_name: str
+    heights: dict[str, IntArray],
+    voxel_m: float,
+    scan: _Scan,
+    class_name: str,
 ) -> tuple[list[Thing], int]:
     """One thing per cluster, and the number of clusters that are too small.
 
@@ -906,7 +942,9 @@ def _things(
                 found.append((kind, part))
     if len(found) > _MAX_THINGS:
         refuse(
-            scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out"
+            scan.where,
+            f"{len(found):,} things",
+            f"at most {_MAX_THINGS:,}; cut it out",
         )
     things: list[Thing] = []
     names: Counter[str] = Counter()
@@ -929,7 +967,11 @@ def _things(
             part = filled(part, _MIDDLE)
         names[name] += 1
         mesh = faces(
-            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where
+            part,
+            origin_m=origin_m,
+            voxel_m=voxel_m,
+            max_triangles=n_left,
+            where=where,
         )
         n_left -= len(mesh[1])
         things.append(Thing.of(f"{name} {names[name]}", name, mesh))
@@ -1039,7 +1081,8 @@ def clusters(keys: IntArray) -> IntArray:
         pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
     first, second = np.concatenate(pairs, axis=1)
     graph = coo_array(
-        (np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n)
+        (np.ones(len(first), dtype=np.bool_), (first, second)),
+        shape=(n, n),
     )
     _, labels = connected_components(graph, directed=False)
     return np.asarray(labels, dtype=np.int64)
@@ -1093,7 +1136,11 @@ def filled(keys: IntArray, floor: int) -> IntArray:
 
 
 def columns_to(
-    keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
+    keys: IntArray,
+    floor: int,
+    where: str,
+    *,
+    n_left: int = MAX_WALL_VOXELS,
 ) -> IntArray:
     """Voxels from the floor to the highest of every column, sorted.
 
@@ -1128,7 +1175,9 @@ def columns_to(
     ):
         if n_voxels > most:
             refuse(
-                where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}"
+                where,
+                f"walls of {n_voxels:,} voxels",
+                f"at most {most:,} of {whose}",
             )
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
@@ -1182,7 +1231,9 @@ def faces(
     )
     if 2 * len(quads) > max_triangles:
         refuse(
-            where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points"
+            where,
+            f"{2 * len(quads):,} triangles",
+            "a larger voxel, or fewer points",
         )
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)

@@ -80,7 +80,10 @@ class Relief:
         return vertices_m[:, 2] - self.at(vertices_m[:, :2])
 
     def lower(
-        self, source: SourceMap, things: Sequence[Thing], given_m: float | None
+        self,
+        source: SourceMap,
+        things: Sequence[Thing],
+        given_m: float | None,
     ) -> Iterator[tuple[FloatArray, bool]]:
         """Vertices of a map's things with heights from z = 0.
 
@@ -130,7 +133,10 @@ class Relief:
             yield vertices - [0.0, 0.0, gap_m if floats else 0.0], floats
 
     def _zero_m(
-        self, source: SourceMap, things: Sequence[Thing], given_m: float | None
+        self,
+        source: SourceMap,
+        things: Sequence[Thing],
+        given_m: float | None,
     ) -> float:
         """Height in a map that becomes z = 0, in metres."""
         if source is self.roads and source.heights == "absolute":
@@ -221,7 +227,10 @@ def _near(points_m: FloatArray, half_m: float) -> FloatArray:
 
 
 def _on_level(
-    points_m: FloatArray, roads: SourceMap, junction: MapJunction, frame: LocalFrame
+    points_m: FloatArray,
+    roads: SourceMap,
+    junction: MapJunction,
+    frame: LocalFrame,
 ) -> FloatArray:
     """Points that lie about as high as the nearest road to the junction."""
     own = [
@@ -239,7 +248,11 @@ def _on_level(
 
 # ---------- heights of the ground from GeoTIFF rasters
 def read_elevation(
-    path: Path, *, crs: str, middle_m: FloatArray, half_m: float
+    path: Path,
+    *,
+    crs: str,
+    middle_m: FloatArray,
+    half_m: float,
 ) -> SourceMap:
     """Read the heights around a place from a raster.
 
@@ -295,7 +308,11 @@ def read_elevation(
 
 
 def _read(
-    raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
+    raster: Any,
+    where: str,
+    crs: str,
+    middle_m: FloatArray,
+    half_m: float,
 ) -> FloatArray:
     """Points of an open raster within a square, (n, 3).
 
@@ -371,7 +388,9 @@ def _read(
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
         refuse(
-            where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it"
+            where,
+            "no heights at the junction",
+            f"some within {_MIDDLE_M:g} m of it",
         )
     return points
 

@@ -67,7 +67,9 @@ _ISLAND_M2 = 4.0
 
 
 def kerb_sites(
-    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
+    lanes: Sequence[Lane],
+    outline_m: ArrayLike,
+    spacing_m: float,
 ) -> tuple[SiteWish, ...]:
     """Sites along the outer kerbs of a junction's arms, 60 m outwards.
 
@@ -182,7 +184,8 @@ def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
 
 
 def _offset(
-    line: FloatArray, offset_m: float
+    line: FloatArray,
+    offset_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points beside a line, every 0.25 m.
 
@@ -212,7 +215,9 @@ def _offset(
 
 
 def _is_median(
-    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
+    points: FloatArray,
+    outwards: FloatArray,
+    arms: Sequence[tuple[Lane, FloatArray]],
 ) -> BoolArray:
     """True for points beyond which another lane runs parallel, (n,)."""
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
@@ -232,7 +237,10 @@ def _is_median(
 
 
 def tidy_sites(
-    sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
+    sites: Sequence[SiteWish],
+    *,
+    things: Sequence[Thing] = (),
+    snap_m: float = 1.0,
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
     """Sites outside buildings and apart from each other, and notes.
 
@@ -314,12 +322,18 @@ def _is_list(where: str) -> bool:
     if Path(where).suffix.lower() in SUFFIXES:
         return True
     raise InputError(
-        "sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file"
+        "sites",
+        where,
+        "auto, map, kerb:SPACING, or a .csv or .geojson file",
     )
 
 
 def choose_sites(
-    where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
+    where: str,
+    surroundings: Surroundings,
+    roads: SourceMap,
+    *,
+    radius_m: float,
 ) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
@@ -376,7 +390,9 @@ def choose_sites(
 
 
 def _settled(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
     """Sites next to the road and out of walls; hanging ones stay.
 
@@ -413,7 +429,9 @@ def _settled(
 
 
 def _own_poles(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
     """Poles that are sites by default.
 
@@ -490,7 +508,8 @@ def _masts(
         Empty if a pole is near.
     """
     nearest_m = min(
-        (float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf
+        (float(np.hypot(*pole.position_m)) for pole in poles),
+        default=np.inf,
     )
     if nearest_m <= _AUTO["near_m"]:
         return []
@@ -503,7 +522,9 @@ def _masts(
 
 
 def _below_roofs(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
     """Sites that carry sensors no higher than roofs above let them.
 
@@ -524,7 +545,9 @@ def _below_roofs(
     kept = []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(
-        wishes, clear_heights_m(positions, surroundings), strict=True
+        wishes,
+        clear_heights_m(positions, surroundings),
+        strict=True,
     ):
         most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
         (low_m, high_m) = _mounts_m(wish)
@@ -555,7 +578,9 @@ def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
 
 
 def _kerbs(
-    surroundings: Surroundings, spacing_m: float, radius_m: float
+    surroundings: Surroundings,
+    spacing_m: float,
+    radius_m: float,
 ) -> list[SiteWish]:
     """Sites along the kerbs, named by where they lie.
 
@@ -633,7 +658,9 @@ def _site(wish: SiteWish) -> Site:
     low_m, high_m = _mounts_m(wish)
     if low_m <= 0.0:
         raise InputError(
-            f"site {wish.id}: mount height", low_m, "metres above the road, > 0"
+            f"site {wish.id}: mount height",
+            low_m,
+            "metres above the road, > 0",
         )
     return Site(
         id=wish.id,
@@ -795,7 +822,8 @@ def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
     """True for points that lie within the footprint of a thing, (n,)."""
     low, high = _box(thing)
     result = np.asarray(
-        ((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool
+        ((positions_m > low) & (positions_m < high)).all(axis=1),
+        dtype=bool,
     )
     if result.any():
         result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
@@ -850,7 +878,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
                 Note(what, f"it stood {place.why}", kind="sites", site_ids=(pole.id,))
             )
             pole = replace(
-                pole, position_m=np.append(place.position_m, pole.position_m[2])
+                pole,
+                position_m=np.append(place.position_m, pole.position_m[2]),
             )
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(notes)

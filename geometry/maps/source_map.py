@@ -169,7 +169,10 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     corners, triangles = join(pieces)
     rounded = np.round(corners / _SAME_M).astype(np.int64)
     _, taken, merged = np.unique(
-        rounded, axis=0, return_index=True, return_inverse=True
+        rounded,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
     )
     vertices = corners[taken]
     triangles = merged.reshape(-1)[triangles].astype(np.int32)
@@ -257,7 +260,11 @@ def extrude(
 
 
 def extrude_polygon(
-    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
+    polygon: Polygon,
+    *,
+    bottom_m: float,
+    top_m: float,
+    where: str = "footprint",
 ) -> Mesh:
     """Closed solid over a polygon with its holes.
 
@@ -334,7 +341,8 @@ def unit_ball() -> Mesh:
 
     ball = trimesh.creation.icosphere(subdivisions=1)
     return np.asarray(ball.vertices, dtype=np.float64), np.asarray(
-        ball.faces, dtype=np.int32
+        ball.faces,
+        dtype=np.int32,
     )
 
 
@@ -346,7 +354,8 @@ def unit_cylinder(n_sides: int) -> Mesh:
     segment = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     prism = trimesh.creation.cylinder(radius=1.0, segment=segment, sections=n_sides)
     return np.asarray(prism.vertices, dtype=np.float64), np.asarray(
-        prism.faces, dtype=np.int32
+        prism.faces,
+        dtype=np.int32,
     )
 
 
@@ -396,7 +405,9 @@ class MapLane:
         set_arrays(self, f"{where}.", centreline_m=(-1, 3))
         if len(self.centreline_m) < 2:
             raise InputError(
-                f"{where}.centreline_m", len(self.centreline_m), "at least two points"
+                f"{where}.centreline_m",
+                len(self.centreline_m),
+                "at least two points",
             )
 
 
@@ -430,7 +441,9 @@ class MapJunction:
         set_arrays(self, where, outline_m=(-1, 2))
         if len(self.outline_m) < 3:
             raise InputError(
-                f"{where}outline_m", len(self.outline_m), "at least three points"
+                f"{where}outline_m",
+                len(self.outline_m),
+                "at least three points",
             )
 
     @property
@@ -783,7 +796,9 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     foot = np.append(pole.position_m[:2], 0.0)
     ends = [foot, foot + [0.0, 0.0, height_m]]
     body = trimesh.creation.cylinder(
-        radius=kind.radius_m, segment=ends, sections=_SECTIONS
+        radius=kind.radius_m,
+        segment=ends,
+        sections=_SECTIONS,
     )
     if pole.kind == "traffic light":
         class_name = "traffic light"

@@ -103,7 +103,9 @@ def read_opendrive(path: Path) -> SourceMap:
     if 0 < n_left < len(roads):
         name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
         omissions.add(
-            "rules", name, "traffic in a map keeps one side: that of most roads"
+            "rules",
+            name,
+            "traffic in a map keeps one side: that of most roads",
         )
     return SourceMap(
         name=where,
@@ -129,7 +131,10 @@ def read_opendrive(path: Path) -> SourceMap:
 
 
 def _read_roads(
-    root: Element, where: str, offset: Offset, omissions: Omissions
+    root: Element,
+    where: str,
+    offset: Offset,
+    omissions: Omissions,
 ) -> dict[str, Road]:
     """All roads by id; neighbours of roads without a length are joined.
 
@@ -183,7 +188,8 @@ def _read_roads(
 
 
 def _beyond(
-    link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]
+    link: RoadLink,
+    joints: Mapping[str, tuple[RoadLink, RoadLink]],
 ) -> RoadLink:
     """What a link leads to, roads without a length passed over.
 
@@ -226,7 +232,9 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
 
 
 def _connections(
-    roads: Mapping[str, Road], junctions: Sequence[MapJunction], where: str
+    roads: Mapping[str, Road],
+    junctions: Sequence[MapJunction],
+    where: str,
 ) -> tuple[MapLane, ...]:
     """Lanes through the given junctions; too many points are refused."""
     there = {junction.id for junction in junctions}

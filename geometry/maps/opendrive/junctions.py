@@ -69,7 +69,9 @@ class JunctionRecord:
 
 
 def read_junction_records(
-    root: Element, where: str, omissions: Omissions
+    root: Element,
+    where: str,
+    omissions: Omissions,
 ) -> dict[str, JunctionRecord]:
     """Junctions of a document, by id; those without surface are noted.
 
@@ -203,7 +205,9 @@ def leading_roads(
 
 
 def _leading_road(
-    road: Road, section: SampledSection, is_start: bool
+    road: Road,
+    section: SampledSection,
+    is_start: bool,
 ) -> LeadingRoad | None:
     """Road at one of its ends; None: no driving lane is there.
 
@@ -455,7 +459,8 @@ def largest_polygon(shape: Any) -> Any:
 
 
 def fit_outline(
-    surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]
+    surface: Any,
+    tips: Sequence[tuple[MapLane, FloatArray]],
 ) -> tuple[Any, list[MapLane]]:
     """Surface whose outline meets the ends of lanes, and lanes too far off.
 

@@ -123,7 +123,9 @@ class SampledSection:
 
 
 def sample_road(
-    road: Road, *, chord_error_m: float = _CHORD_ERROR_M
+    road: Road,
+    *,
+    chord_error_m: float = _CHORD_ERROR_M,
 ) -> tuple[SampledSection, ...]:
     """Sample all lane sections of a road.
 
@@ -154,7 +156,10 @@ def sample_road(
 
 
 def _sample_section(
-    road: Road, section: LaneSection, bends: FloatArray, chord_error_m: float
+    road: Road,
+    section: LaneSection,
+    bends: FloatArray,
+    chord_error_m: float,
 ) -> SampledSection:
     """Sample one lane section of a road.
 
@@ -205,7 +210,13 @@ def _sample_section(
 
     sides = np.stack([*edges.values()])
     n_steps = _count_steps(
-        road, lengths, inside, sides, elevation, bends, chord_error_m
+        road,
+        lengths,
+        inside,
+        sides,
+        elevation,
+        bends,
+        chord_error_m,
     )
     _check_count(road, float(n_steps.sum()) * n_edges)
     first = np.cumsum(n_steps) - n_steps
@@ -220,13 +231,17 @@ def _sample_section(
     if np.abs(points).max() > MAX_COORDINATE_M:
         got = float(np.abs(points).max())
         raise InputError(
-            f"{road.where} planView", got, f"at most {MAX_COORDINATE_M:g} m"
+            f"{road.where} planView",
+            got,
+            f"at most {MAX_COORDINATE_M:g} m",
         )
     height = evaluate(ds, elevation[interval]) + road.base_m
     if np.abs(height).max() > _MAX_HEIGHT_M:
         expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
         raise InputError(
-            f"{road.where} elevationProfile", float(np.abs(height).max()), expected
+            f"{road.where} elevationProfile",
+            float(np.abs(height).max()),
+            expected,
         )
     return SampledSection(
         s_m=s_m,
@@ -248,7 +263,9 @@ def _check_count(road: Road, n_points: float) -> None:
     """Refuse a road that needs too many points."""
     if n_points > MAX_POINTS:
         refuse(
-            road.where, f"{n_points:,.0f} points to draw it", f"at most {MAX_POINTS:,}"
+            road.where,
+            f"{n_points:,.0f} points to draw it",
+            f"at most {MAX_POINTS:,}",
         )
 
 
@@ -402,7 +419,9 @@ def lane_kind(lane_type: str) -> str | None:
 
 
 def build_lanes(
-    road: Road, sections: Sequence[SampledSection], ends: RoadEnds
+    road: Road,
+    sections: Sequence[SampledSection],
+    ends: RoadEnds,
 ) -> Iterator[MapLane]:
     """Lanes of a road outside junctions, joined along its sections.
 
@@ -496,7 +515,9 @@ def _chains(sections: Sequence[SampledSection]) -> Iterator[dict[int, int]]:
 
 
 def _following(
-    sections: Sequence[SampledSection], index: int, number: int
+    sections: Sequence[SampledSection],
+    index: int,
+    number: int,
 ) -> int | None:
     """Number of the lane that continues one of the section before.
 
@@ -538,7 +559,10 @@ def _following(
 
 
 def _width_m(
-    points: FloatArray, widths_m: FloatArray, at_begin: bool, at_end: bool
+    points: FloatArray,
+    widths_m: FloatArray,
+    at_begin: bool,
+    at_end: bool,
 ) -> float:
     """Mean width of a lane next to its junctions, in metres.
 
@@ -576,7 +600,8 @@ def _width_m(
 
 
 def _runs(
-    sections: Sequence[SampledSection], chain: dict[int, int]
+    sections: Sequence[SampledSection],
+    chain: dict[int, int],
 ) -> Iterator[tuple[FloatArray, FloatArray, bool, bool]]:
     """Stretches of a chain on which there is a lane.
 

@@ -125,7 +125,8 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
             if is_on(road, start_m):
                 end_m = min(end.s_m, road.length_m)
                 yield replace(
-                    start, end=_between(start, end, (end_m - start_m) / length_m, end_m)
+                    start,
+                    end=_between(start, end, (end_m - start_m) / length_m, end_m),
                 )
             continue
         if distance_m == 0.0:
@@ -134,18 +135,27 @@ def read_places(element: Element, road: Road, where: str) -> Iterator[Spot]:
             n_copies = int(length_m / distance_m + 1.0e-6) + 1
         if n_copies > _MAX_COPIES:
             raise InputError(
-                f"{here}.distance", distance_m, f"at most {_MAX_COPIES:,} copies"
+                f"{here}.distance",
+                distance_m,
+                f"at most {_MAX_COPIES:,} copies",
             )
         for index in range(n_copies):
             s_m = start_m + index * distance_m
             if is_on(road, s_m):
                 yield _between(
-                    start, end, index * distance_m / max(length_m, 1.0e-9), s_m
+                    start,
+                    end,
+                    index * distance_m / max(length_m, 1.0e-9),
+                    s_m,
                 )
 
 
 def _read_spot(
-    element: Element, side: str, where: str, s_m: float, own: Spot | None
+    element: Element,
+    side: str,
+    where: str,
+    s_m: float,
+    own: Spot | None,
 ) -> Spot:
     """Place and sizes of an object, or of one side of a <repeat>.
 
@@ -181,7 +191,9 @@ def _read_spot(
     for key, value in (("t", t_m), ("zOffset", z_m)):
         if abs(value) > MAX_SIZE_M:
             raise InputError(
-                f"{where}.{key}", value, f"at most {MAX_SIZE_M:g} m off the road"
+                f"{where}.{key}",
+                value,
+                f"at most {MAX_SIZE_M:g} m off the road",
             )
     sizes: dict[str, Any] = {
         f"{size}_m": take_size(element, f"{size}{side}", where)
@@ -250,7 +262,10 @@ def place(road: Road, spot: Spot) -> tuple[FloatArray, float]:
 
 
 def read_outlines(
-    element: Element, road: Road, spot: Spot, where: str
+    element: Element,
+    road: Road,
+    spot: Spot,
+    where: str,
 ) -> Iterator[Outline]:
     """Outlines of an object at one of its places.
 
@@ -287,7 +302,9 @@ def read_outlines(
         )
         if reach_m > MAX_SIZE_M:
             raise InputError(
-                f"{here}: corner", reach_m, f"at most {MAX_SIZE_M:g} m off"
+                f"{here}: corner",
+                reach_m,
+                f"at most {MAX_SIZE_M:g} m off",
             )
         is_new = np.append(True, steps_m(rows) > 1.0e-3)
         if len(rows) > 1 and np.hypot(*(rows[-1, :2] - rows[0, :2])) <= 1.0e-3:
@@ -310,7 +327,11 @@ def read_outlines(
 
 
 def _read_corners(
-    outline: Element, element: Element, road: Road, spot: Spot, where: str
+    outline: Element,
+    element: Element,
+    road: Road,
+    spot: Spot,
+    where: str,
 ) -> FloatArray:
     """Corners of an outline as x, y, z, height, s and t: (n, 6).
 
@@ -366,7 +387,10 @@ def _read_corners(
 
 
 def box_corners(
-    spot: Spot, length_m: float, width_m: float, turn_rad: float
+    spot: Spot,
+    length_m: float,
+    width_m: float,
+    turn_rad: float,
 ) -> FloatArray:
     """Corners of a place's box as s and t, (4, 2).
 
@@ -434,11 +458,17 @@ def build_prism(
         low_m = float(bottom_m.min())
         high_m = float(top_m.max())
         return extrude(
-            outline_m, bottom_m=low_m, top_m=high_m, holes_m=holes_m, where=where
+            outline_m,
+            bottom_m=low_m,
+            top_m=high_m,
+            holes_m=holes_m,
+            where=where,
         )
     if not (top_m > bottom_m).any():
         raise InputError(
-            f"{where}: height", float((top_m - bottom_m).max()), "metres, > 0"
+            f"{where}: height",
+            float((top_m - bottom_m).max()),
+            "metres, > 0",
         )
     way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
     corners = outline_m[way]
@@ -459,7 +489,12 @@ def build_prism(
 
 
 def build_band(
-    line_m: FloatArray, left: FloatArray, *, width_m: Any, bottom_m: Any, top_m: Any
+    line_m: FloatArray,
+    left: FloatArray,
+    *,
+    width_m: Any,
+    bottom_m: Any,
+    top_m: Any,
 ) -> Mesh:
     """Wall along a line, closed at both ends.
 
@@ -494,7 +529,8 @@ def build_band(
     # clockwise
     corners = ((-half, bottom), (half, bottom), (half, top), (-half, top))
     ring = np.stack(
-        [np.column_stack([line + by * normal, z]) for by, z in corners], axis=1
+        [np.column_stack([line + by * normal, z]) for by, z in corners],
+        axis=1,
     )
     first = 4 * np.arange(len(line) - 1)[:, None]
     corner = np.arange(4)
@@ -652,19 +688,28 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
             left = _left_of(points)
             width_m = np.full(len(points), assumed("thickness_m"))
             solid = build_band(
-                points, left, width_m=width_m, bottom_m=bottom_m, top_m=top_m
+                points,
+                left,
+                width_m=width_m,
+                bottom_m=bottom_m,
+                top_m=top_m,
             )
         else:
             inside = _holes_inside(points, holes)
             solid = build_prism(
-                points, bottom_m=bottom_m, top_m=top_m, holes_m=inside, where=where
+                points,
+                bottom_m=bottom_m,
+                top_m=top_m,
+                holes_m=inside,
+                where=where,
             )
         solids.append(solid)
     return join(solids)
 
 
 def _holes_inside(
-    outline_m: FloatArray, holes: Sequence[FloatArray]
+    outline_m: FloatArray,
+    holes: Sequence[FloatArray],
 ) -> list[FloatArray]:
     """Holes that lie within one outline of an object."""
     if not holes or len(outline_m) < 3:
@@ -737,7 +782,11 @@ def _sweep(road: Road, start: Spot, end: Spot, height_m: float) -> Mesh:
 
 
 def _simple(
-    road: Road, kind: str, spot: Spot, height_m: float, turn_rad: float
+    road: Road,
+    kind: str,
+    spot: Spot,
+    height_m: float,
+    turn_rad: float,
 ) -> Mesh | None:
     """Tree, cylinder or box at a place, or None if it has no extent.
 

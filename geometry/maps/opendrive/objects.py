@@ -142,7 +142,10 @@ def signal_kind(element: Element) -> str | None:
 
 # ---------- crosswalks
 def crosswalk_line(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> FloatArray | None:
     """Line on which pedestrians cross; None: the object has no extent.
 
@@ -193,7 +196,10 @@ def crosswalk_line(
 
 
 def _corners(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> tuple[FloatArray, FloatArray] | None:
     """Corners of an object's outline or box; None: it has no extent.
 
@@ -225,7 +231,8 @@ def _corners(
 
 
 def cross_paths(
-    records: Mapping[str, JunctionRecord], roads: Mapping[str, Road]
+    records: Mapping[str, JunctionRecord],
+    roads: Mapping[str, Road],
 ) -> Iterator[FloatArray]:
     """Lines of the paths on which pedestrians cross junctions.
 
@@ -283,7 +290,10 @@ class Space:
 
 
 def read_space(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> Space | None:
     """One parking space, or a strip of them; None if it has no extent.
 
@@ -358,12 +368,16 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         if last_m - first_m < _MIN_SIZE_M:
             continue
         s_m = np.linspace(
-            first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1)
+            first_m,
+            last_m,
+            max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1),
         )
         middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
         order = np.argsort(middles)
         t_m = np.interp(
-            s_m, middles[order], np.array([space.t_m for space in row])[order]
+            s_m,
+            middles[order],
+            np.array([space.t_m for space in row])[order],
         )
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
@@ -435,7 +449,9 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
         n_places += len(places)
         if not places:
             omissions.add(
-                "objects beyond their road's end", one.name, "beyond its road's end"
+                "objects beyond their road's end",
+                one.name,
+                "beyond its road's end",
             )
         refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
@@ -454,7 +470,8 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
 
 
 def _taken_objects(
-    roads: Mapping[str, Road], omissions: Omissions
+    roads: Mapping[str, Road],
+    omissions: Omissions,
 ) -> Iterator[tuple[str, RoadElement]]:
     """Objects of a kind that matters; the others are noted.
 
@@ -478,7 +495,9 @@ def _taken_objects(
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add(
-                "railroads", f"road {road.id} railroad", "no road users go there"
+                "railroads",
+                f"road {road.id} railroad",
+                "no road users go there",
             )
         for one in road.listed("object", names):
             kind = object_kind(one.element)
@@ -545,7 +564,12 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
         # Flags that GEOS leaves behind.
         with np.errstate(divide="ignore", invalid="ignore"):
             body = build_body(
-                one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where
+                one.road,
+                kind,
+                spot,
+                outlines,
+                turn_rad=turn_rad,
+                where=one.where,
             )
     except InputError:  # its outline surrounds nothing
         return False
@@ -601,11 +625,16 @@ def read_signals(
         kind = signal_kind(one.element)
         if not is_on(one.road, s_m):
             omissions.add(
-                "signals beyond their road's end", one.name, "beyond its road's end"
+                "signals beyond their road's end",
+                one.name,
+                "beyond its road's end",
             )
         elif kind == "crosswalk":
             line = _painted_line(
-                one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m)
+                one,
+                s_m,
+                t_m,
+                _driving_edges(sampled[one.road.id], s_m),
             )
             if line is None:
                 crosswalks += []
@@ -638,7 +667,10 @@ def read_signals(
 
 
 def _painted_line(
-    one: RoadElement, s_m: float, t_m: float, edges: Sequence[tuple[float, float]]
+    one: RoadElement,
+    s_m: float,
+    t_m: float,
+    edges: Sequence[tuple[float, float]],
 ) -> FloatArray | None:
     """Line of a painted crosswalk; None: its length is not known.
 
@@ -674,7 +706,11 @@ def _painted_line(
 
 
 def _find_position(
-    one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
+    one: RoadElement,
+    s_m: float,
+    t_m: float,
+    roads: Mapping[str, Road],
+    offset: Offset,
 ) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
     """Foot below a signal, its top above the foot, and its place.
 
@@ -721,7 +757,8 @@ def _find_position(
 
 
 def _driving_edges(
-    sections: Sequence[SampledSection], s_m: float
+    sections: Sequence[SampledSection],
+    s_m: float,
 ) -> list[tuple[float, float]]:
     """Edges (right, left) of the driving lanes at a station, in metres."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
@@ -763,10 +800,12 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(positions[first])
     pairs = tree.query_pairs(
-        load_facts()["signals"]["same_pole_m"], output_type="ndarray"
+        load_facts()["signals"]["same_pole_m"],
+        output_type="ndarray",
     )
     links = coo_array(
-        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])),
+        shape=(len(first),) * 2,
     )
     _, labels = connected_components(links, directed=False)
     groups: dict[int, list[Pole]] = {}

@@ -173,7 +173,9 @@ def take_id(element: Element, where: str) -> str:
 
 
 def numbered(
-    parent: Element | None, tag: str, where: str
+    parent: Element | None,
+    tag: str,
+    where: str,
 ) -> Iterator[tuple[Element, str]]:
     """Children with a tag, and their names for messages.
 
@@ -345,7 +347,9 @@ def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def spiral(
-    s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
+    s_m: FloatArray,
+    start_curvature: FloatArray,
+    curvature_slope: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Points and headings of clothoids that start along x.
 
@@ -393,7 +397,9 @@ def spiral(
 
 
 def turned(
-    x: FloatArray, y: FloatArray, angle_rad: Any
+    x: FloatArray,
+    y: FloatArray,
+    angle_rad: Any,
 ) -> tuple[FloatArray, FloatArray]:
     """Coordinates of vectors that are turned counter-clockwise.
 
@@ -419,7 +425,9 @@ def turned(
 
 
 def polynomial(
-    p: FloatArray, u: FloatArray, v: FloatArray
+    p: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Points and headings of two cubics in u and v.
 
@@ -517,7 +525,9 @@ class ReferenceLine:
     wheres: tuple[str, ...]
 
     def at(
-        self, s_m: FloatArray, inside_m: FloatArray | None = None
+        self,
+        s_m: FloatArray,
+        inside_m: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Points and headings at arc lengths.
 
@@ -547,14 +557,19 @@ class ReferenceLine:
         for wanted in np.unique(shape):
             mask = shape == wanted
             points[mask], turns[mask] = self._local(
-                SHAPES[wanted], piece[mask], ds[mask]
+                SHAPES[wanted],
+                piece[mask],
+                ds[mask],
             )
         heading = self.headings_rad[piece]
         along = np.stack(turned(points[:, 0], points[:, 1], heading), axis=1)
         return self.origins_m[piece] + along, heading + turns
 
     def _local(
-        self, shape: str, piece: NDArray[np.int64], s: FloatArray
+        self,
+        shape: str,
+        piece: NDArray[np.int64],
+        s: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Points and headings of pieces of one shape, in their own frames.
 
@@ -642,7 +657,11 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
 
 
 def read_reference_line(
-    road: Element, where: str, *, length_m: float, offset: Offset
+    road: Element,
+    where: str,
+    *,
+    length_m: float,
+    offset: Offset,
 ) -> ReferenceLine:
     """Read a road's planView.
 
@@ -674,7 +693,9 @@ def read_reference_line(
         row = _read_piece(element, here)
         if not -_MAX_GAP_M <= row[0] <= length_m + _MAX_GAP_M:
             raise InputError(
-                f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length"
+                f"{here}.s",
+                row[0],
+                f"0 .. {length_m:g}, the road's length",
             )
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
@@ -685,7 +706,9 @@ def read_reference_line(
     starts_m = table[:, 0].copy()
     if starts_m[0] > _MAX_GAP_M:
         raise InputError(
-            f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there"
+            f"{rows[0][1]}.s",
+            float(starts_m[0]),
+            "0: a road begins there",
         )
     starts_m[0] = 0.0
     return ReferenceLine(
@@ -817,7 +840,8 @@ class PiecewiseCubic:
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
         first = b + h * (2.0 * c + 3.0 * h * d)
         shifted = np.stack(
-            [a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1
+            [a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d],
+            axis=1,
         )
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
@@ -1146,7 +1170,9 @@ def read_road(element: Element, where: str, offset: Offset) -> Road:
     length_m = take_number(element, "length", where)
     if not 0.0 < length_m <= _MAX_LENGTH_M:
         raise InputError(
-            f"{where}.length", length_m, f"metres, > 0, at most {_MAX_LENGTH_M:g}"
+            f"{where}.length",
+            length_m,
+            f"metres, > 0, at most {_MAX_LENGTH_M:g}",
         )
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
@@ -1236,7 +1262,9 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
 
 
 def _read_sections(
-    lanes: Element | None, where: str, length_m: float
+    lanes: Element | None,
+    where: str,
+    length_m: float,
 ) -> tuple[LaneSection, ...]:
     """Lane sections of a road, each ending where the next one begins.
 
@@ -1264,7 +1292,9 @@ def _read_sections(
         start_m = take_number(element, "s", here)
         if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
             raise InputError(
-                f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length"
+                f"{here}.s",
+                start_m,
+                f"0 .. {length_m:g}, the road's length",
             )
         if element.find("center/lane") is None:
             refuse(f"{here} center", "no lane", "a lane section's lane 0")
@@ -1295,7 +1325,10 @@ def _read_sections(
 
 
 def _read_side(
-    section: Element, side: str, where: str, start_m: float
+    section: Element,
+    side: str,
+    where: str,
+    start_m: float,
 ) -> tuple[LaneRecord, ...]:
     """Lanes of one side of a section, from the reference line outwards.
 

@@ -139,7 +139,9 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
     tree = shapely.STRtree(shapely.linestrings(lines))
     low_m, high_m = _CARRIAGEWAYS_M
     one, other = tree.query(
-        shapely.points(middle), predicate="dwithin", distance=high_m
+        shapely.points(middle),
+        predicate="dwithin",
+        distance=high_m,
     )
     is_opposite = np.einsum("ij,ij->i", step[one], step[other]) < -0.95
     one = one[is_opposite]
@@ -216,7 +218,10 @@ def read_openstreetmap(
     crosswalks_m = find_crosswalks(network)
     n_buildings = sum("building" in way.tags for way in elements.ways)
     buildings = counted(
-        find_buildings(network), "read buildings", n_buildings, progress
+        find_buildings(network),
+        "read buildings",
+        n_buildings,
+        progress,
     )
     built = (*buildings, *find_bridges(network, reaches))
     things = (*built, *find_barriers(elements), *find_trees(elements))
@@ -336,7 +341,9 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
         raise InputError("bbox", box.tolist(), "west, south, east, north in degrees")
     if size_deg.max() > online["max_size_deg"]:
         raise InputError(
-            "bbox", box.tolist(), f"at most {online['max_size_deg']} degrees wide"
+            "bbox",
+            box.tolist(),
+            f"at most {online['max_size_deg']} degrees wide",
         )
     try:
         import requests
@@ -355,7 +362,9 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
         answer.raise_for_status()
     except requests.RequestException as error:
         raise InputError(
-            online["url"], Unquoted(error), "a server that answers"
+            online["url"],
+            Unquoted(error),
+            "a server that answers",
         ) from None
     if b"<osm" not in answer.content[:1000]:
         refuse(online["url"], "no map", "OpenStreetMap data as XML")

@@ -138,7 +138,11 @@ def read_elements(path: Path) -> Elements:
         a node lies nowhere on earth.
     """
     with reading(
-        path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError
+        path,
+        _EXPECTED,
+        RuntimeError,
+        ValueError,
+        osmium.InvalidLocationError,
     ):
         return _collect(path, _file_format(path))
 
@@ -324,7 +328,8 @@ def _assemble(
     node_ids, last = np.unique(all_ids[::-1], return_index=True)
     lon_lat_deg = np.array(places, dtype=np.float64).reshape(-1, 2)[::-1][last]
     references = np.fromiter(
-        (one for nodes, _ in ways.values() for one in nodes), dtype=np.int64
+        (one for nodes, _ in ways.values() for one in nodes),
+        dtype=np.int64,
     )
     ends = np.cumsum([len(nodes) for nodes, _ in ways.values()], dtype=np.int64)
     rows = np.split(_rows(node_ids, references), ends)[:-1]
@@ -424,7 +429,10 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
 
 
 def _multipolygon(
-    elements: Elements, relation: Relation, tags: Tags, by_id: Mapping[int, Way]
+    elements: Elements,
+    relation: Relation,
+    tags: Tags,
+    by_id: Mapping[int, Way],
 ) -> Iterator[Area]:
     """Areas of a multipolygon, one for each outer ring.
 
@@ -458,7 +466,8 @@ def _multipolygon(
         tree = STRtree(outers)
         for ring in rings[True]:
             inside = tree.query(
-                Polygon(ring).representative_point(), predicate="within"
+                Polygon(ring).representative_point(),
+                predicate="within",
             )
             if len(inside):
                 holes[int(inside[0])].append(ring)

@@ -449,7 +449,9 @@ class Reach:
 
 
 def find_junctions(
-    network: Network, *, staggered_m: float = 0.0
+    network: Network,
+    *,
+    staggered_m: float = 0.0,
 ) -> tuple[list[Reach], list[MapJunction]]:
     """Streets with the reach of their lanes, and all junctions.
 
@@ -509,7 +511,9 @@ def find_junctions(
 
 
 def _arms_by_cluster(
-    streets: Sequence[Street], clusters: Clusters, known: _Placed
+    streets: Sequence[Street],
+    clusters: Clusters,
+    known: _Placed,
 ) -> tuple[dict[int, list[Arm]], dict[int, list[Street]]]:
     """Arms of each junction and streets inside it, by its number.
 
@@ -561,7 +565,9 @@ def _arms_by_cluster(
 
 
 def _take_in_forks(
-    network: Network, clusters: Clusters, arms: Mapping[int, Sequence[Arm]]
+    network: Network,
+    clusters: Clusters,
+    arms: Mapping[int, Sequence[Arm]],
 ) -> bool:
     """Join forks next to a junction to it; True if there were any.
 
@@ -583,7 +589,9 @@ def _take_in_forks(
         for index, arm in enumerate(here):
             own = group_of[index]
             for row, station in zip(
-                arm.street.rows.tolist(), arm.street.stations_m, strict=True
+                arm.street.rows.tolist(),
+                arm.street.stations_m,
+                strict=True,
             ):
                 is_island = station <= island_m and branches.get(row, own) != own
                 is_near = row not in clusters.of_row and (
@@ -597,7 +605,9 @@ def _take_in_forks(
 
 
 def _take_stubs(
-    network: Network, arms: dict[int, list[Arm]], inside: dict[int, list[Street]]
+    network: Network,
+    arms: dict[int, list[Arm]],
+    inside: dict[int, list[Street]],
 ) -> list[Arm]:
     """Move dead ends next to a junction from its arms into it.
 
@@ -628,7 +638,9 @@ def _take_stubs(
 
 
 def _drop_small(
-    clusters: Clusters, arms: Mapping[int, Sequence[Arm]], elements: Elements
+    clusters: Clusters,
+    arms: Mapping[int, Sequence[Arm]],
+    elements: Elements,
 ) -> bool:
     """Drop meetings of roads that are no junctions; True if there were any.
 
@@ -746,12 +758,15 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
         return 0.0
     others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
     return max(
-        (0.5 * one.section.width_m for one in others if not one.is_service), default=0.0
+        (0.5 * one.section.width_m for one in others if not one.is_service),
+        default=0.0,
     )
 
 
 def _outline(
-    arms: Sequence[Arm], inside: Sequence[Street], points_m: FloatArray
+    arms: Sequence[Arm],
+    inside: Sequence[Street],
+    points_m: FloatArray,
 ) -> FloatArray:
     """Outline of a junction's road surface, up to where its arms begin.
 
@@ -841,7 +856,9 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
 
 # ---------- roads that lead to a junction
 def find_leading_roads(
-    network: Network, rows: Iterable[int], outline_m: FloatArray
+    network: Network,
+    rows: Iterable[int],
+    outline_m: FloatArray,
 ) -> tuple[LeadingRoad, ...]:
     """Roads that leave a junction and go on.
 
@@ -885,7 +902,10 @@ def find_leading_roads(
             tips = shapely.get_coordinates(line.intersection(area))
             located = shapely.line_locate_point(line, shapely.points(tips))
             found += _road(
-                network, end, line, float(located.max()) if len(tips) else 0.0
+                network,
+                end,
+                line,
+                float(located.max()) if len(tips) else 0.0,
             )
     return tuple(found)
 
@@ -896,7 +916,10 @@ def _directions(network: Network, end: End) -> frozenset[bool]:
 
 
 def _road(
-    network: Network, end: End, line: Any, left_at_m: float
+    network: Network,
+    end: End,
+    line: Any,
+    left_at_m: float,
 ) -> Iterator[LeadingRoad]:
     """The road on which an edge leaves a junction, unless it is a stub.
 

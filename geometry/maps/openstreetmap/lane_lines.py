@@ -129,7 +129,8 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
             end_m, _ = _at_break(strip, section.strips, after)
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(
-                edge.tags, is_forward=strip.is_forward == is_along
+                edge.tags,
+                is_forward=strip.is_forward == is_along,
             )
             is_two_way = len(section.directions) > 1
             means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
@@ -153,7 +154,9 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
 
 
 def _without_stubs(
-    parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
+    parts: Sequence[int],
+    spans: Sequence[tuple[float, float]],
+    reach: Reach,
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Parts of a street that have lanes of their own, and their stations.
 
@@ -203,7 +206,9 @@ def _without_stubs(
 
 
 def _at_break(
-    strip: Strip, own: Sequence[Strip], others: Sequence[Strip]
+    strip: Strip,
+    own: Sequence[Strip],
+    others: Sequence[Strip],
 ) -> tuple[float, bool]:
     """Middle of a lane at a break, and whether the lane simply continues.
 
@@ -341,7 +346,10 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
     heights: list[tuple[float, float]] = []
     step_m = DEFAULTS["cross_section"]["level_m"]
     for before, part, after in zip(
-        [parts[0], *parts], parts, [*parts[1:], parts[-1]], strict=False
+        [parts[0], *parts],
+        parts,
+        [*parts[1:], parts[-1]],
+        strict=False,
     ):
         (low, high), level = part.span_m, part.level
         run = min(10.0, 0.5 * (high - low))
@@ -413,7 +421,8 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
 
 
 def _meeting_groups(
-    lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
+    lanes: Sequence[MapLane],
+    groups: Mapping[_Group, Sequence[int]],
 ) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
     """Ends and begins of groups of lanes that go on into each other.
 

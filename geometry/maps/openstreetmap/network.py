@@ -138,7 +138,9 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
         count = total or listed("turn:lanes") or listed("turn:lanes:forward")
         n_forward = min(count or usual["oneway_lanes"], highest)
         return LaneCounts(
-            n_forward=n_forward, n_backward=0, is_counted=count is not None
+            n_forward=n_forward,
+            n_backward=0,
+            is_counted=count is not None,
         )
     has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
     if has_centre and total is not None:
@@ -170,7 +172,11 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
 
 # ---------- strips next to the driving lanes
 def roadside_strips(
-    tags: Tags, note: TagNote, *, side: str, keeps_left: bool
+    tags: Tags,
+    note: TagNote,
+    *,
+    side: str,
+    keeps_left: bool,
 ) -> Roadside:
     """Parked cars, cyclists and pedestrians on one side of a road.
 
@@ -348,7 +354,10 @@ class CrossSection:
             place = OPPOSITE[strip.place]
             left_m = -strip.left_m
             return replace(
-                strip, place=place, left_m=left_m, is_forward=not strip.is_forward
+                strip,
+                place=place,
+                left_m=left_m,
+                is_forward=not strip.is_forward,
             )
 
         return replace(self, strips=tuple(map(turned, self.strips[::-1])))
@@ -401,7 +410,12 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
                 edge_m += step * width_m
     left_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
     strips += _driving_strips(
-        tags, driving, counts, left_m, note, keeps_left=keeps_left
+        tags,
+        driving,
+        counts,
+        left_m,
+        note,
+        keeps_left=keeps_left,
     )
     strips.sort(key=lambda strip: -strip.left_m)
     return CrossSection(strips=tuple(strips), width_m=carriageway_m)
@@ -441,10 +455,18 @@ def _driving_strips(
     limits = DEFAULTS["cross_section"]
     turns = {
         "forward": _listed_turns(
-            tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)
+            tags,
+            "forward",
+            counts.n_forward,
+            note,
+            is_alone=is_oneway(tags),
         ),
         "backward": _listed_turns(
-            tags, "backward", counts.n_backward, note, is_alone=False
+            tags,
+            "backward",
+            counts.n_backward,
+            note,
+            is_alone=False,
         ),
     }
     for place, number, width_m in driving:
@@ -473,7 +495,10 @@ def _driving_strips(
 
 
 def _driving(
-    widths: _Widths, counts: LaneCounts, *, keeps_left: bool
+    widths: _Widths,
+    counts: LaneCounts,
+    *,
+    keeps_left: bool,
 ) -> list[tuple[str, int, float]]:
     """Driving lanes from left to right.
 
@@ -512,7 +537,10 @@ def _driving(
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, note: TagNote
+    tags: Tags,
+    counts: LaneCounts,
+    beside_m: float,
+    note: TagNote,
 ) -> tuple[_Widths, LaneCounts]:
     """Widths of the lanes in each direction, and the counts that fit.
 
@@ -546,7 +574,10 @@ def _lane_widths(
     else:
         centre_m = 0.0
     forward = _listed_widths(
-        tags, "forward", counts.n_forward, is_alone=not counts.n_backward
+        tags,
+        "forward",
+        counts.n_forward,
+        is_alone=not counts.n_backward,
     )
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
@@ -572,7 +603,11 @@ def _lane_widths(
 
 
 def _listed_widths(
-    tags: Tags, direction: str, count: int, *, is_alone: bool
+    tags: Tags,
+    direction: str,
+    count: int,
+    *,
+    is_alone: bool,
 ) -> list[float] | None:
     """Listed widths of lanes in metres; None: they do not fit the count.
 
@@ -608,7 +643,12 @@ def _listed_widths(
 
 
 def _listed_turns(
-    tags: Tags, direction: str, count: int, note: TagNote, *, is_alone: bool
+    tags: Tags,
+    direction: str,
+    count: int,
+    note: TagNote,
+    *,
+    is_alone: bool,
 ) -> list[tuple[Turn, ...]]:
     """Where cars may drive from each lane by its markings.
 
@@ -893,7 +933,10 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
         ends[int(edge.rows[0])] += ((index, True),)
         ends[int(edge.rows[-1])] += ((index, False),)
     return Network(
-        edges=tuple(edges), ends=dict(ends), elements=elements, keeps_left=keeps_left
+        edges=tuple(edges),
+        ends=dict(ends),
+        elements=elements,
+        keeps_left=keeps_left,
     )
 
 
@@ -1178,7 +1221,10 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
 
 
 def stations_between(
-    street: Street, begin_m: float, end_m: float, extra: Sequence[float] = ()
+    street: Street,
+    begin_m: float,
+    end_m: float,
+    extra: Sequence[float] = (),
 ) -> FloatArray:
     """Stations where a line next to a street needs points.
 

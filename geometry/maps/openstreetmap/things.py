@@ -86,10 +86,16 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
             elements.omissions.add("fences", f"way {way.id}", why)
             continue
         tagged_m = tagged_length_m(
-            tags, ("height", "est_height"), (0.01, limits["max_height_m"]), note
+            tags,
+            ("height", "est_height"),
+            (0.01, limits["max_height_m"]),
+            note,
         )
         thick_m = tagged_length_m(
-            tags, ("thickness", "width"), (0.01, limits["max_thickness_m"]), note
+            tags,
+            ("thickness", "width"),
+            (0.01, limits["max_thickness_m"]),
+            note,
         )
         if tagged_m is None:
             top_m = float(limits[kind]["height_m"])
@@ -100,7 +106,10 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
             try:
                 mesh = extrude_polygon(
-                    footprint, bottom_m=0.0, top_m=top_m, where=f"way {way.id}"
+                    footprint,
+                    bottom_m=0.0,
+                    top_m=top_m,
+                    where=f"way {way.id}",
                 )
             except InputError as error:
                 note(f"its outline has {error.got}")
@@ -135,7 +144,9 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
         return
     for line_m in lines_of(way, elements):
         strip = LineString(line_m).buffer(
-            0.5 * thickness_m, cap_style="flat", join_style="mitre"
+            0.5 * thickness_m,
+            cap_style="flat",
+            join_style="mitre",
         )
         yield from polygons_of(strip)
 
@@ -260,7 +271,9 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
     places: dict[int, list[_Place]] = defaultdict(list)
     for reach in reaches:
         for row, station_m in zip(
-            reach.street.rows, reach.street.stations_m, strict=True
+            reach.street.rows,
+            reach.street.stations_m,
+            strict=True,
         ):
             places[int(row)].append((reach, float(station_m)))
     elements = network.elements
@@ -321,7 +334,10 @@ def _kind(tags: Tags) -> str:
 
 
 def _at_kerbs(
-    places: Sequence[_Place], tags: Tags, *, keeps_left: bool
+    places: Sequence[_Place],
+    tags: Tags,
+    *,
+    keeps_left: bool,
 ) -> list[FloatArray]:
     """Feet of the poles of one mapped signal or sign, (2,) each.
 
@@ -512,7 +528,8 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
         for edge in edges
         for area in [
             LineString(edge.points_m).buffer(
-                0.5 * edge.section.width_m, cap_style="flat"
+                0.5 * edge.section.width_m,
+                cap_style="flat",
             )
         ]
         for part in _parts_over(walk, edge, area)
@@ -533,7 +550,9 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
 
 
 def _parts_over(
-    walk: LineString, edge: Edge, carriageway: BaseGeometry
+    walk: LineString,
+    edge: Edge,
+    carriageway: BaseGeometry,
 ) -> Iterator[LineString]:
     """Stretches of a footway on a carriageway that meet the road's axis.
 
@@ -572,7 +591,9 @@ def _direction(line: LineString) -> FloatArray:
 
 
 def _from_kerb_to_kerb(
-    part: LineString, carriageway: BaseGeometry, beyond_m: float
+    part: LineString,
+    carriageway: BaseGeometry,
+    beyond_m: float,
 ) -> FloatArray:
     """Straight line along a footway over a carriageway, beyond both kerbs.
 
@@ -605,7 +626,10 @@ def _from_kerb_to_kerb(
 
 
 def _across(
-    network: Network, row: int, place: tuple[int, int], beyond_m: float
+    network: Network,
+    row: int,
+    place: tuple[int, int],
+    beyond_m: float,
 ) -> FloatArray:
     """Line across a road at one of its nodes, beyond both kerbs.
 
@@ -713,7 +737,8 @@ def _stands(area: Area, omissions: Omissions) -> bool:
 
 
 def _without_parts(
-    outlines: Sequence[Area], parts: Sequence[Area]
+    outlines: Sequence[Area],
+    parts: Sequence[Area],
 ) -> list[list[Polygon] | None]:
     """The rest of each outline that no building part covers.
 
@@ -813,7 +838,10 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     (bottom_m, top_m, is_assumed), where = span, _element(area)
     try:
         mesh = extrude_polygon(
-            area.polygon, bottom_m=bottom_m, top_m=top_m, where=where
+            area.polygon,
+            bottom_m=bottom_m,
+            top_m=top_m,
+            where=where,
         )
     except InputError as error:
         omissions.add("buildings", where, f"its outline has {error.got}")
@@ -976,7 +1004,11 @@ class _Passages:
         self._tree = STRtree([strip for strip, *_ in self._ways])
 
     def _add(
-        self, line_m: FloatArray, width_m: float, tags: Tags, clear_m: float
+        self,
+        line_m: FloatArray,
+        width_m: float,
+        tags: Tags,
+        clear_m: float,
     ) -> None:
         """Add a way of a given width and the clear height above it."""
         strip = LineString(line_m).buffer(0.5 * width_m, cap_style="flat")
@@ -1074,7 +1106,10 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
                 elements.omissions.add("bridges", f"way {edge.way_id}", why)
             else:
                 yield from _deck(
-                    edge.id, edge.points_m, edge.section.width_m, edge.level
+                    edge.id,
+                    edge.points_m,
+                    edge.section.width_m,
+                    edge.level,
                 )
     for way in elements.ways:
         is_rail = way.tags.get("railway") in usual["railways"]
