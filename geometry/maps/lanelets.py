@@ -100,11 +100,14 @@ class Lanelet:
     @property
     def edges_m(self) -> FloatArray:
         """Points of both bounds side by side, (2, m, 3)."""
-        bounds = self.left_m, self.right_m
-        n_points = max(2, round(max(map(length_m, bounds)) / _STEP_M) + 1)
-        ends_m = [along_m(bound)[-1] for bound in bounds]
-        at = [np.linspace(0.0, end_m, n_points) for end_m in ends_m]
-        return np.array([points_at(*pair) for pair in zip(bounds, at, strict=True)])
+        bounds = (self.left_m, self.right_m)
+        longest_m = max(length_m(bound) for bound in bounds)
+        n_points = max(2, round(longest_m / _STEP_M) + 1)
+        edges = []
+        for bound in bounds:
+            stations_m = np.linspace(0.0, along_m(bound)[-1], n_points)
+            edges.append(points_at(bound, stations_m))
+        return np.array(edges)
 
     def turned(self) -> "Lanelet":
         """The same lanelet in the other direction."""
@@ -132,6 +135,7 @@ def _lanelet(
     lanelet : Lanelet
         Both bounds run in the same direction.
     """
+    # Both bounds must run the same way: their ends are then nearest to each other.
     along = np.hypot(*(left_m[[0, -1], :2] - right_m[[0, -1], :2]).T).sum()
     across = np.hypot(*(left_m[[0, -1], :2] - right_m[[-1, 0], :2]).T).sum()
     if across < along:
@@ -185,29 +189,32 @@ def _build(
         np.flatnonzero(inside & (label == at)).tolist()
         for at in np.unique(label[inside])
     ]
-    junction_of = {
-        one: f"j{number}" for number, some in enumerate(members, 1) for one in some
-    }
+    junction_of: dict[int, str] = {}
+    for number, group in enumerate(members, start=1):
+        for index in group:
+            junction_of[index] = f"j{number}"
     paths = [
         _map_lane([one], one.id)
         for one in lanelets
         if one.kind in ("walking", "cycling")
     ]
     lanes = [*_lanes(roads, follows, junction_of), *paths]
+    # Outlines of the junctions, fitted to the ends of lanes, and the ways through them.
     tips_of = lanes_by_junction(lanes)
     junctions = []
     connections = []
     for group in members:
         name = junction_of[group[0]]
-        surface = largest_polygon(
-            shapely.union_all([ground[one].buffer(0.05) for one in group])
-        )
+        # Lanelets that only touch in rounded numbers would stay apart.
+        wider = [ground[one].buffer(0.05) for one in group]
+        surface = largest_polygon(shapely.union_all(wider))
         tips = tips_of[name]
         if surface is None or not tips:
             omissions.add("junctions", f"junction {name}", "no lane leads to it")
             continue
         surface, _ = fit_outline(surface, tips)
-        height_m = float(np.mean([roads[one].left_m[:, 2].mean() for one in group]))
+        heights_m = [roads[one].left_m[:, 2].mean() for one in group]
+        height_m = float(np.mean(heights_m))
         outline_m = np.asarray(surface.exterior.coords)[:-1]
         junctions.append(
             MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m)
@@ -250,18 +257,25 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
         omissions.add(
             "lanelets with exchanged sides", f"lanelet {roads[index].id}", why
         )
-    every = zip(roads, turned, is_wrong, strict=True)
-    return [other if wrong else one for one, other, wrong in every]
+    right = list(roads)
+    for index in np.flatnonzero(is_wrong).tolist():
+        right[index] = turned[index]
+    return right
 
 
 def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
     """Indices of the lanelets that begin where each one ends."""
     if not lanelets:
         return []
-    begins, ends = (
-        np.array([[*one.left_m[at, :2], *one.right_m[at, :2]] for one in lanelets])
-        for at in (0, -1)
-    )
+
+    def tips(at: int) -> FloatArray:
+        """Ends of both bounds as one point in four dimensions, (n, 4)."""
+        return np.array(
+            [[*one.left_m[at, :2], *one.right_m[at, :2]] for one in lanelets]
+        )
+
+    begins = tips(0)
+    ends = tips(-1)
     found = cKDTree(begins).query_ball_point(ends, _JOINED_M)
     return [[one for one in here if one != index] for index, here in enumerate(found)]
 
@@ -325,15 +339,15 @@ def _lanes(
         for other in others:
             before[other].append(index)
 
+    # Joints: pairs where one lanelet follows another without a choice on either side.
     outside = [index for index in range(len(roads)) if index not in junction_of]
-    joints = {
-        one: other
-        for one in outside
-        for other in follows[one]
-        if follows[one] == [other]
-        and before[other] == [one]
-        and other not in junction_of
-    }
+    joints: dict[int, int] = {}
+    for one in outside:
+        if len(follows[one]) != 1:
+            continue
+        other = follows[one][0]
+        if before[other] == [one] and other not in junction_of:
+            joints[one] = other
     done: set[int] = set()
     starts = [one for one in outside if one not in joints.values()]
     # Then what is left: rings.
@@ -344,11 +358,12 @@ def _lanes(
         while (following := joints.get(chain[-1], start)) != start:
             chain.append(following)
         done.update(chain)
-        ends = (before[start], follows[chain[-1]])
-        begin, end = (
-            next((junction_of[one] for one in some if one in junction_of), "")
-            for some in ends
-        )
+        leading_in = [junction_of[one] for one in before[start] if one in junction_of]
+        leading_out = [
+            junction_of[one] for one in follows[chain[-1]] if one in junction_of
+        ]
+        begin = next(iter(leading_in), "")
+        end = next(iter(leading_out), "")
         pieces = [roads[one] for one in chain]
         yield _map_lane(pieces, roads[start].id, from_junction=begin, to_junction=end)
 
@@ -424,13 +439,17 @@ def _map_lane(
     """
     edges_m = np.concatenate([one.edges_m for one in chain], axis=1)
     middle_m = edges_m.mean(axis=0)
+    width_m = np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()
     limits = [one.speed_limit_kmh for one in chain if one.speed_limit_kmh is not None]
+    speed_limit_kmh = None
+    if limits:
+        speed_limit_kmh = limits[-1]
     return MapLane(
         id=lane_id,
         kind=chain[0].kind,
-        width_m=float(np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()),
+        width_m=float(width_m),
         centreline_m=apart(middle_m, _SAME_M),
-        speed_limit_kmh=limits[-1] if limits else None,
+        speed_limit_kmh=speed_limit_kmh,
         from_junction=from_junction,
         to_junction=to_junction,
     )
@@ -445,12 +464,14 @@ def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
     votes = 0
     for one, other in cKDTree(middle_m).query_pairs(_BESIDE_M):
         apart_m = middle_m[other] - middle_m[one]
-        is_beside = abs(apart_m @ ahead[one]) < abs(_cross(ahead[one], apart_m))
+        aside_m = _cross(ahead[one], apart_m)
+        is_beside = abs(apart_m @ ahead[one]) < abs(aside_m)
         if is_beside and ahead[one] @ ahead[other] < _AGAINST:
-            if _cross(ahead[one], apart_m) < 0.0:
+            # Traffic keeps left if the other direction lies on the right.
+            if aside_m < 0.0:
                 votes += 1
             else:
-                votes += -1
+                votes -= 1
     if votes:
         return votes > 0
     return None
@@ -478,10 +499,8 @@ def _source_map(
         keeps_left = _keeps_left([one for one in lanelets if one.kind == "driving"])
     if keeps_left is None:
         why = "no lanelets side by side show it: taken to keep right"
-        notes = (
-            Note(what="side of the road", why=why, kind="side of the road"),
-            *notes,
-        )
+        side = Note(what="side of the road", why=why, kind="side of the road")
+        notes = (side, *notes)
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
     return SourceMap(
@@ -533,6 +552,7 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     points_m, crs, has_heights = _positions(elements, path)
     ways = {way.id: points_m[way.rows[way.rows >= 0]] for way in elements.ways}
     lanelets = []
+    # Each relation of type lanelet, unless it lacks a bound or is of another kind.
     for relation in elements.relations:
         if relation.tags.get("type") == "lanelet":
             name = f"lanelet {relation.id}"
@@ -558,21 +578,26 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )
+    source_crs = ""
+    if crs:
+        source_crs = WGS84
+    heights = "above ground"
+    ground_m = np.empty((0, 3))
+    if has_heights:
+        heights = "absolute"
+    if has_heights and lanelets:
+        ground_m = np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
     return _source_map(
         path,
         lanelets,
         omissions,
         keeps_left=keeps_left,
         crs=crs,
-        source_crs=WGS84 if crs else "",
-        heights="absolute" if has_heights else "above ground",
+        source_crs=source_crs,
+        heights=heights,
         poles=tuple(_poles(elements, ways)),
         things=tuple(_buildings(elements, ways, omissions)),
-        ground_m=(
-            np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
-            if has_heights and lanelets
-            else np.empty((0, 3))
-        ),
+        ground_m=ground_m,
     )
 
 
@@ -608,9 +633,12 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
     crs = local_crs(middle_deg, WGS84, where=str(path))
     plane_m = transform(elements.lon_lat_deg, WGS84, crs)
-    is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
-    return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
+    has_heights = bool(np.isfinite(heights).any())
+    is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
+    if is_nowhere:
+        return found, "", has_heights
+    return found, crs, has_heights
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:
@@ -633,10 +661,10 @@ def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> Flo
     parts = [
         ways[ref] for ref, role in relation.members if role == side and ref in ways
     ]
+    line = np.empty((0, 3))
     if parts:
         line = parts.pop(0)
-    else:
-        line = np.empty((0, 3))
+    # Each way is turned or put in front so that it meets the line.
     for part in parts:
         for first, second in (
             (line, part),
@@ -717,12 +745,11 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     for element in root.iter():
         element.tag = local_name(element)
     omissions = Omissions()
-    crossing = {one.get("ref") for one in root.iter("crossingLanelet")} | {
-        ref.get("ref")
-        for incoming in root.iter("incoming")
-        for tag in ("successorsRight", "successorsStraight", "successorsLeft")
-        for ref in incoming.iter(tag)
-    }
+    # Ids of the lanelets in intersections: those that cross, and those that lead through.
+    crossing = {one.get("ref") for one in root.iter("crossingLanelet")}
+    for incoming in root.iter("incoming"):
+        for tag in ("successorsRight", "successorsStraight", "successorsLeft"):
+            crossing |= {ref.get("ref") for ref in incoming.iter(tag)}
     lanelets = []
     for element in root.iter("lanelet"):
         bounds = [_points(element.find(f"{side}Bound")) for side in ("left", "right")]
@@ -743,16 +770,15 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
             name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside
         )
         lanelets.append(one)
-    poles = [
-        Pole(
-            id=f"{kind}-{one.get('id')}".replace(" ", "-"),
-            kind=kind,
-            position_m=place[0],
-        )
-        for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign"))
-        for one in root.iter(tag)
-        if one.get("id") and len(place := _points(one.find("position")))
-    ]
+    poles = []
+    for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign")):
+        for one in root.iter(tag):
+            if not one.get("id"):
+                continue
+            places = _points(one.find("position"))
+            if len(places):
+                pole_id = f"{kind}-{one.get('id')}".replace(" ", "-")
+                poles.append(Pole(id=pole_id, kind=kind, position_m=places[0]))
     return _source_map(
         path,
         lanelets,
@@ -766,12 +792,12 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
 
 def _points(element: Element | None) -> FloatArray:
     """Points under an element, (n, 3)."""
-    found = [
-        [
-            float_of(point.findtext(axis) or ("0" if axis == "z" else ""))
-            for axis in "xyz"
-        ]
-        for point in ([] if element is None else element.iter("point"))
-    ]
+    # A point may leave out its height, but not x and y.
+    otherwise = {"x": "", "y": "", "z": "0"}
+    found = []
+    if element is not None:
+        for point in element.iter("point"):
+            texts = [point.findtext(axis) or otherwise[axis] for axis in "xyz"]
+            found.append([float_of(text) for text in texts])
     points = np.array(found).reshape(-1, 3)
     return np.asarray(points[np.isfinite(points).all(axis=1)])

@@ -83,6 +83,7 @@ def read_mesh(
     if not is_gltf and (not unit or not up):
         got = f"a mesh format ({suffix}) that does not say its unit and its up axis"
         refuse(where, got, "`unit` and `up`, such as `unit` m `up` z")
+    # The units and axes of glTF.
     unit = unit or "m"
     up = up or "y"
     check_one_of("unit", unit, UNITS_M)
@@ -95,11 +96,10 @@ def read_mesh(
         if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
             # So that it faces outwards.
             triangles = triangles[:, ::-1]
+        its_class = class_name
         kind = kind_from_name(name)
         if kind:
             its_class = kind.class_name
-        else:
-            its_class = class_name
         things.append(
             Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles))
         )
@@ -129,16 +129,14 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
     import trimesh
 
     where = str(path)
-    options: dict[str, Any] = (
-        {"split_objects": True} if path.suffix.lower() == ".obj" else {}
-    )
+    suffix = path.suffix.lower()
+    options: dict[str, Any] = {"skip_materials": True, "process": False}
+    if suffix == ".obj":
+        options["split_objects"] = True
     # Only a .gltf has its geometry in files beside it: its buffers.
-    has_buffers_beside = path.suffix.lower() == ".gltf"
-    if has_buffers_beside:
-        resolver = _folder_resolver(path)
-    else:
-        resolver = NoFiles(where)
-    options |= {"resolver": resolver, "skip_materials": True, "process": False}
+    options["resolver"] = NoFiles(where)
+    if suffix == ".gltf":
+        options["resolver"] = _folder_resolver(path)
     n_triangles = 0
     parts: list[_Part] = []
     left_out: Counter[str] = Counter()
@@ -175,7 +173,13 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             )
     if not parts:
         refuse(where, "no triangles", "a mesh of triangles")
-    return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
+
+    def name_and_place(part: _Part) -> tuple[str, list[float]]:
+        """Key for sorting: equal names by their first vertex."""
+        name, vertices, _ = part
+        return name, vertices[0].tolist()
+
+    return sorted(parts, key=name_and_place), left_out
 
 
 def _folder_resolver(path: Path) -> Any:
@@ -242,13 +246,16 @@ def _placed(
         refuse(where, "a vertex that is not finite (NaN or infinite)", "finite numbers")
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
-    return placed, corners[:, ::-1] if is_mirrored else corners
+    if is_mirrored:
+        corners = corners[:, ::-1]
+    return placed, corners
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
     """True for a closed mesh, even if vertices in one place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
-    return is_closed(same.reshape(-1)[triangles].astype(np.int32))
+    shared = same.reshape(-1)[triangles]
+    return is_closed(shared.astype(np.int32))
 
 
 def _name(node: str, geometry: str, stem: str) -> str:
@@ -289,17 +296,13 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     areas = np.linalg.norm(normals, axis=1)
     rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
     is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
-    up_m2, down_m2 = (
-        float(areas[is_slanted & side].sum()) for side in (rise > 0.0, rise < 0.0)
-    )
+    up_m2 = float(areas[is_slanted & (rise > 0.0)].sum())
+    down_m2 = float(areas[is_slanted & (rise < 0.0)].sum())
     slanted_m2 = up_m2 + down_m2
-    if (
-        slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
-        and down_m2 > _SURE_SHARE * slanted_m2
-    ):
+    has_roofs = slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
+    if has_roofs and down_m2 > _SURE_SHARE * slanted_m2:
+        other = f"-{up}"
         if up.startswith("-"):
             other = up[1:]
-        else:
-            other = f"-{up}"
         got = f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"
         refuse(where, got, f"an upright mesh; is up the other way: `up`={other}?")

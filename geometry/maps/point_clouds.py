@@ -783,7 +783,7 @@ class _Scan:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def ground_m(self) -> FloatArray:
-        """Lowest point of class 2 in every square metre, in the middle of it, (n, 3)."""
+        """Lowest point of class 2 in every square metre, at its middle, (n, 3)."""
         if not len(self.lowest_ground):
             return np.empty((0, 3))
         first, height_m = self.lowest_ground.grid(self.where)

@@ -111,15 +111,15 @@ class Relief:
             for thing in things:
                 ground = self.at(thing.vertices_m[:, :2])
                 if thing.class_name == "wall":
-                    up = ground
+                    yield _lifted(thing, ground), False
                 else:
-                    up = ground.min()
-                yield _lifted(thing, up), False
+                    yield _lifted(thing, ground.min()), False
             return
         zero_m = self._zero_m(source, things, given_m)
         may_float = given_m is None or self.terrain is not None
         for thing in things:
             vertices = _lifted(thing, -zero_m)
+            # The map's own ground is replaced by that of the other source.
             if source is self.roads and self.roads_m is not None:
                 middle = vertices[:, :2].mean(axis=0, keepdims=True)
                 own_m = self.roads_m.at(middle) - self.roads_m.at(np.zeros(2))
@@ -130,7 +130,10 @@ class Relief:
                 and thing.class_name == "building"
                 and _FLAT_M < gap_m <= _FLOATS_M
             )
-            yield vertices - [0.0, 0.0, gap_m if floats else 0.0], floats
+            down_m = 0.0
+            if floats:
+                down_m = gap_m
+            yield vertices - [0.0, 0.0, down_m], floats
 
     def _zero_m(
         self,
@@ -151,12 +154,15 @@ class Relief:
         vertices = [thing.vertices_m for thing in things]
         feet_m = [one[:, 2].min() - self.at(one[:, :2]).min() for one in vertices]
         off_m = float(np.median(feet_m) - self.zero_m)
-        return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
+        if abs(off_m) > _OTHER_ZERO_M:
+            return self.zero_m + off_m
+        return self.zero_m
 
 
 def _lifted(thing: Thing, up_m: FloatArray | float) -> FloatArray:
     """Vertices of a thing, (n, 3), raised by some metres."""
-    return np.column_stack([thing.vertices_m[:, :2], thing.vertices_m[:, 2] + up_m])
+    heights_m = thing.vertices_m[:, 2] + up_m
+    return np.column_stack([thing.vertices_m[:, :2], heights_m])
 
 
 def find_relief(
@@ -206,24 +212,28 @@ def find_relief(
     span_m = float(np.ptp(terrain.height_m))
     if np.abs(terrain.height_m).max() <= _FLAT_M:
         return Relief()
+    # Things of the map with the roads count from its own ground.
     is_other = points is not own and roads.heights == "absolute" and len(own) > 0
-    why = (
-        f"ground from {terrain.height_m.min():.1f} m to {terrain.height_m.max():.1f} m"
-    )
+    roads_m = None
+    if is_other:
+        roads_m = fit_terrain(own, half_m=half_m, step_m=_STEP_M)
+    low_m = terrain.height_m.min()
+    high_m = terrain.height_m.max()
+    range_m = f"from {low_m:.1f} m to {high_m:.1f} m"
+    why = f"ground {range_m} around the junction ({span_m:.1f} m)"
     return Relief(
         terrain=terrain,
         zero_m=middle_m,
         roads=roads,
-        roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        notes=(
-            Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),
-        ),
+        roads_m=roads_m,
+        notes=(Note(f"heights of {name}", why),),
     )
 
 
 def _near(points_m: FloatArray, half_m: float) -> FloatArray:
     """Points within a square, and 50 m around it."""
-    return points_m[(np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)]
+    is_near = (np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)
+    return points_m[is_near]
 
 
 def _on_level(
@@ -243,7 +253,8 @@ def _on_level(
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])
     most_m = _SAME_LEVEL_M + _STEEPEST * away_m
-    return np.asarray(points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m])
+    off_m = np.abs(points_m[:, 2] - level[nearest, 2])
+    return np.asarray(points_m[off_m <= most_m])
 
 
 # ---------- heights of the ground from GeoTIFF rasters
@@ -347,6 +358,7 @@ def _read(
     grid = raster.transform
     if not np.linalg.det([[grid.a, grid.b], [grid.d, grid.e]]):
         refuse(where, "pixels without area", "a raster that lies on the map")
+    # Find the pixels that cover the square, by points all over it.
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
     columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
@@ -357,6 +369,7 @@ def _read(
     if left >= right or top >= bottom:
         refuse(where, "a raster that lies elsewhere", "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
+    # Middles of these pixels in the coordinates of the map.
     column, row = np.meshgrid(
         np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5
     )
@@ -376,6 +389,7 @@ def _read(
     band = np.ma.masked_invalid(
         raster.read(1, window=((top, bottom), (left, right)), masked=True)
     )
+    # Keep the pixels that have a height that makes sense.
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
     is_known = np.isfinite(heights)
@@ -411,7 +425,6 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
     """Range of the pixels that values lie in, with one more on each side."""
-    return (
-        max(int(np.floor(values.min())) - 1, 0),
-        min(int(np.ceil(values.max())) + 1, size),
-    )
+    first = int(np.floor(values.min())) - 1
+    end = int(np.ceil(values.max())) + 1
+    return max(first, 0), min(end, size)

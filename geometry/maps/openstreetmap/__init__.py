@@ -65,10 +65,9 @@ def find_driving_side(elements: Elements) -> tuple[bool, str]:
 
 def _points(way: Way, elements: Elements) -> list[FloatArray]:
     """Lines of a way in driving direction, (n, 2) each."""
+    step = 1
     if runs_backward(way.tags):
         step = -1
-    else:
-        step = 1
     return [line_m[::step] for line_m in lines_of(way, elements)]
 
 
@@ -94,6 +93,7 @@ def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
         if way.tags.get("junction") not in ("roundabout", "circular"):
             continue
         for points in _points(way, elements):
+            # The sum of the turns between segments tells left from right.
             if len(points) >= 3:
                 steps = np.diff(points, axis=0)
                 bend = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
@@ -130,6 +130,7 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
                 names += [name] * (len(points) - 1)
     if not names:
         return votes
+    # Pairs of segments that run against each other, side by side.
     lines = np.concatenate(segments_m)
     begin = lines[:, 0]
     end = lines[:, 1]
@@ -193,19 +194,18 @@ def read_openstreetmap(
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
+    rows = np.empty(0, int)
     if roads:
         rows = np.unique(np.concatenate([way.rows for way in roads]))
-    else:
-        rows = np.empty(0, int)
     rows = rows[rows >= 0]
     if not len(rows):
+        found = "no nodes"
         if len(elements.node_ids):
             found = "no road for cars"
-        else:
-            found = "no nodes"
         refuse(str(path), found, "a map with roads")
     progress("read streets", 0, 0)
     elements, crs = _placed(elements, rows, path)
+    # The side of traffic decides where lanes lie, so it comes before the network.
     side = "given"
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements)
@@ -247,12 +247,12 @@ def read_openstreetmap(
 
 def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
     """Nodes of roads that say how high they lie, (n, 3), in metres."""
-    found = [
-        (*elements.positions_m[row], height_m)
-        for row in rows.tolist()
-        if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", "")))
-        is not None
-    ]
+    found = []
+    for row in rows.tolist():
+        tags = elements.node_tags.get(row, {})
+        height_m = parse_length_m(tags.get("ele", ""))
+        if height_m is not None:
+            found.append((*elements.positions_m[row], height_m))
     return np.array(found).reshape(-1, 3)
 
 
@@ -335,9 +335,8 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])
-    if not (
-        (size_deg > 0.0).all() and (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()
-    ):
+    is_on_earth = (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()
+    if not ((size_deg > 0.0).all() and is_on_earth):
         raise InputError("bbox", box.tolist(), "west, south, east, north in degrees")
     if size_deg.max() > online["max_size_deg"]:
         raise InputError(
@@ -353,10 +352,8 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
             "(in a checkout: uv run --extra online place-rsus ..)"
         ) from None
     timeout_s = online["timeout_s"]
-    query = (
-        f"[out:xml][timeout:{timeout_s}];nwr({south:.7f},{west:.7f},{north:.7f},{east:.7f});(._;>;);out"
-        " body;"
-    )
+    corners = f"{south:.7f},{west:.7f},{north:.7f},{east:.7f}"
+    query = f"[out:xml][timeout:{timeout_s}];nwr({corners});(._;>;);out body;"
     try:
         answer = requests.post(online["url"], data={"data": query}, timeout=timeout_s)
         answer.raise_for_status()

@@ -232,10 +232,9 @@ def _collect(path: Path, file_format: str) -> Elements:
         element: Any = item
         if element.deleted:
             continue
+        tags: Tags = {}
         if len(element.tags):
             tags = {tag.k: tag.v for tag in element.tags}
-        else:
-            tags = {}
         n_left -= 1
         if element.is_node():
             location = element.location
@@ -261,6 +260,7 @@ def _collect(path: Path, file_format: str) -> Elements:
             members = tuple(
                 (one.ref, one.role) for one in element.members if one.type == "w"
             )
+            # Long ways and large relations count for more than one element.
             relations[element.id] = Relation(id=element.id, members=members, tags=tags)
             n_left -= len(members) // 10
         if n_left < 0:
@@ -281,10 +281,13 @@ def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> No
     middle = np.median(lon_lat_deg, axis=0)
     low = box_deg[0] - _BOX_MARGIN_DEG
     high = box_deg[1] + _BOX_MARGIN_DEG
-    is_inside, is_inside_exchanged = (
-        bool(((point >= low) & (point <= high)).all())
-        for point in (middle, middle[::-1])
-    )
+
+    def lies_within(point: FloatArray) -> bool:
+        """True if a point lies in the file's bounds, or near them."""
+        return bool(((point >= low) & (point <= high)).all())
+
+    is_inside = lies_within(middle)
+    is_inside_exchanged = lies_within(middle[::-1])
     if is_inside_exchanged and not is_inside:
         expected = (
             "nodes within the file's bounds: latitude and longitude are exchanged"
@@ -502,6 +505,7 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
     is_whole = True
     open_ways: dict[int, Way] = {}
     at_end: dict[int, list[int]] = defaultdict(list)
+    # Closed ways are rings already; the others are found by the nodes at their ends.
     for number, way in enumerate(ways):
         if len(way.rows) < 2 or (way.rows < 0).any():
             is_whole = False
@@ -511,6 +515,7 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
             open_ways[number] = way
             at_end[int(way.rows[0])].append(number)
             at_end[int(way.rows[-1])].append(number)
+    # Follow open ways from end to end until they come back to where they began.
     while open_ways:
         _, way = open_ways.popitem()
         parts = [way.rows]
@@ -561,7 +566,9 @@ def tagged_length_m(
     length_m : float or None
         None: no tag has a length that makes sense. [m]
     """
-    for key in (key for key in keys if key in tags):
+    for key in keys:
+        if key not in tags:
+            continue
         length_m = parse_length_m(tags[key])
         if length_m is not None and bounds_m[0] <= length_m <= bounds_m[1]:
             return length_m
@@ -590,13 +597,10 @@ def parse_number(text: str, *, highest: float) -> float | None:
 
 def is_yes(text: str | None) -> bool:
     """True if a tag is there and does not say no."""
-    return text is not None and text.strip().lower() not in (
-        "",
-        "no",
-        "0",
-        "false",
-        "none",
-    )
+    if text is None:
+        return False
+    word = text.strip().lower()
+    return word not in ("", "no", "0", "false", "none")
 
 
 def side_value(tags: Tags, key: str, side: str) -> str | None:
@@ -610,9 +614,11 @@ def reversed_tags(tags: Tags) -> Tags:
     >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """
-    return {
-        ":".join(OPPOSITE.get(word, word) for word in key.split(":")): (
-            OPPOSITE.get(value, value) if key == "sidewalk" else value
-        )
-        for key, value in tags.items()
-    }
+    turned: Tags = {}
+    for key, value in tags.items():
+        words = [OPPOSITE.get(word, word) for word in key.split(":")]
+        # The plain tag names the side in its value.
+        if key == "sidewalk":
+            value = OPPOSITE.get(value, value)
+        turned[":".join(words)] = value
+    return turned

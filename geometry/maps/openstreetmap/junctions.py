@@ -118,21 +118,26 @@ def place_mouths(arms: Sequence[Arm], inside: Sequence[Street]) -> list[Arm]:
         if one == other or directions[one] @ directions[other] < _SAME_ARM_COSINE:
             return one != other
         # Carriageways of one road may overlap.
-        (edge, is_along), (beside, runs_along) = (
-            arms[at].street.parts[0] for at in (one, other)
-        )
+        edge, is_along = arms[one].street.parts[0]
+        beside, runs_along = arms[other].street.parts[0]
         is_pair = edge.is_oneway and beside.is_oneway and is_along != runs_along
         return not is_pair and (edge.name == "" or edge.name != beside.name)
 
+    # Each arm on its own: a corner beyond the others' carriageways.
     placed = []
     for index, arm in enumerate(arms):
         others = [
             surfaces[other] for other in range(len(arms)) if is_in_way(index, other)
         ]
-        clear_m = _clear_from_m(arm.street, shapely.union_all([*middle, *others]))
-        placed.append(replace(arm, mouth_m=min(clear_m + limits["corner_m"], most_m)))
+        in_way = shapely.union_all([*middle, *others])
+        clear_m = _clear_from_m(arm.street, in_way)
+        mouth_m = min(clear_m + limits["corner_m"], most_m)
+        placed.append(replace(arm, mouth_m=mouth_m))
+    # Carriageways of one arm: all as far out as the outermost of them.
     aligned = list(placed)
-    for group in (found for found in group_arms(placed) if len(found) > 1):
+    for group in group_arms(placed):
+        if len(group) == 1:
+            continue
         mean = np.mean([placed[index].direction for index in group], axis=0)
         ahead_m = [float(placed[index].mouth_point_m @ mean) for index in group]
         for index, own_m in zip(group, ahead_m, strict=True):
@@ -230,9 +235,8 @@ class Clusters:
         """
         if row not in self.of_row:
             if number is None:
-                self.of_row[row] = row
-            else:
-                self.of_row[row] = number
+                number = row
+            self.of_row[row] = number
             self.members.setdefault(self.of_row[row], []).append(row)
 
     def join(self, one: int, other: int) -> None:
@@ -274,9 +278,8 @@ def find_clusters(network: Network, *, staggered_m: float = 0.0) -> Clusters:
     for row, ends in network.ends.items():
         edges = [network.edges[index] for index, _ in ends]
         n_full = sum(not edge.is_service for edge in edges)
-        is_signal = (
-            network.elements.node_tags.get(row, {}).get("highway") == "traffic_signals"
-        )
+        tags = network.elements.node_tags.get(row, {})
+        is_signal = tags.get("highway") == "traffic_signals"
         is_meeting = n_full >= 3 or (is_signal and n_full > 0 and len(edges) >= 3)
         is_on_ground = any(edge.level == 0 for edge in edges)
         if is_meeting and is_on_ground and not is_fork(network, ends):
@@ -310,6 +313,7 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
     def apart_deg(one: End, other: End) -> float:
         return abs((bearings[one] - bearings[other] + 180.0) % 360.0 - 180.0)
 
+    # Try each end as the stem that splits into the two others.
     for stem in ends:
         one, other = (end for end in ends if end != stem)
         edges = [network.edges[end[0]] for end in (one, other, stem)]
@@ -329,6 +333,7 @@ def is_fork(network: Network, ends: tuple[End, ...]) -> bool:
 
 def _join_roundabouts(network: Network, clusters: Clusters) -> None:
     """Make one junction of the nodes of each ring and of what touches it."""
+    # Edges of one ring share nodes: join those first.
     rings = Clusters()
     for edge in network.edges:
         if edge.is_roundabout and not edge.is_service:
@@ -338,13 +343,10 @@ def _join_roundabouts(network: Network, clusters: Clusters) -> None:
             rings.add(end)
             rings.join(rings.of_row[begin], rings.of_row[end])
     for rows in rings.members.values():
-        numbers = sorted(
-            {clusters.of_row[row] for row in rows if row in clusters.of_row}
-        )
-        if (
-            numbers
-            and _size_m(network, rows) <= DEFAULTS["junction"]["max_roundabout_m"]
-        ):
+        known = {clusters.of_row[row] for row in rows if row in clusters.of_row}
+        numbers = sorted(known)
+        most_m = DEFAULTS["junction"]["max_roundabout_m"]
+        if numbers and _size_m(network, rows) <= most_m:
             for number in numbers[1:]:
                 clusters.join(numbers[0], number)
             for row in rows:
@@ -353,7 +355,8 @@ def _join_roundabouts(network: Network, clusters: Clusters) -> None:
 
 def _size_m(network: Network, rows: Sequence[int]) -> float:
     """Diagonal of the box around some nodes, in metres."""
-    return float(np.hypot(*np.ptp(network.elements.positions_m[rows], axis=0)))
+    width_m, height_m = np.ptp(network.elements.positions_m[rows], axis=0)
+    return float(np.hypot(width_m, height_m))
 
 
 def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None:
@@ -365,6 +368,7 @@ def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None
     """
     limits = DEFAULTS["junction"]
     of_row = clusters.of_row
+    # Streets between nodes of junctions that are short enough to join them.
     links = []
     for street in trace_streets(network, of_row.__contains__):
         begin = int(street.rows[0])
@@ -379,29 +383,36 @@ def _join_near(network: Network, clusters: Clusters, staggered_m: float) -> None
                 {one.name for one in here if one.is_oneway and one.name}
                 for here in edges
             ]
-            is_wide = bool(names[0] & names[1] - {street.parts[0][0].name})
-            most_m = limits["join_carriageways_m" if is_wide else "join_m"]
-            if street.length_m <= max(
-                most_m, staggered_m * _is_staggered(network, street)
-            ):
+            own_name = street.parts[0][0].name
+            is_wide = bool(names[0] & names[1] - {own_name})
+            if is_wide:
+                most_m = limits["join_carriageways_m"]
+            else:
+                most_m = limits["join_m"]
+            apart_m = staggered_m * _is_staggered(network, street)
+            if street.length_m <= max(most_m, apart_m):
                 links.append((street.length_m, begin, end))
+    # The shortest links first, as long as junctions stay small enough.
     for _, begin, end in sorted(links):
         one = of_row[begin]
         other = of_row[end]
         if one == other:
             continue
         rows = clusters.members[one] + clusters.members[other]
-        if _size_m(network, rows) <= limits["max_size_m"] or any(
+        is_small = _size_m(network, rows) <= limits["max_size_m"]
+        has_ring = any(
             network.edges[index].is_roundabout
             for row in rows
             for index, _ in network.ends[row]
-        ):
+        )
+        if is_small or has_ring:
             clusters.join(one, other)
 
 
 def _is_staggered(network: Network, street: Street) -> bool:
     """True if one side road leaves each end of a street, to either side."""
-    (first, is_along), (last, runs_along) = street.parts[0], street.parts[-1]
+    first, is_along = street.parts[0]
+    last, runs_along = street.parts[-1]
     sides = []
     for at, edge, is_first in ((0, first, is_along), (-1, last, not runs_along)):
         meeting = [
@@ -416,7 +427,8 @@ def _is_staggered(network: Network, street: Street) -> bool:
         own = next(one for one in ends if one not in others)
         ahead_deg = network.bearing_deg(own)
         turns_deg = [(network.bearing_deg(one) - ahead_deg) % 360.0 for one in others]
-        sides.append(max(turns_deg, key=lambda turn: abs(turn - 180.0)) < 180.0)
+        sharpest_deg = max(turns_deg, key=lambda turn: abs(turn - 180.0))
+        sides.append(sharpest_deg < 180.0)
     # To the same hand of who looks along the street from either end.
     return sides[0] == sides[1]
 
@@ -488,13 +500,11 @@ def find_junctions(
         for number, rows in clusters.members.items()
     }
     reaches = _reaches(network, streets, clusters, arms, ids)
-    mouths = {
-        (index, is_begin): (
-            reach.begin_m if is_begin else reach.street.length_m - reach.end_m
-        )
-        for index, reach in reaches.items()
-        for is_begin in (True, False)
-    }
+    # Where streets are short, lanes begin nearer than the arms asked for.
+    mouths: dict[tuple[int, bool], float] = {}
+    for index, reach in reaches.items():
+        mouths[index, True] = reach.begin_m
+        mouths[index, False] = reach.street.length_m - reach.end_m
     junctions = []
     for number, here in arms.items():
         final = [replace(arm, mouth_m=mouths[arm.index, arm.is_begin]) for arm in here]
@@ -538,13 +548,11 @@ def _arms_by_cluster(
     arms: dict[int, list[Arm]] = {number: [] for number in clusters.members}
     inside: dict[int, list[Street]] = defaultdict(list)
     for index, street in enumerate(streets):
-        begin, end = (clusters.of_row.get(int(street.rows[at])) for at in (0, -1))
+        begin = clusters.of_row.get(int(street.rows[0]))
+        end = clusters.of_row.get(int(street.rows[-1]))
         is_ring = all(edge.is_roundabout for edge, _ in street.parts)
-        if (
-            begin is not None
-            and begin == end
-            and (street.length_m <= limit_m or is_ring)
-        ):
+        may_be_inside = street.length_m <= limit_m or is_ring
+        if begin is not None and begin == end and may_be_inside:
             inside[begin].append(street)
             continue
         if begin is not None:
@@ -554,11 +562,14 @@ def _arms_by_cluster(
     for number, here in arms.items():
         # Most junctions stay as they are from round to round.
         meeting = [*(arm.street for arm in here), *inside[number]]
-        key = tuple(
-            tuple((edge.id, along) for edge, along in one.parts) for one in meeting
-        )
+        paths = []
+        for street in meeting:
+            path = tuple((edge.id, is_along) for edge, is_along in street.parts)
+            paths.append(path)
+        key = tuple(paths)
         if key not in known:
-            known[key] = [arm.mouth_m for arm in place_mouths(here, inside[number])]
+            placed_arms = place_mouths(here, inside[number])
+            known[key] = [arm.mouth_m for arm in placed_arms]
         placed = zip(here, known[key], strict=True)
         arms[number] = [replace(arm, mouth_m=mouth_m) for arm, mouth_m in placed]
     return arms, inside
@@ -577,9 +588,10 @@ def _take_in_forks(
     island_m = DEFAULTS["junction"]["island_m"]
     taken = []
     for number, here in arms.items():
-        group_of = {
-            index: at for at, group in enumerate(group_arms(here)) for index in group
-        }
+        group_of: dict[int, int] = {}
+        for at, group in enumerate(group_arms(here)):
+            for index in group:
+                group_of[index] = at
         # Streets that end at a fork, by its node.
         branches = {
             int(arm.street.rows[-1]): group_of[index]
@@ -594,9 +606,9 @@ def _take_in_forks(
                 strict=True,
             ):
                 is_island = station <= island_m and branches.get(row, own) != own
-                is_near = row not in clusters.of_row and (
-                    station <= arm.mouth_m + 1.0 or is_island
-                )
+                is_before_mouth = station <= arm.mouth_m + 1.0
+                is_free = row not in clusters.of_row
+                is_near = is_free and (is_before_mouth or is_island)
                 if is_near and is_fork(network, network.ends.get(row, ())):
                     taken.append((row, number))
     for row, number in taken:
@@ -710,14 +722,14 @@ def _reaches(
     reaches = {}
     for index, street in enumerate(streets):
         numbers = [clusters.of_row.get(int(street.rows[at])) for at in (0, -1)]
-        from_m, to_m = (
-            (
-                _road_beside_m(network, street, at)
-                if number is None
-                else mouths.get((index, at == 0))
-            )
-            for number, at in zip(numbers, (0, -1), strict=True)
-        )
+        # How far inside the street its lanes begin at either end.
+        ends_m: list[float | None] = []
+        for number, at in zip(numbers, (0, -1), strict=True):
+            if number is None:
+                ends_m.append(_road_beside_m(network, street, at))
+            else:
+                ends_m.append(mouths.get((index, at == 0)))
+        from_m, to_m = ends_m
         if from_m is None or to_m is None:
             # Inside a junction.
             continue
@@ -726,7 +738,12 @@ def _reaches(
         if (both_m := from_m + to_m) > free_m:
             from_m = from_m * free_m / both_m
             to_m = to_m * free_m / both_m
-        names = ["" if number is None else ids[number] for number in numbers]
+        names = []
+        for number in numbers:
+            if number is None:
+                names.append("")
+            else:
+                names.append(ids[number])
         reaches[index] = Reach(
             street=street,
             begin_m=from_m,
@@ -808,9 +825,10 @@ def _name(arms: Sequence[Arm], inside: Sequence[Street]) -> str:
     edges = [arm.street.parts[0][0] for arm in arms]
     counts = Counter(edge.name for edge in edges)
     edges += [edge for street in inside for edge, _ in street.parts]
-    for edge in (edge for edge in edges if edge.name):
-        rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
-        ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
+    for edge in edges:
+        if edge.name:
+            rank = DEFAULTS["roads"][edge.tags["highway"]]["rank"]
+            ranks[edge.name] = min(rank, ranks.get(edge.name, rank))
     return " / ".join(
         sorted(ranks, key=lambda name: (ranks[name], -counts[name], name))
     )
@@ -833,13 +851,13 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
         Such a meeting is no junction.
     """
     edges = [(edge, edge.tags["highway"], is_away) for edge, is_away in arms]
-    if not edges or any(
-        edge.is_service
-        or edge.tags.get("foot") in ("yes", "designated")
-        or edge.tags.get("sidewalk") in ("both", "left", "right", "yes")
-        for edge, *_ in edges
-    ):
+    if not edges:
         return False
+    for edge, *_ in edges:
+        has_walkers = edge.tags.get("foot") in ("yes", "designated")
+        has_sidewalk = edge.tags.get("sidewalk") in ("both", "left", "right", "yes")
+        if edge.is_service or has_walkers or has_sidewalk:
+            return False
     if any(tags.get("highway") in ("traffic_signals", "crossing") for tags in nodes):
         return False
     n_away = sum(is_away for *_, is_away in edges)
@@ -847,11 +865,11 @@ def is_merge(arms: Sequence[tuple[Edge, bool]], nodes: Iterable[Tags]) -> bool:
     is_fast = [
         kind in fast or edge.tags.get("motorroad") == "yes" for edge, kind, _ in edges
     ]
-    is_parting = min(n_away, len(edges) - n_away) <= 1 and all(
-        edge.is_oneway for edge, *_ in edges
-    )
+    is_oneway = all(edge.is_oneway for edge, *_ in edges)
+    is_parting = min(n_away, len(edges) - n_away) <= 1 and is_oneway
     is_trunk = [highway in ("trunk", "trunk_link") for _, highway, _ in edges]
-    return all(is_fast) or (is_parting and bool(np.logical_or(is_fast, is_trunk).all()))
+    is_fast_or_trunk = bool(np.logical_or(is_fast, is_trunk).all())
+    return all(is_fast) or (is_parting and is_fast_or_trunk)
 
 
 # ---------- roads that lead to a junction
@@ -894,7 +912,9 @@ def find_leading_roads(
             # Both its ends lie inside.
             if shapely.intersects(area, shapely.Point(line.coords[-1])):
                 done.add(end[0])
-                far = int(network.edges[end[0]].rows[-1 if end[1] else 0])
+                index, is_start = end
+                rows_of_edge = network.edges[index].rows
+                far = int(rows_of_edge[-1 if is_start else 0])
                 if far not in seen:
                     seen.add(far)
                     waiting.append(far)
@@ -955,22 +975,23 @@ def _road(
         if len(network.ends[row]) == 1:
             # A stub.
             return
-        if len(others) != 1 or _directions(network, others[0]) != _directions(
-            network, way
-        ):
+        if len(others) != 1:
+            break
+        if _directions(network, others[0]) != _directions(network, way):
             break
         way = others[0]
         passed.add(way[0])
         rest_m += shapely.LineString(network.points_from(way)).length
     edge = network.edges[way[0]]
     begin = point
-    if (step := np.hypot(*(ahead - begin))) < 1e-6:
+    step = np.hypot(*(ahead - begin))
+    if step < 1e-6:
         begin = points[-2]
         ahead = points[-1]
         step = np.hypot(*(ahead - begin))
-    n_in, n_out = (
-        len(edge.section.lanes(is_forward=out == way[1])) for out in (False, True)
-    )
+    is_outwards = way[1]
+    n_in = len(edge.section.lanes(is_forward=not is_outwards))
+    n_out = len(edge.section.lanes(is_forward=is_outwards))
     if n_in or n_out:
         yield LeadingRoad(
             name=edge.name or f"way {edge.way_id}",

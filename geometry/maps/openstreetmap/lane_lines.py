@@ -111,18 +111,20 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
     spans = [(max(low, reach.begin_m), min(high, reach.end_m)) for low, high in breaks]
     parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
     parts, spans = _without_stubs(parts, spans, reach)
+    # Lanes that the next part may continue, and those that have ended.
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
-        (edge, is_along), section = street.parts[index], street.sections[index]
+        edge, is_along = street.parts[index]
+        section = street.sections[index]
+        is_two_way = len(section.directions) > 1
+        before: tuple[Strip, ...] = ()
         if at:
             before = street.sections[parts[at - 1]].strips
-        else:
-            before = ()
+        after: tuple[Strip, ...] = ()
         if at + 1 < len(parts):
             after = street.sections[parts[at + 1]].strips
-        else:
-            after = ()
+        # One part of a lane for each strip across this part of the street.
         following: dict[tuple[str, str, int], _Piece] = {}
         for strip in section.strips:
             begin_m, is_continued = _at_break(strip, section.strips, before)
@@ -132,18 +134,24 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
                 edge.tags,
                 is_forward=strip.is_forward == is_along,
             )
-            is_two_way = len(section.directions) > 1
-            means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
-            part = _Part(strip, spans[index], (begin_m, end_m), *means)
+            part = _Part(
+                strip=strip,
+                span_m=spans[index],
+                ends_left_m=(begin_m, end_m),
+                level=edge.level,
+                limit_kmh=limit_kmh,
+                is_two_way=is_two_way,
+                road_class=edge.tags["highway"],
+            )
+            piece: _Piece | None = None
             if is_continued:
                 piece = open_pieces.pop(key, None)
-            else:
-                piece = None
-            following[key] = piece or (
-                f"{edge.id} {strip.kind} {strip.place} {strip.number}",
-                [],
-            )
-            following[key][1].append(part)
+            if piece is None:
+                lane_id = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
+                piece = (lane_id, [])
+            _, own_parts = piece
+            own_parts.append(part)
+            following[key] = piece
         done += open_pieces.values()
         open_pieces = following
     done += open_pieces.values()
@@ -187,21 +195,19 @@ def _without_stubs(
     sections = reach.street.sections
 
     def is_stub(near: int, beyond: int) -> bool:
-        is_short = np.ptp(whole[near]) < least_m
-        return (
-            bool(is_short) and sections[near].directions == sections[beyond].directions
-        )
+        is_short = bool(np.ptp(whole[near]) < least_m)
+        is_alike = sections[near].directions == sections[beyond].directions
+        return is_short and is_alike
 
+    # Merge stubs at the begin, then those at the end, into the part beyond them.
     for junction, tip, beyond in (
         (reach.from_junction, 0, 1),
         (reach.to_junction, -1, -2),
     ):
         while junction and len(kept) > 1 and is_stub(kept[tip], kept[beyond]):
-            pair = [whole[kept.pop(tip)], whole[kept[tip]]]
-            whole[kept[tip]] = (
-                min(low for low, _ in pair),
-                max(high for _, high in pair),
-            )
+            stub_low, stub_high = whole[kept.pop(tip)]
+            low, high = whole[kept[tip]]
+            whole[kept[tip]] = (min(stub_low, low), max(stub_high, high))
     return kept, whole
 
 
@@ -228,22 +234,27 @@ def _at_break(
     is_continued : bool
         The other side has the same lane.
     """
-    kind = strip.kind, strip.place
-    alike = (
-        [one for one in side if (one.kind, one.place) == kind] for side in (own, others)
-    )
-    here, there = (sorted(found, key=lambda one: one.number) for found in alike)
+
+    def alike(side: Sequence[Strip]) -> list[Strip]:
+        """Strips of the lane's kind and place, from the kerb."""
+        kind = (strip.kind, strip.place)
+        found = [one for one in side if (one.kind, one.place) == kind]
+        return sorted(found, key=lambda one: one.number)
+
+    here = alike(own)
+    there = alike(others)
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
         match = [one for one in there if one.number == strip.number]
+        same_left_m = strip.left_m
         if match:
-            same = match[0].left_m
-        else:
-            same = strip.left_m
-        return 0.5 * (strip.left_m + same), bool(match)
+            same_left_m = match[0].left_m
+        return 0.5 * (strip.left_m + same_left_m), bool(match)
+    # With fewer lanes on the other side, the last ones meet the last one there.
     number = min(strip.number, len(here) - 1, len(there) - 1)
-    return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
+    middle_left_m = 0.5 * (here[number].left_m + there[number].left_m)
+    return middle_left_m, len(here) == len(there)
 
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
@@ -269,46 +280,50 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
     taper = DEFAULTS["cross_section"]["taper"]
     # Stations, and how far left of the street.
     points_of_lefts: list[tuple[float, float]] = []
-    for strip, (low, high), ends_left, *_ in parts:
+    for part in parts:
+        low, high = part.span_m
+        begin_left, end_left = part.ends_left_m
+        own_left = part.strip.left_m
         half = 0.5 * (high - low)
-        (begin_left, end_left) = ends_left
-        first, last = (
-            min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left
-        )
-        points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
-        points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
+        first = min(max(taper * abs(begin_left - own_left), 1.0), half)
+        last = min(max(taper * abs(end_left - own_left), 1.0), half)
+        points_of_lefts += [
+            (low, begin_left),
+            (low + first, own_left),
+            (high - last, own_left),
+            (high, end_left),
+        ]
     stations, lefts = zip(*points_of_lefts, strict=True)
     begin_m = parts[0].span_m[0]
     end_m = parts[-1].span_m[1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None
     heights = _heights(parts)
-    if np.ptp(lefts) < 1e-9:
-        extra = []
-    else:
+    # Points are needed at tapers and ramps, besides the bends of the street.
+    extra: list[float] = []
+    if not np.ptp(lefts) < 1e-9:
         extra = list(stations)
     if any(part.level for part in parts):
         extra += [station for station, _ in heights]
-    else:
-        extra += []
     at = stations_between(reach.street, begin_m, end_m, extra)
     middle, across = axis_points(reach.street, at)
-    line = middle + np.interp(at, stations, lefts)[:, None] * across
+    left_m = np.interp(at, stations, lefts)
+    line = middle + left_m[:, None] * across
     is_kept = has_no_knot(line, middle)
     at = at[is_kept]
     line = line[is_kept]
     if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
         return None
     lengths = [part.span_m[1] - part.span_m[0] for part in parts]
-    points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
+    height_stations, height_m = np.transpose(heights)
+    points = np.column_stack([line, np.interp(at, height_stations, height_m)])
+    # Only a lane that reaches the end of the street's reach touches the junction.
+    from_junction = ""
     if begin_m <= reach.begin_m + 1e-6:
         from_junction = reach.from_junction
-    else:
-        from_junction = ""
+    to_junction = ""
     if end_m >= reach.end_m - 1e-6:
         to_junction = reach.to_junction
-    else:
-        to_junction = ""
     is_forward = parts[0].strip.is_forward
     if not is_forward:
         points = points[::-1]
@@ -351,7 +366,8 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
         [*parts[1:], parts[-1]],
         strict=False,
     ):
-        (low, high), level = part.span_m, part.level
+        low, high = part.span_m
+        level = part.level
         run = min(10.0, 0.5 * (high - low))
         heights += [
             (low, 0.5 * step_m * (before.level + level)),
@@ -381,6 +397,7 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
         The same lanes, in order.
     """
     led = list(lanes)
+    # Group the open ends of lanes side by side, from the kerb.
     groups: dict[_Group, list[int]] = defaultdict(list)
     for index, lane in enumerate(lanes):
         if lane.kind == "driving":
@@ -400,12 +417,17 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
         known = moved.get((index, False), moved.get((other, True)))
         if known is not None:
             return known
-        tips = _tip(lanes[index], is_begin=False), _tip(lanes[other], is_begin=True)
-        is_kept = lanes[index].id in two_way, lanes[other].id in two_way
-        if is_kept[0] == is_kept[1]:
-            return 0.5 * (tips[0] + tips[1])
-        return tips[is_kept[1]]
+        own_tip = _tip(lanes[index], is_begin=False)
+        other_tip = _tip(lanes[other], is_begin=True)
+        own_stays = lanes[index].id in two_way
+        other_stays = lanes[other].id in two_way
+        if own_stays == other_stays:
+            return 0.5 * (own_tip + other_tip)
+        if other_stays:
+            return other_tip
+        return own_tip
 
+    # Choose the meeting points, the nearest groups first.
     for ends, begins in _meeting_groups(lanes, groups):
         for number in range(max(len(ends), len(begins))):
             one = ends[min(number, len(ends) - 1)]
@@ -413,10 +435,14 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
             point = place(one, other)
             moved.setdefault((one, False), point)
             moved.setdefault((other, True), point)
+    # Bend the lanes towards them.
     for (index, is_begin), point in moved.items():
         points = led[index].centreline_m
-        line = _bent(points if is_begin else points[::-1], point)
-        led[index] = replace(led[index], centreline_m=line if is_begin else line[::-1])
+        if is_begin:
+            line = _bent(points, point)
+        else:
+            line = _bent(points[::-1], point)[::-1]
+        led[index] = replace(led[index], centreline_m=line)
     return led
 
 
@@ -453,6 +479,7 @@ def _meeting_groups(
     tree = cKDTree(np.concatenate(tips))
     links: dict[tuple[int, int], float] = {}
     for one, key in enumerate(keys):
+        # Groups of the other kind whose tips are near, with the smallest gap.
         found: dict[int, float] = {}
         for tip in tips[one]:
             for at in tree.query_ball_point(tip, _BESIDE_END_M):
@@ -460,18 +487,21 @@ def _meeting_groups(
                 if keys[other][1] != key[1] and keys[other][0] != key[0]:
                     gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
                     found[other] = min(gap_m, found.get(other, np.inf))
+        # Of those that lead the same way, the nearest one is linked.
         own = _ahead(lanes[groups[key][0]], key[1])
-        ways = {
-            other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found
-        }
-        ahead = {
-            other: gap_m
-            for other, gap_m in found.items()
-            if own @ ways[other] > _SAME_WAY
-        }
+        ahead: dict[int, float] = {}
+        for other, gap_m in found.items():
+            first_lane = lanes[groups[keys[other]][0]]
+            way = _ahead(first_lane, not key[1])
+            if own @ way > _SAME_WAY:
+                ahead[other] = gap_m
         if ahead:
             other = min(ahead, key=ahead.__getitem__)
-            links[(other, one) if key[1] else (one, other)] = ahead[other]
+            if key[1]:
+                link = (other, one)
+            else:
+                link = (one, other)
+            links[link] = ahead[other]
     for (end, begin), _ in sorted(links.items(), key=lambda item: item[1]):
         is_met = [
             bool((np.hypot(*(others - tip)[:, :2].T) <= _SAME_POINT_M).any())
@@ -484,13 +514,17 @@ def _meeting_groups(
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
     """First or last point of a lane, (3,)."""
-    return np.asarray(lane.centreline_m[0 if is_begin else -1])
+    if is_begin:
+        return np.asarray(lane.centreline_m[0])
+    return np.asarray(lane.centreline_m[-1])
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
     """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
-    return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
+    if is_begin:
+        return unit(points[1] - points[0])
+    return unit(points[-1] - points[-2])
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
@@ -511,6 +545,6 @@ def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
     """
     along = along_m(points_m)
     run = np.minimum(_BEND_M, along[-1])
-    return np.vstack(
-        [begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]]
-    )
+    joint_m = points_at(points_m, run)
+    rest_m = points_m[along > run + _SAME_POINT_M]
+    return np.vstack([begin_m, joint_m, rest_m])

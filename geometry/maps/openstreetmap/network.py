@@ -129,6 +129,7 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
     def listed(key: str) -> int | None:
         """Number of lanes in a list such as "left|through"; None: no list."""
         text = tags.get(key)
+
         if text and "|" in text:
             return min(text.count("|") + 1, highest)
         return None
@@ -142,6 +143,7 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
             n_backward=0,
             is_counted=count is not None,
         )
+    # Both directions: take the lane in the middle off the total first.
     has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
     if has_centre and total is not None:
         total = max(total - 1, 0) or None
@@ -199,7 +201,10 @@ def roadside_strips(
         Behind the kerb, outwards.
     """
     # The side of traffic along the way.
-    is_near = side == ("left" if keeps_left else "right")
+    near_side = "right"
+    if keeps_left:
+        near_side = "left"
+    is_near = side == near_side
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
     outer: list[Part] = []
@@ -217,10 +222,9 @@ def roadside_strips(
     if is_oneway(tags) and plain.startswith("opposite") == is_near:
         # Of a one-way road the plain tag means the side of its traffic.
         plain = ""
-    if (named := side_value(tags, "cycleway", side)) is None:
+    cycleway = side_value(tags, "cycleway", side)
+    if cycleway is None:
         cycleway = plain
-    else:
-        cycleway = named
     is_against = cycleway in ("opposite_lane", "opposite_track") or (
         tags.get(f"cycleway:{side}:oneway") == "-1"
     )
@@ -235,18 +239,19 @@ def roadside_strips(
             f"{orientation}_parking_width_m", usual["parallel_parking_width_m"]
         )
         part = ("parking", width("parking", usual_m), is_forward)
-        (inner if position in WORDS["on_carriageway"] else outer).append(part)
+        if position in WORDS["on_carriageway"]:
+            inner.append(part)
+        else:
+            outer.append(part)
     if cycleway in WORDS["cycle_tracks"]:
         outer.append(
             ("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward)
         )
     sidewalk = side_value(tags, "sidewalk", side)
-    if sidewalk == "yes" or (
-        sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)
-    ):
-        outer.append(
-            ("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward)
-        )
+    is_plain = sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)
+    if sidewalk == "yes" or is_plain:
+        sidewalk_m = width("sidewalk", usual["sidewalk_width_m"])
+        outer.append(("walking", sidewalk_m, is_forward))
     return inner, outer
 
 
@@ -269,10 +274,14 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
     """
     position = side_value(tags, "parking", side)
     if position is not None:
-        restriction, orientation = (
-            tags.get(f"parking:{side}:{key}", tags.get(f"parking:both:{key}", default))
-            for key, default in (("restriction", ""), ("orientation", "parallel"))
-        )
+
+        def detail(key: str, otherwise: str) -> str:
+            """Value for this side, or else for both sides."""
+            both = tags.get(f"parking:both:{key}", otherwise)
+            return tags.get(f"parking:{side}:{key}", both)
+
+        restriction = detail("restriction", "")
+        orientation = detail("orientation", "parallel")
         if restriction in ("no_stopping", "no_parking", "no_standing"):
             return "no", ""
         return position, orientation
@@ -360,7 +369,8 @@ class CrossSection:
                 is_forward=not strip.is_forward,
             )
 
-        return replace(self, strips=tuple(map(turned, self.strips[::-1])))
+        strips = [turned(strip) for strip in self.strips[::-1]]
+        return replace(self, strips=tuple(strips))
 
 
 def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> CrossSection:
@@ -390,6 +400,7 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
     driving = _driving(widths, counts, keeps_left=keeps_left)
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
+    # Strips beside the driving lanes, on the left and then on the right.
     for side, sign, (inner, outer) in (("left", 1.0, left), ("right", -1.0, right)):
         numbers: Counter[str] = Counter()
         # From the kerb inwards, then from the kerb outwards.
@@ -472,9 +483,12 @@ def _driving_strips(
     for place, number, width_m in driving:
         middle_m = left_m - 0.5 * width_m
         left_m -= width_m
-        for direction in {"both": ("forward", "backward"), "centre": ()}.get(
-            place, (place,)
-        ):
+        directions: tuple[str, ...] = (place,)
+        if place == "both":
+            directions = ("forward", "backward")
+        elif place == "centre":
+            directions = ()
+        for direction in directions:
             is_forward = direction == "forward"
             aside_m = 0.0
             free_m = width_m
@@ -483,14 +497,20 @@ def _driving_strips(
                 # lanes differ.
                 aside_m = 0.5 * limits["shared_apart_m"]
                 free_m = max(width_m - 2.0 * aside_m, limits["min_lane_width_m"])
+            if is_forward != keeps_left:
+                aside_m = -aside_m
+            # Turns are listed from left to right, lanes are counted from the kerb.
+            place_in_list = -1 - number
+            if keeps_left:
+                place_in_list = number
             yield Strip(
                 kind="driving",
                 place=direction,
                 number=number,
                 width_m=free_m,
-                left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
+                left_m=middle_m + aside_m,
                 is_forward=is_forward,
-                turns=turns[direction][number if keeps_left else -1 - number],
+                turns=turns[direction][place_in_list],
             )
 
 
@@ -519,18 +539,21 @@ def _driving(
     """
     if counts.is_shared:
         return [("both", 0, widths[0][0])]
-    forward, backward = (
-        [
-            (place, n if keeps_left else len(lanes) - 1 - n, lane_m)
-            for n, lane_m in enumerate(lanes)
-        ]
-        for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
-    )
-    centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
+
+    def listed(place: str, lanes: Sequence[float]) -> list[tuple[str, int, float]]:
+        """Lanes of one direction from left to right, numbered from the kerb."""
+        numbers = range(len(lanes))
+        if not keeps_left:
+            numbers = numbers[::-1]
+        every = zip(numbers, lanes, strict=True)
+        return [(place, number, lane_m) for number, lane_m in every]
+
+    forward = listed("forward", widths[0])
+    backward = listed("backward", widths[1])
+    centre: list[tuple[str, int, float]] = []
     if counts.has_centre:
+        centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
         centre = [("centre", 0, centre_m)]
-    else:
-        centre = []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
@@ -569,10 +592,9 @@ def _lane_widths(
     narrow_m = limits["min_lane_width_m"]
     wide_m = limits["max_lane_width_m"]
     usual_m = DEFAULTS["roads"][tags["highway"]]["lane_width_m"]
+    centre_m = 0.0
     if counts.has_centre:
         centre_m = limits["centre_lane_width_m"]
-    else:
-        centre_m = 0.0
     forward = _listed_widths(
         tags,
         "forward",
@@ -590,10 +612,9 @@ def _lane_widths(
         if not counts.is_counted and counts.n_forward == counts.n_backward == 1:
             # Nothing says how many lanes there are: one where two cars could not pass.
             fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
+        n_lanes = counts.n_forward + counts.n_backward
         if fitting.is_shared:
             n_lanes = 1
-        else:
-            n_lanes = counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             usual_m = free_m / n_lanes
             counts = fitting
@@ -629,9 +650,9 @@ def _listed_widths(
     """
     if not count:
         return []
-    text = tags.get(f"width:lanes:{direction}") or (
-        tags.get("width:lanes") if is_alone else None
-    )
+    text = tags.get(f"width:lanes:{direction}")
+    if not text and is_alone:
+        text = tags.get("width:lanes")
     widths = [parse_length_m(part) for part in (text or "").split("|")]
     limits = DEFAULTS["cross_section"]
     low_m = limits["min_lane_width_m"]
@@ -670,15 +691,18 @@ def _listed_turns(
     turns : list of tuple of Turn
         From left to right; empty tuples where the lane bears no markings.
     """
-    text = tags.get(f"turn:lanes:{direction}") or (
-        tags.get("turn:lanes") if is_alone else None
-    )
+    text = tags.get(f"turn:lanes:{direction}") or None
+    if text is None and is_alone:
+        text = tags.get("turn:lanes")
+    lanes: list[str] = []
+    if text is not None:
+        lanes = text.split("|")
     words = DEFAULTS["turns"]
     listed: list[tuple[Turn, ...]] = []
-    for lane in [] if text is None else text.split("|"):
-        turns = [
-            turn for word in lane.split(";") for turn in words.get(word.strip(), ())
-        ]
+    for lane in lanes:
+        turns: list[Turn] = []
+        for word in lane.split(";"):
+            turns += words.get(word.strip(), ())
         listed.append(tuple(dict.fromkeys(turns)))
     if len(listed) == count:
         return listed
@@ -715,10 +739,9 @@ def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
     >>> speed_limit_kmh(tags, is_forward=False)
     30.0
     """
+    side = "backward"
     if is_forward:
         side = "forward"
-    else:
-        side = "backward"
     for key in (f"maxspeed:{side}", "maxspeed", *DEFAULTS["speed_limits"]["type_keys"]):
         text = tags.get(key, "").strip().lower()
         speed_kmh = _speed_kmh(text)
@@ -733,7 +756,9 @@ def _speed_kmh(text: str) -> float | None:
     if text in words:
         return words[text]
     zone = _ZONE.fullmatch(text)
-    speed_kmh = parse_speed_kmh(zone[1] if zone else text)
+    if zone:
+        text = zone[1]
+    speed_kmh = parse_speed_kmh(text)
     if speed_kmh:
         return round(speed_kmh, 1)
     return None
@@ -860,13 +885,14 @@ class Network:
 
 def is_for_cars(tags: Tags) -> bool:
     """True if cars drive on a way: a road of the network, or to a yard."""
-    return (
-        tags.get("highway") in DEFAULTS["roads"]
-        and tags.get("area") != "yes"
-        and next((tags[key] for key in WORDS["access"] if key in tags), "yes") != "no"
-        and tags.get("service")
-        not in ("parking_aisle", "driveway", "drive-through", "slipway")
-    )
+    if tags.get("highway") not in DEFAULTS["roads"] or tags.get("area") == "yes":
+        return False
+    # The most telling of the tags on access counts.
+    access = next((tags[key] for key in WORDS["access"] if key in tags), "yes")
+    if access == "no":
+        return False
+    no_roads = ("parking_aisle", "driveway", "drive-through", "slipway")
+    return tags.get("service") not in no_roads
 
 
 def build_network(elements: Elements, *, keeps_left: bool) -> Network:
@@ -896,6 +922,7 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
                     " a cut-out"
                 )
                 elements.omissions.add("roads", f"way {way.id}", why)
+    # Count how often ways pass each node: edges are cut where it is more than once.
     n_uses = np.zeros(len(elements.positions_m), dtype=np.int64)
     for rows in chain.from_iterable(found for _, found in runs):
         np.add.at(n_uses, rows[1:-1], 1)
@@ -912,11 +939,11 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             step = -1
         note = partial(elements.omissions.add, "ways", f"way {way.id}")
         section = build_cross_section(tags, note, keeps_left=keeps_left)
-        parts = (
-            rows[begin : end + 1]
-            for rows in (run[::step] for run in found)
-            for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1))
-        )
+        parts = []
+        for run in found:
+            rows = run[::step]
+            for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1)):
+                parts.append(rows[begin : end + 1])
         edges += [
             Edge(
                 id=numbered(f"w{way.id}", number),
@@ -1004,10 +1031,10 @@ class Street:
         points: list[FloatArray] = []
         rows: list[IntArray] = []
         for at, (edge, is_along) in enumerate(self.parts):
+            step = -1
             if is_along:
                 step = 1
-            else:
-                step = -1
+            # The first node of an edge is the last one of the edge before.
             skip = min(at, 1)
             points.append(edge.points_m[::step][skip:])
             rows.append(edge.rows[::step][skip:])
@@ -1079,6 +1106,7 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
             for one, other in pair_ends(network, ends):
                 partner[one] = other
                 partner[other] = one
+    # Start where nothing leads on, and then on what is left.
     is_done = np.zeros(len(network.edges), dtype=bool)
     streets = []
     starts = [
@@ -1120,6 +1148,7 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
         return
     edges = network.edges
     bearings = {end: network.bearing_deg(end) for end in ends}
+    # Every pair that may go on: no yards first, no ramps first, the straightest first.
     choices = []
     for index, one in enumerate(ends):
         for other in ends[:index]:
@@ -1172,7 +1201,8 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
     last = len(normals) - 1
     before = np.searchsorted(along, stations - 1e-6, side="right") - 1
     after = np.searchsorted(along, stations + 1e-6, side="right") - 1
-    before, after = (np.minimum(np.maximum(one, 0), last) for one in (before, after))
+    before = np.minimum(np.maximum(before, 0), last)
+    after = np.minimum(np.maximum(after, 0), last)
     normal = normals[before] + normals[after]
     squared = np.maximum((normal * normal).sum(axis=1), 1e-9)
     # As long as the offsets of both sides need.
@@ -1208,6 +1238,7 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
     if (steps > 0.0).all():
         return is_kept
     last = 0
+    # Drop points that do not lead on from the last one kept; the end always stays.
     for index in range(1, len(line_m)):
         step = line_m[index] - line_m[last]
         along = middle[index] - middle[last]

@@ -97,10 +97,9 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
             (0.01, limits["max_thickness_m"]),
             note,
         )
-        if tagged_m is None:
+        top_m = tagged_m
+        if top_m is None:
             top_m = float(limits[kind]["height_m"])
-        else:
-            top_m = tagged_m
         if thick_m is None:
             thick_m = float(limits[kind]["thickness_m"])
         for number, footprint in enumerate(_footprints(way, elements, thick_m)):
@@ -115,10 +114,9 @@ def find_barriers(elements: Elements) -> Iterator[Thing]:
                 note(f"its outline has {error.got}")
                 continue
             name = numbered(f"w{way.id} {kind}", number, " ")
+            class_name = "wall"
             if kind == "hedge":
                 class_name = "vegetation"
-            else:
-                class_name = "wall"
             yield Thing.of(name, class_name, mesh, is_height_assumed=tagged_m is None)
 
 
@@ -139,7 +137,8 @@ def _footprints(way: Way, elements: Elements, thickness_m: float) -> Iterator[Po
     footprint : Polygon
         In metres.
     """
-    if way.tags.get("area") == "yes" and way.is_closed and (way.rows >= 0).all():
+    is_area = way.tags.get("area") == "yes" and way.is_closed
+    if is_area and (way.rows >= 0).all():
         yield from polygons_of(Polygon(elements.positions_m[way.rows]).buffer(0.0))
         return
     for line_m in lines_of(way, elements):
@@ -174,9 +173,12 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
             node_id = int(elements.node_ids[row])
             note = partial(add, "trees", f"node {node_id}")
             yield _tree(f"n{node_id}", elements.positions_m[row], tags, note)
+    # Rows of trees are ways; woods are ways or relations.
     tagged: tuple[Way | Relation, ...] = (*elements.ways, *elements.relations)
     for one in tagged:
-        element = f"{'way' if isinstance(one, Way) else 'relation'} {one.id}"
+        element = f"relation {one.id}"
+        if isinstance(one, Way):
+            element = f"way {one.id}"
         if isinstance(one, Way) and one.tags.get("natural") == "tree_row":
             usual = DEFAULTS["tree"]
             feet = list[FloatArray]()
@@ -185,7 +187,8 @@ def find_trees(elements: Elements) -> Iterator[Thing]:
                 n_trees = min(
                     round(long_m / usual["row_spacing_m"]) + 1, usual["max_in_row"]
                 )
-                feet += [*points_at(line_m, np.linspace(0.0, long_m, max(n_trees, 2)))]
+                stations_m = np.linspace(0.0, long_m, max(n_trees, 2))
+                feet += [*points_at(line_m, stations_m)]
             for number, foot in enumerate(feet):
                 note = partial(add, "trees", element)
                 yield _tree(f"w{one.id} tree {number}", foot, one.tags, note)
@@ -219,20 +222,18 @@ def _tree(name: str, foot_m: FloatArray, tags: Tags, note: TagNote) -> Thing:
         return tagged_length_m(tags, keys, (0.05, highest_m), note)
 
     tagged_m = size_m(("height", "est_height"), usual["max_height_m"])
-    if tagged_m is None:
-        height_m = usual["height_m"]
-    else:
+    height_m = usual["height_m"]
+    if tagged_m is not None:
         height_m = tagged_m
-    crown_m = (
-        size_m(("diameter_crown",), usual["max_crown_m"]) or usual["crown_diameter_m"]
-    )
+    crown_m = size_m(("diameter_crown",), usual["max_crown_m"])
+    crown_m = crown_m or usual["crown_diameter_m"]
     girth_m = size_m(("circumference",), np.pi * usual["max_trunk_m"])
-    if girth_m is None:
-        trunk_m = usual["trunk_diameter_m"]
-    else:
+    trunk_m = usual["trunk_diameter_m"]
+    if girth_m is not None:
         trunk_m = girth_m / np.pi
     trunk_m = min(trunk_m, crown_m)
     base_m = min(usual["crown_base_m"], usual["crown_base_share"] * height_m)
+    # The crown is an ellipsoid from its base to the top, the trunk reaches its middle.
     ball, ball_faces = unit_ball()
     middle_m = 0.5 * (base_m + height_m)
     crown = ball * [0.5 * crown_m, 0.5 * crown_m, height_m - middle_m] + [
@@ -277,6 +278,7 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
         ):
             places[int(row)].append((reach, float(station_m)))
     elements = network.elements
+    # One pole for each node at the roadside, or several where it lies on a road.
     for row, tags in elements.node_tags.items():
         kind = _kind(tags)
         if not kind:
@@ -293,7 +295,8 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
             continue
         feet = [elements.positions_m[row]]
         assumed = ""
-        if kind in ("traffic light", "sign") and (row in network.ends or row in places):
+        is_on_road = row in network.ends or row in places
+        if kind in ("traffic light", "sign") and is_on_road:
             feet = _at_kerbs(places.get(row, ()), tags, keeps_left=network.keeps_left)
             assumed = "mapped on the road: a pole at the kerb is assumed"
             if len(feet) > 1:
@@ -319,18 +322,19 @@ def find_poles(network: Network, reaches: Sequence[Reach]) -> Iterator[Pole]:
 
 def _kind(tags: Tags) -> str:
     """Kind of pole that the tags of a node describe; empty: none."""
-    kind = WORDS["roadside"].get(
-        tags.get("highway", ""), "sign" if "traffic_sign" in tags else ""
-    )
+    otherwise = ""
+    if "traffic_sign" in tags:
+        otherwise = "sign"
+    kind: str = WORDS["roadside"].get(tags.get("highway", ""), otherwise)
+    if kind:
+        return kind
     has_camera = (
         tags.get("man_made") == "surveillance" and tags.get("camera:mount") == "pole"
     )
-    is_pole = (
-        has_camera
-        or tags.get("man_made") in WORDS["poles"]
-        or tags.get("power") == "pole"
-    )
-    return kind or ("pole" if is_pole else "")
+    is_mast = tags.get("man_made") in WORDS["poles"] or tags.get("power") == "pole"
+    if has_camera or is_mast:
+        return "pole"
+    return ""
 
 
 def _at_kerbs(
@@ -360,15 +364,13 @@ def _at_kerbs(
         for is_forward in _directions(reach, station_m, tags):
             # Beside the stop line, or where the arm begins if the stop line lies
             # inside.
-            at_m = float(
-                np.clip(station_m, min(reach.begin_m, reach.end_m), reach.end_m)
-            )
+            first_m = min(reach.begin_m, reach.end_m)
+            at_m = float(np.clip(station_m, first_m, reach.end_m))
             section = reach.street.section_at(at_m)
-            # left of the street
+            # To the left of the street, or to the right.
+            sign = -1.0
             if is_forward == keeps_left:
                 sign = 1.0
-            else:
-                sign = -1.0
             beside_m = 0.5 * section.width_m + DEFAULTS["pole"]["beyond_kerb_m"]
             (middle,), (across,) = axis_points(reach.street, [at_m])
             foot = middle + sign * beside_m * across
@@ -412,14 +414,13 @@ def _directions(reach: Reach, station_m: float, tags: Tags) -> list[bool]:
         return [one for one in driven if one == (is_way == is_along)]
     if text == "both" or len(driven) < 2:
         return driven
+    # Without a direction it is for cars on their way to the nearer junction.
+    to_begin = np.inf
     if reach.from_junction:
         to_begin = station_m
-    else:
-        to_begin = np.inf
+    to_end = np.inf
     if reach.to_junction:
         to_end = street.length_m - station_m
-    else:
-        to_end = np.inf
     if min(to_begin, to_end) > _NEAR_JUNCTION_M:
         return driven
     return [bool(to_end <= to_begin)]
@@ -452,25 +453,20 @@ def find_crosswalks(network: Network) -> FloatArray:
         [shapely.linestrings(edge.points_m) for edge in network.edges]
     )
     for way in elements.ways:
-        if (
-            way.tags.get("footway") != "crossing"
-            or way.tags.get("highway") not in WORDS["footways"]
-        ):
+        if way.tags.get("footway") != "crossing":
+            continue
+        if way.tags.get("highway") not in WORDS["footways"]:
             continue
         for rows in known_runs(way, elements):
             walk = LineString(elements.positions_m[rows])
-            near = (
-                network.edges[at]
-                for at in tree.query(walk, predicate="intersects").tolist()
-            )
+            hits = tree.query(walk, predicate="intersects").tolist()
+            near = [network.edges[at] for at in hits]
             edges = [edge for edge in near if edge.level == level(way.tags)]
-            over = [
-                (line, np.hypot(*(line[1] - line[0])))
-                for line in _over_roads(walk, edges)
-            ]
-            found = [
-                line for line, long_m in over if 1.0 < long_m <= limits["max_length_m"]
-            ]
+            found = []
+            for line in _over_roads(walk, edges):
+                long_m = np.hypot(*(line[1] - line[0]))
+                if 1.0 < long_m <= limits["max_length_m"]:
+                    found.append(line)
             if not found:
                 why = "no road for cars below it"
                 elements.omissions.add("crossings", f"way {way.id}", why)
@@ -483,6 +479,7 @@ def find_crosswalks(network: Network) -> FloatArray:
         for at, row in enumerate(edge.rows.tolist()):
             if row not in at_row or network.edges[at_row[row][0]].is_service:
                 at_row[row] = (index, at)
+    # Mapped points on a road, unless a mapped footway leads over it there.
     for row, tags in elements.node_tags.items():
         if tags.get("highway") != "crossing" or tags.get("crossing") == "no":
             continue
@@ -536,14 +533,13 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
     ]
     crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
     for part, carriageway in crossed:
-        if joined and (
-            part.distance(joined[-1][0]) <= limits["median_m"]
-            and abs(_direction(part) @ _direction(joined[-1][0])) > _PARALLEL
-        ):
-            before, area = joined.pop()
-            whole = LineString([before.coords[0], part.coords[-1]])
-            part = whole
-            carriageway = area.union(carriageway)
+        if joined:
+            before, area = joined[-1]
+            is_close = part.distance(before) <= limits["median_m"]
+            if is_close and abs(_direction(part) @ _direction(before)) > _PARALLEL:
+                joined.pop()
+                part = LineString([before.coords[0], part.coords[-1]])
+                carriageway = area.union(carriageway)
         joined.append((part, carriageway))
     for part, carriageway in joined:
         yield _from_kerb_to_kerb(part, carriageway, limits["beyond_kerb_m"])
@@ -573,15 +569,16 @@ def _parts_over(
     axis = LineString(edge.points_m)
     on_road = shapely.line_merge(shapely.intersection(walk, carriageway))
     for part in shapely.get_parts(on_road):
-        if (
-            isinstance(part, LineString)
-            and part.length > _LEAST_M
-            and part.distance(axis) < 1e-6
-        ):
-            begin_m, end_m = (
-                walk.project(shapely.Point(part.coords[at])) for at in (0, -1)
-            )
-            yield part if begin_m <= end_m else part.reverse()
+        if not isinstance(part, LineString) or part.length <= _LEAST_M:
+            continue
+        if not part.distance(axis) < 1e-6:
+            continue
+        begin_m = walk.project(shapely.Point(part.coords[0]))
+        end_m = walk.project(shapely.Point(part.coords[-1]))
+        if begin_m <= end_m:
+            yield part
+        else:
+            yield part.reverse()
 
 
 def _direction(line: LineString) -> FloatArray:
@@ -658,13 +655,17 @@ def _across(
     if len(ends) == 2 and {one for one, _ in ends} != {index}:
         # The way ends here and another goes on: the road bends between them.
         other, is_start = next(end for end in ends if end[0] != index)
-        beyond = network.edges[other].points_m[1 if is_start else -2]
-        if at == 0:
-            before, after = (beyond, after)
+        if is_start:
+            beyond = network.edges[other].points_m[1]
         else:
-            before, after = (before, beyond)
+            beyond = network.edges[other].points_m[-2]
+        if at == 0:
+            before = beyond
+        else:
+            after = beyond
     steps = (points[at] - before, after - points[at])
     ways = [unit(step) for step in steps if np.hypot(*step) > 1e-6]
+    # The bisector of the road on both sides of the node, unless it turns back there.
     along = np.sum(ways, axis=0)
     if np.hypot(*along) < 1e-6:
         along = ways[0]
@@ -702,23 +703,22 @@ def find_buildings(network: Network) -> Iterator[Thing]:
     passages = _Passages(network)
     for area in parts:
         yield from _solid(area, passages, omissions)
-    for area, rest in zip(outlines, _without_parts(outlines, parts), strict=True):
-        pieces = (
-            [area]
-            if rest is None
-            else _pieces(area, rest, f"{area.id} beside its parts")
-        )
+    rests = _without_parts(outlines, parts)
+    for area, rest in zip(outlines, rests, strict=True):
+        pieces = [area]
+        if rest is not None:
+            pieces = list(_pieces(area, rest, f"{area.id} beside its parts"))
         for piece in pieces:
             yield from _solid(piece, passages, omissions)
 
 
 def _element(area: Area) -> str:
     """Kind and id of the element of an area, for notes: "way 5"."""
+    kind = "way"
     if area.id.startswith("r"):
         kind = "relation"
-    else:
-        kind = "way"
-    return f"{kind} {area.id[1:].partition('.')[0]}"
+    number, _, _ = area.id[1:].partition(".")
+    return f"{kind} {number}"
 
 
 def _stands(area: Area, omissions: Omissions) -> bool:
@@ -808,10 +808,9 @@ def _solid(area: Area, passages: "_Passages", omissions: Omissions) -> Iterator[
         return
     whole = make_valid(area.polygon)
     beside = polygons_of(whole.difference(ways), above_m2=_LEAST_M2)
+    over: list[Polygon] = []
     if clear_m < top_m:
         over = polygons_of(whole.intersection(ways), above_m2=_LEAST_M2)
-    else:
-        over = []
     for piece in _pieces(area, beside, area.id):
         yield from _prism(piece, span, omissions)
     for piece in _pieces(area, over, f"{area.id} over a passage"):
@@ -835,7 +834,8 @@ def _prism(area: Area, span: "_Span", omissions: Omissions) -> Iterator[Thing]:
     thing : Thing
         None if the outline cannot be extruded.
     """
-    (bottom_m, top_m, is_assumed), where = span, _element(area)
+    bottom_m, top_m, is_assumed = span
+    where = _element(area)
     try:
         mesh = extrude_polygon(
             area.polygon,
@@ -868,12 +868,17 @@ def _span(area: Area, omissions: Omissions) -> _Span | None:
     usual = DEFAULTS["building"]
     kind = _building_kind(area.tags)
     is_roof = kind in usual["clear_heights_m"]
-    least_m = usual["roof_thickness_m" if is_roof else "storey_height_m"]
+    if is_roof:
+        least_m = usual["roof_thickness_m"]
+    else:
+        least_m = usual["storey_height_m"]
     top_m = _top_m(area, omissions)
     bottom_m = _bottom_m(area.tags)
     clear_m = 0.0
+    # Without a tagged bottom, what stands on stilts begins at its clear height.
     if bottom_m is None:
-        bottom_m = clear_m = _clear_height_m(kind, area.tags)
+        clear_m = _clear_height_m(kind, area.tags)
+        bottom_m = clear_m
         if clear_m > 0.0 and top_m is not None:
             below_m = max(top_m - least_m, 0.0)
             if is_roof:
@@ -918,9 +923,8 @@ def _clear_height_m(kind: str, tags: Tags) -> float:
     """
     usual = DEFAULTS["building"]
     clear_m = float(usual["clear_heights_m"].get(kind, usual["clear_height_m"]))
-    return clear_m * max(
-        level(tags), int(kind == "bridge" or kind in usual["clear_heights_m"])
-    )
+    is_on_stilts = kind == "bridge" or kind in usual["clear_heights_m"]
+    return clear_m * max(level(tags), int(is_on_stilts))
 
 
 def _top_m(area: Area, omissions: Omissions) -> float | None:
@@ -1036,16 +1040,12 @@ class _Passages:
         )
         whole = make_valid(area.polygon)
         near = (self._ways[index] for index in self._tree.query(area.polygon).tolist())
-        leading = [
-            (strip, clear_m)
-            for strip, clear_m, is_marked in near
-            if is_gate or is_marked
-        ]
-        found = [
-            (one, clear_m)
-            for one, clear_m in leading
-            if whole.intersection(one).area > 1.0
-        ]
+        found = []
+        for strip, clear_m, is_marked in near:
+            if not (is_gate or is_marked):
+                continue
+            if whole.intersection(strip).area > 1.0:
+                found.append((strip, clear_m))
         if not found:
             return None, 0.0
         ways = shapely.union_all([strip for strip, _ in found])
@@ -1088,10 +1088,12 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
     def is_over_road(line_m: FloatArray, tags: Tags) -> bool:
         """True if a way is a bridge that crosses a road on the ground."""
         is_bridge = level(tags) > 0 and is_yes(tags.get("bridge"))
-        return (
-            is_bridge and len(below.query(LineString(line_m), predicate="crosses")) > 0
-        )
+        if not is_bridge:
+            return False
+        crossed = below.query(LineString(line_m), predicate="crosses")
+        return len(crossed) > 0
 
+    # Bridges of streets.
     for reach in reaches:
         breaks_m = reach.street.breaks_m
         for index, (edge, _) in enumerate(reach.street.parts):
@@ -1099,9 +1101,9 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
                 continue
             from_m = breaks_m[index] - reach.begin_m
             to_m = reach.end_m - breaks_m[index + 1]
-            if (reach.from_junction and from_m < usual["junction_m"]) or (
-                reach.to_junction and to_m < usual["junction_m"]
-            ):
+            is_near_begin = reach.from_junction and from_m < usual["junction_m"]
+            is_near_end = reach.to_junction and to_m < usual["junction_m"]
+            if is_near_begin or is_near_end:
                 why = "a junction is near on it: its deck is left out"
                 elements.omissions.add("bridges", f"way {edge.way_id}", why)
             else:
@@ -1111,10 +1113,13 @@ def find_bridges(network: Network, reaches: Sequence[Reach]) -> Iterator[Thing]:
                     edge.section.width_m,
                     edge.level,
                 )
+    # Bridges of railways and footways.
     for way in elements.ways:
         is_rail = way.tags.get("railway") in usual["railways"]
         if is_rail or way.tags.get("highway") in DEFAULTS["building"]["foot_ways"]:
-            width_m = usual["track_width_m" if is_rail else "foot_width_m"]
+            width_m = usual["foot_width_m"]
+            if is_rail:
+                width_m = usual["track_width_m"]
             for number, line_m in enumerate(lines_of(way, elements)):
                 if is_over_road(line_m, way.tags):
                     name = numbered(f"w{way.id}", number)
