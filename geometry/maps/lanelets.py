@@ -745,7 +745,7 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     for element in root.iter():
         element.tag = local_name(element)
     omissions = Omissions()
-    # Ids of the lanelets in intersections: those that cross, and those that lead through.
+    # Ids of the lanelets that cross an intersection or lead through it.
     crossing = {one.get("ref") for one in root.iter("crossingLanelet")}
     for incoming in root.iter("incoming"):
         for tag in ("successorsRight", "successorsStraight", "successorsLeft"):

@@ -147,7 +147,7 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
             scene = trimesh.load_scene(
                 file,
-                file_type=path.suffix.lower()[1:],
+                file_type=suffix[1:],
                 **options,
             )
         # Sorted below: trimesh keeps them in sets.

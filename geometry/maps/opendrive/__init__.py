@@ -99,6 +99,9 @@ def read_opendrive(path: Path) -> SourceMap:
     for element in root.iter("include"):
         name = f"include {element.get('file', '')[:80]}"
         omissions.add("included files", name, "other files are not read")
+    surfaces_m = []
+    for sections in sampled.values():
+        surfaces_m += [section.surface_m() for section in sections]
     n_left = sum(road.keeps_left for road in roads.values())
     if 0 < n_left < len(roads):
         name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
@@ -119,13 +122,7 @@ def read_opendrive(path: Path) -> SourceMap:
         poles=tuple(merge_poles([*found.poles, *poles])),
         crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
         keeps_left=2 * n_left > len(roads),
-        ground_m=np.concatenate(
-            [
-                section.surface_m()
-                for sections in sampled.values()
-                for section in sections
-            ]
-        ),
+        ground_m=np.concatenate(surfaces_m),
         skipped=omissions.listed(),
     )
 
@@ -209,10 +206,11 @@ def _beyond(
         if link.kind != "road" or link.id not in joints:
             break
         before, after = joints[link.id]
-        if link.contact == "end":
+        # On through the road without a length, to its other end.
+        is_at_end = link.contact == "end"
+        link = after
+        if is_at_end:
             link = before
-        else:
-            link = after
     return link
 
 
@@ -240,8 +238,11 @@ def _connections(
     there = {junction.id for junction in junctions}
     found: list[MapLane] = []
     n_points = 0
-    for road in (road for road in roads.values() if road.junction in there):
-        found += (here := connecting_lanes(road))
+    for road in roads.values():
+        if road.junction not in there:
+            continue
+        here = connecting_lanes(road)
+        found += here
         n_points += sum(len(lane.centreline_m) for lane in here)
         if n_points > MAX_POINTS:
             got = f"more than {n_points:,} points of lanes through junctions"

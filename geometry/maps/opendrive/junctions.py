@@ -164,14 +164,13 @@ def find_road_ends(
             return found
         return ""
 
-    return {
-        road.id: (
-            junction_at(road, road.before, "start"),
-            junction_at(road, road.after, "end"),
-        )
-        for road in roads.values()
-        if road.junction == NO_JUNCTION
-    }
+    ends: dict[str, RoadEnds] = {}
+    for road in roads.values():
+        if road.junction == NO_JUNCTION:
+            at_start = junction_at(road, road.before, "start")
+            at_end = junction_at(road, road.after, "end")
+            ends[road.id] = (at_start, at_end)
+    return ends
 
 
 def leading_roads(
@@ -199,7 +198,10 @@ def leading_roads(
     for road_id, at in ends.items():
         for junction, is_start in zip(at, (True, False), strict=True):
             section = sampled[road_id][0 if is_start else -1]
-            if junction and (lead := _leading_road(roads[road_id], section, is_start)):
+            if not junction:
+                continue
+            lead = _leading_road(roads[road_id], section, is_start)
+            if lead is not None:
                 found[junction] += (lead,)
     return found
 
@@ -225,10 +227,10 @@ def _leading_road(
     lead : LeadingRoad or None
         Its direction is away from the junction to the road.
     """
+    # First or last station of the section.
+    index = -1
     if is_start:
         index = 0
-    else:
-        index = -1
     driving = [
         lane
         for lane in section.lanes.values()
@@ -241,7 +243,9 @@ def _leading_road(
     n_following = sum(
         ((one.number < 0) != road.keeps_left) != one.is_reversed for one in records
     )
-    edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
+    edges_m: list[float] = []
+    for lane in lanes:
+        edges_m += (float(lane.inner_m[index]), float(lane.outer_m[index]))
     middle_m = 0.5 * (min(edges_m) + max(edges_m))
     ahead_m = min(_AHEAD_M, road.length_m)
     if is_start:
@@ -323,9 +327,10 @@ def build_junctions(
         # Flags that GEOS leaves behind.
         with np.errstate(divide="ignore", invalid="ignore"):
             surface = _surface(pieces)
-            fitted, far = (
-                (None, []) if surface is None else fit_outline(surface, own_tips)
-            )
+            fitted = None
+            far: list[MapLane] = []
+            if surface is not None:
+                fitted, far = fit_outline(surface, own_tips)
         if fitted is None:
             why = "it has no connecting road with a driving lane"
             omissions.add("junctions without surface", f"junction {record.id}", why)
@@ -426,19 +431,20 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
     surface : Polygon or None
         In metres.
     """
-    rings = [
-        np.concatenate([inner, outer[::-1]])
-        for section in sections
-        for lane in section.lanes.values()
-        if lane_kind(lane.record.type) == "driving"
-        and lane.width_m.max() > _MIN_WIDTH_M
-        for edges in [
-            (section.points_at(lane.inner_m), section.points_at(lane.outer_m))
-        ]
-        # In short pieces, so that self-intersections stay cheap to mend.
-        for at in range(0, len(section.s_m) - 1, _PIECE_POINTS)
-        for inner, outer in [[edge[at : at + _PIECE_POINTS + 1, :2] for edge in edges]]
-    ]
+    rings = []
+    for section in sections:
+        for lane in section.lanes.values():
+            if lane_kind(lane.record.type) != "driving":
+                continue
+            if not lane.width_m.max() > _MIN_WIDTH_M:
+                continue
+            inner = section.points_at(lane.inner_m)[:, :2]
+            outer = section.points_at(lane.outer_m)[:, :2]
+            # In short pieces, so that self-intersections stay cheap to mend.
+            for begin in range(0, len(section.s_m) - 1, _PIECE_POINTS):
+                end = begin + _PIECE_POINTS + 1
+                ring = np.concatenate([inner[begin:end], outer[begin:end][::-1]])
+                rings.append(ring)
     if not rings:
         return None
     strips = shapely.make_valid(np.array([shapely.Polygon(ring) for ring in rings]))
@@ -481,6 +487,7 @@ def fit_outline(
     far : list of MapLane
         Lanes that do not end at the junction.
     """
+    # Lanes that end inside: their mouths are no part of the junction.
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
@@ -495,6 +502,7 @@ def fit_outline(
         rest = largest_polygon(shapely.difference(surface, mouths, grid_size=_GRID_M))
         if rest is not None:
             surface = rest
+    # Lanes that end outside: a narrow way leads to each of them.
     far = []
     ways = []
     for lane, line in tips:

@@ -75,10 +75,9 @@ class SampledLane:
     @property
     def width_m(self) -> FloatArray:
         """Full width at the stations, not below 0, (n,)."""
+        side = -1.0
         if self.record.number > 0:
             side = 1.0
-        else:
-            side = -1.0
         return np.maximum(side * (self.outer_m - self.inner_m), 0.0)
 
 
@@ -191,6 +190,7 @@ def _sample_section(
     inside = starts + 0.5 * lengths
     n_edges = 1 + len(section.left) + len(section.right)
     _check_count(road, len(starts) * n_edges)
+    # Edges of the lanes as cubics, each lane added to the edge inside it.
     center = road.offset.rebased(starts, inside)
     edges = {0: center}
     inner_of = {}
@@ -208,6 +208,7 @@ def _sample_section(
             inner_number = lane.number
     elevation = road.elevation.rebased(starts, inside)
 
+    # Steps of each interval, numbered one after the other; the last point is added.
     sides = np.stack([*edges.values()])
     n_steps = _count_steps(
         road,
@@ -225,37 +226,33 @@ def _sample_section(
     interval = np.append(interval, len(starts) - 1)
     ds = np.append(ds, lengths[-1])
 
+    # Points of the line, the edges and the heights at all stations.
     s_m = starts[interval] + ds
     points, heading = road.line.at(s_m, inside[interval])
     t_m = {number: evaluate(ds, cubic[interval]) for number, cubic in edges.items()}
-    if np.abs(points).max() > MAX_COORDINATE_M:
-        got = float(np.abs(points).max())
-        raise InputError(
-            f"{road.where} planView",
-            got,
-            f"at most {MAX_COORDINATE_M:g} m",
-        )
+    farthest_m = float(np.abs(points).max())
+    if farthest_m > MAX_COORDINATE_M:
+        expected = f"at most {MAX_COORDINATE_M:g} m"
+        raise InputError(f"{road.where} planView", farthest_m, expected)
     height = evaluate(ds, elevation[interval]) + road.base_m
-    if np.abs(height).max() > _MAX_HEIGHT_M:
+    highest_m = float(np.abs(height).max())
+    if highest_m > _MAX_HEIGHT_M:
         expected = f"heights of at most {_MAX_HEIGHT_M:g} m"
-        raise InputError(
-            f"{road.where} elevationProfile",
-            float(np.abs(height).max()),
-            expected,
+        raise InputError(f"{road.where} elevationProfile", highest_m, expected)
+    bank_rad = evaluate(ds, road.bank.rebased(starts, inside)[interval])
+    lanes: dict[int, SampledLane] = {}
+    for lane in (*section.left, *section.right):
+        lanes[lane.number] = SampledLane(
+            record=lane,
+            inner_m=t_m[inner_of[lane.number]],
+            outer_m=t_m[lane.number],
         )
     return SampledSection(
         s_m=s_m,
         points_m=np.column_stack([points, height]),
         left=np.stack([-np.sin(heading), np.cos(heading)], axis=1),
-        rise=np.sin(evaluate(ds, road.bank.rebased(starts, inside)[interval])),
-        lanes={
-            lane.number: SampledLane(
-                record=lane,
-                inner_m=t_m[inner_of[lane.number]],
-                outer_m=t_m[lane.number],
-            )
-            for lane in (*section.left, *section.right)
-        },
+        rise=np.sin(bank_rad),
+        lanes=lanes,
     )
 
 
@@ -455,31 +452,43 @@ def build_lanes(
             used[name] += 1
             if used[name] > 1:
                 name = f"{name}:{used[name]}"
-            junctions = ends[0] if at_start else "", ends[1] if at_end else ""
-            width_m = _width_m(points, widths_m, *map(bool, junctions))
-            # Where it leads into a junction, or else out of one.
+            start_junction = ""
+            if at_start:
+                start_junction = ends[0]
+            end_junction = ""
+            if at_end:
+                end_junction = ends[1]
+            width_m = _width_m(
+                points,
+                widths_m,
+                bool(start_junction),
+                bool(end_junction),
+            )
+            # The limit is that where it leads into a junction, or else out of one.
             if follows:
-                is_at_end = bool(junctions[1])
+                is_at_end = bool(end_junction)
             else:
-                is_at_end = not junctions[0]
+                is_at_end = not start_junction
             if is_at_end:
                 last = max(chain)
-            else:
-                last = min(chain)
-            if is_at_end:
                 at_m = road.length_m
             else:
+                last = min(chain)
                 at_m = 0.0
             its_lane = sections[last].lanes[chain[last]]
-            if follows:
-                before, after = junctions
-            else:
-                before, after = junctions[::-1]
+            # Centrelines run in driving direction.
+            line_m = points
+            before = start_junction
+            after = end_junction
+            if not follows:
+                line_m = points[::-1]
+                before = end_junction
+                after = start_junction
             yield MapLane(
                 id=name,
                 kind=kind,
                 width_m=width_m,
-                centreline_m=points if follows else points[::-1],
+                centreline_m=line_m,
                 from_junction=before,
                 to_junction=after,
                 speed_limit_kmh=road.speed_limit_kmh(at_m, its_lane.record),
@@ -594,9 +603,8 @@ def _width_m(
         counts[-1] = at_end
     if not counts.any():
         counts[:] = True
-    return float(
-        np.average(0.5 * (widths_m[1:] + widths_m[:-1])[counts], weights=steps[counts])
-    )
+    mean_widths_m = 0.5 * (widths_m[1:] + widths_m[:-1])
+    return float(np.average(mean_widths_m[counts], weights=steps[counts]))
 
 
 def _runs(
@@ -669,26 +677,26 @@ def join_stubs(lanes: Sequence[MapLane]) -> list[MapLane]:
         # By now it may be part of another.
         if not is_short or stub not in joined:
             continue
+        # The stub's free end, and the ends of other lanes that it may continue.
+        own = 0
+        others = -1
         if leads_out:
-            own, others = (-1, 0)
-        else:
-            own, others = (0, -1)
+            own = -1
+            others = 0
         tips = np.array([lane.centreline_m[others] for lane in joined])
         gaps_m = np.linalg.norm(tips - stub.centreline_m[own], axis=1)
         for at in np.argsort(gaps_m, kind="stable")[
             : int((gaps_m <= _GAP_M).sum())
         ].tolist():
             lane = joined[at]
+            is_taken = lane.to_junction
             if leads_out:
                 is_taken = lane.from_junction
-            else:
-                is_taken = lane.to_junction
             if lane is stub or lane.kind != stub.kind or is_taken:
                 continue
+            pieces = [lane, stub]
             if leads_out:
                 pieces = [stub, lane]
-            else:
-                pieces = [lane, stub]
             lengths_m = [length_m(piece.centreline_m) for piece in pieces]
             joined[at] = replace(
                 lane,

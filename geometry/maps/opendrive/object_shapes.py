@@ -187,7 +187,10 @@ def _read_spot(
         t_m = take_number(element, "t", where)
     else:
         t_m = take_number_or(element, f"t{side}", where, own.t_m)
-    z_m = take_number_or(element, f"zOffset{side}", where, own.z_m if own else 0.0)
+    usual_z_m = 0.0
+    if own:
+        usual_z_m = own.z_m
+    z_m = take_number_or(element, f"zOffset{side}", where, usual_z_m)
     for key, value in (("t", t_m), ("zOffset", z_m)):
         if abs(value) > MAX_SIZE_M:
             raise InputError(
@@ -195,11 +198,10 @@ def _read_spot(
                 value,
                 f"at most {MAX_SIZE_M:g} m off the road",
             )
-    sizes: dict[str, Any] = {
-        f"{size}_m": take_size(element, f"{size}{side}", where)
-        or getattr(own, f"{size}_m", None)
-        for size in _SIZES
-    }
+    sizes: dict[str, Any] = {}
+    for size in _SIZES:
+        given_m = take_size(element, f"{size}{side}", where)
+        sizes[f"{size}_m"] = given_m or getattr(own, f"{size}_m", None)
     return Spot(s_m=s_m, t_m=t_m, z_m=z_m, **sizes)
 
 
@@ -297,9 +299,10 @@ def read_outlines(
         rows = _read_corners(outline, element, road, spot, here)
         if not len(rows):
             continue
-        reach_m = float(
-            np.abs(rows[:, 2:] - [*place(road, spot)[0][2:], 0, spot.s_m, 0]).max()
-        )
+        # How far its corners lie from the place, in height, along and across the road.
+        foot, _ = place(road, spot)
+        off_m = rows[:, 2:] - [foot[2], 0, spot.s_m, 0]
+        reach_m = float(np.abs(off_m).max())
         if reach_m > MAX_SIZE_M:
             raise InputError(
                 f"{here}: corner",
@@ -312,18 +315,20 @@ def read_outlines(
             # Closed by naming its first corner again.
             is_new[0] = True
         rows = rows[is_new]
-        is_closed, is_outer = (
-            outline.get(key, "true").strip().lower() not in ("false", "0")
-            for key in ("closed", "outer")
-        )
         yield Outline(
             points_m=rows[:, :2],
             road_m=rows[:, 4:6],
             bottom_m=rows[:, 2],
             height_m=np.maximum(rows[:, 3], 0.0),
-            is_closed=is_closed,
-            is_outer=is_outer,
+            is_closed=_is_true(outline, "closed"),
+            is_outer=_is_true(outline, "outer"),
         )
+
+
+def _is_true(element: Element, key: str) -> bool:
+    """Value of a yes-or-no attribute; True if it is missing."""
+    text = element.get(key, "true").strip().lower()
+    return text not in ("false", "0")
 
 
 def _read_corners(
@@ -358,16 +363,13 @@ def _read_corners(
 
     def read(tag: str, keys: str, height_key: str) -> list[tuple[float, ...]]:
         """Values of all corners with a tag: the keys, then two heights."""
-        return [
-            (
-                *(take_number(corner, key, here) for key in keys),
-                *(
-                    take_number_or(corner, key, here, 0.0)
-                    for key in (height_key, "height")
-                ),
-            )
-            for corner, here in numbered(outline, tag, where)
-        ]
+        rows = []
+        for corner, here in numbered(outline, tag, where):
+            row = [take_number(corner, key, here) for key in keys]
+            row.append(take_number_or(corner, height_key, here, 0.0))
+            row.append(take_number_or(corner, "height", here, 0.0))
+            rows.append(tuple(row))
+        return rows
 
     corners = read("cornerLocal", "uv", "z")
     if corners:
@@ -470,10 +472,13 @@ def build_prism(
             float((top_m - bottom_m).max()),
             "metres, > 0",
         )
-    way = slice(None, None, 1 if shapely.LinearRing(outline_m).is_ccw else -1)
+    way = slice(None, None, -1)
+    if shapely.LinearRing(outline_m).is_ccw:
+        way = slice(None)
     corners = outline_m[way]
     bottom = bottom_m[way]
     top = np.maximum(top_m, bottom_m)[way]
+    # Roof and floor by ear clipping, and two triangles for each side.
     n = len(corners)
     roof = clip_ears(corners, [n])
     here = np.arange(n)
@@ -532,6 +537,7 @@ def build_band(
         [np.column_stack([line + by * normal, z]) for by, z in corners],
         axis=1,
     )
+    # Two triangles for each side of each stretch, then both ends.
     first = 4 * np.arange(len(line) - 1)[:, None]
     corner = np.arange(4)
     here = first + corner
@@ -640,10 +646,9 @@ def build_body(
     if kind == "obstacle" and not says_height:
         return None
     if height_m is None:
+        thing = kind.replace(" ", "_")
         if kind == "obstacle":
             thing = "wall"
-        else:
-            thing = kind.replace(" ", "_")
         height_m = assumed(f"{thing}_height_m")
     solid: Mesh | None
     if spot.end is not None:
@@ -676,12 +681,13 @@ def _from_outlines(outlines: Sequence[Outline], height_m: float, where: str) -> 
     """
     holes = [outline.points_m for outline in outlines if not outline.is_outer]
     solids = []
-    for outline in (outline for outline in outlines if outline.is_outer):
+    for outline in outlines:
+        if not outline.is_outer:
+            continue
         points = outline.points_m
         bottom_m = outline.bottom_m
-        if outline.height_m.any():
-            heights = outline.height_m
-        else:
+        heights = outline.height_m
+        if not heights.any():
             heights = np.full(len(points), height_m)
         top_m = bottom_m + heights
         if not outline.is_closed and len(points) > 1:
@@ -820,7 +826,11 @@ def _simple(
     )
     if kind == "tree" or (kind == "vegetation" and is_tall and is_round):
         if radius_m is None:
-            radius_m = 0.5 * (max(sides) if sides else assumed("tree_crown_diameter_m"))
+            if sides:
+                diameter_m = max(sides)
+            else:
+                diameter_m = assumed("tree_crown_diameter_m")
+            radius_m = 0.5 * diameter_m
         return build_tree(foot, crown_radius_m=radius_m, height_m=height_m)
     if radius_m is not None:
         return build_cylinder(foot, radius_m=radius_m, height_m=height_m)

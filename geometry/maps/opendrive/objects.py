@@ -93,9 +93,11 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (
-        (object_type,) if plain not in load_facts()["says_nothing"] else (name, subtype)
-    ):
+    # The type decides, unless it is one that says nothing.
+    texts: tuple[str, ...] = (object_type,)
+    if plain in load_facts()["says_nothing"]:
+        texts = (name, subtype)
+    for text in texts:
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)
@@ -168,7 +170,10 @@ def crosswalk_line(
     line_m : (2, 2) float or None
         Begin and end. [m]
     """
-    corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
+    found = _corners(road, spot, outlines, turn_rad)
+    if found is None:
+        return None
+    corners, _ = found
     if len(corners) == 2:
         if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M:
             return corners
@@ -180,6 +185,7 @@ def crosswalk_line(
         box = shapely.MultiPoint(corners).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
         return None
+    # The long way, unless the sides are nearly equal: then the way across the road.
     ring = np.asarray(box.exterior.coords)[:4]
     sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
     lengths = np.hypot(*sides.T)
@@ -190,9 +196,8 @@ def crosswalk_line(
         longer = int(np.abs(sides @ across_road / lengths).argmax())
     if lengths[longer] < _MIN_LENGTH_M:
         return None
-    return np.asarray(
-        ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
-    )
+    half = 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
+    return np.asarray(ring.mean(axis=0) + half)
 
 
 def _corners(
@@ -349,6 +354,7 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
     lane : MapLane
         Of the kind "parking".
     """
+    # Append each space to the row that it continues, or begin a new row.
     rows: list[list[Space]] = []
     # Those that may still go on.
     open_rows: list[list[Space]] = []
@@ -362,6 +368,7 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
+    # One lane along the middles of the spaces of each row.
     for at, row in enumerate(rows, start=1):
         first_m = max(min(space.first_m for space in row), 0.0)
         last_m = min(max(space.last_m for space in row), road.length_m)
@@ -382,9 +389,8 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
         name = f"{road.id}/parking {at}"
-        if follows:
-            line_m = points
-        else:
+        line_m = points
+        if not follows:
             line_m = points[::-1]
         width_m = float(np.mean([space.left_m - space.right_m for space in row]))
         yield MapLane(id=name, kind="parking", width_m=width_m, centreline_m=line_m)
@@ -435,7 +441,9 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
         corners.
     """
     found = Found()
-    n_places = n_vertices = n_counted = 0
+    n_places = 0
+    n_vertices = 0
+    n_counted = 0
 
     def refuse_many(n: int, most: int, noun: str, where: str) -> None:
         if n > most:
@@ -455,9 +463,8 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
             )
         refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
-            if len(places) == 1:
-                name = one.name
-            else:
+            name = one.name
+            if len(places) > 1:
                 name = f"{one.name}/{index}"
             if not _take(kind, one, spot, name, found):
                 omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
@@ -533,14 +540,12 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
         False: nothing was added.
     """
     if kind in POLE_KINDS:
-        if spot.height_m is None:
-            top_m = 0.0
-        else:
+        top_m = 0.0
+        if spot.height_m is not None:
             top_m = spot.z_m + spot.height_m
+        height_m = None
         if top_m > 0.0:
             height_m = top_m
-        else:
-            height_m = None
         foot_m, _ = place(one.road, spot)
         found.poles.append(
             Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m)
@@ -636,18 +641,15 @@ def read_signals(
                 t_m,
                 _driving_edges(sampled[one.road.id], s_m),
             )
-            if line is None:
-                crosswalks += []
-            else:
-                crosswalks += [line]
+            if line is not None:
+                crosswalks.append(line)
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
             foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
             is_light = kind == "traffic light"
-            if at is None:
-                edges = []
-            else:
+            edges = []
+            if at is not None:
                 edges = _driving_edges(sampled[at[0]], at[1])
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
@@ -655,11 +657,12 @@ def read_signals(
                 why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
-                least_m = facts["min_light_top_m" if is_light else "min_sign_top_m"]
+                least_m = facts["min_sign_top_m"]
+                if is_light:
+                    least_m = facts["min_light_top_m"]
+                height_m = None
                 if top_m >= least_m:
                     height_m = top_m
-                else:
-                    height_m = None
                 poles.append(
                     Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m)
                 )
@@ -700,9 +703,8 @@ def _painted_line(
     angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
     angle += 0.5 * np.pi
     across = np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(
-        points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
-    )
+    half = 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
+    return np.asarray(points[0, :2] + half)
 
 
 def _find_position(
@@ -811,6 +813,7 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     groups: dict[int, list[Pole]] = {}
     for pole, label in zip(poles, labels[cell.reshape(-1)], strict=True):
         groups.setdefault(int(label), []).append(pole)
+    # One pole of each group stands for all of them.
     joined = []
     for group in groups.values():
         stands = next(

@@ -193,7 +193,9 @@ def numbered(
     child : (Element, str)
         The name is such as "Town.xodr: road 5 geometry[2]".
     """
-    for index, child in enumerate([] if parent is None else parent.findall(tag)):
+    if parent is None:
+        return
+    for index, child in enumerate(parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
 
 
@@ -279,10 +281,10 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
         As the file declares it; empty: it does not.
     """
     element = root.find("header/geoReference")
-    if element is None:
-        source = ""
-    else:
-        source = " ".join("".join(element.itertext()).split())
+    source = ""
+    if element is not None:
+        text = "".join(element.itertext())
+        source = " ".join(text.split())
     if not source:
         return "", ""
     if {word.partition("=")[0] for word in source.split()} == {"+lat_0", "+lon_0"}:
@@ -545,9 +547,8 @@ class ReferenceLine:
         heading_rad : (k,) float
             Counter-clockwise from east. [rad]
         """
-        if inside_m is None:
-            lookup = s_m
-        else:
+        lookup = s_m
+        if inside_m is not None:
             lookup = inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
@@ -593,11 +594,13 @@ class ReferenceLine:
         if shape in _CURVES:
             return spiral(s, parameters[:, 0], parameters[:, 1])
         p = s * parameters[:, 8]
-        for one in np.unique(piece) if shape == "poly3" else ():
-            here = piece == one
-            v = self.parameters[one, 4:8]
-            length_m = float(self.lengths_m[one])
-            p[here] = graph_parameter(s[here], v, length_m)
+        if shape == "poly3":
+            # The parameter of v(u) is u itself: found for each piece from arc length.
+            for one in np.unique(piece):
+                here = piece == one
+                v = self.parameters[one, 4:8]
+                length_m = float(self.lengths_m[one])
+                p[here] = graph_parameter(s[here], v, length_m)
         return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
     def bends(self) -> FloatArray:
@@ -617,7 +620,9 @@ class ReferenceLine:
             length_m = self.lengths_m[index]
             k = self.parameters[index]
             if SHAPES[shape] in _CURVES:
-                rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
+                end_curvature = k[0] + k[1] * length_m
+                rows[index, 0] = max(abs(k[0]), abs(end_curvature))
+                rows[index, 1] = abs(k[1])
             else:
                 rows[index] = _polynomial_bends(k, float(length_m))
         return rows
@@ -642,16 +647,16 @@ def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, flo
     p = s * k[8]
     du = slope(p, k[:4])
     dv = slope(p, k[4:8])
-    ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
+    ddu = 2.0 * k[2] + 6.0 * p * k[3]
+    ddv = 2.0 * k[6] + 6.0 * p * k[7]
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
     # A curve that stands still at its start has no curvature there: it is taken next to
     # it.
     curvature[speed <= 1.0e-5] = 0.0
     change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
-    if k[8] == 0.0:
-        stride = 1.0
-    else:
+    stride = 1.0
+    if k[8] != 0.0:
         stride = float(speed.max() * k[8])
     return float(np.abs(curvature).max()), float(change.max()), stride
 
@@ -791,11 +796,11 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
     p_range = shape.get("pRange", "normalized")
     if p_range not in ("normalized", "arcLength"):
         raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
+    per_metre = 1.0
     if p_range == "normalized":
         per_metre = 1.0 / length_m
-    else:
-        per_metre = 1.0
-    return (*(take_number(shape, key, where) for key in keys), per_metre)
+    coefficients = [take_number(shape, key, where) for key in keys]
+    return (*coefficients, per_metre)
 
 
 # ---------- cubics along a road
@@ -1114,9 +1119,8 @@ class Road:
             names[name] += 1
             where = f"{self.where} {label}"
             number = names[name]
-            if number == 1:
-                unique = name
-            else:
+            unique = name
+            if number > 1:
                 unique = f"{name} #{number}"
             yield RoadElement(element=element, road=self, name=unique, where=where)
 
@@ -1229,8 +1233,13 @@ def _read_limits(
     limits = []
     for element in elements:
         start_m = first_m + take_number_or(element, start_key, where, 0.0)
-        speed = element if element.tag == "speed" else element.find("speed")
-        limits.append((start_m, None if speed is None else _speed_kmh(speed)))
+        speed: Element | None = element
+        if element.tag != "speed":
+            speed = element.find("speed")
+        limit_kmh = None
+        if speed is not None:
+            limit_kmh = _speed_kmh(speed)
+        limits.append((start_m, limit_kmh))
     return tuple(sorted(limits, key=lambda limit: limit[0]))
 
 
@@ -1253,9 +1262,8 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
         """Link of one side; empty if the road has none."""
         words = road.find(f"link/{side}")
         if words is None:
-            found = {}
-        else:
-            found = {k: words.get(v, "").strip() for k, v in keys.items()}
+            return RoadLink()
+        found = {name: words.get(key, "").strip() for name, key in keys.items()}
         return RoadLink(**found)
 
     return link("predecessor"), link("successor")
@@ -1304,14 +1312,12 @@ def _read_sections(
     found.sort(key=lambda item: item[0])
     sections = []
     for at, (start_m, element, here) in enumerate(found):
-        left, right = (
-            _read_side(element, side, here, start_m) for side in ("left", "right")
-        )
+        left = _read_side(element, "left", here, start_m)
+        right = _read_side(element, "right", here, start_m)
         begin_m = min(max(start_m, 0.0), length_m)
+        end_m = length_m
         if at + 1 < len(found):
             end_m = found[at + 1][0]
-        else:
-            end_m = length_m
         sections.append(
             LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right)
         )
@@ -1353,10 +1359,9 @@ def _read_side(
     InputError
         A number is missing, comes twice or has the wrong sign.
     """
+    sign = -1
     if side == "left":
         sign = 1
-    else:
-        sign = -1
     from_here: Any = {"start_key": "sOffset", "first_m": start_m}
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):

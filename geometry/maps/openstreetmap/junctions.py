@@ -773,11 +773,10 @@ def _road_beside_m(network: Network, street: Street, at: int) -> float:
     """
     if not street.parts[at][0].is_service:
         return 0.0
-    others = [network.edges[index] for index, _ in network.ends[int(street.rows[at])]]
-    return max(
-        (0.5 * one.section.width_m for one in others if not one.is_service),
-        default=0.0,
-    )
+    row = int(street.rows[at])
+    others = [network.edges[index] for index, _ in network.ends[row]]
+    half_widths_m = [0.5 * one.section.width_m for one in others if not one.is_service]
+    return max(half_widths_m, default=0.0)
 
 
 def _outline(
@@ -921,12 +920,10 @@ def find_leading_roads(
                 continue
             tips = shapely.get_coordinates(line.intersection(area))
             located = shapely.line_locate_point(line, shapely.points(tips))
-            found += _road(
-                network,
-                end,
-                line,
-                float(located.max()) if len(tips) else 0.0,
-            )
+            left_at_m = 0.0
+            if len(tips):
+                left_at_m = float(located.max())
+            found += _road(network, end, line, left_at_m)
     return tuple(found)
 
 

@@ -490,12 +490,13 @@ def find_crosswalks(network: Network) -> FloatArray:
     for line in lines:
         middle = line.mean(axis=0)
         along = unit(line[1] - line[0])
-        # One crosswalk that is mapped in two ways.
-        if not any(
+        # One crosswalk may be mapped in two ways.
+        is_known = any(
             np.hypot(*(middle - other.mean(axis=0))) <= limits["same_m"]
             and abs(along @ unit(other[1] - other[0])) > _PARALLEL
             for other in taken
-        ):
+        )
+        if not is_known:
             taken.append(line)
     return np.array(taken).reshape(-1, 2, 2)
 
@@ -520,17 +521,13 @@ def _over_roads(walk: LineString, edges: Sequence[Edge]) -> Iterator[FloatArray]
     limits = DEFAULTS["crosswalk"]
     # Parts of the footway, and carriageways.
     joined: list[tuple[LineString, BaseGeometry]] = []
-    crossed = [
-        (part, area)
-        for edge in edges
-        for area in [
-            LineString(edge.points_m).buffer(
-                0.5 * edge.section.width_m,
-                cap_style="flat",
-            )
-        ]
-        for part in _parts_over(walk, edge, area)
-    ]
+    # The carriageways in the order in which the footway crosses them.
+    crossed: list[tuple[LineString, BaseGeometry]] = []
+    for edge in edges:
+        axis = LineString(edge.points_m)
+        surface = axis.buffer(0.5 * edge.section.width_m, cap_style="flat")
+        for part in _parts_over(walk, edge, surface):
+            crossed.append((part, surface))
     crossed.sort(key=lambda pair: walk.project(shapely.Point(pair[0].coords[0])))
     for part, carriageway in crossed:
         if joined:
