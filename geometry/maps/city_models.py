@@ -125,9 +125,10 @@ def read_cityjson(path: Path) -> SourceMap:
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
     check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
     metadata = head.get("metadata")
+    crs: Any = ""
     if isinstance(metadata, Mapping):
         crs = metadata.get("referenceSystem")
-    else:
+    if not isinstance(crs, str):
         crs = ""
     objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
@@ -147,23 +148,21 @@ def read_cityjson(path: Path) -> SourceMap:
         path,
         objects,
         skipped,
-        crs if isinstance(crs, str) else "",
+        crs,
         by_axes=False,
     )
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
     """Documents of the file: the whole of it, or each line of a sequence."""
+    lines = [text]
     if where.lower().endswith(".jsonl"):
         lines = text.splitlines()
-    else:
-        lines = [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
+            here = where
             if len(lines) > 1:
                 here = f"{where}: line {number}"
-            else:
-                here = where
             yield parse_object(line, here, "CityJSON")
     if not text.strip():
         refuse(where, "an empty file", "CityJSON")
@@ -184,7 +183,9 @@ def _transform(table: Any, where: str) -> list[FloatArray]:
 
 def _vertices(values: Any, where: str) -> FloatArray:
     """Vertices of a document, (n, 3)."""
-    return float_array(np.empty((0, 3)) if values == [] else values, (-1, 3), where)
+    if values == []:
+        values = np.empty((0, 3))
+    return float_array(values, (-1, 3), where)
 
 
 class _Templates:
@@ -296,10 +297,10 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
+        named: list[Any] = []
         if isinstance(children, list):
             named = children
-        else:
-            named = []
+        # Objects whose parts have the surfaces are left to those.
         parts = [table.get(one) for one in named if isinstance(one, str)]
         has_parts = any(
             isinstance(part, Mapping) and part.get("geometry") for part in parts
@@ -313,15 +314,16 @@ def _objects(
         attributes = entry.get("attributes")
         if not isinstance(attributes, Mapping):
             attributes = {}
+        words = [
+            str(attributes[key])[:_MAX_NAME]
+            for key in _TYPES["words"]
+            if key in attributes
+        ]
         yield CityObject(
             id=name,
             type_name=type_name,
             polygons=tuple(polygons),
-            words=" ".join(
-                str(attributes[key])[:_MAX_NAME]
-                for key in _TYPES["words"]
-                if key in attributes
-            ),
+            words=" ".join(words),
             is_footprint=level < 1.0,
             height_m=_height_m(attributes),
         )
@@ -411,10 +413,9 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
         return []
     nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
     if kind.endswith("Solid"):
+        solids = nested
         if kind == "Solid":
             solids = [nested]
-        else:
-            solids = nested
         nested = chain.from_iterable(shells[0] for shells in solids if shells)
     surfaces = [rings for rings in nested if rings]
     highest = max(
@@ -686,10 +687,9 @@ class _Document:
                     not is_flat or local_name(element) in _TYPES["surfaces"][1:]
                 ):
                     continue
+                rank = int(match[2] != "RoofEdge")
                 if "Solid" in match[2]:
                     rank = 2
-                else:
-                    rank = int(match[2] != "RoofEdge")
                 yield level, rank, list(self._polygons(child, depth + 1, 0))
             elif name in ("boundedBy", "boundary") or name in _TYPES["surfaces"]:
                 yield from self._shapes(child, depth + 1)
@@ -741,10 +741,10 @@ class _Document:
                 yield rings
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
             reference = element.attrib.get(_HREF, "")
+            # What the element refers to, then what it contains.
+            inside: list[Element | None] = []
             if reference.startswith("#"):
                 inside = [self.by_id.get(reference[1:])]
-            else:
-                inside = []
             inside += [
                 one
                 for one in element
@@ -755,7 +755,10 @@ class _Document:
             )
             for child in (one for one in inside if one is not None):
                 for polygon in self._polygons(child, depth + 1, n_dimensions):
-                    yield [ring[::-1] for ring in polygon] if is_turned else polygon
+                    if is_turned:
+                        yield [ring[::-1] for ring in polygon]
+                    else:
+                        yield polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
         """Points of a ring in the file's coordinates, (n, 3).
@@ -824,12 +827,10 @@ def _measured_height_m(feature: Element) -> float | None:
         if local_name(child) == "height":
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
-            unit = (
-                value.attrib.get("uom", "m")
-                .rpartition("#")[2]
-                .rpartition(":")[2]
-                .lower()
-            )
+            # Units may be written as "urn:ogc:def:uom:UCUM::m" or "...#m".
+            _, _, unit = value.attrib.get("uom", "m").rpartition("#")
+            _, _, unit = unit.rpartition(":")
+            unit = unit.lower()
             with suppress(ValueError, KeyError):
                 return float((value.text or "").strip()) * UNITS_M[unit]
     return None

@@ -170,13 +170,13 @@ def cut_out(
     things: list[Thing] = []
     poles: list[Pole] = []
     taken = Counter([GROUND])
+    # Things and poles of every map, under ids that are unique in the scene.
     for source in maps:
         height_m = ground_m
         if source is roads:
+            height_m = None
             if source.heights == "absolute":
                 height_m = junction.height_m
-            else:
-                height_m = None
         near = _near_things(source, frame, radius_m, skipped)
         for thing, vertices in _lowered(source, near, relief, height_m, skipped):
             thing_id = _unique(thing.id, source, taken)
@@ -197,6 +197,9 @@ def cut_out(
     if through:
         why = "lanes are led straight on through them on smooth curves: assumed"
         skipped.append(Note("other junctions around it", why, kind="roads"))
+    zero_height_m = None
+    if relief.terrain is not None:
+        zero_height_m = round(relief.zero_m, 3)
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
@@ -208,7 +211,7 @@ def cut_out(
         skipped=tuple(skipped),
         roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
-        zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
+        zero_height_m=zero_height_m,
         neighbours_m=tuple(
             one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M
         ),
@@ -316,10 +319,10 @@ def build_scene(
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     plane = (np.column_stack([corners, np.zeros(4)]), faces)
-    if terrain is None:
-        ground = plane
-    else:
+    ground = plane
+    if terrain is not None:
         ground = terrain.mesh()
+    # The ground comes first, then things, then poles.
     bodies: list[Body] = [(Instance(id=GROUND, class_name=GROUND), *ground)]
     for thing in surroundings.things:
         instance = Instance(
@@ -381,11 +384,11 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
         ]
         for arm in build_junction(scene).arms.values()
     ]
+    houses = None
     if any(arms):
         houses = houses_of(scene)
-    else:
-        houses = None
     for lanes in filter(None, arms):
+        # The gentlest bend that is free for all lanes of the arm, or else straight on.
         for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
             pairs = [*zip(lanes, chains, strict=True)]
@@ -395,7 +398,8 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
         for (lane, chain), free_m in zip(pairs, free, strict=True):
             if free_m < np.inf:
                 step = chain[1] - chain[0]
-                chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
+                free_end = chain[0] + free_m * step / np.hypot(*step)
+                chain = np.array([chain[0], free_end])
             if free_m > _LEAST_ASSUMED_M:
                 lane_id = f"{lane.id} beyond the map"
                 line_m = chain[::-1]
@@ -524,6 +528,7 @@ def _lanes(
             ):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
                     others[name].append(found[-1])
+    # The map's own lanes through junctions.
     mapped = {lane.from_junction for lane in roads.connections}
     for lane in roads.connections:
         whole = frame.take(lane.centreline_m[:, :2], roads)
@@ -538,10 +543,11 @@ def _lanes(
             found.append(
                 Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points)
             )
-    names = sorted((ends.keys() & begins.keys()) - mapped)
-    return found, [
-        one for name in names for one in _straight_on(ends[name], begins[name])
-    ]
+    # Lanes through the junctions for which the map has none.
+    through: list[Lane] = []
+    for name in sorted((ends.keys() & begins.keys()) - mapped):
+        through += _straight_on(ends[name], begins[name])
+    return found, through
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
@@ -580,11 +586,12 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
             bend_deg = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
             if bend_deg.max() <= _STRAIGHT_ON_DEG:
                 bends[one, other] = float(bend_deg.sum())
-    wanted = {
-        min((pair for pair in bends if pair[side] == index), key=bends.__getitem__)
-        for side in (0, 1)
-        for index in {pair[side] for pair in bends}
-    }
+    # For each lane on either side, the pair that bends least.
+    wanted: set[tuple[int, int]] = set()
+    for side in (0, 1):
+        for index in {pair[side] for pair in bends}:
+            pairs = [pair for pair in bends if pair[side] == index]
+            wanted.add(min(pairs, key=bends.__getitem__))
     for one, other in sorted(wanted):
         lane_id = f"{ends[one].id} to {begins[other].id}"
         width_m = min(ends[one].width_m, begins[other].width_m)
@@ -600,7 +607,8 @@ def _apart(points_m: FloatArray) -> FloatArray:
     is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
     # The end stays, and the point before it goes.
     if not is_new[-1] and is_new.sum() > 1:
-        is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
+        is_new[np.flatnonzero(is_new)[-1]] = False
+        is_new[-1] = True
     return np.asarray(points_m[is_new])
 
 
@@ -643,10 +651,9 @@ def _is_elsewhere(
 
 def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatArray:
     """Part of a line from one end to where it first leaves the circle."""
+    points = points_m
     if from_end:
         points = points_m[::-1]
-    else:
-        points = points_m
     outside = np.flatnonzero(np.hypot(*points.T) > reach_m)
     if len(outside):
         last = max(int(outside[0]), 1)
@@ -764,13 +771,16 @@ def _near_things(
 
 def _off_m(points_m: FloatArray) -> float:
     """Distance of the origin from the box around points (n, 2)."""
-    return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
+    nearest_m = np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))
+    return float(np.hypot(*nearest_m))
 
 
 def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
     """Id that no other thing has, fit for a command line."""
     clean = plain_id(name) or "thing"
-    return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
+    if clean in taken:
+        clean = f"{source.name}-{clean}"
+    return unique_id(clean, taken)
 
 
 # ---------- many junctions out of maps that are read once
@@ -862,10 +872,10 @@ def _within(
             low, high = near
         every = getattr(source, name)
         at = np.sort(tree.query(shapely.box(*low, *high))).tolist()
-        if name != _LINES:
-            found[name] = tuple(every[index] for index in at)
-        else:
+        if name == _LINES:
             found[name] = every[at]
+        else:
+            found[name] = tuple(every[index] for index in at)
     low, high = square
     ground = source.ground_m[:, :2]
     is_near = ((ground >= low) & (ground <= high)).all(axis=1)

@@ -130,10 +130,9 @@ def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
         The point is nowhere on earth.
     """
     point: FloatArray = np.array(point_m, dtype=np.float64).round()
+    crs = ""
     if source.crs:
         crs = local_crs(point, source.crs, where=source.name)
-    else:
-        crs = ""
     return LocalFrame(crs=crs, map_crs=source.crs, origin_m=point)
 
 
@@ -336,7 +335,9 @@ def georeference(
         text = str(declared or "").strip()
         why = "not a known horizontal one: taken as metres without a place on earth"
         note = Note(f"coordinate reference system {text[:80]}", why)
-        return Georeference(crs="", source_crs="", notes=(note,) if text else ())
+        if not text:
+            return Georeference(crs="", source_crs="")
+        return Georeference(crs="", source_crs="", notes=(note,))
     name = crs_name(crs)
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
@@ -355,24 +356,21 @@ def georeference(
             if _is_meant_for(crs, middle):
                 break
         else:
+            area = "its area"
             if crs.area_of_use:
                 area = crs.area_of_use.name
-            else:
-                area = "its area"
             why = (
                 f"the coordinates lie outside {area}: taken as metres without a place"
                 " on earth"
             )
             note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
-        is_plane = _is_in_metres(crs, middle)
-        if is_plane:
-            lonlat = None
-        else:
+        lonlat = None
+        if not _is_in_metres(crs, middle):
             lonlat = transform(middle[None, :], name, WGS84)[0]
-    if lonlat is None:
-        plane = name
-    else:
+    # Projections in metres stay; others give way to one around the middle.
+    plane = name
+    if lonlat is not None:
         plane = local_crs(lonlat, WGS84, where=where)
     return Georeference(
         crs=plane,
@@ -504,17 +502,16 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
     lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
+    # An area of use may lie across the 180th meridian.
+    width = east - west
     if east < west:
         width = (east - west) % 360.0
-    else:
-        width = east - west
     height = north - south
     # East of the western edge.
     beside = (lon - west + 180.0) % 360.0 - 180.0
+    edge = _EDGE_SHARE
     if (np.abs(point) < _ORIGIN_M).all():
         edge = 0.0
-    else:
-        edge = _EDGE_SHARE
     is_beside = -edge * width <= beside and (
         width >= 180.0 or beside <= (1.0 + edge) * width
     )

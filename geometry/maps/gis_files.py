@@ -51,6 +51,17 @@ _MAGIC = {
 }
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
+# What shapely raises for a geometry that is not nested as its type asks for.
+_BROKEN_GEOMETRY = (
+    ShapelyError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
 
 
@@ -149,10 +160,9 @@ def _read_geojson(path: Path) -> Features:
     where = str(path)
     document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
+    rows: Any = [document]
     if kind == "FeatureCollection":
         rows = document.get("features")
-    else:
-        rows = [document]
     if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
         raise InputError(f"{where}: type", kind, "a FeatureCollection with features")
     _refuse_many(len(rows), where)
@@ -181,17 +191,7 @@ def _read_geojson(path: Path) -> Features:
                 )
             try:
                 geometry = shape(table)
-            except (
-                *(
-                    ShapelyError,
-                    ValueError,
-                    TypeError,
-                    KeyError,
-                    IndexError,
-                    AttributeError,
-                ),
-                *(OverflowError, RecursionError),
-            ):
+            except _BROKEN_GEOMETRY:
                 got = Unquoted(f"a broken {table['type']}")
                 expected = (
                     "finite coordinates, rings of four or more, nested as its type"
@@ -209,14 +209,12 @@ def _geojson_crs(table: Any, where: str) -> str:
     """Reference system of a GeoJSON file: WGS 84 unless it names another."""
     if table is None:
         return WGS84
+    properties = None
     if isinstance(table, Mapping):
         properties = table.get("properties")
-    else:
-        properties = None
+    name = None
     if isinstance(properties, Mapping):
         name = properties.get("name")
-    else:
-        name = None
     if not isinstance(name, str) or not name:
         raise InputError(f"{where}: crs", table, "a named one, or none for WGS 84")
     return name
@@ -260,10 +258,9 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             # Rings left open and the like, which GDAL mends.
             warnings.simplefilter("ignore")
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
+            named = "a layer"
             if layers:
                 named = "one layer, by name: " + ", ".join(layers[:20])
-            else:
-                named = "a layer"
             if not layer and len(layers) != 1:
                 refuse(where, f"{len(layers)} layers", named)
             if layer and layer not in layers:
@@ -286,26 +283,22 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
         if name != "geometry"
     }
     is_known = {name: table[name].notna().to_numpy() for name in columns}
-    features = [
-        Feature(
-            where=f"{where}: row {index + 1}",
-            geometry=geometry,
-            values={
-                name: (
-                    value.item()
-                    if isinstance(value := values[index], np.generic)
-                    else value
-                )
-                for name, values in columns.items()
-                if is_known[name][index]
-            },
-        )
-        for index, geometry in enumerate(table.geometry.to_numpy())
-    ]
-    return Features(
-        features=tuple(features),
-        crs="" if table.crs is None else table.crs.to_wkt(),
-    )
+    features = []
+    for index, geometry in enumerate(table.geometry.to_numpy()):
+        values: dict[str, Any] = {}
+        for name, column in columns.items():
+            if is_known[name][index]:
+                value = column[index]
+                # Plain numbers, as GeoJSON has them.
+                if isinstance(value, np.generic):
+                    value = value.item()
+                values[name] = value
+        here = f"{where}: row {index + 1}"
+        features.append(Feature(where=here, geometry=geometry, values=values))
+    crs = ""
+    if table.crs is not None:
+        crs = table.crs.to_wkt()
+    return Features(features=tuple(features), crs=crs)
 
 
 def _check_tables(path: Path) -> None:
@@ -447,7 +440,10 @@ def _kind(
     is_line = bool(types & {"LineString", "LinearRing"})
     if "Polygon" in types or (is_line and (said is not None or class_name == "wall")):
         return said or kind_of_class(class_name)
-    left_out["lines" if is_line else "points"] += 1
+    if is_line:
+        left_out["lines"] += 1
+    else:
+        left_out["points"] += 1
     return None
 
 
@@ -520,21 +516,23 @@ def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, b
         The height of the roof is the usual one.
     """
     defaults = thing_defaults()
-    top, storeys, bottom, lowest = (
-        _length_m(values, _WORDS[key])
-        for key in ("tops", "storeys", "bottoms", "lowest_storeys")
-    )
+    top = _length_m(values, _WORDS["tops"])
+    storeys = _length_m(values, _WORDS["storeys"])
+    bottom = _length_m(values, _WORDS["bottoms"])
+    lowest = _length_m(values, _WORDS["lowest_storeys"])
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
     if top is not None and not 0.0 < top <= defaults.max_height_m:
         top = None
     if bottom is None:
         bottom = (lowest or 0.0) * defaults.storey_height_m
-    if top is None:
-        top_m = kind.height_m
-    else:
+    top_m = kind.height_m
+    if top is not None:
         top_m = top
-    return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
+    # A floor above the roof, or below the ground, makes no sense.
+    if not 0.0 <= bottom < top_m:
+        bottom = 0.0
+    return bottom, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
@@ -543,14 +541,14 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
+        # The unit at the end of a column's name: "height_ft".
+        scale = 1.0
         if unit in UNITS_M and base:
-            column, scale = (base, UNITS_M[unit])
-        else:
-            column, scale = (column, 1.0)
-        if column in names:
-            number = _number(value)
-        else:
-            number = None
+            column = base
+            scale = UNITS_M[unit]
+        if column not in names:
+            continue
+        number = _number(value)
         if number is not None:
             found.setdefault(names.index(column), number * scale)
     if found:

@@ -276,12 +276,11 @@ def choose_junction(
     got = name or f"{at[0]:.8g},{at[1]:.8g}"
     exchanged = _in_map(source, (at[1], at[0]))
     if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
-        if source.source_crs == "EPSG:4326":
-            order = "longitude,latitude"
-        else:
-            order = "X,Y"
+        order = "X,Y"
         if name:
             order = "latitude,longitude"
+        elif source.source_crs == "EPSG:4326":
+            order = "longitude,latitude"
         refuse(where, got, f"{order}: it is the other way round")
     place_of = ", ".join(f"{value:.8g}" for value in nearest.position)
     expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
@@ -340,7 +339,12 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     table = load_data(__package__, "streets.toml")
 
     def short_of(key: str) -> dict[str, str]:
-        return {long: short for short, longs in table[key].items() for long in longs}
+        """Short form of each long one."""
+        found: dict[str, str] = {}
+        for short, longs in table[key].items():
+            for long in longs:
+                found[long] = short
+        return found
 
     return short_of("words"), short_of("endings")
 
@@ -353,12 +357,18 @@ def _listed(surveyed: Sequence[Surveyed]) -> str:
     for one in surveyed[:_MAX_LISTED]:
         label = one.junction.name
         if many:
-            label += " at " * bool(label) + ",".join(
-                f"{value:.8g}" for value in one.position
-            )
-        words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
+            if label:
+                label += " at "
+            label += ",".join(f"{value:.8g}" for value in one.position)
+        word = one.junction.id
+        if label:
+            word = f"{word} ({label})"
+        words.append(word)
+    text = ", ".join(words)
     left = len(surveyed) - len(words)
-    return ", ".join(words) + (f" and {left} more" if left else "")
+    if left:
+        text += f" and {left} more"
+    return text
 
 
 def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
@@ -420,15 +430,20 @@ def _survey(
         arms = build_junction(scene).arms
     except InputError:  # no lane ends at the outline
         arms = {}
+    # Class of the road, and the number of lanes, of each arm.
     classes = {lane.id: lane.road_class for lane in lanes}
     lanes_of = [(*arm.entry_lanes, *arm.exit_lanes) for arm in arms.values()]
+    roads: list[tuple[str, int]] = []
+    for here in lanes_of:
+        road_class = ""
+        if here:
+            road_class = classes[here[0].id]
+        roads.append((road_class, len(here)))
     return Surveyed(
         junction=junction,
         arms=tuple(arms),
         n_lanes=sum(map(len, lanes_of)),
-        roads=tuple(
-            (classes[here[0].id] if here else "", len(here)) for here in lanes_of
-        ),
+        roads=tuple(roads),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
     )
@@ -509,7 +524,10 @@ def read_map(
             "one that pyproj knows, in metres, such as EPSG:25832",
         )
     if not path.exists() or path.is_dir():
-        refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
+        got = "no such file"
+        if path.is_dir():
+            got = "a folder"
+        refuse(str(path), got, "a map file")
     check_file(path)
     is_packed = path.suffix.lower() == ".zip"
     with unpacked(path, SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside:
@@ -799,10 +817,13 @@ def cut_scene(
         roads,
         radius_m=radius_m,
     )
+    source_crs = ""
+    if roads.crs:
+        source_crs = roads.source_crs or roads.crs
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{junction.id}",
-        source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
+        source_crs=source_crs,
         sites=sites,
         radius_m=radius_m,
     )
@@ -830,9 +851,8 @@ def _site_notes(
         if pole.assumed and pole.id in known:
             same[pole.kind, pole.assumed].append(pole.id)
     for (kind, why), ids in same.items():
-        if len(ids) == 1:
-            what = f"{kind} {ids[0]}"
-        else:
+        what = f"{kind} {ids[0]}"
+        if len(ids) > 1:
             what = f"{len(ids)} x {kind}"
         yield Note(what, why, kind="sites", site_ids=tuple(ids))
     masts = tuple(site.id for site in sites if site.kind == "kerb")

@@ -115,10 +115,9 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
     suffix = path.suffix.lower()
     if suffix == ".csv":
         rows = list(read_csv_rows(path))
+        names: list[str] = []
         if rows:
             names = list(rows[0][1])
-        else:
-            names = []
         fields = known_columns(names, str(path))
         tell_unknown(names, fields, path)
         rows = [
@@ -168,7 +167,10 @@ def known_columns(
         Two columns are one field, or one has another unit.
     """
     found: dict[str, str] = {}
-    field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
+    field_of: dict[str, str] = {}
+    for field, aliases in fields.items():
+        for alias in aliases:
+            field_of[alias] = field
     for name in names:
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _WORDS["units"] and len(words) > 1:
@@ -323,17 +325,20 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     capacity = read_number(values, "capacity", where, least=1.0)
     if capacity is not None and capacity != int(capacity):
         raise InputError(f"{where}: capacity", capacity, "a whole number, at least 1")
+    capacity_units = None
+    if capacity is not None:
+        capacity_units = int(capacity)
+    words = str(values.get("kind", "")).lower().replace("_", " ").split()
+    kind = " ".join(words)
     return SiteWish(
         id=site_id[:120],
         position_m=read_position(values, where, crs),
-        kind=" ".join(str(values.get("kind", "")).lower().replace("_", " ").split())[
-            :60
-        ],
+        kind=kind[:60],
         z_m=read_number(values, "z", where),
         min_height_m=low,
         max_height_m=high,
         cost_eur=read_number(values, "cost", where, least=0.0),
-        capacity_units=None if capacity is None else int(capacity),
+        capacity_units=capacity_units,
         has_power=_yes_no(values, "power", where),
         has_fibre=_yes_no(values, "fibre", where),
         is_forbidden=bool(_yes_no(values, "forbidden", where)),
@@ -370,10 +375,9 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     if x is not None and y is not None:
         return np.array([x, y])
     if lat is None or lon is None:
+        wanted = ("lat", "lon")
         if (x is None) != (y is None):
             wanted = ("x", "y")
-        else:
-            wanted = ("lat", "lon")
         missing = " and ".join(name for name in wanted if given[name] is None)
         refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
@@ -389,11 +393,11 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
                 value,
                 f"-{limit:g} to {limit:g} degrees",
             )
+    # A place that lies here only with latitude and longitude swapped is refused.
     position = transform([lon, lat], WGS84, crs)
+    swapped = np.full(2, np.inf)
     if abs(lon) <= 90.0:
         swapped = transform([lat, lon], WGS84, crs)
-    else:
-        swapped = np.full(2, np.inf)
     if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
         expected = "a place near the scene: are latitude and longitude swapped?"
         raise InputError(f"{where}: lat", lat, expected)
@@ -452,10 +456,9 @@ def read_number(
     if value is None or value == "":
         return None
     if isinstance(value, str) and "," in value:
+        thousands = ","
         if value.rfind(",") > value.rfind("."):
             thousands = "."
-        else:
-            thousands = ","
         value = value.replace(thousands, "").replace(",", ".")
     number = float_of(value)
     if not np.isfinite(number) or (least is not None and number < least):
@@ -615,9 +618,8 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
             places.append(
                 read_position({known[one]: row[one] for one in known}, where, crs)
             )
-    if places is None:
-        positions = None
-    else:
+    positions = None
+    if places is not None:
         positions = np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(
@@ -641,10 +643,9 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
     """Count of one row; InputError: it is no number of at least 0."""
+    value: Any = 1.0
     if column:
         value = row.get(column)
-    else:
-        value = 1.0
     number = float_of(value)
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")

@@ -292,10 +292,9 @@ def _check_chunks(
     n_bytes = file.seek(0, 2)
     file.seek(first_point)
     head = file.read(8)
+    at = 0
     if len(head) == 8:
         at = struct.unpack("<q", head)[0]
-    else:
-        at = 0
     # Of a file that was written as a stream: in its last eight bytes.
     if at == -1:
         file.seek(-8, 2)
@@ -380,19 +379,17 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
         )
     sizes = _integers(header, "SIZE", len(names), where)
     has_counts = "COUNT" in header
+    counts = [1] * len(sizes)
     if has_counts:
         counts = _integers(header, "COUNT", len(names), where)
-    else:
-        counts = [1] * len(sizes)
     n_points = _integers(header, "POINTS", 1, where)[0]
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
     formats = []
     for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
+        kind = ""
         if index < len(kinds):
             kind = kinds[index]
-        else:
-            kind = ""
         if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
             raise InputError(
                 f"{where}: field {name}",
@@ -586,12 +583,14 @@ class LowestPoints:
             [self._cells, np.floor(points_m[:, :2] / CELL_M).astype(np.int64)]
         )
         z_m = np.concatenate([self._z_m, points_m[:, 2]])
+        # Sorted by cell and then by height, the first point of each cell is the lowest.
         order = np.lexsort((z_m, cells[:, 1], cells[:, 0]))
         cells = cells[order]
         z_m = z_m[order]
         is_first = np.ones(len(cells), dtype=np.bool_)
         is_first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
-        self._cells, self._z_m = cells[is_first], z_m[is_first]
+        self._cells = cells[is_first]
+        self._z_m = z_m[is_first]
 
     def __len__(self) -> int:
         return len(self._z_m)
@@ -878,10 +877,10 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
     ]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
     voxel_m = VOXEL_M
+    # Double the edge until the voxels of a surface touch each other.
+    most_m = 0.0
     if len(everything):
         most_m = 0.5 * _MAX_VOXEL_M
-    else:
-        most_m = 0.0
     while voxel_m <= most_m and mean_neighbours(everything) < _MIN_NEIGHBOURS:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
@@ -930,8 +929,12 @@ def _things(
     """
     found: list[tuple[str, IntArray]] = []
     small = 0
-    for kind, keys in ((kind, keys) for kind, keys in heights.items() if len(keys)):
-        keys = _stood(keys if kind == "vegetation" else bridged(keys), voxel_m)
+    for kind, keys in heights.items():
+        if not len(keys):
+            continue
+        if kind != "vegetation":
+            keys = bridged(keys)
+        keys = _stood(keys, voxel_m)
         labels = clusters(keys)
         order = np.argsort(labels, kind="stable")
         for part in np.split(keys[order], np.cumsum(np.bincount(labels))[:-1]):
@@ -954,10 +957,9 @@ def _things(
     n_walls = MAX_WALL_VOXELS
     where = scan.where
     for kind, part in found:
+        name = kind
         if kind == "roofs":
             name = "building"
-        else:
-            name = kind
         if kind == "roofs" or (
             name == class_name == "building" and _is_roof(part, voxel_m)
         ):
@@ -1278,10 +1280,9 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     quads[:, :, u] = np.stack([a_low, a_high, a_high, a_low], axis=1)
     quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
-    is_outward = (sign > 0) == (axis != 1)
-    if is_outward:
-        return quads
-    return quads[:, ::-1]
+    if (sign > 0) != (axis != 1):
+        quads = quads[:, ::-1]
+    return quads
 
 
 def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:

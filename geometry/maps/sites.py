@@ -104,6 +104,8 @@ def kerb_sites(
     strips = shapely.STRtree(
         [_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms]
     )
+    # Both sides of each arm, where they are free: not in the junction, on a lane or
+    # on a median, and at most 60 m away.
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -153,6 +155,7 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
         is_stub = length_m(line) < 2.0 * _AT_OUTLINE_M
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
+        # Add lanes that begin where the line ends, until it is long enough.
         joined = [line]
         used = {lane.id}
         while length_m(np.concatenate(joined)) < _REACH_M + 10.0:
@@ -167,7 +170,9 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
             if not after:
                 break
             used.add(after)
-            joined.append(points[1:] if len(points) > 2 else points)
+            if len(points) > 2:
+                points = points[1:]
+            joined.append(points)
         whole = apart(np.concatenate(joined), 1e-6)
         if len(whole) >= 2:
             lines.append(whole)
@@ -466,7 +471,12 @@ def _own_poles(
         is_low = (
             wish.kind == "sign" and (heights_m[wish.id] or sign_m) < _AUTO["min_sign_m"]
         )
-        (far if is_far else low if is_low else kept).append(wish)
+        if is_far:
+            far.append(wish)
+        elif is_low:
+            low.append(wish)
+        else:
+            kept.append(wish)
     for group, noun, why in (
         (
             far,
@@ -476,9 +486,9 @@ def _own_poles(
         (low, "sign posts", f"lower than {_AUTO['min_sign_m']:g} m"),
     ):
         if group:
-            what = f"{len(group)} {noun}, such as {group[0].id}"
-            if not (len(group) > 1):
-                what = f"{group[0].kind} {group[0].id}"
+            what = f"{group[0].kind} {group[0].id}"
+            if len(group) > 1:
+                what = f"{len(group)} {noun}, such as {group[0].id}"
             notes.append(Note(what, f"{why}: no site unless asked for"))
     return kept
 
@@ -591,9 +601,8 @@ def _kerbs(
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
         if np.hypot(*wish.position_m) <= radius_m:
-            octant = "".join(
-                word[0] for word in compass_point(wish.position_m).split("-")
-            )
+            words = compass_point(wish.position_m).split("-")
+            octant = "".join(word[0] for word in words)
             count[octant] += 1
             named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return named
@@ -613,14 +622,14 @@ def _listed(
         replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed
     ]
     wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
-    if n_far := len(every) - len(wishes):
+    n_far = len(every) - len(wishes)
+    if n_far:
         why = f"farther than {radius_m:g} m from the junction"
         notes.append(Note(f"{n_far} sites in {path.name}", why))
-    if dark := sum(
-        wish.has_power is False or wish.has_fibre is False for wish in wishes
-    ):
+    n_dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
+    if n_dark:
         why = "only what cost_eur states is counted"
-        notes.append(Note(f"power or fibre that {dark} sites lack", why))
+        notes.append(Note(f"power or fibre that {n_dark} sites lack", why))
     return wishes
 
 
@@ -662,6 +671,9 @@ def _site(wish: SiteWish) -> Site:
             low_m,
             "metres above the road, > 0",
         )
+    use = "free"
+    if wish.is_forbidden:
+        use = "forbidden"
     return Site(
         id=wish.id,
         position_m=np.append(wish.position_m, 0.0),
@@ -669,7 +681,7 @@ def _site(wish: SiteWish) -> Site:
         height_range_m=np.array([low_m, high_m]),
         capacity_units=wish.capacity_units or _kind_of(wish).capacity_units,
         cost_eur=wish.cost_eur or 0.0,
-        use="forbidden" if wish.is_forbidden else "free",
+        use=use,
     )
 
 
@@ -725,10 +737,10 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         if not is_on_road[index] and wall is None:
             places.append(Place(position))
             continue
-        if wall is None:
-            most_m = _MAX_MOVE_M
-        else:
+        most_m = _MAX_MOVE_M
+        if wall is not None:
             most_m = _MAX_MOVE_FROM_WALL_M
+        # The edge of everything near that it may not stand on: road and walls.
         point = shapely.Point(position)
         close = np.sort(
             boxes.query(point, predicate="dwithin", distance=most_m + 1.0)
@@ -761,12 +773,11 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 def _without_gaps(area: Any) -> Any:
     """Area without small holes: gaps between lanes drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    islands = [
-        [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
-        for part in parts
-    ]
-    pairs = zip(parts, islands, strict=True)
-    return shapely.union_all([Polygon(part.exterior, holes) for part, holes in pairs])
+    filled = []
+    for part in parts:
+        islands = [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
+        filled.append(Polygon(part.exterior, islands))
+    return shapely.union_all(filled)
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:
@@ -861,14 +872,15 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
     notes: list[Note] = []
     for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
-        offsets_m = {mast.id: (mast.position_m - pole.position_m)[:2] for mast in masts}
-        away_m = {
-            name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()
-        }
-        mast = min(away_m, key=away_m.__getitem__, default="")
+        # A signal over the road is left to the nearest pole, if one is near enough.
+        away_m: dict[str, float] = {}
+        for mast in masts:
+            offset_m = (mast.position_m - pole.position_m)[:2]
+            away_m[mast.id] = float(np.hypot(*offset_m))
+        nearest = min(away_m, key=away_m.__getitem__, default="")
         hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
-        if hangs and mast and away_m[mast] <= _MAST_ARM_M:
-            notes.append(Note(what, f"it hangs over the road: its pole is {mast}"))
+        if hangs and nearest and away_m[nearest] <= _MAST_ARM_M:
+            notes.append(Note(what, f"it hangs over the road: its pole is {nearest}"))
             continue
         if place.position_m is None:
             notes.append(Note(what, f"no site: it stands {place.why}"))

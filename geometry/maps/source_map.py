@@ -90,10 +90,9 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
        of ten hidden-surface algorithms", 1974: Newell's normal, the sum of the
        cross products of neighbouring corners.
     """
-    rings = [
-        ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3
-    ]
-    if not rings or len(_without_repeats(rings_m[0])) < 3:
+    open_rings = [_without_repeats(ring) for ring in rings_m]
+    rings = [ring for ring in open_rings if len(ring) >= 3]
+    if not rings or len(open_rings[0]) < 3:
         return NOTHING
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
@@ -188,10 +187,10 @@ def is_closed(triangles: NDArray[np.int32]) -> bool:
     edges = np.concatenate(
         [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
     )
+    n_vertices = 0
     if len(triangles):
         n_vertices = int(triangles.max()) + 1
-    else:
-        n_vertices = 0
+    # One number for each directed edge, sorted in both directions.
     forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
     back = np.sort(edges[:, 1].astype(np.int64) * n_vertices + edges[:, 0])
     return bool(len(triangles)) and bool((forth == back).all())
@@ -210,9 +209,9 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    return np.asarray(
-        points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
-    )
+    before = points[[-1, *range(len(points) - 1)]]
+    is_new = (points != before).any(axis=1)
+    return np.asarray(points[is_new])
 
 
 def extrude(
@@ -572,8 +571,10 @@ class Omissions:
         """One entry per kind and reason; of many, the first."""
         entries = []
         for (kind, why), names in self.found.items():
-            many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
-            entries.append(Note(names[0] if len(names) == 1 else many, why))
+            what = names[0]
+            if len(names) > 1:
+                what = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
+            entries.append(Note(what, why))
         return shortened(entries)
 
 
@@ -595,8 +596,10 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
 
 def shortened(skipped: Sequence[Note]) -> tuple[Note, ...]:
     """The first of many entries, and one that counts the rest."""
+    if len(skipped) <= _MAX_SKIPPED:
+        return tuple(skipped)
     more = Note(f"{len(skipped) - _MAX_SKIPPED} more", "for reasons like these")
-    return (*skipped[:_MAX_SKIPPED], *([more] if len(skipped) > _MAX_SKIPPED else []))
+    return (*skipped[:_MAX_SKIPPED], more)
 
 
 def counted(counts: Counter[str], why: str) -> list[Note]:
@@ -800,14 +803,10 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
         segment=ends,
         sections=_SECTIONS,
     )
+    mesh = (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
     if pole.kind == "traffic light":
-        class_name = "traffic light"
-    else:
-        class_name = "lamp post"
-    return class_name, (
-        np.asarray(body.vertices),
-        np.asarray(body.faces, dtype=np.int32),
-    )
+        return "traffic light", mesh
+    return "lamp post", mesh
 
 
 def mount_range_m(pole: Pole) -> tuple[float, float]:
@@ -837,13 +836,14 @@ def parse_length_m(text: str) -> float | None:
     if match := _FEET_AND_INCHES.fullmatch(text):
         return _number(match[1]) * UNITS_M["ft"] + _number(match[2]) * UNITS_M["in"]
     match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
-    if match:
-        *numbers, unit = match.groups()
-    else:
-        *numbers, unit = ("", "?")
+    if match is None:
+        return None
+    # One number, or the two of a range, and the unit.
+    *texts, unit = match.groups()
     if unit not in UNITS_M:
         return None
-    return sum(map(_number, numbers)) / len(numbers) * UNITS_M[unit]
+    numbers = [_number(text) for text in texts]
+    return sum(numbers) / len(numbers) * UNITS_M[unit]
 
 
 def parse_speed_kmh(text: str) -> float | None:
@@ -855,13 +855,10 @@ def parse_speed_kmh(text: str) -> float | None:
     [50.0, 48.28032, None, None]
     """
     match = _SPEED.fullmatch(text.strip().lower())
-    if match:
-        unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0)
-    else:
-        unit_kmh = 0.0
-    if match:
-        return _number(match[1]) * unit_kmh or None
-    return None
+    if match is None:
+        return None
+    unit_kmh: float = _UNITS["units_kmh"].get(match[2], 0.0)
+    return _number(match[1]) * unit_kmh or None
 
 
 def _number(text: str) -> float:
