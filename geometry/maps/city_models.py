@@ -119,6 +119,7 @@ def read_cityjson(path: Path) -> SourceMap:
         The file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
+    # The first document has the version, the CRS and the transform.
     documents = list(_documents(read_text(path, "CityJSON"), where))
     head = documents[0]
     if head.get("type") != "CityJSON":
@@ -280,6 +281,7 @@ def _objects(
     item : CityObject
         An object whose parts have the surfaces is left out.
     """
+    # Every object of the document, by its id.
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(
@@ -350,6 +352,7 @@ def _best(
     """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
+    # The most useful geometry that has surfaces.
     best: tuple[list[Polygon3D], float] = ([], -1.0)
     for index, geometry in enumerate(geometries):
         here = f"{where}.geometry[{index}]"
@@ -479,6 +482,7 @@ def _city_map(
     if not objects:
         expected = "objects of level of detail 0 to 3" + _said(skipped)
         refuse(where, "no building, plant or furniture with surfaces", expected)
+    # Project all rings at once, and hand them back in order.
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
@@ -526,6 +530,7 @@ def _city_map(
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
     """One object as triangles; InputError: it has no area."""
+    # Furniture says in its name what it is.
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -536,6 +541,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
         if not len(mesh[1]):
             refuse(item.id, "surfaces without area", "polygons")
         return Thing.of(thing_id, class_name, mesh)
+    # A footprint is raised by its height, or by the usual one.
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
     if height is None or is_assumed:
@@ -649,6 +655,7 @@ class _Document:
             None: it has no surface of its own.
         """
         type_name = local_name(feature)
+        # The best level of detail, and at that the best kind of geometry.
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
         ranks = [(level, rank) for level, rank, _ in shapes]
         level, kind = max(
@@ -860,6 +867,7 @@ def _reference_system(root: Element, where: str) -> tuple[str, bool]:
     """
     from pyproj.exceptions import ProjError
 
+    # Several spellings may mean the same reference system.
     texts = (element.attrib.get("srsName", "").strip() for element in root.iter())
     declared = dict.fromkeys(
         text for text in texts if text and not text.startswith("#")

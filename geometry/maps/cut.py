@@ -161,6 +161,7 @@ def cut_out(
         The coordinates of the maps do not fit together.
     """
     roads = maps[0]
+    # The scene's frame, and the ground in it.
     frame = frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
@@ -188,6 +189,7 @@ def cut_out(
                 poles.append(
                     replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0))
                 )
+    # Lanes of the map with the roads, and the junctions around.
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     others = [
         frame.take(one.outline_m, roads)
@@ -248,6 +250,7 @@ def _lowered(
     thing : (Thing, (n, 3) float)
         Thing and its vertices. [m]
     """
+    # Ground of a model is left out: the roads give it.
     solid = [thing for thing in near if thing.class_name != "ground"]
     why = "the ground of a scene is that of its roads"
     skipped += [
@@ -577,6 +580,7 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
         Of the kind ``CONNECTING``.
     """
     bends: dict[tuple[int, int], float] = {}
+    # How much each pair of lanes would bend, at both of its ends.
     entries = [lane_line(lane, is_in=True, length_m=_MOUTH_M)[0] for lane in ends]
     exits = [lane_line(lane, is_in=False, length_m=_MOUTH_M)[0] for lane in begins]
     for one, before in enumerate(entries):
@@ -741,6 +745,7 @@ def _near_things(
     near: list[Thing] = []
     n_far = 0
     counts = [len(thing.vertices_m) for thing in source.things]
+    # Project all vertices at once.
     every = frame.take(
         np.concatenate([thing.vertices_m for thing in source.things]), source
     )
@@ -818,6 +823,7 @@ class Neighbourhoods:
         """
         roads = self._maps[0][0]
         middle = junction.position_m
+        # A square around the junction, in each map's own coordinates.
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         parts = []
         for source, trees in self._maps:

@@ -320,6 +320,7 @@ def georeference(
         return Georeference(crs="", source_crs="")
     if not np.isfinite(xy).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
+    # The box around the data is enough to place them.
     box = np.array([xy.min(axis=0), xy.max(axis=0)])
     if np.abs(box).max() > _MAX_M:
         refuse(where, f"a coordinate of {np.abs(box).max():.3g}", "places on earth")
@@ -388,6 +389,7 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
     """
     if declared is None or not str(declared).strip():
         return None
+    # Take the horizontal part of compound and bound systems.
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
     while crs.is_compound or crs.is_bound:
         inner = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs

@@ -277,6 +277,7 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
                 max_features=MAX_FEATURES + 1,
             )
     _refuse_many(len(table), where)
+    # Cells that have a value, row by row.
     columns = {
         str(name): table[name].to_numpy()
         for name in table.columns
@@ -391,6 +392,7 @@ def read_footprints(
     left_out: Counter[str] = Counter()
     kinds = [_kind(feature, class_name, left_out) for feature in table.features]
     every = zip(table.features, kinds, strict=True)
+    # Only areas and walls become solids.
     solid = [(feature, kind) for feature, kind in every if kind is not None]
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
@@ -398,6 +400,7 @@ def read_footprints(
     points = np.concatenate(
         [shapely.get_coordinates(feature.geometry) for feature, _ in solid]
     )
+    # Where the layer lies on earth.
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
     failed: list[Note] = []
@@ -471,6 +474,7 @@ def _raised(
     thing : Thing
         Lines become strips as thick as their kind.
     """
+    # Third coordinates are ignored: heights come from columns.
     flat = shapely.force_2d(feature.geometry)
     where = feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))

@@ -149,6 +149,7 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
     surveyed : tuple of Surveyed
         One for each junction.
     """
+    # Lanes, signals and crosswalks of each junction.
     by_junction: dict[str, list[MapLane]] = defaultdict(list)
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction}:
@@ -263,6 +264,7 @@ def choose_junction(
         at = (float(x), float(y))
     if at is None:
         return surveyed[0]
+    # The nearest junction, if it is near enough.
     point = _in_map(source, at)
     if not np.isfinite(point).all():
         refuse(where, f"{at[0]:g},{at[1]:g}", f"a point in {source.source_crs}")
@@ -274,6 +276,7 @@ def choose_junction(
     if away_m(nearest, point) <= _NEAR_M:
         return nearest
     got = name or f"{at[0]:.8g},{at[1]:.8g}"
+    # Say so if the coordinates are only in the wrong order.
     exchanged = _in_map(source, (at[1], at[0]))
     if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
         order = "X,Y"
@@ -557,6 +560,7 @@ def read_map(
 
 def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     """Read a file; heavy modules are imported only when they are needed."""
+    # The ending tells the format, or else the content.
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
     if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
@@ -573,6 +577,7 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
         kind = "lanelets"
     if kind not in _READERS:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
+    # Hand over only the options that the reader takes.
     module, function, fields = _READERS[kind]
     read: Callable[..., SourceMap] = getattr(
         import_module(f"{__package__}.{module}"), function
@@ -709,6 +714,7 @@ def read_maps(
     if not paths:
         refuse("FILE", "nothing", "a map: OpenDRIVE or OpenStreetMap")
     maps = [read_map(path, reading, progress=progress) for path in paths]
+    # Exactly one file must have roads.
     with_roads = [source for source in maps if source.lanes]
     if len(with_roads) != 1:
         names = " and ".join(source.name for source in with_roads) or "none"
@@ -855,6 +861,7 @@ def _site_notes(
         if len(ids) > 1:
             what = f"{len(ids)} x {kind}"
         yield Note(what, why, kind="sites", site_ids=tuple(ids))
+    # Masts at the kerb are assumed, unless a list asked for them.
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         why = "no mast stands there in the map: each is assumed"

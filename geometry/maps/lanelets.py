@@ -176,6 +176,7 @@ def _build(
         [one for one in lanelets if one.kind == "driving"], omissions
     )
     roads += [one.turned() for one in roads if not one.is_oneway]
+    # Lanelets that follow each other, and those whose ground meets.
     follows = _followers(roads)
     ground = [one.polygon for one in roads]
     one, other = shapely.STRtree(ground).query(ground, predicate="intersects")
@@ -240,6 +241,7 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
     roads : list of Lanelet
         In the same order; those turned are noted.
     """
+    # Try every lanelet in both directions.
     turned = [replace(one.turned(), id=one.id) for one in roads]
     follows = _followers([*roads, *turned])
     n_roads = len(roads)
@@ -348,6 +350,7 @@ def _lanes(
         other = follows[one][0]
         if before[other] == [one] and other not in junction_of:
             joints[one] = other
+    # Chains from lanelets that no joint leads to.
     done: set[int] = set()
     starts = [one for one in outside if one not in joints.values()]
     # Then what is left: rings.
@@ -398,6 +401,7 @@ def _connections(
     }
     led_to = {other for others in onwards.values() for other in others}
     found: list[MapLane] = []
+    # Extend each way until nothing of the junction follows.
     ways = [[one] for one in group if one not in led_to]
     while ways and len(found) < _MAX_WAYS:
         way = ways.pop()
@@ -458,6 +462,7 @@ def _map_lane(
 def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
     """True if traffic keeps left; None: no lanelets side by side show it."""
     edges_m = [one.edges_m.mean(axis=0)[:, :2] for one in roads]
+    # Middle and direction of each lanelet.
     middle_m = np.array([line[len(line) // 2] for line in edges_m]).reshape(-1, 2)
     ahead = np.array([line[-1] - line[0] for line in edges_m]).reshape(-1, 2)
     ahead /= np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]
@@ -501,6 +506,7 @@ def _source_map(
         why = "no lanelets side by side show it: taken to keep right"
         side = Note(what="side of the road", why=why, kind="side of the road")
         notes = (side, *notes)
+    # Crosswalks run along the middle of their lanelets.
     walks = [one for one in lanelets if one.kind == "crosswalk"]
     crossings = [one.edges_m.mean(axis=0)[[0, -1], :2] for one in walks]
     return SourceMap(
@@ -625,11 +631,13 @@ def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
     heights = np.array([float_of(some.get("ele", "")) for some in tags])
     height_m = np.nan_to_num(heights)
+    # Positions in metres count, if all nodes have them.
     local = np.array(
         [[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags]
     )
     if np.isfinite(local).all():
         return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
+    # Otherwise project around the middle.
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
     crs = local_crs(middle_deg, WGS84, where=str(path))
     plane_m = transform(elements.lon_lat_deg, WGS84, crs)

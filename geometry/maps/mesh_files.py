@@ -88,6 +88,7 @@ def read_mesh(
     up = up or "y"
     check_one_of("unit", unit, UNITS_M)
     check_one_of("up", up, UP_AXES)
+    # One thing for each part, in metres and with z up.
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
@@ -157,6 +158,7 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
                 left_out[type(geometry).__name__.lower()] += 1
                 continue
+            # Refuse a mesh as soon as it is too large.
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
                 refuse(
@@ -189,6 +191,7 @@ def _folder_resolver(path: Path) -> Any:
     folder = path.resolve().parent
 
     class FolderResolver(FilePathResolver):  # type: ignore[misc]
+        # Files elsewhere, or on a network, are refused.
         def get(self, name: str) -> bytes:
             target = (folder / name.strip()).resolve()
             if "://" in name or not target.is_relative_to(folder):
@@ -232,6 +235,7 @@ def _placed(
     """
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
+    # A damaged file may name vertices that it does not have.
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
         refuse(
@@ -239,6 +243,7 @@ def _placed(
             f"a triangle with vertex {outside[0]}",
             f"0 to {len(vertices) - 1}",
         )
+    # Keep only the vertices that triangles use.
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):
         placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
@@ -273,6 +278,7 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
     """Refuse a size that only a wrong unit explains."""
+    # The box around all things.
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
@@ -292,6 +298,7 @@ def _check_roofs(things: list[Thing], where: str, up: str) -> None:
     solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]
     corners = [house.vertices_m[house.triangles] for house in solid]
     a, b, c = np.moveaxis(np.concatenate([np.empty((0, 3, 3)), *corners]), 1, 0)
+    # Area and upward part of each triangle's normal.
     normals = 0.5 * np.cross(b - a, c - a)
     areas = np.linalg.norm(normals, axis=1)
     rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)

@@ -129,6 +129,7 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
         raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
     if not rows:
         refuse(str(path), "no sites", "one per line")
+    # One site for each row; ids must be unique.
     sites = []
     seen: set[str] = set()
     for where, values in rows:
@@ -172,6 +173,7 @@ def known_columns(
         for alias in aliases:
             field_of[alias] = field
     for name in names:
+        # Drop units at the end of the name.
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _WORDS["units"] and len(words) > 1:
             words.pop()
@@ -316,6 +318,7 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     if not site_id:
         refuse(f"{where}: id", "nothing", "a name")
     check_name(site_id, f"{where}: id")
+    # Heights of the mount: a plain height is the highest one.
     low = read_number(values, "min_height", where, least=0.0)
     high = read_number(values, "max_height", where, least=0.0)
     if high is None:
@@ -603,6 +606,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     names = {
         str(name): str(name).strip().lower() for _, values in rows for name in values
     }
+    # The counts, and where they are: by junction or by place.
     found = _column(names, column, path)
     counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()

@@ -718,6 +718,7 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
+    # Collect voxels and lowest points a chunk at a time.
     scan = _Scan(where=where)
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
@@ -854,6 +855,7 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
     notes : list of Note
         Detail that was lost.
     """
+    # The ground: points of its class, or else a filter of the lowest ones.
     low, lowest_m = scan.lowest.grid(scan.where)
     if len(scan.lowest_ground):
         ground_m = np.full(lowest_m.shape, np.nan)
@@ -872,6 +874,7 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
         kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
+    # Solid things decide on the voxel, vegetation only where there is nothing else.
     solid = [
         keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)
     ]
@@ -927,6 +930,7 @@ def _things(
     InputError
         There are too many things or triangles.
     """
+    # Clusters of each kind that are large enough.
     found: list[tuple[str, IntArray]] = []
     small = 0
     for kind, keys in heights.items():
@@ -949,6 +953,7 @@ def _things(
             f"{len(found):,} things",
             f"at most {_MAX_THINGS:,}; cut it out",
         )
+    # The surface of each cluster.
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
@@ -1168,6 +1173,7 @@ def columns_to(
         They are more than any building has, or than all buildings of a file may
         have: heights in another unit, or damaged.
     """
+    # Height of each column.
     columns, start = np.unique(keys >> _BITS, return_index=True)
     counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
     total = int(counts.sum())
@@ -1228,6 +1234,7 @@ def faces(
     InputError
         There are more than `max_triangles`.
     """
+    # Rectangles of all six directions share their corners.
     quads = np.concatenate(
         [_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)]
     )

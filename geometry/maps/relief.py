@@ -115,6 +115,7 @@ class Relief:
                 else:
                     yield _lifted(thing, ground.min()), False
             return
+        # Absolute heights: count them from the junction's middle.
         zero_m = self._zero_m(source, things, given_m)
         may_float = given_m is None or self.terrain is not None
         for thing in things:
@@ -195,6 +196,7 @@ def find_relief(
         A plane where nothing tells heights, or all are alike.
     """
     roads = maps[0]
+    # Heights of the roads, and those of every other map.
     own = _near(frame.take(roads.ground_m, roads), half_m)
     if roads.heights == "absolute":
         own = _on_level(own, roads, junction, frame)
@@ -206,6 +208,7 @@ def find_relief(
     name, points = next((one for one in found if len(one[1])), ("", own))
     if not name:
         return Relief()
+    # Count heights from the middle of the junction.
     ground = fit_terrain(points, half_m=half_m, step_m=_STEP_M)
     middle_m = float(ground.at(np.zeros(2)))
     terrain = replace(ground, height_m=ground.height_m - middle_m)
@@ -250,6 +253,7 @@ def _on_level(
     ]
     arms = [lane.centreline_m for lane in own]
     middle = np.append(junction.position_m, junction.height_m)
+    # Points of the roads that lead to the junction.
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])
     most_m = _SAME_LEVEL_M + _STEEPEST * away_m
@@ -379,6 +383,7 @@ def _read(
         [0.0, 0.0, 1.0],
     ]
     corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
+    # Edge of a pixel on the ground.
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
         refuse(
@@ -414,6 +419,7 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
     if n_pixels > _MAX_PIXELS:
         got = f"{n_pixels:,} pixels around the junction"
         refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
+    # What GDAL unpacks at a time: a block, and perhaps the whole mask.
     rows, columns = raster.block_shapes[0]
     n_bytes = rows * columns * np.dtype(raster.dtypes[0]).itemsize
     if any(flag.name == "per_dataset" for flag in raster.mask_flag_enums[0]):

@@ -100,6 +100,7 @@ def kerb_sites(
     inside = area_of(outline)
     ring = shapely.LinearRing(outline)
     roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
+    # Lanes from the outline outwards, and the ground beside them.
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree(
         [_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms]
@@ -210,6 +211,7 @@ def _offset(
     outwards : (k, 2) float
         Unit vectors away from the line.
     """
+    # Every 0.25 m, the segment of the line and its left side.
     pieces = steps_m(line)
     at = along_m(line)
     along: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
@@ -228,6 +230,7 @@ def _is_median(
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
+    # Look outwards from each point: a parallel lane means a median.
     rays = shapely.linestrings(
         np.stack([points, points + _MEDIAN_M * outwards], axis=1)
     )
@@ -267,6 +270,7 @@ def tidy_sites(
     notes : tuple of Note
         The others, with the reason.
     """
+    # Sites in a building go first, then the close ones.
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
@@ -384,6 +388,7 @@ def choose_sites(
     taken: Counter[str] = Counter()
     ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
     wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
+    # Move them off the road, out of walls, and below roofs.
     placed = _settled(wishes, surroundings, notes if is_asked_for else [])
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     left_out = [*dropped]
@@ -456,6 +461,7 @@ def _own_poles(
     kept : list of SiteWish
         In the same order.
     """
+    # Distance of each pole from this junction, and from the others.
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, area_of(surroundings.outline_m))
     other_m = np.full(len(wishes), np.inf)
@@ -727,6 +733,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     ]
     solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
+    # Boxes find the walls that are near a point.
     boxes = shapely.STRtree(
         [shapely.box(*low, *high) for low, high in map(_box, solid)]
     )
@@ -831,6 +838,7 @@ def footprint(thing: Thing) -> Any:
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
     """True for points that lie within the footprint of a thing, (n,)."""
+    # The box is quick; the exact footprint only counts inside it.
     low, high = _box(thing)
     result = np.asarray(
         ((positions_m > low) & (positions_m < high)).all(axis=1),
@@ -867,6 +875,7 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         return surroundings, ()
     feet = np.array([pole.position_m[:2] for pole in surroundings.poles])
     placed = [*zip(surroundings.poles, find_places(feet, surroundings), strict=True)]
+    # Poles that stand beside the road already.
     masts = [pole for pole, place in placed if pole.kind == "pole" and not place.why]
     kept: list[Pole] = []
     notes: list[Note] = []

@@ -97,6 +97,7 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
+    # Newell's normal of the outer ring.
     products = outer.T @ outer[[*range(1, len(outer)), 0]]
     normal = np.array(
         [products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))]
@@ -161,6 +162,7 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     mesh : Mesh
         Empty if no polygon has an area.
     """
+    # Triangles of every polygon that has an area.
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
