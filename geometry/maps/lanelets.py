@@ -276,9 +276,8 @@ def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
             [[*one.left_m[at, :2], *one.right_m[at, :2]] for one in lanelets]
         )
 
-    begins = tips(0)
-    ends = tips(-1)
-    found = cKDTree(begins).query_ball_point(ends, _JOINED_M)
+    begins = cKDTree(tips(0))
+    found: Any = begins.query_ball_point(tips(-1), _JOINED_M)
     return [[one for one in here if one != index] for index, here in enumerate(found)]
 
 
@@ -780,12 +779,12 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
         lanelets.append(one)
     poles = []
     for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign")):
-        for one in root.iter(tag):
-            if not one.get("id"):
+        for element in root.iter(tag):
+            if not element.get("id"):
                 continue
-            places = _points(one.find("position"))
+            places = _points(element.find("position"))
             if len(places):
-                pole_id = f"{kind}-{one.get('id')}".replace(" ", "-")
+                pole_id = f"{kind}-{element.get('id')}".replace(" ", "-")
                 poles.append(Pole(id=pole_id, kind=kind, position_m=places[0]))
     return _source_map(
         path,

@@ -169,9 +169,9 @@ def known_columns(
     """
     found: dict[str, str] = {}
     field_of: dict[str, str] = {}
-    for field, aliases in fields.items():
+    for known_field, aliases in fields.items():
         for alias in aliases:
-            field_of[alias] = field
+            field_of[alias] = known_field
     for name in names:
         # Drop units at the end of the name.
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
