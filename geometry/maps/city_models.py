@@ -1,4 +1,4 @@
-"""City models: CityJSON 1.0 to 2.0 and text sequences of it; CityGML 1.0 to 3.0."""
+"""City models: CityJSON 1.0 to 2.0 and sequences of it; CityGML 1.0 to 3.0."""
 
 import re
 import sys
@@ -38,23 +38,25 @@ from .source_map import (
 )
 
 _VERSIONS = ("1.0", "1.1", "2.0")
-_Surfaces = list[
-    list[list[Annotated[int, msgspec.Meta(ge=0)]]]
-]  # rings of indices of vertices
+# Rings of indices of vertices.
+_Surfaces = list[list[list[Annotated[int, msgspec.Meta(ge=0)]]]]
 _BOUNDARIES: dict[str, Any] = {
     **dict.fromkeys(("MultiSurface", "CompositeSurface"), _Surfaces),
     "Solid": list[_Surfaces],
     **dict.fromkeys(("MultiSolid", "CompositeSolid"), list[list[_Surfaces]]),
 }
-_MAX_NAME = 80  # characters
+# Characters.
+_MAX_NAME = 80
 _TYPES: dict[str, Any] = load_data("geometry.maps", "words.toml")["city"]
 CLASS_OF_TYPE: dict[str, str] = _TYPES["class_of_type"]
 """Class of thing by the type of an object."""
 _Table = Mapping[str, Any]
 _GML = "CityGML"
 _GEOMETRY = re.compile(r"lod([0-4])(\w+)")
-_MAX_DEPTH = 100  # of elements, and of references to references
-_MAX_VISITS = 20  # per element: references to references could make more of few
+# Of elements, and of references to references.
+_MAX_DEPTH = 100
+# Per element: references to references could make more of few.
+_MAX_VISITS = 20
 _GML_ID = "{http://www.opengis.net/gml}id", "{http://www.opengis.net/gml/3.2}id"
 _HREF = "{http://www.w3.org/1999/xlink}href"
 # Level of detail; rank: 2 solid, 1 surfaces, 0 footprint; the polygons under a geometry
@@ -64,41 +66,70 @@ _Shape = tuple[int, int, list[Polygon3D]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CityObject:
-    """One object of a city model, in the file's coordinates."""
+    """One object of a city model, in the file's coordinates.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    type_name : str
+        One of CLASS_OF_TYPE.
+    polygons : tuple of Polygon3D
+        Its surfaces, or its footprint.
+    words : str
+        Its name and function.
+    is_footprint : bool
+        Level of detail 0: the polygons are to be raised by height_m.
+    height_m : float or None
+        Of the top above the footprint, if the file gives it. [m]
+    """
 
     id: str
-    type_name: str  # one of CLASS_OF_TYPE
-    polygons: tuple[Polygon3D, ...]  # its surfaces, or its footprint
-    words: str = ""  # its name and function
-    is_footprint: bool = (
-        False  # level of detail 0: the polygons are to be raised by height_m
-    )
-    height_m: float | None = (
-        None  # of the top above the footprint, if the file gives it
-    )
+    type_name: str
+    polygons: tuple[Polygon3D, ...]
+    words: str = ""
+    is_footprint: bool = False
+    height_m: float | None = None
 
 
 def read_cityjson(path: Path) -> SourceMap:
-    """Read a CityJSON file, or a CityJSONSeq (a first line with the transform, then features).
+    """Read a CityJSON file, or a CityJSONSeq.
 
-    Each object is read in its highest level of detail below 3, or else in level 3; if
-    there is only level 0, its footprint is raised by the measured height. Buildings and
-    their parts become buildings, plants become vegetation, other constructions walls;
-    furniture becomes a wall too, unless its name says lamp or tree. Bridges are left
-    out with tunnels and ground: the scene's road is one plane, and a bridge deck would
-    lie on it. Heights are absolute. Raises InputError if the file cannot be read, is no
-    CityJSON, or has nothing solid.
+    A CityJSONSeq has a first line with the transform, then features. Each
+    object is read in its highest level of detail below 3, or else in level 3;
+    if there is only level 0, its footprint is raised by the measured height.
+    Buildings and their parts become buildings, plants become vegetation, other
+    constructions walls; furniture becomes a wall too, unless its name says lamp
+    or tree. Bridges are left out with tunnels and ground: the scene's road is
+    one plane, and a bridge deck would lie on it.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    source : SourceMap
+        Heights are absolute.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no CityJSON, or has nothing solid.
     """
     where = str(path)
+    # The first document has the version, the CRS and the transform.
     documents = list(_documents(read_text(path, "CityJSON"), where))
     head = documents[0]
     if head.get("type") != "CityJSON":
         raise InputError(f"{where}: type", head.get("type"), "CityJSON")
     check_one_of(f"{where}: version", head.get("version"), _VERSIONS)
     metadata = head.get("metadata")
+    crs: Any = ""
     if isinstance(metadata, Mapping):
         crs = metadata.get("referenceSystem")
-    else:
+    if not isinstance(crs, str):
         crs = ""
     objects: list[CityObject] = []
     left_out: Counter[str] = Counter()
@@ -106,7 +137,8 @@ def read_cityjson(path: Path) -> SourceMap:
     scale, translate = _transform(head.get("transform"), where)
     templates = _Templates(head.get("geometry-templates"), where)
     for document in documents:
-        with np.errstate(over="ignore"):  # _city_map refuses what is not finite
+        # _city_map refuses what is not finite.
+        with np.errstate(over="ignore"):
             corners = _vertices(document.get("vertices", []), f"{where}: vertices")
             vertices = corners * scale + translate
         objects += _objects(document, vertices, templates, where, left_out, empty)
@@ -114,22 +146,24 @@ def read_cityjson(path: Path) -> SourceMap:
     skipped += counted(empty, "without a surface of level of detail 0 to 3")
     # Easting comes first, whatever the reference system says.
     return _city_map(
-        path, objects, skipped, crs if isinstance(crs, str) else "", by_axes=False
+        path,
+        objects,
+        skipped,
+        crs,
+        by_axes=False,
     )
 
 
 def _documents(text: str, where: str) -> Iterator[_Table]:
-    """Parse the whole file, or each line of a sequence."""
+    """Documents of the file: the whole of it, or each line of a sequence."""
+    lines = [text]
     if where.lower().endswith(".jsonl"):
         lines = text.splitlines()
-    else:
-        lines = [text]
     for number, line in enumerate(lines, start=1):
         if line.strip():
+            here = where
             if len(lines) > 1:
                 here = f"{where}: line {number}"
-            else:
-                here = where
             yield parse_object(line, here, "CityJSON")
     if not text.strip():
         refuse(where, "an empty file", "CityJSON")
@@ -149,7 +183,10 @@ def _transform(table: Any, where: str) -> list[FloatArray]:
 
 
 def _vertices(values: Any, where: str) -> FloatArray:
-    return float_array(np.empty((0, 3)) if values == [] else values, (-1, 3), where)
+    """Vertices of a document, (n, 3)."""
+    if values == []:
+        values = np.empty((0, 3))
+    return float_array(values, (-1, 3), where)
 
 
 class _Templates:
@@ -164,9 +201,32 @@ class _Templates:
         self.vertices = _vertices(values, f"{self.where}.vertices-templates")
 
     def place(
-        self, geometry: _Table, vertices: FloatArray, where: str
+        self,
+        geometry: _Table,
+        vertices: FloatArray,
+        where: str,
     ) -> list[Polygon3D]:
-        """Polygons of a template, moved to its place."""
+        """Polygons of a template, moved to its place.
+
+        Parameters
+        ----------
+        geometry : _Table
+            The GeometryInstance.
+        vertices : (n, 3) float
+            Vertices of the document, one of which is its place.
+        where : str
+            File and element at hand, for messages.
+
+        Returns
+        -------
+        polygons : list of Polygon3D
+            In the file's coordinates.
+
+        Raises
+        ------
+        InputError
+            The template does not exist, or its matrix makes no sense.
+        """
         index: Any = geometry.get("template")
         here = f"{self.where}.templates[{index}]"
         template = _at(self.templates, index, f"{where}.template")
@@ -199,11 +259,35 @@ def _objects(
     left_out: Counter[str],
     empty: Counter[str],
 ) -> Iterator[CityObject]:
-    """Objects of a known type that have surfaces; the others are counted."""
+    """Objects of a known type that have surfaces; the others are counted.
+
+    Parameters
+    ----------
+    document : _Table
+        Parsed document.
+    vertices : (n, 3) float
+        Its vertices.
+    templates : _Templates
+        Shapes that are used more than once.
+    where : str
+        File and element at hand, for messages.
+    left_out : Counter[str]
+        Counts of objects of other types; extended.
+    empty : Counter[str]
+        Counts of objects without surfaces; extended.
+
+    Yields
+    ------
+    item : CityObject
+        An object whose parts have the surfaces is left out.
+    """
+    # Every object of the document, by its id.
     table = document.get("CityObjects", {})
     if not isinstance(table, Mapping):
         raise InputError(
-            f"{where}: CityObjects", type(table).__name__, "a table of objects"
+            f"{where}: CityObjects",
+            type(table).__name__,
+            "a table of objects",
         )
     for name, entry in table.items():
         here = f"{where}: {name}"
@@ -215,10 +299,10 @@ def _objects(
             continue
         polygons, level = _best(entry.get("geometry", []), vertices, templates, here)
         children = entry.get("children", [])
+        named: list[Any] = []
         if isinstance(children, list):
             named = children
-        else:
-            named = []
+        # Objects whose parts have the surfaces are left to those.
         parts = [table.get(one) for one in named if isinstance(one, str)]
         has_parts = any(
             isinstance(part, Mapping) and part.get("geometry") for part in parts
@@ -232,22 +316,23 @@ def _objects(
         attributes = entry.get("attributes")
         if not isinstance(attributes, Mapping):
             attributes = {}
+        words = [
+            str(attributes[key])[:_MAX_NAME]
+            for key in _TYPES["words"]
+            if key in attributes
+        ]
         yield CityObject(
             id=name,
             type_name=type_name,
             polygons=tuple(polygons),
-            words=" ".join(
-                str(attributes[key])[:_MAX_NAME]
-                for key in _TYPES["words"]
-                if key in attributes
-            ),
+            words=" ".join(words),
             is_footprint=level < 1.0,
             height_m=_height_m(attributes),
         )
 
 
 def _height_m(attributes: _Table) -> float | None:
-    """Height in the first of the known attributes; None: there is none, or no number."""
+    """Height in the first of the known attributes; None: there is no number."""
     value = next(
         (attributes[key] for key in _TYPES["heights"] if key in attributes), None
     )
@@ -259,11 +344,15 @@ def _height_m(attributes: _Table) -> float | None:
 
 
 def _best(
-    geometries: Any, vertices: FloatArray, templates: _Templates, where: str
+    geometries: Any,
+    vertices: FloatArray,
+    templates: _Templates,
+    where: str,
 ) -> tuple[list[Polygon3D], float]:
     """Surfaces of the most useful level of detail, and that level."""
     if not isinstance(geometries, list):
         raise InputError(f"{where}.geometry", geometries, "a list")
+    # The most useful geometry that has surfaces.
     best: tuple[list[Polygon3D], float] = ([], -1.0)
     for index, geometry in enumerate(geometries):
         here = f"{where}.geometry[{index}]"
@@ -273,14 +362,17 @@ def _best(
         level = 1.0
         if kind == "GeometryInstance":
             polygons = templates.place(geometry, vertices, here)
-        else:  # points and lines have none
+        else:
+            # Points and lines have none.
             polygons = _polygons(geometry, vertices, here)
             try:
                 if kind in _BOUNDARIES:
                     level = float(str(geometry.get("lod", "1")))
             except ValueError:
                 raise InputError(
-                    f"{here}.lod", geometry.get("lod"), "0 to 3.3"
+                    f"{here}.lod",
+                    geometry.get("lod"),
+                    "0 to 3.3",
                 ) from None
         if polygons and _rank(level) > _rank(best[1]):
             best = (polygons, level)
@@ -288,28 +380,50 @@ def _best(
 
 
 def _rank(level: float) -> float:
-    """Usefulness of a level of detail: below 3 the higher the better, then 3, then 0."""
+    """Usefulness of a level of detail: highest below 3, then 3, then 0."""
     if level < 3.0:
         return level
     return 0.99
 
 
 def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygon3D]:
-    """Surfaces of a geometry, of solids those of the outer shells; points and lines have none."""
+    """Surfaces of a geometry; points and lines have none.
+
+    Of solids these are the surfaces of the outer shells.
+
+    Parameters
+    ----------
+    geometry : _Table
+        Geometry of an object.
+    vertices : (n, 3) float
+        Vertices of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    polygons : list of Polygon3D
+        Outer ring, then holes.
+
+    Raises
+    ------
+    InputError
+        An index is no vertex, or the nesting does not fit the type.
+    """
     kind = str(geometry.get("type"))
     here = f"{where}.boundaries"
     if kind not in _BOUNDARIES:
         return []
     nested: Any = read_table(geometry.get("boundaries"), _BOUNDARIES[kind], here)
     if kind.endswith("Solid"):
+        solids = nested
         if kind == "Solid":
             solids = [nested]
-        else:
-            solids = nested
         nested = chain.from_iterable(shells[0] for shells in solids if shells)
     surfaces = [rings for rings in nested if rings]
     highest = max(
-        (index for rings in surfaces for ring in rings for index in ring), default=-1
+        (index for rings in surfaces for ring in rings for index in ring),
+        default=-1,
     )
     if highest >= len(vertices):
         raise InputError(here, highest, f"vertices 0 to {len(vertices) - 1}")
@@ -320,6 +434,7 @@ def _polygons(geometry: _Table, vertices: FloatArray, where: str) -> list[Polygo
 
 
 def _at(values: Any, index: Any, where: str) -> Any:
+    """Value at an index that a file gives; InputError: there is none."""
     if (
         not isinstance(index, int)
         or isinstance(index, bool)
@@ -337,21 +452,46 @@ def _city_map(
     *,
     by_axes: bool,
 ) -> SourceMap:
-    """Map of the objects of a city model, whose axes may be in the order of its reference system.
+    """Map of the objects of a city model.
 
-    Raises InputError: nothing solid, or too much.
+    Parameters
+    ----------
+    path : Path
+        File, for names and messages.
+    objects : sequence of CityObject
+        Objects in the file's coordinates.
+    skipped : sequence of Note
+        Notes on what was left out.
+    declared_crs : str
+        Reference system that the file declares; empty: none.
+    by_axes : bool
+        Coordinates come in the order of axes of the reference system.
+
+    Returns
+    -------
+    source : SourceMap
+        One thing for each object that has an area.
+
+    Raises
+    ------
+    InputError
+        There is nothing solid, or too much.
     """
     where = str(path)
     objects = [item for item in objects if item.polygons]
     if not objects:
         expected = "objects of level of detail 0 to 3" + _said(skipped)
         refuse(where, "no building, plant or furniture with surfaces", expected)
+    # Project all rings at once, and hand them back in order.
     rings = [ring for item in objects for polygon in item.polygons for ring in polygon]
     points: FloatArray = np.concatenate(rings)
     if not np.isfinite(points).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
     place = georeference(
-        points[:, :2], declared_crs, where=where, follows_authority=by_axes
+        points[:, :2],
+        declared_crs,
+        where=where,
+        follows_authority=by_axes,
     )
     points = place.to_metres(points, where)
     in_metres = iter(np.split(points, np.cumsum([len(ring) for ring in rings])[:-1]))
@@ -372,7 +512,9 @@ def _city_map(
         n_triangles += len(thing.triangles)
         if n_triangles > MAX_TRIANGLES:
             refuse(
-                where, f"more than {MAX_TRIANGLES:,} triangles", "a part of the city"
+                where,
+                f"more than {MAX_TRIANGLES:,} triangles",
+                "a part of the city",
             )
     if not things:
         refuse(where, "no surface with an area", "buildings" + _said(flat))
@@ -387,7 +529,8 @@ def _city_map(
 
 
 def _thing(item: CityObject, thing_id: str) -> Thing:
-    """One object as triangles; raises InputError if it has no area."""
+    """One object as triangles; InputError: it has no area."""
+    # Furniture says in its name what it is.
     class_name = CLASS_OF_TYPE[item.type_name]
     if item.type_name == "CityFurniture":
         kind = kind_from_name(item.words)
@@ -398,6 +541,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
         if not len(mesh[1]):
             refuse(item.id, "surfaces without area", "polygons")
         return Thing.of(thing_id, class_name, mesh)
+    # A footprint is raised by its height, or by the usual one.
     height = item.height_m
     is_assumed = height is None or not 0.0 < height <= thing_defaults().max_height_m
     if height is None or is_assumed:
@@ -414,7 +558,7 @@ def _thing(item: CityObject, thing_id: str) -> Thing:
 
 
 def _said(skipped: Sequence[Note]) -> str:
-    """What was left out, for the end of a message."""
+    """Reasons why things were left out, for the end of a message."""
     words = ", ".join(f"{item.what} ({item.why})" for item in skipped[:5])
     if words:
         return f"; skipped: {words}"
@@ -436,7 +580,9 @@ def read_citygml(path: Path) -> SourceMap:
     namespace = root.tag.rpartition("}")[0]
     if local_name(root) != "CityModel" or "citygml" not in namespace.lower():
         raise InputError(
-            where, root.tag, "CityGML: a CityModel in a namespace of CityGML"
+            where,
+            root.tag,
+            "CityGML: a CityModel in a namespace of CityGML",
         )
     document = _Document(where, root)
     left_out: Counter[str] = Counter()
@@ -454,6 +600,8 @@ def read_citygml(path: Path) -> SourceMap:
 
 
 class _Document:
+    """Elements of a file, and an index of those that others refer to."""
+
     def __init__(self, where: str, root: Element) -> None:
         self.where = where
         self.root = root
@@ -478,12 +626,28 @@ class _Document:
                 stack.append(child)
 
     def city_object(self, feature: Element, empty: Counter[str]) -> CityObject | None:
-        """An object with its own surfaces, without those of its parts."""
+        """Object with its own surfaces, without those of its parts.
+
+        Parameters
+        ----------
+        feature : Element
+            Element of the object.
+        empty : Counter[str]
+            Counts of objects without surfaces; extended.
+
+        Returns
+        -------
+        item : CityObject or None
+            None: it has no surface of its own.
+        """
         type_name = local_name(feature)
+        # The best level of detail, and at that the best kind of geometry.
         shapes = [shape for shape in self._shapes(feature, 0) if shape[2]]
         ranks = [(level, rank) for level, rank, _ in shapes]
         level, kind = max(
-            ranks, key=lambda one: (_rank(one[0]), one[1]), default=(-1, -1)
+            ranks,
+            key=lambda one: (_rank(one[0]), one[1]),
+            default=(-1, -1),
         )
         parts = (part for part in feature.iter() if part is not feature)
         has_parts = any(local_name(part) in CLASS_OF_TYPE for part in parts)
@@ -516,18 +680,40 @@ class _Document:
                     not is_flat or local_name(element) in _TYPES["surfaces"][1:]
                 ):
                     continue
+                rank = int(match[2] != "RoofEdge")
                 if "Solid" in match[2]:
                     rank = 2
-                else:
-                    rank = int(match[2] != "RoofEdge")
                 yield level, rank, list(self._polygons(child, depth + 1, 0))
             elif name in ("boundedBy", "boundary") or name in _TYPES["surfaces"]:
                 yield from self._shapes(child, depth + 1)
 
     def _polygons(
-        self, element: Element, depth: int, n_dimensions: int
+        self,
+        element: Element,
+        depth: int,
+        n_dimensions: int,
     ) -> Iterator[Polygon3D]:
-        """Polygons of an element and of those in it, or to which it refers."""
+        """Polygons of an element and of those in it, or to which it refers.
+
+        Parameters
+        ----------
+        element : Element
+            XML element.
+        depth : int
+            How deeply the element is nested, references included.
+        n_dimensions : int
+            Coordinates per point as the elements around it declare; 0: they do not.
+
+        Yields
+        ------
+        polygon : Polygon3D
+            Reversed where an OrientableSurface says so.
+
+        Raises
+        ------
+        InputError
+            Elements or references are nested too deeply.
+        """
         self.n_visits_left -= 1
         if depth > _MAX_DEPTH or self.n_visits_left < 0:
             refuse(self.where, "elements or references nested too deeply", _GML)
@@ -548,10 +734,10 @@ class _Document:
                 yield rings
         elif name not in ("ImplicitGeometry", "MultiCurve", "MultiPoint"):
             reference = element.attrib.get(_HREF, "")
+            # What the element refers to, then what it contains.
+            inside: list[Element | None] = []
             if reference.startswith("#"):
                 inside = [self.by_id.get(reference[1:])]
-            else:
-                inside = []
             inside += [
                 one
                 for one in element
@@ -562,10 +748,31 @@ class _Document:
             )
             for child in (one for one in inside if one is not None):
                 for polygon in self._polygons(child, depth + 1, n_dimensions):
-                    yield [ring[::-1] for ring in polygon] if is_turned else polygon
+                    if is_turned:
+                        yield [ring[::-1] for ring in polygon]
+                    else:
+                        yield polygon
 
     def _ring(self, ring: Element, n_dimensions: int) -> FloatArray:
-        """Points of a ring, (n, 3), in the file's coordinates."""
+        """Points of a ring in the file's coordinates, (n, 3).
+
+        Parameters
+        ----------
+        ring : Element
+            Element with the coordinates.
+        n_dimensions : int
+            Coordinates per point as the elements around it declare; 0: they do not.
+
+        Returns
+        -------
+        points : (n, 3) float
+            Heights are 0 where points have two coordinates.
+
+        Raises
+        ------
+        InputError
+            A coordinate is no number, or one is missing.
+        """
         words: list[str] = []
         for element in ring.iter():
             name = local_name(element)
@@ -590,6 +797,7 @@ class _Document:
 
 
 def _gml_id(element: Element) -> str:
+    """Id of an element, in either version of GML; empty: none."""
     return next((element.attrib[key] for key in _GML_ID if key in element.attrib), "")
 
 
@@ -602,32 +810,50 @@ def _n_dimensions(element: Element) -> int:
 
 
 def _measured_height_m(feature: Element) -> float | None:
-    """Height that an object declares; None if it declares none, or one in an unknown unit."""
+    """Height that an object declares in metres; None: none in a known unit."""
     for child in feature:
         if local_name(child) == "measuredHeight":
             values = [child]
         else:
             values = []
-        if (
-            local_name(child) == "height"
-        ):  # CityGML 3.0: con:height/con:Height/con:value
+        # CityGML 3.0: con:height/con:Height/con:value.
+        if local_name(child) == "height":
             values = [value for value in child.iter() if local_name(value) == "value"]
         for value in values:
-            unit = (
-                value.attrib.get("uom", "m")
-                .rpartition("#")[2]
-                .rpartition(":")[2]
-                .lower()
-            )
+            # Units may be written as "urn:ogc:def:uom:UCUM::m" or "...#m".
+            _, _, unit = value.attrib.get("uom", "m").rpartition("#")
+            _, _, unit = unit.rpartition(":")
+            unit = unit.lower()
             with suppress(ValueError, KeyError):
                 return float((value.text or "").strip()) * UNITS_M[unit]
     return None
 
 
 def _reference_system(root: Element, where: str) -> tuple[str, bool]:
-    """The one declared reference system, and whether coordinates follow its order of axes."""
+    """Declared reference system, and whether its order of axes counts.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    declared : str
+        Empty: none.
+    follows_authority : bool
+        Coordinates come in its own order of axes.
+
+    Raises
+    ------
+    InputError
+        Several different ones are declared.
+    """
     from pyproj.exceptions import ProjError
 
+    # Several spellings may mean the same reference system.
     texts = (element.attrib.get("srsName", "").strip() for element in root.iter())
     declared = dict.fromkeys(
         text for text in texts if text and not text.startswith("#")

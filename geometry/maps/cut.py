@@ -1,4 +1,4 @@
-"""Surroundings of a junction, cut out of maps, and the scene that is built of them."""
+"""Surroundings of a junction, cut out of maps, and the scene built of them."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
@@ -46,13 +46,14 @@ from .source_map import (
     unique_id,
 )
 
-LANES_BEYOND_M = (
-    70.0  # cars come from farther away than anything that could hide somebody
-)
+# Cars come from farther away than anything that could hide somebody.
+LANES_BEYOND_M = 70.0
 _SAME_LEVEL_M = 3.0
-_AT_OUTLINE_M = 2.0  # other roads that end here would look like an arm
+# Other roads that end here would look like an arm.
+_AT_OUTLINE_M = 2.0
 _CROSSWALK_WITHIN_M = 25.0
-_ASSUMED_M = 60.0  # on beyond the map
+# On beyond the map.
+_ASSUMED_M = 60.0
 _BENDS_PER_M = (
     0.0,
     *(
@@ -61,44 +62,70 @@ _BENDS_PER_M = (
         for sign in (1, -1)
     ),
 )
-_BESIDE_HOUSES_M = 0.3  # between such a lane and houses
+# Between such a lane and houses.
+_BESIDE_HOUSES_M = 0.3
 _LEAST_ASSUMED_M = 5.0
-_MOUTH_M = 4.0  # of a lane next to a junction, whose direction counts there
-_STRAIGHT_ON_DEG = 25.0  # between the way through a junction and the lanes at its ends
+# Of a lane next to a junction, whose direction counts there.
+_MOUTH_M = 4.0
+# Between the way through a junction and the lanes at its ends.
+_STRAIGHT_ON_DEG = 25.0
 _DIGITS_M = 0.002
 _NEIGHBOURS_BEYOND_M = 20.0
-_LOWEST_M = 0.2  # lower things hide nobody
-_MORE_M = (
-    80.0  # beyond what is cut out: the ground is levelled with what lies around it
-)
+# Lower things hide nobody.
+_LOWEST_M = 0.2
+# Beyond what is cut out: the ground is levelled with what lies around it.
+_MORE_M = 80.0
 _THINGS_MORE_M = 30.0
 _FAR_FIELDS = ("lanes", "connections")
 _LINES = "crosswalks_m"
-_Square = tuple[FloatArray, FloatArray]  # lowest and highest x and y
+# Lowest and highest x and y.
+_Square = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """Surroundings of a junction in the scene's own frame, before sites are chosen."""
+    """Surroundings of a junction in the scene's own frame, without sites.
 
-    frame: LocalFrame  # the middle of the junction is near its origin
-    lanes: tuple[Lane, ...]  # to drive, park and cycle on
-    outline_m: FloatArray  # (n, 2) of the junction's road surface
-    crosswalks_m: FloatArray  # (n, 2, 2), those of its arms
-    things: tuple[
-        Thing, ...
-    ]  # z counts from the road in the junction's middle; ids are unique
-    poles: tuple[Pole, ...]  # feet at z = 0, whatever the ground; ids are unique
+    Attributes
+    ----------
+    frame : LocalFrame
+        Frame of the scene; the middle of the junction is near its origin.
+    lanes : tuple of Lane
+        Lanes to drive, park and cycle on.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    crosswalks_m : (n, 2, 2) float
+        Crosswalks of the junction's arms. [m]
+    things : tuple of Thing
+        Z counts from the road in the junction's middle; ids are unique.
+    poles : tuple of Pole
+        Feet at z = 0, whatever the ground; ids are unique.
+    keeps_left : bool
+        Traffic keeps left.
+    skipped : tuple of Note
+        What was left out or assumed, and why.
+    roads : tuple of LeadingRoad
+        Roads that lead to the junction.
+    terrain : Terrain or None
+        The ground, 0 in the junction's middle; None: a plane.
+    zero_height_m : float or None
+        Height of the junction's middle, as the map counts heights. [m]
+    neighbours_m : tuple of (n, 2) float
+        Outlines of the junctions around it. [m]
+    """
+
+    frame: LocalFrame
+    lanes: tuple[Lane, ...]
+    outline_m: FloatArray
+    crosswalks_m: FloatArray
+    things: tuple[Thing, ...]
+    poles: tuple[Pole, ...]
     keeps_left: bool
     skipped: tuple[Note, ...]
-    roads: tuple[LeadingRoad, ...] = ()  # that lead to the junction
-    terrain: Terrain | None = (
-        None  # the ground, 0 in the junction's middle; None: a plane
-    )
-    zero_height_m: float | None = None  # of the middle, as the map counts heights
-    neighbours_m: tuple[
-        FloatArray, ...
-    ] = ()  # (n, 2) each, outlines of the junctions around it
+    roads: tuple[LeadingRoad, ...] = ()
+    terrain: Terrain | None = None
+    zero_height_m: float | None = None
+    neighbours_m: tuple[FloatArray, ...] = ()
 
 
 def cut_out(
@@ -108,14 +135,36 @@ def cut_out(
     radius_m: float,
     ground_m: float | None = None,
 ) -> Surroundings:
-    """Surroundings of a junction of the first map, with buildings and more from the others.
+    """Surroundings of a junction of the first map, with things of the others.
 
-    Lanes are followed 70 m beyond `radius_m`. `ground_m` is the height of the road in
-    the junction's middle in the other maps; by default 0 if a map counts heights above
-    the ground, or else that of its lowest thing. Raises InputError if the coordinates
-    of the maps do not fit.
+    Lanes are followed 70 m beyond `radius_m`. The ground is that of
+    :func:`geometry.maps.relief.find_relief`.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        Maps, the one with the roads first.
+    junction : MapJunction
+        A junction of the first map.
+    radius_m : float
+        Radius within which things and poles are kept. [m]
+    ground_m : float or None
+        Height of the road in the junction's middle in the other maps; None: 0
+        if a map counts heights above the ground, or else that of its lowest
+        thing. [m]
+
+    Returns
+    -------
+    surroundings : Surroundings
+        In a frame around the junction.
+
+    Raises
+    ------
+    InputError
+        The coordinates of the maps do not fit together.
     """
     roads = maps[0]
+    # The scene's frame, and the ground in it.
     frame = frame_at(maps[0], junction.position_m)
     outline = frame.take(junction.outline_m, roads)
     skipped = [skip for source in maps for skip in source.skipped]
@@ -125,13 +174,13 @@ def cut_out(
     things: list[Thing] = []
     poles: list[Pole] = []
     taken = Counter([GROUND])
+    # Things and poles of every map, under ids that are unique in the scene.
     for source in maps:
         height_m = ground_m
         if source is roads:
+            height_m = None
             if source.heights == "absolute":
                 height_m = junction.height_m
-            else:
-                height_m = None
         near = _near_things(source, frame, radius_m, skipped)
         for thing, vertices in _lowered(source, near, relief, height_m, skipped):
             thing_id = _unique(thing.id, source, taken)
@@ -143,6 +192,7 @@ def cut_out(
                 poles.append(
                     replace(pole, id=pole_id, position_m=np.append(foot[:2], 0.0))
                 )
+    # Lanes of the map with the roads, and the junctions around.
     lanes, through = _lanes(roads, junction, frame, outline, half_m)
     skipped += _odd_lanes(roads, junction)
     others = [
@@ -165,7 +215,7 @@ def cut_out(
         skipped=tuple(skipped),
         roads=tuple(_moved(road, frame, roads) for road in junction.roads),
         terrain=relief.terrain,
-        zero_height_m=None if relief.terrain is None else round(relief.zero_m, 3),
+        zero_height_m=zero_height_m,
         neighbours_m=tuple(
             one for one in others if _off_m(one) <= radius_m + _NEIGHBOURS_BEYOND_M
         ),
@@ -179,7 +229,30 @@ def _lowered(
     height_m: float | None,
     skipped: list[Note],
 ) -> Iterator[tuple[Thing, FloatArray]]:
-    """Things of a map that rise above the road, with vertices that count heights from it."""
+    """Things that rise above the road, with heights counted from it.
+
+    The others are noted.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    near : sequence of Thing
+        Things near the junction.
+    relief : Relief
+        Ground around the junction.
+    height_m : float or None
+        Height of the road in the junction's middle, as the map counts heights;
+        None: see :meth:`~.relief.Relief.lower`. [m]
+    skipped : list of Note
+        Notes on what was left out; entries are added.
+
+    Yields
+    ------
+    thing : (Thing, (n, 3) float)
+        Thing and its vertices. [m]
+    """
+    # Ground of a model is left out: the roads give it.
     solid = [thing for thing in near if thing.class_name != "ground"]
     why = "the ground of a scene is that of its roads"
     skipped += [
@@ -188,7 +261,9 @@ def _lowered(
     is_low: Counter[str] = Counter()
     n_floating = 0
     for thing, lowered in zip(
-        solid, relief.lower(source, solid, height_m), strict=True
+        solid,
+        relief.lower(source, solid, height_m),
+        strict=True,
     ):
         vertices, is_set_down = lowered
         n_floating += is_set_down
@@ -205,6 +280,7 @@ def _lowered(
 
 
 def _moved(road: LeadingRoad, frame: LocalFrame, source: SourceMap) -> LeadingRoad:
+    """Road that leads to a junction, in the frame of the scene."""
     begin, ahead = frame.take(
         np.stack([road.point_m, road.point_m + road.direction]), source
     )
@@ -220,19 +296,37 @@ def build_scene(
     sites: Sequence[Site],
     radius_m: float,
 ) -> Scene:
-    """A scene of the surroundings with a ground, bodies of poles, and sites, all on the ground.
+    """Scene of the surroundings with a ground, bodies of poles, and sites.
 
-    `source_crs` is the reference system for results; empty: unknown.
+    Poles and sites stand on the ground.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Surroundings of the junction.
+    name : str
+        Name of the scene.
+    source_crs : str
+        Reference system for results; empty: unknown.
+    sites : sequence of Site
+        Where sensors can be mounted.
+    radius_m : float
+        Radius that was cut out. [m]
+
+    Returns
+    -------
+    scene : Scene
+        With lanes assumed beyond the map where it ends.
     """
     terrain = surroundings.terrain
     half = radius_m + LANES_BEYOND_M
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     plane = (np.column_stack([corners, np.zeros(4)]), faces)
-    if terrain is None:
-        ground = plane
-    else:
+    ground = plane
+    if terrain is not None:
         ground = terrain.mesh()
+    # The ground comes first, then things, then poles.
     bodies: list[Body] = [(Instance(id=GROUND, class_name=GROUND), *ground)]
     for thing in surroundings.things:
         instance = Instance(
@@ -267,12 +361,26 @@ def build_scene(
 
 
 def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
-    """Lanes to the begins of entry lanes where the map has nothing that leads there.
+    """Lanes to the begins of entry lanes where the map has none.
 
-    They lead straight on, or where a building stands there round the gentlest bend past
-    it, the same for all lanes of an arm; where none does, straight up to it.
+    They lead straight on, or where a building stands there round the gentlest
+    bend past it, the same for all lanes of an arm; where none does, straight up
+    to it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the junction.
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Yields
+    ------
+    lane : Lane
+        Of the kind ``ASSUMED``.
     """
-    arms = [  # the lanes behind which the map does not go on
+    # The lanes behind which the map does not go on.
+    arms = [
         [
             lane
             for lane in arm.entry_lanes
@@ -280,11 +388,11 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
         ]
         for arm in build_junction(scene).arms.values()
     ]
+    houses = None
     if any(arms):
         houses = houses_of(scene)
-    else:
-        houses = None
     for lanes in filter(None, arms):
+        # The gentlest bend that is free for all lanes of the arm, or else straight on.
         for bend_per_m in (*_BENDS_PER_M, 0.0):
             chains = [_beyond(lane, bend_per_m, reach_m) for lane in lanes]
             pairs = [*zip(lanes, chains, strict=True)]
@@ -294,17 +402,36 @@ def _lead_on(scene: Scene, *, reach_m: float) -> Iterator[Lane]:
         for (lane, chain), free_m in zip(pairs, free, strict=True):
             if free_m < np.inf:
                 step = chain[1] - chain[0]
-                chain = np.array([chain[0], chain[0] + free_m * step / np.hypot(*step)])
+                free_end = chain[0] + free_m * step / np.hypot(*step)
+                chain = np.array([chain[0], free_end])
             if free_m > _LEAST_ASSUMED_M:
                 lane_id = f"{lane.id} beyond the map"
                 line_m = chain[::-1]
                 yield Lane(
-                    id=lane_id, kind=ASSUMED, width_m=lane.width_m, centreline_m=line_m
+                    id=lane_id,
+                    kind=ASSUMED,
+                    width_m=lane.width_m,
+                    centreline_m=line_m,
                 )
 
 
 def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
-    """Points (n, 2) of a circle away from a lane's start, to the left of its direction there."""
+    """Points of a circle away from a lane's start, (n, 2).
+
+    Parameters
+    ----------
+    lane : Lane
+        The lane.
+    bend_per_m : float
+        Curvature, to the left of the way there. [1/m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the lane's start outwards. [m]
+    """
     away = -complex(*lane_line(lane, is_in=False, length_m=_MOUTH_M)[0].direction)
     along = np.array([0.0, _ASSUMED_M])
     if bend_per_m == 0.0:
@@ -317,7 +444,22 @@ def _beyond(lane: Lane, bend_per_m: float, reach_m: float) -> FloatArray:
 
 
 def _free_m(chain_m: FloatArray, width_m: float, houses: Any) -> float:
-    """How far a lane leads before it comes close to houses; infinite: all of it is clear."""
+    """How far a lane leads before it comes close to houses, in metres.
+
+    Parameters
+    ----------
+    chain_m : (n, 2) float
+        Its centreline. [m]
+    width_m : float
+        Its width. [m]
+    houses : Any
+        Ground that houses cover.
+
+    Returns
+    -------
+    free_m : float
+        Infinite: all of it is clear. [m]
+    """
     line = shapely.LineString(chain_m)
     strip = line.buffer(0.5 * width_m + _BESIDE_HOUSES_M, cap_style="flat")
     hits = shapely.get_coordinates(houses.intersection(strip))
@@ -332,14 +474,34 @@ def _lanes(
     outline_m: FloatArray,
     reach_m: float,
 ) -> tuple[list[Lane], list[Lane]]:
-    """Lanes around a junction and through it; and those assumed through others around it.
+    """Lanes around a junction, and those assumed through other junctions.
 
-    Through the others lead only those of the map's lanes that lead about straight on.
+    Of the map's own lanes through other junctions, only those count that lead
+    about straight on.
+
+    Parameters
+    ----------
+    roads : SourceMap
+        Map with the roads.
+    junction : MapJunction
+        The junction.
+    frame : LocalFrame
+        Frame of the scene.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    found : list of Lane
+        Lanes of the map.
+    through : list of Lane
+        Lanes that are assumed.
     """
     found: list[Lane] = []
-    ends: dict[str, list[Lane]] = defaultdict(
-        list
-    )  # by the junction into which they lead
+    # By the junction into which they lead.
+    ends: dict[str, list[Lane]] = defaultdict(list)
     begins: dict[str, list[Lane]] = defaultdict(list)
     for lane in (
         lane for lane in roads.lanes if lane.kind in ("driving", "parking", "cycling")
@@ -355,7 +517,10 @@ def _lanes(
         if len(points) < 2 or not is_lane_width(lane.width_m):
             continue
         cut = Lane(
-            id=lane.id, kind=lane.kind, width_m=lane.width_m, centreline_m=points
+            id=lane.id,
+            kind=lane.kind,
+            width_m=lane.width_m,
+            centreline_m=points,
         )
         found.append(
             replace(cut, speed_limit_kmh=lane.speed_limit_kmh, turns=lane.turns)
@@ -367,6 +532,7 @@ def _lanes(
             ):
                 if name not in ("", junction.id) and (points[at] == whole[at]).all():
                     others[name].append(found[-1])
+    # The map's own lanes through junctions.
     mapped = {lane.from_junction for lane in roads.connections}
     for lane in roads.connections:
         whole = frame.take(lane.centreline_m[:, :2], roads)
@@ -381,10 +547,11 @@ def _lanes(
             found.append(
                 Lane(id=lane.id, kind=CONNECTING, width_m=width_m, centreline_m=points)
             )
-    names = sorted((ends.keys() & begins.keys()) - mapped)
-    return found, [
-        one for name in names for one in _straight_on(ends[name], begins[name])
-    ]
+    # Lanes through the junctions for which the map has none.
+    through: list[Lane] = []
+    for name in sorted((ends.keys() & begins.keys()) - mapped):
+        through += _straight_on(ends[name], begins[name])
+    return found, through
 
 
 def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
@@ -402,7 +569,7 @@ def _odd_lanes(roads: SourceMap, junction: MapJunction) -> list[Note]:
 
 
 def _leads_straight_on(points_m: FloatArray) -> bool:
-    """True if a lane through a junction is about as straight as those that are assumed."""
+    """True if a lane through a junction is about as straight as assumed ones."""
     way = points_m[-1] - points_m[0]
     ends = np.stack([points_m[1] - points_m[0], points_m[-1] - points_m[-2]])
     length_m = np.hypot(*way) * np.hypot(*ends.T)
@@ -410,11 +577,25 @@ def _leads_straight_on(points_m: FloatArray) -> bool:
 
 
 def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]:
-    """Lanes through a junction, from each one that leads into it and to each one out of it.
+    """Lanes through a junction, for each lane into it and out of it.
 
-    They lead as straight on as there is a lane; lanes that only turn there have none.
+    They lead as straight on as there is a lane; lanes that only turn there have
+    none.
+
+    Parameters
+    ----------
+    ends : sequence of Lane
+        Lanes that lead into the junction.
+    begins : sequence of Lane
+        Lanes that lead out of it.
+
+    Yields
+    ------
+    lane : Lane
+        Of the kind ``CONNECTING``.
     """
     bends: dict[tuple[int, int], float] = {}
+    # How much each pair of lanes would bend, at both of its ends.
     entries = [lane_line(lane, is_in=True, length_m=_MOUTH_M)[0] for lane in ends]
     exits = [lane_line(lane, is_in=False, length_m=_MOUTH_M)[0] for lane in begins]
     for one, before in enumerate(entries):
@@ -424,11 +605,12 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
             bend_deg = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
             if bend_deg.max() <= _STRAIGHT_ON_DEG:
                 bends[one, other] = float(bend_deg.sum())
-    wanted = {
-        min((pair for pair in bends if pair[side] == index), key=bends.__getitem__)
-        for side in (0, 1)
-        for index in {pair[side] for pair in bends}
-    }
+    # For each lane on either side, the pair that bends least.
+    wanted: set[tuple[int, int]] = set()
+    for side in (0, 1):
+        for index in {pair[side] for pair in bends}:
+            pairs = [pair for pair in bends if pair[side] == index]
+            wanted.add(min(pairs, key=bends.__getitem__))
     for one, other in sorted(wanted):
         lane_id = f"{ends[one].id} to {begins[other].id}"
         width_m = min(ends[one].width_m, begins[other].width_m)
@@ -437,12 +619,15 @@ def _straight_on(ends: Sequence[Lane], begins: Sequence[Lane]) -> Iterator[Lane]
 
 
 def _apart(points_m: FloatArray) -> FloatArray:
-    """A line without points that a file with three digits could not tell from their neighbours."""
+    """Line without points that lie within 2 mm of the one before.
+
+    A file with three digits could not tell them apart.
+    """
     is_new = np.append(True, steps_m(points_m) > _DIGITS_M)
-    if (
-        not is_new[-1] and is_new.sum() > 1
-    ):  # the end stays, and the point before it goes
-        is_new[[np.flatnonzero(is_new)[-1], -1]] = False, True
+    # The end stays, and the point before it goes.
+    if not is_new[-1] and is_new.sum() > 1:
+        is_new[np.flatnonzero(is_new)[-1]] = False
+        is_new[-1] = True
     return np.asarray(points_m[is_new])
 
 
@@ -453,7 +638,28 @@ def _is_elsewhere(
     outline_m: FloatArray,
     reach_m: float,
 ) -> bool:
-    """True if a lane of other roads is far away, on another level, or ends at the outline."""
+    """True if a lane of other roads does not belong to a junction.
+
+    It is far away, on another level, or ends at the outline.
+
+    Parameters
+    ----------
+    line_m : (n, 2) float
+        Its centreline in the scene's frame. [m]
+    lane : MapLane
+        The lane.
+    junction : MapJunction
+        The junction.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    reach_m : float
+        Radius of the circle around the origin within which lanes are kept. [m]
+
+    Returns
+    -------
+    is_elsewhere : bool
+        It is left out.
+    """
     distance = np.hypot(*line_m.T)
     height_m = lane.centreline_m[np.argmin(distance), 2] - junction.height_m
     if distance.min() > reach_m or abs(height_m) > _SAME_LEVEL_M:
@@ -463,11 +669,10 @@ def _is_elsewhere(
 
 
 def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatArray:
-    """The part of a line from one of its ends to where it first leaves the circle."""
+    """Part of a line from one end to where it first leaves the circle."""
+    points = points_m
     if from_end:
         points = points_m[::-1]
-    else:
-        points = points_m
     outside = np.flatnonzero(np.hypot(*points.T) > reach_m)
     if len(outside):
         last = max(int(outside[0]), 1)
@@ -480,7 +685,7 @@ def _reaching(points_m: FloatArray, reach_m: float, *, from_end: bool) -> FloatA
 
 
 def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
-    """The stretch of a line within the circle that has the most of its points."""
+    """Stretch of a line within the circle that has the most of its points."""
     runs = true_runs(np.hypot(*points_m.T) <= reach_m)
     if not len(runs):
         return points_m[:0]
@@ -496,7 +701,9 @@ def _longest_within(points_m: FloatArray, reach_m: float) -> FloatArray:
 
 
 def _on_circle(
-    inside_m: FloatArray, outside_m: FloatArray, reach_m: float
+    inside_m: FloatArray,
+    outside_m: FloatArray,
+    reach_m: float,
 ) -> FloatArray:
     """Where a segment leaves the circle around the origin."""
     way = outside_m - inside_m
@@ -510,8 +717,11 @@ def _on_circle(
 
 
 def _crosswalks(
-    maps: Sequence[SourceMap], frame: LocalFrame, outline_m: FloatArray
+    maps: Sequence[SourceMap],
+    frame: LocalFrame,
+    outline_m: FloatArray,
 ) -> FloatArray:
+    """Crosswalks of all maps near the junction's outline, (n, 2, 2)."""
     lines = np.concatenate([frame.take(source.crosswalks_m, source) for source in maps])
     middles = lines.mean(axis=1)
     lengths = np.hypot(*(lines[:, 1] - lines[:, 0]).T)
@@ -521,19 +731,44 @@ def _crosswalks(
 
 
 def _near_things(
-    source: SourceMap, frame: LocalFrame, radius_m: float, skipped: list[Note]
+    source: SourceMap,
+    frame: LocalFrame,
+    radius_m: float,
+    skipped: list[Note],
 ) -> list[Thing]:
-    """Things within a radius, in the scene's frame except for heights; the others are noted."""
+    """Things within a radius; the others are noted.
+
+    Vertices are in the scene's frame, except for heights.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    frame : LocalFrame
+        Frame of the scene.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+    skipped : list of Note
+        Notes on what was left out; entries are added.
+
+    Returns
+    -------
+    near : list of Thing
+        Those with triangles.
+    """
     if not source.things:
         return []
     near: list[Thing] = []
     n_far = 0
     counts = [len(thing.vertices_m) for thing in source.things]
+    # Project all vertices at once.
     every = frame.take(
         np.concatenate([thing.vertices_m for thing in source.things]), source
     )
     for thing, vertices in zip(
-        source.things, np.split(every, np.cumsum(counts)[:-1]), strict=True
+        source.things,
+        np.split(every, np.cumsum(counts)[:-1]),
+        strict=True,
     ):
         if len(vertices) and len(thing.triangles):
             if _off_m(vertices[:, :2]) > radius_m:
@@ -557,18 +792,21 @@ def _near_things(
 
 def _off_m(points_m: FloatArray) -> float:
     """Distance of the origin from the box around points (n, 2)."""
-    return float(np.hypot(*np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))))
+    nearest_m = np.clip(0.0, points_m.min(axis=0), points_m.max(axis=0))
+    return float(np.hypot(*nearest_m))
 
 
 def _unique(name: str, source: SourceMap, taken: Counter[str]) -> str:
-    """An id that no other thing has, without characters that separate ids on a command line."""
+    """Id that no other thing has, fit for a command line."""
     clean = plain_id(name) or "thing"
-    return unique_id(f"{source.name}-{clean}" if clean in taken else clean, taken)
+    if clean in taken:
+        clean = f"{source.name}-{clean}"
+    return unique_id(clean, taken)
 
 
 # ---------- many junctions out of maps that are read once
 def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
-    """What a map has, to be found by the boxes around its points; by the names of the fields."""
+    """Search trees over the boxes of everything in a map, by field."""
     points_m = {
         "lanes": [lane.centreline_m for lane in source.lanes],
         "connections": [lane.centreline_m for lane in source.connections],
@@ -584,13 +822,12 @@ def _trees(source: SourceMap) -> dict[str, shapely.STRtree]:
 
 
 class Neighbourhoods:
-    """Maps, that with roads first, from which what lies around junctions is taken repeatedly."""
+    """Maps from which what lies around junctions is taken repeatedly."""
 
     def __init__(self, maps: Sequence[SourceMap], *, radius_m: float) -> None:
         self._half_m = radius_m + LANES_BEYOND_M + _MORE_M
-        self._share = (
-            radius_m + _THINGS_MORE_M
-        ) / self._half_m  # of the square that has things
+        # Of the square that has things.
+        self._share = (radius_m + _THINGS_MORE_M) / self._half_m
         self._maps = [(source, _trees(source)) for source in maps]
 
     def around(self, junction: MapJunction) -> tuple[SourceMap, ...]:
@@ -602,6 +839,7 @@ class Neighbourhoods:
         """
         roads = self._maps[0][0]
         middle = junction.position_m
+        # A square around the junction, in each map's own coordinates.
         corners = middle + self._half_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         parts = []
         for source, trees in self._maps:
@@ -630,7 +868,24 @@ def _within(
     *,
     near: _Square,
 ) -> SourceMap:
-    """Lanes and ground of a square, and of a smaller one what stands and is painted there."""
+    """Part of a map: lanes and ground of a square, and nearer things.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    trees : dict[str, shapely.STRtree]
+        See :func:`_trees`.
+    square : ((2,) float, (2,) float)
+        Lowest and highest x and y of lanes and ground. [m]
+    near : ((2,) float, (2,) float)
+        The same of what stands and is painted there. [m]
+
+    Returns
+    -------
+    part : SourceMap
+        Without notes on what was left out.
+    """
     found: dict[str, Any] = {}
     for name, tree in trees.items():
         if name in _FAR_FIELDS:
@@ -639,10 +894,10 @@ def _within(
             low, high = near
         every = getattr(source, name)
         at = np.sort(tree.query(shapely.box(*low, *high))).tolist()
-        if name != _LINES:
-            found[name] = tuple(every[index] for index in at)
-        else:
+        if name == _LINES:
             found[name] = every[at]
+        else:
+            found[name] = tuple(every[index] for index in at)
     low, high = square
     ground = source.ground_m[:, :2]
     is_near = ((ground >= low) & (ground <= high)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Coordinate reference systems of map files, and the world frame of a scene around its junction."""
+"""Coordinate reference systems of map files, and a scene's world frame."""
 
 import re
 import warnings
@@ -21,40 +21,67 @@ if TYPE_CHECKING:
 
 
 WGS84 = "EPSG:4326"
-_DIGITS = 7  # of a degree: a centimetre
+# Of a degree: a centimetre.
+_DIGITS = 7
 _SPELLINGS: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
     (r"urn:adv:crs:ETRS89_UTM(\d\d)\b.*", lambda match: f"EPSG:258{match[1]}"),
     (r"urn:adv:crs:DE_DHDN_3GK(\d)\b.*", lambda match: f"EPSG:{31464 + int(match[1])}"),
     (r".*epsg\.xml#(\d+)", lambda match: f"EPSG:{match[1]}"),
 )
 _MAX_TEXT = 20_000
-_MAX_M = 1e8  # twice around the earth
+# Twice around the earth.
+_MAX_M = 1e8
 _MAX_STRETCH = 0.005
-_EDGE_SHARE = (
-    0.5  # of the width of an area of use: Bavaria uses UTM 32 two degrees east of it
-)
+# Of the width of an area of use: Bavaria uses UTM 32 two degrees east of it.
+_EDGE_SHARE = 0.5
 _ORIGIN_M = 1000.0
 _MIN_EXTENT_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LocalFrame:
-    """World frame of a scene: east, north and up around a point of the map with the junction.
+    """World frame of a scene: east, north and up around a point of a map.
 
-    `crs` is a transverse Mercator around the point: within a kilometre its metres are
-    those of the tangent plane to a hundredth of a millimetre.
+    The map is that with the junction. `crs` is a transverse Mercator around the
+    point: within a kilometre its metres are those of the tangent plane to a
+    hundredth of a millimetre.
+
+    Attributes
+    ----------
+    crs : str
+        For pyproj; empty: the place on earth is unknown.
+    map_crs : str
+        Of the map with the junction; empty: unknown.
+    origin_m : (2,) float
+        The point in the map's own coordinates. [m]
     """
 
-    crs: str  # for pyproj; empty: the place on earth is unknown
-    map_crs: str  # of the map with the junction; empty: unknown
-    origin_m: FloatArray  # (2,), the point in the map's own coordinates
+    crs: str
+    map_crs: str
+    origin_m: FloatArray
 
     def take(self, points_m: ArrayLike, source: SourceMap) -> FloatArray:
-        """Points (..., 2) or (..., 3) of a map in this frame; heights stay.
+        """Points of a map in this frame; heights stay.
 
-        A map without a reference system is taken to lie in the coordinates of the map
-        with the junction. Raises InputError if only `source` has a reference system, or
-        points cannot be projected.
+        A map without a reference system is taken to lie in the coordinates of the
+        map with the junction.
+
+        Parameters
+        ----------
+        points_m : (..., 2) or (..., 3) float
+            Points in the map's coordinates. [m]
+        source : SourceMap
+            The map that they are from.
+
+        Returns
+        -------
+        points_m : FloatArray
+            Same shape. [m]
+
+        Raises
+        ------
+        InputError
+            Only `source` has a reference system, or points cannot be projected.
         """
         points: FloatArray = np.array(points_m, dtype=np.float64)
         if source.crs and not self.map_crs:
@@ -68,7 +95,9 @@ class LocalFrame:
             points[..., :2] -= self.origin_m
             return points
         points[..., :2] = transform(
-            points[..., :2], source.crs or self.map_crs, self.crs
+            points[..., :2],
+            source.crs or self.map_crs,
+            self.crs,
         )
         if not np.isfinite(points).all():
             got = f"coordinates that {source.crs or self.map_crs} does not have"
@@ -81,21 +110,60 @@ class LocalFrame:
 
 
 def frame_at(source: SourceMap, point_m: ArrayLike) -> LocalFrame:
-    """Frame around a point (2,) of a map; raises InputError if the point is nowhere on earth."""
+    """Frame around a point of a map.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    point_m : (2,) float
+        In the map's coordinates; rounded to metres. [m]
+
+    Returns
+    -------
+    frame : LocalFrame
+        Without a CRS if the map has none.
+
+    Raises
+    ------
+    InputError
+        The point is nowhere on earth.
+    """
     point: FloatArray = np.array(point_m, dtype=np.float64).round()
+    crs = ""
     if source.crs:
         crs = local_crs(point, source.crs, where=source.name)
-    else:
-        crs = ""
     return LocalFrame(crs=crs, map_crs=source.crs, origin_m=point)
 
 
 def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
-    """Transverse Mercator around a point of another reference system; InputError: it is nowhere."""
+    """Transverse Mercator around a point, as text for pyproj.
+
+    Parameters
+    ----------
+    point_m : (2,) float
+        In the coordinates of `crs`.
+    crs : str
+        Reference system of the point.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    crs : str
+        In metres, with the point as its origin.
+
+    Raises
+    ------
+    InputError
+        The point is nowhere on earth.
+    """
     lon_deg, lat_deg = np.round(transform(point_m, crs, WGS84), _DIGITS)
     if not (np.isfinite([lon_deg, lat_deg]).all() and abs(lat_deg) <= 89.0):
         refuse(
-            where, f"a junction at {np.asarray(point_m).tolist()}", f"a place in {crs}"
+            where,
+            f"a junction at {np.asarray(point_m).tolist()}",
+            f"a place in {crs}",
         )
     return (
         f"+proj=tmerc +lat_0={lat_deg:.{_DIGITS}f} +lon_0={lon_deg:.{_DIGITS}f} "
@@ -104,7 +172,27 @@ def local_crs(point_m: ArrayLike, crs: str, *, where: str) -> str:
 
 
 def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
-    """Transform points (..., 2) between coordinate reference systems: east or longitude first."""
+    """Points in another reference system: east or longitude first.
+
+    Parameters
+    ----------
+    points : (..., 2) float
+        In the coordinates of `from_crs`.
+    from_crs : str
+        Reference system of the points.
+    to_crs : str
+        The one to bring them into.
+
+    Returns
+    -------
+    points : (..., 2) float
+        Infinite where a point cannot be projected.
+
+    Raises
+    ------
+    InputError
+        Pyproj knows no way between the two.
+    """
     array = np.asarray(points, dtype=np.float64)
     x, y = _transformer(from_crs, to_crs).transform(array[..., 0], array[..., 1])
     return np.stack([x, y], axis=-1)
@@ -112,36 +200,69 @@ def transform(points: ArrayLike, from_crs: str, to_crs: str) -> FloatArray:
 
 @lru_cache(maxsize=16)  # to make one takes longer than to transform most maps
 def _transformer(from_crs: str, to_crs: str) -> "Transformer":
+    """Transformer between two reference systems, made once."""
     from pyproj import Transformer
     from pyproj.exceptions import ProjError
 
     try:
         return Transformer.from_crs(
-            parse_crs(from_crs), parse_crs(to_crs), always_xy=True
+            parse_crs(from_crs),
+            parse_crs(to_crs),
+            always_xy=True,
         )
     except ProjError:
         where = f"coordinates from {from_crs[:80]} to {to_crs[:80]}"
         raise InputError(
-            where, Unquoted("no way"), "reference systems that pyproj knows"
+            where,
+            Unquoted("no way"),
+            "reference systems that pyproj knows",
         ) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Georeference:
-    """How to bring a file's coordinates into a projected coordinate reference system."""
+    """How to bring a file's coordinates into a projected reference system.
 
-    crs: str  # projected, in metres, for pyproj; empty: unknown
-    source_crs: (
-        str  # the horizontal part of the declared one; empty: none, or none that fits
-    )
-    is_northing_first: bool = (
-        False  # the file's first coordinate is the northing or the latitude
-    )
-    z_m: float = 1.0  # length of the file's unit of height
-    notes: tuple[Note, ...] = ()  # on a declaration that was not followed
+    Attributes
+    ----------
+    crs : str
+        Projected, in metres, for pyproj; empty: unknown.
+    source_crs : str
+        The horizontal part of the declared one; empty: none, or none that fits.
+    is_northing_first : bool
+        The file's first coordinate is the northing or the latitude.
+    z_m : float
+        Length of the file's unit of height. [m]
+    notes : tuple of Note
+        On a declaration that was not followed.
+    """
+
+    crs: str
+    source_crs: str
+    is_northing_first: bool = False
+    z_m: float = 1.0
+    notes: tuple[Note, ...] = ()
 
     def to_metres(self, points: ArrayLike, where: str) -> FloatArray:
-        """Easting, northing, height in `crs` of points (n, 2 or 3); InputError: one has none."""
+        """Easting, northing and height of points, in metres.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) float
+            In the file's coordinates.
+        where : str
+            File and element at hand, for messages.
+
+        Returns
+        -------
+        points_m : FloatArray
+            In the coordinates of `crs`. [m]
+
+        Raises
+        ------
+        InputError
+            A point is not on earth.
+        """
         array: FloatArray = np.array(points, dtype=np.float64)
         if self.is_northing_first:
             array[:, :2] = array[:, 1::-1]
@@ -149,7 +270,8 @@ class Georeference:
             array[:, :2] = transform(array[:, :2], self.source_crs, self.crs)
         if array.shape[1] > 2:
             array[:, 2] *= self.z_m
-        if not (np.abs(array) < _MAX_M).all():  # also if a coordinate is not finite
+        # Also if a coordinate is not finite.
+        if not (np.abs(array) < _MAX_M).all():
             got = "coordinates that are not on earth"
             refuse(where, got, f"coordinates in {self.source_crs or 'metres'}")
         return array
@@ -162,15 +284,34 @@ def georeference(
     where: str,
     follows_authority: bool = False,
 ) -> Georeference:
-    """Find out where a file's coordinates, (n, 2) or the corners of their box, lie on earth.
+    """Find out where a file's coordinates lie on earth.
 
-    Degrees, feet, and projections that stretch are projected to a transverse Mercator
-    around the middle of the data; projections in metres stay. With `follows_authority`
-    coordinates come in the order of the reference system's definition (GML), unless
-    only the other lies in its area of use. An unknown reference system, or one of
-    elsewhere, is left out with a note. Raises InputError if coordinates are not finite,
-    are degrees instead of metres or the reverse, or have latitude and longitude
-    swapped.
+    Degrees, feet, and projections that stretch are projected to a transverse
+    Mercator around the middle of the data; projections in metres stay. An
+    unknown reference system, or one of elsewhere, is left out with a note.
+
+    Parameters
+    ----------
+    points : (n, 2) float
+        All points, or the corners of their box.
+    declared : 'str | CRS or None'
+        Reference system that the file declares; None or empty: none.
+    where : str
+        File and element at hand, for messages.
+    follows_authority : bool
+        Coordinates come in the order of the reference system's definition
+        (GML), unless only the other lies in its area of use.
+
+    Returns
+    -------
+    place : Georeference
+        Without a CRS if none is known.
+
+    Raises
+    ------
+    InputError
+        Coordinates are not finite, are degrees instead of metres or the
+        reverse, or have latitude and longitude swapped.
     """
     from pyproj.exceptions import ProjError
 
@@ -179,12 +320,14 @@ def georeference(
         return Georeference(crs="", source_crs="")
     if not np.isfinite(xy).all():
         refuse(where, "a coordinate that is not finite", "finite numbers")
+    # The box around the data is enough to place them.
     box = np.array([xy.min(axis=0), xy.max(axis=0)])
     if np.abs(box).max() > _MAX_M:
         refuse(where, f"a coordinate of {np.abs(box).max():.3g}", "places on earth")
     try:
         crs = horizontal_crs(declared)
-        if crs is not None:  # it may be well-formed, and its numbers make no sense
+        # It may be well-formed, and its numbers make no sense.
+        if crs is not None:
             transform(box[:1], crs_name(crs), WGS84)
     except ProjError:
         crs = None
@@ -193,7 +336,9 @@ def georeference(
         text = str(declared or "").strip()
         why = "not a known horizontal one: taken as metres without a place on earth"
         note = Note(f"coordinate reference system {text[:80]}", why)
-        return Georeference(crs="", source_crs="", notes=(note,) if text else ())
+        if not text:
+            return Georeference(crs="", source_crs="")
+        return Georeference(crs="", source_crs="", notes=(note,))
     name = crs_name(crs)
     z_m = _vertical_unit_m(declared)
     is_swapped = follows_authority and crs.axis_info[0].direction in ("north", "south")
@@ -212,27 +357,27 @@ def georeference(
             if _is_meant_for(crs, middle):
                 break
         else:
+            area = "its area"
             if crs.area_of_use:
                 area = crs.area_of_use.name
-            else:
-                area = "its area"
             why = (
                 f"the coordinates lie outside {area}: taken as metres without a place"
                 " on earth"
             )
             note = Note(f"coordinate reference system {name}", why)
             return Georeference(crs="", source_crs="", z_m=z_m, notes=(note,))
-        is_plane = _is_in_metres(crs, middle)
-        if is_plane:
-            lonlat = None
-        else:
+        lonlat = None
+        if not _is_in_metres(crs, middle):
             lonlat = transform(middle[None, :], name, WGS84)[0]
-    if lonlat is None:
-        plane = name
-    else:
+    # Projections in metres stay; others give way to one around the middle.
+    plane = name
+    if lonlat is not None:
         plane = local_crs(lonlat, WGS84, where=where)
     return Georeference(
-        crs=plane, source_crs=name, is_northing_first=northing_first, z_m=z_m
+        crs=plane,
+        source_crs=name,
+        is_northing_first=northing_first,
+        z_m=z_m,
     )
 
 
@@ -244,6 +389,7 @@ def horizontal_crs(declared: "str | CRS | None") -> "CRS | None":
     """
     if declared is None or not str(declared).strip():
         return None
+    # Take the horizontal part of compound and bound systems.
     crs = parse_crs(_spelling(declared) if isinstance(declared, str) else declared)
     while crs.is_compound or crs.is_bound:
         inner = crs.sub_crs_list[0] if crs.is_compound else crs.source_crs
@@ -264,7 +410,8 @@ def why_no_plane(crs: str) -> str:
         return f"longer than {_MAX_TEXT} characters"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # +init=epsg:.. is old, not wrong
+            # +init=epsg:.. is old, not wrong.
+            warnings.simplefilter("ignore")
             system = parse_crs(crs)
     except (CRSError, ValueError, TypeError):
         return "not a coordinate reference system that pyproj knows"
@@ -279,7 +426,7 @@ def why_no_plane(crs: str) -> str:
 
 
 def crs_name(crs: "CRS") -> str:
-    """Shortest text from which pyproj makes the same reference system: a code, or WKT."""
+    """Shortest text that stands for a reference system: a code, or WKT."""
     authority = crs.to_authority(min_confidence=100)
     if authority:
         return ":".join(authority)
@@ -306,7 +453,10 @@ def _vertical_unit_m(declared: "str | CRS | None") -> float:
 
 
 def _refuse_degrees(box: FloatArray, where: str) -> None:
-    """Refuse coordinates within -180 to 180 that span less than a metre: no map is so small."""
+    """Refuse coordinates that must be degrees where metres are meant.
+
+    They lie within -180 to 180 and span less than a metre: no map is so small.
+    """
     if (np.abs(box) <= [180.0, 90.0]).all() and (box[1] - box[0] < _MIN_EXTENT_M).all():
         size = " x ".join(f"{length:.6f}" for length in box[1] - box[0])
         expected = (
@@ -339,27 +489,31 @@ def _refuse_no_degrees(box: FloatArray, where: str) -> None:
 
 
 def _words(box: FloatArray) -> str:
+    """Middle of a box, for messages."""
     return ", ".join(f"{middle:g}" for middle in box.mean(axis=0))
 
 
 def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
-    """A point lies in a reference system's area of use, or next to it but not at its origin."""
+    """True if a point lies in a reference system's area of use.
+
+    Beside the area counts, too, except at the origin of the coordinates.
+    """
     if crs.area_of_use is None:
         return True
     west, south, east, north = crs.area_of_use.bounds
     lon, lat = transform(point[None, :], crs_name(crs), WGS84)[0]
     if not np.isfinite([lon, lat]).all():
         return False
+    # An area of use may lie across the 180th meridian.
+    width = east - west
     if east < west:
         width = (east - west) % 360.0
-    else:
-        width = east - west
     height = north - south
-    beside = (lon - west + 180.0) % 360.0 - 180.0  # east of the western edge
+    # East of the western edge.
+    beside = (lon - west + 180.0) % 360.0 - 180.0
+    edge = _EDGE_SHARE
     if (np.abs(point) < _ORIGIN_M).all():
         edge = 0.0
-    else:
-        edge = _EDGE_SHARE
     is_beside = -edge * width <= beside and (
         width >= 180.0 or beside <= (1.0 + edge) * width
     )
@@ -367,7 +521,7 @@ def _is_meant_for(crs: "CRS", point: FloatArray) -> bool:
 
 
 def _is_in_metres(crs: "CRS", point: FloatArray) -> bool:
-    """One unit of a projection is a metre on the ground, east and north of this point."""
+    """True if a projection's unit is a metre on the ground at a point."""
     from pyproj import Proj
     from pyproj.exceptions import ProjError
 

@@ -1,4 +1,4 @@
-"""Features, buildings and walls from GIS files: GeoJSON, GeoPackage, Shapefile."""
+"""Features, buildings and walls from GeoJSON, GeoPackage and Shapefile."""
 
 import glob
 import re
@@ -51,36 +51,80 @@ _MAGIC = {
 }
 _DRIVERS = {".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
 _MAX_GDAL_BYTES = 2_000_000_000
+# What shapely raises for a geometry that is not nested as its type asks for.
+_BROKEN_GEOMETRY = (
+    ShapelyError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 _WORDS: dict[str, Any] = load_data("geometry.maps", "words.toml")["gis"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Feature:
-    """One row of a layer."""
+    """One row of a layer.
 
-    where: str  # file and row, for messages
-    geometry: BaseGeometry | None  # in the file's coordinates
-    values: Mapping[str, Any]  # by name of the column; missing ones are left out
+    Attributes
+    ----------
+    where : str
+        File and row, for messages.
+    geometry : BaseGeometry or None
+        In the file's coordinates.
+    values : Mapping[str, Any]
+        By name of the column; missing ones are left out.
+    """
+
+    where: str
+    geometry: BaseGeometry | None
+    values: Mapping[str, Any]
 
     @property
     def named(self) -> dict[str, Any]:
-        """Values by the column's name in lower case, with _ for everything between words."""
+        """Values by column, in lower case and with _ between words."""
         return {_column(key): value for key, value in self.values.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Features:
-    """One layer."""
+    """One layer.
+
+    Attributes
+    ----------
+    features : tuple of Feature
+        Rows of the layer.
+    crs : str
+        As the file declares it; empty: it does not.
+    """
 
     features: tuple[Feature, ...]
-    crs: str  # as the file declares it; empty: it does not
+    crs: str
 
 
 def read_features(path: Path, layer: str = "") -> Features:
-    """Read one layer of a GeoJSON, GeoPackage or Shapefile, or of a .zip with one of them.
+    """Read one layer of a GIS file, or of a .zip with one.
 
-    Raises InputError if the file cannot be read, does not have the format of its
-    suffix, has several layers and none is chosen, or has more than 200,000 features.
+    Parameters
+    ----------
+    path : Path
+        GeoJSON, GeoPackage or Shapefile.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, does not have the format of its suffix, has
+        several layers and none is chosen, or has more than 200,000 features.
     """
     suffix = path.suffix.lower()
     if suffix == ".zip":
@@ -94,14 +138,31 @@ def read_features(path: Path, layer: str = "") -> Features:
 
 
 def _read_geojson(path: Path) -> Features:
-    """GeoJSON (RFC 7946), and the ``crs`` member of its predecessor; nothing is fetched."""
+    """Read GeoJSON (RFC 7946), or its predecessor with a ``crs`` member.
+
+    Nothing that the file refers to is fetched.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file is no GeoJSON, or a geometry is broken.
+    """
     where = str(path)
     document = parse_object(read_text(path, "GeoJSON"), where, "GeoJSON")
     kind = document.get("type")
+    rows: Any = [document]
     if kind == "FeatureCollection":
         rows = document.get("features")
-    else:
-        rows = [document]
     if kind not in ("FeatureCollection", "Feature") or not isinstance(rows, list):
         raise InputError(f"{where}: type", kind, "a FeatureCollection with features")
     _refuse_many(len(rows), where)
@@ -130,17 +191,7 @@ def _read_geojson(path: Path) -> Features:
                 )
             try:
                 geometry = shape(table)
-            except (
-                *(
-                    ShapelyError,
-                    ValueError,
-                    TypeError,
-                    KeyError,
-                    IndexError,
-                    AttributeError,
-                ),
-                *(OverflowError, RecursionError),
-            ):
+            except _BROKEN_GEOMETRY:
                 got = Unquoted(f"a broken {table['type']}")
                 expected = (
                     "finite coordinates, rings of four or more, nested as its type"
@@ -149,7 +200,8 @@ def _read_geojson(path: Path) -> Features:
                 raise InputError(f"{here}.geometry", got, expected) from None
         features.append(Feature(where=here, geometry=geometry, values=values))
     return Features(
-        features=tuple(features), crs=_geojson_crs(document.get("crs"), where)
+        features=tuple(features),
+        crs=_geojson_crs(document.get("crs"), where),
     )
 
 
@@ -157,20 +209,37 @@ def _geojson_crs(table: Any, where: str) -> str:
     """Reference system of a GeoJSON file: WGS 84 unless it names another."""
     if table is None:
         return WGS84
+    properties = None
     if isinstance(table, Mapping):
         properties = table.get("properties")
-    else:
-        properties = None
+    name = None
     if isinstance(properties, Mapping):
         name = properties.get("name")
-    else:
-        name = None
     if not isinstance(name, str) or not name:
         raise InputError(f"{where}: crs", table, "a named one, or none for WGS 84")
     return name
 
 
 def _read_with_gdal(path: Path, layer: str) -> Features:
+    """Read a GeoPackage or Shapefile through GDAL.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    table : Features
+        In the file's coordinates.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or of another format, or the layer is not named.
+    """
     import pyogrio
 
     where = str(path)
@@ -180,21 +249,18 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
         with open_file(path, max_bytes=_MAX_GDAL_BYTES) as file:
             if file.read(len(magic)) != magic:
                 refuse(where, "something else", name)
-        for other in path.parent.glob(
-            f"{glob.escape(path.stem)}.*"
-        ):  # .dbf, .gpkg-wal, ..
+        # .dbf, .gpkg-wal, ..
+        for other in path.parent.glob(f"{glob.escape(path.stem)}.*"):
             check_file(other)
         if path.suffix.lower() == ".gpkg":
             _check_tables(path)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # rings left open and the like, which GDAL mends
+            # Rings left open and the like, which GDAL mends.
+            warnings.simplefilter("ignore")
             layers = [str(found) for found in pyogrio.list_layers(path)[:, 0]]
+            named = "a layer"
             if layers:
                 named = "one layer, by name: " + ", ".join(layers[:20])
-            else:
-                named = "a layer"
             if not layer and len(layers) != 1:
                 refuse(where, f"{len(layers)} layers", named)
             if layer and layer not in layers:
@@ -206,38 +272,41 @@ def _read_with_gdal(path: Path, layer: str) -> Features:
             if info["geometry_type"] is None:
                 refuse(where, "a table without geometries", name)
             table = pyogrio.read_dataframe(
-                path, layer=layer, max_features=MAX_FEATURES + 1
+                path,
+                layer=layer,
+                max_features=MAX_FEATURES + 1,
             )
     _refuse_many(len(table), where)
+    # Cells that have a value, row by row.
     columns = {
         str(name): table[name].to_numpy()
         for name in table.columns
         if name != "geometry"
     }
     is_known = {name: table[name].notna().to_numpy() for name in columns}
-    features = [
-        Feature(
-            where=f"{where}: row {index + 1}",
-            geometry=geometry,
-            values={
-                name: (
-                    value.item()
-                    if isinstance(value := values[index], np.generic)
-                    else value
-                )
-                for name, values in columns.items()
-                if is_known[name][index]
-            },
-        )
-        for index, geometry in enumerate(table.geometry.to_numpy())
-    ]
-    return Features(
-        features=tuple(features), crs="" if table.crs is None else table.crs.to_wkt()
-    )
+    features = []
+    for index, geometry in enumerate(table.geometry.to_numpy()):
+        values: dict[str, Any] = {}
+        for name, column in columns.items():
+            if is_known[name][index]:
+                value = column[index]
+                # Plain numbers, as GeoJSON has them.
+                if isinstance(value, np.generic):
+                    value = value.item()
+                values[name] = value
+        here = f"{where}: row {index + 1}"
+        features.append(Feature(where=here, geometry=geometry, values=values))
+    crs = ""
+    if table.crs is not None:
+        crs = table.crs.to_wkt()
+    return Features(features=tuple(features), crs=crs)
 
 
 def _check_tables(path: Path) -> None:
-    """Raise InputError if a GeoPackage computes what it holds: that may go on for ever."""
+    """Refuse a GeoPackage that computes what it holds.
+
+    Such a computation may go on for ever.
+    """
     computed = []
     try:
         with closing(
@@ -249,7 +318,9 @@ def _check_tables(path: Path) -> None:
                 if kind == "view":
                     computed.append(name)
                 elif kind == "table" and re.match(
-                    r"\s*CREATE\s+VIRTUAL", made or "", re.IGNORECASE
+                    r"\s*CREATE\s+VIRTUAL",
+                    made or "",
+                    re.IGNORECASE,
                 ):
                     if not re.search(r"\sUSING\s+rtree\b", made, re.IGNORECASE):
                         computed.append(name)
@@ -268,6 +339,7 @@ def _check_tables(path: Path) -> None:
 
 
 def _refuse_many(n_features: int, where: str) -> None:
+    """Refuse a layer with too many features."""
     if n_features > MAX_FEATURES:
         refuse(
             where,
@@ -278,17 +350,39 @@ def _refuse_many(n_features: int, where: str) -> None:
 
 # ---------- footprints
 def read_footprints(
-    path: Path, *, class_name: str = "building", layer: str = ""
+    path: Path,
+    *,
+    class_name: str = "building",
+    layer: str = "",
 ) -> SourceMap:
     """Read footprints and raise them to solids.
 
-    Heights come from columns such as ``height``, ``building:levels`` or ``min_height``,
-    in metres unless the column (``height_ft``) or the value ("40 ft") says otherwise;
-    missing or impossible ones are replaced by the defaults of ``data/things.toml``.
-    Lines become walls if `class_name` is "wall", or if a column ``class``, ``kind``,
-    ``type`` or ``barrier`` says wall, fence or hedge. Third coordinates are ignored;
-    heights are above ground. Raises InputError if the file cannot be read, has no area,
-    or has coordinates that are not finite or do not fit its reference system.
+    Heights come from columns such as ``height``, ``building:levels`` or
+    ``min_height``, in metres unless the column (``height_ft``) or the value
+    ("40 ft") says otherwise; missing or impossible ones are replaced by the
+    defaults of ``data/things.toml``. Third coordinates are ignored.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    class_name : str
+        Class of features that do not state theirs. Lines become walls if it is
+        "wall", or if a column ``class``, ``kind``, ``type`` or ``barrier`` says
+        wall, fence or hedge.
+    layer : str
+        Layer of a file that has several; empty: the only one.
+
+    Returns
+    -------
+    source : SourceMap
+        Heights are above ground.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no area, or has coordinates that are not
+        finite or do not fit its reference system.
     """
     check_one_of("class_name", class_name, CLASS_NAMES)
     table = read_features(path, layer)
@@ -298,6 +392,7 @@ def read_footprints(
     left_out: Counter[str] = Counter()
     kinds = [_kind(feature, class_name, left_out) for feature in table.features]
     every = zip(table.features, kinds, strict=True)
+    # Only areas and walls become solids.
     solid = [(feature, kind) for feature, kind in every if kind is not None]
     if not solid:
         got = "no areas: " + ", ".join(f"{n} {name}" for name, n in left_out.items())
@@ -305,6 +400,7 @@ def read_footprints(
     points = np.concatenate(
         [shapely.get_coordinates(feature.geometry) for feature, _ in solid]
     )
+    # Where the layer lies on earth.
     place = georeference(points, table.crs, where=where)
     things: list[Thing] = []
     failed: list[Note] = []
@@ -329,9 +425,11 @@ def read_footprints(
 
 
 def _kind(
-    feature: Feature, class_name: str, left_out: Counter[str]
+    feature: Feature,
+    class_name: str,
+    left_out: Counter[str],
 ) -> ThingKind | None:
-    """Kind of a feature; None if it is not solid."""
+    """Kind of a feature; None: it is not solid, which is counted."""
     if feature.geometry is None or feature.geometry.is_empty:
         left_out["rows without geometry"] += 1
         return None
@@ -345,14 +443,38 @@ def _kind(
     is_line = bool(types & {"LineString", "LinearRing"})
     if "Polygon" in types or (is_line and (said is not None or class_name == "wall")):
         return said or kind_of_class(class_name)
-    left_out["lines" if is_line else "points"] += 1
+    if is_line:
+        left_out["lines"] += 1
+    else:
+        left_out["points"] += 1
     return None
 
 
 def _raised(
-    feature: Feature, kind: ThingKind, thing_id: str, place: Georeference
+    feature: Feature,
+    kind: ThingKind,
+    thing_id: str,
+    place: Georeference,
 ) -> Thing:
-    """A feature as a solid; raises InputError if it has no area."""
+    """Feature as a solid; InputError: it has no area.
+
+    Parameters
+    ----------
+    feature : Feature
+        The feature.
+    kind : ThingKind
+        Its kind.
+    thing_id : str
+        Id of the thing.
+    place : Georeference
+        How to bring the file's coordinates into metres.
+
+    Returns
+    -------
+    thing : Thing
+        Lines become strips as thick as their kind.
+    """
+    # Third coordinates are ignored: heights come from columns.
     flat = shapely.force_2d(feature.geometry)
     where = feature.where
     geometry = shapely.transform(flat, lambda points: place.to_metres(points, where))
@@ -371,44 +493,66 @@ def _raised(
     if not pieces:
         refuse(thing_id, "no area", "a footprint")
     return Thing.of(
-        thing_id, kind.class_name, join(pieces), is_height_assumed=is_assumed
+        thing_id,
+        kind.class_name,
+        join(pieces),
+        is_height_assumed=is_assumed,
     )
 
 
 def _span_m(values: Mapping[str, Any], kind: ThingKind) -> tuple[float, float, bool]:
-    """Heights of floor and roof above ground, and whether that of the roof is assumed."""
+    """Heights of floor and roof above ground.
+
+    Parameters
+    ----------
+    values : Mapping[str, Any]
+        Values of the row, by column.
+    kind : ThingKind
+        Kind of the thing, for the usual height.
+
+    Returns
+    -------
+    bottom_m : float
+        Height of the floor. [m]
+    top_m : float
+        Height of the roof. [m]
+    is_assumed : bool
+        The height of the roof is the usual one.
+    """
     defaults = thing_defaults()
-    top, storeys, bottom, lowest = (
-        _length_m(values, _WORDS[key])
-        for key in ("tops", "storeys", "bottoms", "lowest_storeys")
-    )
+    top = _length_m(values, _WORDS["tops"])
+    storeys = _length_m(values, _WORDS["storeys"])
+    bottom = _length_m(values, _WORDS["bottoms"])
+    lowest = _length_m(values, _WORDS["lowest_storeys"])
     if top is None and storeys is not None and 0.0 < storeys <= defaults.max_storeys:
         top = storeys * defaults.storey_height_m
     if top is not None and not 0.0 < top <= defaults.max_height_m:
         top = None
     if bottom is None:
         bottom = (lowest or 0.0) * defaults.storey_height_m
-    if top is None:
-        top_m = kind.height_m
-    else:
+    top_m = kind.height_m
+    if top is not None:
         top_m = top
-    return bottom if 0.0 <= bottom < top_m else 0.0, top_m, top is None
+    # A floor above the roof, or below the ground, makes no sense.
+    if not 0.0 <= bottom < top_m:
+        bottom = 0.0
+    return bottom, top_m, top is None
 
 
 def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
-    """First finite number, in metres, of the columns with one of the names, or None."""
+    """First finite number of some columns in metres, or None."""
     found: dict[int, float] = {}
     for key, value in values.items():
         column = _column(key)
         base, _, unit = column.rpartition("_")
+        # The unit at the end of a column's name: "height_ft".
+        scale = 1.0
         if unit in UNITS_M and base:
-            column, scale = (base, UNITS_M[unit])
-        else:
-            column, scale = (column, 1.0)
-        if column in names:
-            number = _number(value)
-        else:
-            number = None
+            column = base
+            scale = UNITS_M[unit]
+        if column not in names:
+            continue
+        number = _number(value)
         if number is not None:
             found.setdefault(names.index(column), number * scale)
     if found:
@@ -417,7 +561,10 @@ def _length_m(values: Mapping[str, Any], names: Sequence[str]) -> float | None:
 
 
 def _number(value: Any) -> float | None:
-    """A number, or a text such as "12", "12,5 m" or "40 ft", in metres or without a unit."""
+    """Number of a cell, in metres or without a unit; None: it is none.
+
+    A text may be such as "12", "12,5 m" or "40 ft".
+    """
     if isinstance(value, bool):
         return None
     if isinstance(value, int | float):
@@ -428,7 +575,7 @@ def _number(value: Any) -> float | None:
 
 
 def _column(key: str) -> str:
-    """Name of a column in lower case, with _ for everything between words."""
+    """Name of a column in lower case, with _ between words."""
     return (
         re.sub(r"[^0-9a-zäöüß]+", "_", key.strip().lower()[:60])
         .replace("ö", "oe")

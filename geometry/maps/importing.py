@@ -1,4 +1,8 @@
-"""Import map files as a scene: read them, choose the junction, cut it out, decide on sites."""
+"""Import map files as a scene.
+
+The steps are to read the files, choose a junction, cut it out, and decide
+on sites.
+"""
 
 import re
 from collections import Counter, defaultdict
@@ -49,7 +53,8 @@ from .source_map import NOTHING, MapJunction, MapLane, Pole, SourceMap, Thing
 
 _MAX_LISTED = 12
 _NEAR_M = 100.0
-_BESIDE_M = 15.0  # from the outline: signals and crosswalks of the arms
+# From the outline: signals and crosswalks of the arms.
+_BESIDE_M = 15.0
 SORTS = ("arms", "lanes", "signals", "crossings", "name")
 _LAT_LON = re.compile(r"\s*([-+]?\d{1,2}(?:\.\d+)?)\s*,\s*([-+]?\d{1,3}(?:\.\d+)?)\s*")
 _BETWEEN = re.compile(r"\s*[/&+;]\s*|\s+(?:and|und|at|x|@)\s+", re.IGNORECASE)
@@ -94,28 +99,57 @@ _RADIUS_LIMITS_M = (20.0, 500.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surveyed:
-    """A junction of a map and the lanes that lead to it."""
+    """Junction of a map and the lanes that lead to it.
+
+    Attributes
+    ----------
+    junction : MapJunction
+        The junction itself.
+    arms : tuple of str
+        Names of its arms; empty if no lane ends at its outline.
+    n_lanes : int
+        Driving lanes into it and out of it.
+    n_driven : int
+        Arms from which a driving lane leads into it.
+    position : (2,) float
+        Its middle in the file's coordinate reference system: longitude and
+        latitude, or metres.
+    n_signals : int
+        Poles with traffic lights inside it, or at most 15 m from its outline.
+    n_crossings : int
+        Crosswalks whose middle lies inside it, or at most 15 m from its
+        outline.
+    roads : tuple[tuple[str, int], ...]
+        Of each arm: class, and driving lanes in and out.
+    """
 
     junction: MapJunction
-    arms: tuple[str, ...]  # names of its arms; empty if no lane ends at its outline
-    n_lanes: int  # driving lanes into it and out of it
-    n_driven: int  # arms from which a driving lane leads into it
-    # (2,); its middle in the file's coordinate reference system: longitude and
-    # latitude, or metres
+    arms: tuple[str, ...]
+    n_lanes: int
+    n_driven: int
     position: FloatArray
-    n_signals: int = (
-        0  # poles with traffic lights inside it, or at most 15 m from its outline
-    )
-    n_crossings: int = (
-        0  # crosswalks whose middle lies inside it, or at most 15 m from its outline
-    )
-    roads: tuple[
-        tuple[str, int], ...
-    ] = ()  # of each arm: class, and driving lanes in and out
+    n_signals: int = 0
+    n_crossings: int = 0
+    roads: tuple[tuple[str, int], ...] = ()
 
 
 def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
-    """All junctions of a map by arms, driven arms, lanes, and nearness to the middle of the map."""
+    """All junctions of a map, the largest first.
+
+    They are sorted by arms, driven arms, lanes, and nearness to the middle of
+    the map.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+
+    Returns
+    -------
+    surveyed : tuple of Surveyed
+        One for each junction.
+    """
+    # Lanes, signals and crosswalks of each junction.
     by_junction: dict[str, list[MapLane]] = defaultdict(list)
     for lane in source.lanes:
         for name in {lane.from_junction, lane.to_junction}:
@@ -134,10 +168,12 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
         for one, lit, crossed in zip(source.junctions, signals, crossings, strict=True)
     ]
     middle = np.median(
-        [one.junction.position_m for one in found] or [np.zeros(2)], axis=0
+        [one.junction.position_m for one in found] or [np.zeros(2)],
+        axis=0,
     )
 
     def rank(one: Surveyed) -> tuple[float, ...]:
+        """Key for sorting, the largest junction first."""
         off_m = float(np.hypot(*(one.junction.position_m - middle)))
         return (-len(one.arms), -one.n_driven, -one.n_lanes, off_m)
 
@@ -145,20 +181,42 @@ def survey_junctions(source: SourceMap) -> tuple[Surveyed, ...]:
 
 
 def _count_near(junctions: Sequence[MapJunction], points_m: FloatArray) -> list[int]:
-    """How many points lie inside each junction or next to it."""
+    """Number of points inside each junction or next to it."""
     areas = shapely.STRtree([area_of(one.outline_m) for one in junctions])
     _, hit = areas.query(
-        shapely.points(points_m), predicate="dwithin", distance=_BESIDE_M
+        shapely.points(points_m),
+        predicate="dwithin",
+        distance=_BESIDE_M,
     )
     return [*np.bincount(hit, minlength=len(junctions)).tolist()]
 
 
 def sort_junctions(surveyed: Sequence[Surveyed], sort: str) -> tuple[Surveyed, ...]:
-    """Surveyed junctions in an order of ``SORTS``: the most first, or names by the alphabet."""
+    """Surveyed junctions in another order.
+
+    Parameters
+    ----------
+    surveyed : sequence of Surveyed
+        Junctions of the map with their arms and lanes.
+    sort : str
+        One of ``SORTS``: the most first, or names by the alphabet; "arms" is
+        the order that they come in.
+
+    Returns
+    -------
+    sorted : tuple of Surveyed
+        Equal ones stay in their order.
+
+    Raises
+    ------
+    InputError
+        `sort` is none of them.
+    """
     check_one_of("sort", sort, SORTS)
     if sort == "name":
         return tuple(sorted(surveyed, key=lambda one: one.junction.name.casefold()))
-    if sort == "arms":  # the order that they come in
+    # The order that they come in.
+    if sort == "arms":
         return tuple(surveyed)
     return tuple(sorted(surveyed, key=lambda one: -int(getattr(one, f"n_{sort}"))))
 
@@ -206,6 +264,7 @@ def choose_junction(
         at = (float(x), float(y))
     if at is None:
         return surveyed[0]
+    # The nearest junction, if it is near enough.
     point = _in_map(source, at)
     if not np.isfinite(point).all():
         refuse(where, f"{at[0]:g},{at[1]:g}", f"a point in {source.source_crs}")
@@ -217,14 +276,14 @@ def choose_junction(
     if away_m(nearest, point) <= _NEAR_M:
         return nearest
     got = name or f"{at[0]:.8g},{at[1]:.8g}"
+    # Say so if the coordinates are only in the wrong order.
     exchanged = _in_map(source, (at[1], at[0]))
     if min(away_m(one, exchanged) for one in surveyed) <= _NEAR_M:
-        if source.source_crs == "EPSG:4326":
-            order = "longitude,latitude"
-        else:
-            order = "X,Y"
+        order = "X,Y"
         if name:
             order = "latitude,longitude"
+        elif source.source_crs == "EPSG:4326":
+            order = "longitude,latitude"
         refuse(where, got, f"{order}: it is the other way round")
     place_of = ", ".join(f"{value:.8g}" for value in nearest.position)
     expected = f"a point within {_NEAR_M:g} m of a junction; the nearest one, "
@@ -232,6 +291,11 @@ def choose_junction(
 
 
 def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
+    """Junction with an id or name; InputError: none or several match.
+
+    An exact match counts most, then the same streets, then some of them, then a
+    part of the name.
+    """
     wanted = name.casefold()
     for matches in (
         [one for one in surveyed if one.junction.id == name],
@@ -258,7 +322,7 @@ def _by_name(surveyed: Sequence[Surveyed], name: str) -> Surveyed:
 
 
 def _streets(name: str, between: re.Pattern[str] = re.compile("/")) -> frozenset[str]:
-    """Names of streets that meet, in any order and case, with all their words shortened."""
+    """Names of streets that meet, in any order and case, words shortened."""
     words, endings = _short_forms()
     streets = []
     for street in between.split(name):
@@ -278,25 +342,36 @@ def _short_forms() -> tuple[dict[str, str], dict[str, str]]:
     table = load_data(__package__, "streets.toml")
 
     def short_of(key: str) -> dict[str, str]:
-        return {long: short for short, longs in table[key].items() for long in longs}
+        """Short form of each long one."""
+        found: dict[str, str] = {}
+        for short, longs in table[key].items():
+            for long in longs:
+                found[long] = short
+        return found
 
     return short_of("words"), short_of("endings")
 
 
 def _listed(surveyed: Sequence[Surveyed]) -> str:
-    many = len({one.junction.name for one in surveyed}) < len(
-        surveyed
-    )  # names tell nothing apart
+    """Ids and names of junctions, for a message."""
+    # Names tell nothing apart.
+    many = len({one.junction.name for one in surveyed}) < len(surveyed)
     words = []
     for one in surveyed[:_MAX_LISTED]:
         label = one.junction.name
         if many:
-            label += " at " * bool(label) + ",".join(
-                f"{value:.8g}" for value in one.position
-            )
-        words.append(f"{one.junction.id} ({label})" if label else one.junction.id)
+            if label:
+                label += " at "
+            label += ",".join(f"{value:.8g}" for value in one.position)
+        word = one.junction.id
+        if label:
+            word = f"{word} ({label})"
+        words.append(word)
+    text = ", ".join(words)
     left = len(surveyed) - len(words)
-    return ", ".join(words) + (f" and {left} more" if left else "")
+    if left:
+        text += f" and {left} more"
+    return text
 
 
 def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
@@ -308,8 +383,26 @@ def _in_map(source: SourceMap, at: tuple[float, float]) -> FloatArray:
 
 
 def _survey(
-    source: SourceMap, junction: MapJunction, lanes: Sequence[MapLane]
+    source: SourceMap,
+    junction: MapJunction,
+    lanes: Sequence[MapLane],
 ) -> Surveyed:
+    """A junction with its arms and the lanes that lead to it.
+
+    Parameters
+    ----------
+    source : SourceMap
+        The map.
+    junction : MapJunction
+        The junction.
+    lanes : sequence of MapLane
+        Lanes that name the junction.
+
+    Returns
+    -------
+    surveyed : Surveyed
+        Without the counts of signals and crossings.
+    """
     position = junction.position_m
     middle = junction.position_m
     if source.crs and source.source_crs not in ("", source.crs):
@@ -340,15 +433,20 @@ def _survey(
         arms = build_junction(scene).arms
     except InputError:  # no lane ends at the outline
         arms = {}
+    # Class of the road, and the number of lanes, of each arm.
     classes = {lane.id: lane.road_class for lane in lanes}
     lanes_of = [(*arm.entry_lanes, *arm.exit_lanes) for arm in arms.values()]
+    roads: list[tuple[str, int]] = []
+    for here in lanes_of:
+        road_class = ""
+        if here:
+            road_class = classes[here[0].id]
+        roads.append((road_class, len(here)))
     return Surveyed(
         junction=junction,
         arms=tuple(arms),
         n_lanes=sum(map(len, lanes_of)),
-        roads=tuple(
-            (classes[here[0].id] if here else "", len(here)) for here in lanes_of
-        ),
+        roads=tuple(roads),
         n_driven=sum(bool(arm.entry_lanes) for arm in arms.values()),
         position=position,
     )
@@ -357,40 +455,82 @@ def _survey(
 # ---------- reading maps
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadingOptions:
-    """Answers to questions that map files leave open."""
+    """Answers to questions that map files leave open.
 
-    unit: str | None = None  # of meshes
+    Attributes
+    ----------
+    unit : str or None
+        Unit of meshes, see :func:`geometry.maps.mesh_files.read_mesh`.
+    up : str or None
+        Up axis of meshes.
+    class_name : str
+        Of meshes, point clouds and footprints that do not state theirs.
+    keeps_left : bool or None
+        Whether traffic keeps left; by default what the map says.
+    staggered_m : float
+        Side roads that meet a road of OpenStreetMap from either side, no
+        farther apart than this, are one junction. [m]
+    crs : str
+        Coordinate reference system of files that do not name one; empty: none.
+    layer : str
+        Layer of a GeoPackage that has several; empty: the only one.
+    offset_m : tuple[float, float] or None
+        Shift of everything without roads, which is then taken to lie in the
+        coordinates of the map with the junction, whatever reference system it
+        names. [m]
+    """
+
+    unit: str | None = None
     up: str | None = None
-    class_name: str = (
-        "building"  # of meshes, point clouds and footprints that do not state theirs
-    )
-    keeps_left: bool | None = (
-        None  # whether traffic keeps left; by default what the map says
-    )
-    # side roads that meet a road of OpenStreetMap from either side, no farther apart:
-    # one junction
+    class_name: str = "building"
+    keeps_left: bool | None = None
     staggered_m: float = 0.0
-    crs: str = (
-        ""  # coordinate reference system of files that do not name one; empty: none
-    )
-    layer: str = ""  # layer of a GeoPackage that has several; empty: the only one
-    # shift of everything without roads, which is then taken to lie in the coordinates
-    # of the map with the junction, whatever reference system it names
+    crs: str = ""
+    layer: str = ""
     offset_m: tuple[float, float] | None = None
 
 
 def read_map(
-    path: Path, options: ReadingOptions | None = None, *, progress: Progress = silent
+    path: Path,
+    options: ReadingOptions | None = None,
+    *,
+    progress: Progress = silent,
 ) -> SourceMap:
-    """Read a map file by its ending, or .json, .gml and .xml by content; InputError: it is none."""
+    """Read a map file of any known format.
+
+    Parameters
+    ----------
+    path : Path
+        The suffix gives the format; .json, .gml and .xml are told apart by
+        content, .zip is opened.
+    options : ReadingOptions or None
+        Answers to what the file leaves open.
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    source : SourceMap
+        Content of the file.
+
+    Raises
+    ------
+    InputError
+        The file does not exist, is of no known format, or is damaged.
+    """
     options = options or ReadingOptions()
     crs = options.crs
     if crs and why_no_plane(crs):
         raise InputError(
-            "crs", crs, "one that pyproj knows, in metres, such as EPSG:25832"
+            "crs",
+            crs,
+            "one that pyproj knows, in metres, such as EPSG:25832",
         )
     if not path.exists() or path.is_dir():
-        refuse(str(path), "a folder" if path.is_dir() else "no such file", "a map file")
+        got = "no such file"
+        if path.is_dir():
+            got = "a folder"
+        refuse(str(path), got, "a map file")
     check_file(path)
     is_packed = path.suffix.lower() == ".zip"
     with unpacked(path, SUFFIXES[:-1]) if is_packed else nullcontext(path) as inside:
@@ -420,6 +560,7 @@ def read_map(
 
 def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
     """Read a file; heavy modules are imported only when they are needed."""
+    # The ending tells the format, or else the content.
     name = path.name.lower()
     kind = next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
     if kind == ".jsonl" or (kind == ".json" and _is_city_json(path)):
@@ -436,6 +577,7 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
         kind = "lanelets"
     if kind not in _READERS:
         refuse(str(path), "another kind of file", ", ".join(SUFFIXES))
+    # Hand over only the options that the reader takes.
     module, function, fields = _READERS[kind]
     read: Callable[..., SourceMap] = getattr(
         import_module(f"{__package__}.{module}"), function
@@ -445,7 +587,10 @@ def _read(path: Path, options: ReadingOptions, progress: Progress) -> SourceMap:
 
 
 def _is_city_json(path: Path) -> bool:
-    """True if a JSON file is CityJSON, by its first bytes or else by its member ``type``."""
+    """True if a JSON file is CityJSON.
+
+    Its first bytes show it, or else its member ``type``.
+    """
     with open_file(path) as file:
         head = file.read(4096)
     if b'"CityJSON"' in head or b'"FeatureCollection"' in head or b'"Feature"' in head:
@@ -453,7 +598,8 @@ def _is_city_json(path: Path) -> bool:
     try:
         document = parse_json(read_text(path, "JSON"), str(path), "a map")
     except InputError:
-        return False  # the reader of GeoJSON says what is wrong
+        # The reader of GeoJSON says what is wrong.
+        return False
     return isinstance(document, dict) and document.get("type") == "CityJSON"
 
 
@@ -479,16 +625,15 @@ class ImportOptions:
     Attributes
     ----------
     junction : str
-        Name or id, see :func:`geometry.maps.junctions.choose_junction`.
-    at : (float, float), optional
+        Name or id, see :func:`choose_junction`; empty: the first one.
+    at : tuple[float, float] or None
         A point near the junction instead of its name.
     radius_m : float
-        Radius around the middle of the junction within which things are kept. [m]
+        Radius around the middle of the junction within which things are kept.
+        [m]
     sites : str
-        "auto": poles of the map, or sites every 15 m along the kerbs if it has no pole
-        within the radius; "map": poles of the map alone; "kerb:SPACING"; or a CSV or
-        GeoJSON file.
-    ground_m : float, optional
+        Where sites come from, see :func:`geometry.maps.sites.choose_sites`.
+    ground_m : float or None
         Height of the road, see :func:`geometry.maps.cut.cut_out`. [m]
     terrain : Path, optional
         Raster with the heights of the ground, see
@@ -500,23 +645,13 @@ class ImportOptions:
         Answers to what the files leave open.
     """
 
-    junction: str = (
-        ""  # name or id, see :func:`geometry.maps.importing.choose_junction`
-    )
-    at: tuple[float, float] | None = (
-        None  # a point near the junction instead of its name
-    )
-    radius_m: float = (
-        DEFAULT_RADIUS_M  # around its middle, within which things are kept
-    )
-    sites: str = "auto"  # or as :func:`geometry.maps.sites.choose_sites` has it
-    ground_m: float | None = (
-        None  # height of the road, see :func:`geometry.maps.cut.cut_out`
-    )
-    terrain: Path | None = (
-        None  # raster with the heights of the ground; None: those of the maps
-    )
-    name: str = ""  # of the scene; empty: after the file and the junction
+    junction: str = ""
+    at: tuple[float, float] | None = None
+    radius_m: float = DEFAULT_RADIUS_M
+    sites: str = "auto"
+    ground_m: float | None = None
+    terrain: Path | None = None
+    name: str = ""
     reading: ReadingOptions = field(default_factory=ReadingOptions)
 
     def __post_init__(self) -> None:
@@ -529,21 +664,59 @@ class ImportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImportedScene:
-    """A scene and how it was made."""
+    """Scene and how it was made.
 
-    scene: Scene  # the part that was cut out
-    junctions: tuple[Surveyed, ...]  # all junctions of the map, the largest first
-    chosen: Surveyed  # the junction of the scene
-    sources: tuple[str, ...]  # names of the files
+    Attributes
+    ----------
+    scene : Scene
+        The part that was cut out.
+    junctions : tuple of Surveyed
+        All junctions of the map, the largest first.
+    chosen : Surveyed
+        The junction of the scene.
+    sources : tuple of str
+        Names of the files.
+    """
+
+    scene: Scene
+    junctions: tuple[Surveyed, ...]
+    chosen: Surveyed
+    sources: tuple[str, ...]
 
 
 def read_maps(
-    paths: Sequence[Path], reading: ReadingOptions, *, progress: Progress = silent
+    paths: Sequence[Path],
+    reading: ReadingOptions,
+    *,
+    progress: Progress = silent,
 ) -> tuple[list[SourceMap], tuple[Surveyed, ...]]:
-    """Map files, that with roads first, and its junctions; InputError: none or several have any."""
+    """Read map files and list the junctions of the one with roads.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Exactly one has roads; the others have buildings and more.
+    reading : ReadingOptions
+        Answers to what the files leave open.
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    maps : list of SourceMap
+        The map with the roads first, then the others in the given order.
+    junctions : tuple of Surveyed
+        See :func:`survey_junctions`.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or none or several have roads.
+    """
     if not paths:
         refuse("FILE", "nothing", "a map: OpenDRIVE or OpenStreetMap")
     maps = [read_map(path, reading, progress=progress) for path in paths]
+    # Exactly one file must have roads.
     with_roads = [source for source in maps if source.lanes]
     if len(with_roads) != 1:
         names = " and ".join(source.name for source in with_roads) or "none"
@@ -555,9 +728,33 @@ def read_maps(
 
 
 def import_scene(
-    paths: Sequence[Path], options: ImportOptions, *, progress: Progress = silent
+    paths: Sequence[Path],
+    options: ImportOptions,
+    *,
+    progress: Progress = silent,
 ) -> ImportedScene:
-    """Make a scene from map files; InputError: no such junction, lane into it, or site."""
+    """Make a scene from map files.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        See :func:`read_maps`.
+    options : ImportOptions
+        Which junction, how far around it, and which sites.
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    imported : ImportedScene
+        At least one arm leads into its junction, and it has at least one site.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, there is no such junction, no lane leads into it,
+        or there is no place for a sensor.
+    """
     maps, junctions = read_maps(paths, options.reading, progress=progress)
     chosen = choose_junction(maps[0], junctions, name=options.junction, at=options.at)
     imported = cut_scene(maps, chosen, options, progress=progress)
@@ -578,7 +775,29 @@ def cut_scene(
     *,
     progress: Progress = silent,
 ) -> ImportedScene:
-    """Make a scene of one junction of maps that are read; raises as :func:`import_scene` does."""
+    """Make a scene of one junction of maps that are read already.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        Maps, the one with the roads first.
+    chosen : Surveyed
+        A junction of the first map.
+    options : ImportOptions
+        How far around it, and which sites.
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    imported : ImportedScene
+        Of the junctions of the map, it knows the chosen one.
+
+    Raises
+    ------
+    InputError
+        No lane leads into the junction, or there is no place for a sensor.
+    """
     roads = maps[0]
     junction = chosen.junction
     radius_m = options.radius_m
@@ -591,7 +810,10 @@ def cut_scene(
         half_m = radius_m + LANES_BEYOND_M
         middle_m = junction.position_m
         terrain = read_elevation(
-            options.terrain, crs=roads.crs, middle_m=middle_m, half_m=half_m
+            options.terrain,
+            crs=roads.crs,
+            middle_m=middle_m,
+            half_m=half_m,
         )
         maps = [roads, terrain, *maps[1:]]  # before others: its heights count
     progress(Phrase("cut the junction out"), 0, 0)
@@ -599,12 +821,18 @@ def cut_scene(
     progress(Phrase("find sites"), 0, 0)
     surroundings, settled = settle_poles(surroundings)
     sites, site_notes = choose_sites(
-        options.sites, surroundings, roads, radius_m=radius_m
+        options.sites,
+        surroundings,
+        roads,
+        radius_m=radius_m,
     )
+    source_crs = ""
+    if roads.crs:
+        source_crs = roads.source_crs or roads.crs
     scene = build_scene(
         surroundings,
         name=options.name or f"{Path(roads.name).stem}/{junction.id}",
-        source_crs=(roads.source_crs or roads.crs) if roads.crs else "",
+        source_crs=source_crs,
         sites=sites,
         radius_m=radius_m,
     )
@@ -624,8 +852,11 @@ def cut_scene(
 
 
 def _site_notes(
-    poles: Sequence[Pole], sites: Sequence[Site], where: str
+    poles: Sequence[Pole],
+    sites: Sequence[Site],
+    where: str,
 ) -> Iterator[Note]:
+    """Notes on sites whose poles are assumed."""
     known = {site.id for site in sites}
     same: dict[tuple[str, str], list[str]] = defaultdict(list)
     for pole in poles:
@@ -636,6 +867,7 @@ def _site_notes(
         if len(ids) == 1:
             what = Phrase("{kind} {name}", kind=Phrase(kind), name=ids[0])
         yield Note(what, why, kind="sites", site_ids=tuple(ids))
+    # Masts at the kerb are assumed, unless a list asked for them.
     masts = tuple(site.id for site in sites if site.kind == "kerb")
     if masts and Path(where).suffix.lower() not in LISTS:
         what = Phrase("{n} sites at the kerb", n=len(masts))
@@ -644,6 +876,7 @@ def _site_notes(
 
 
 def _building_notes(things: Sequence[Thing], radius_m: float) -> Iterator[Note]:
+    """Notes on missing buildings, and on heights that are assumed."""
     every = Counter(thing.class_name for thing in things)
     if not every["building"]:
         why = Phrase(

@@ -1,4 +1,7 @@
-"""Maps of lanelets, pieces of lanes between a left and a right bound: Lanelet2 and CommonRoad."""
+"""Maps of lanelets: Lanelet2 and CommonRoad.
+
+A lanelet is a piece of a lane between a left and a right bound.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,46 +46,72 @@ _WORDS: dict[str, list[str]] = load_data("geometry.maps", "words.toml")["lanelet
 _KINDS = {word: kind for kind, words in _WORDS.items() for word in words}
 # between the end of a lanelet and the beginning of the next one, at both bounds
 _JOINED_M = 0.5
-_STEP_M = 2.0  # between points of a centreline
-_SAME_M = 0.01  # points nearer than this are one
-_MIN_OVERLAP_M2 = 2.0  # lanelets that cross, merge or part share more ground
-_NOWHERE_DEG = (
-    0.5  # around latitude 0, longitude 0, where maps without a place are drawn
-)
-_BESIDE_M = 25.0  # between lanelets of both directions of a road
-_AGAINST = -0.95  # cosine between their directions
-_MAX_WAYS = 200  # through one junction from one lane
+# Between points of a centreline.
+_STEP_M = 2.0
+# Points nearer than this are one.
+_SAME_M = 0.01
+# Lanelets that cross, merge or part share more ground.
+_MIN_OVERLAP_M2 = 2.0
+# Around latitude 0, longitude 0, where maps without a place are drawn.
+_NOWHERE_DEG = 0.5
+# Between lanelets of both directions of a road.
+_BESIDE_M = 25.0
+# Cosine between their directions.
+_AGAINST = -0.95
+# Through one junction from one lane.
+_MAX_WAYS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lanelet:
-    """A piece of a lane; both bounds run in its direction."""
+    """Piece of a lane; both bounds run in its direction.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file; "r" is added for the other direction.
+    kind : str
+        Of MapLane, or "crosswalk".
+    left_m : (n, 3) float
+        Left bound. [m]
+    right_m : (k, 3) float
+        Right bound. [m]
+    is_oneway : bool
+        Cars drive in its direction only.
+    speed_limit_kmh : float or None
+        None: the file gives none. [km/h]
+    is_in_junction : bool
+        The file says so.
+    """
 
     id: str
-    kind: str  # of MapLane, or "crosswalk"
-    left_m: FloatArray  # (n, 3)
-    right_m: FloatArray  # (k, 3)
+    kind: str
+    left_m: FloatArray
+    right_m: FloatArray
     is_oneway: bool = True
     speed_limit_kmh: float | None = None
-    is_in_junction: bool = False  # the file says so
+    is_in_junction: bool = False
 
     @property
     def polygon(self) -> Any:
-        """Its ground."""
+        """Ground of the lanelet, a valid shapely geometry."""
         ring_m = np.concatenate([self.left_m[:, :2], self.right_m[::-1, :2]])
         return shapely.make_valid(shapely.Polygon(ring_m))
 
     @property
     def edges_m(self) -> FloatArray:
         """Points of both bounds side by side, (2, m, 3)."""
-        bounds = self.left_m, self.right_m
-        n_points = max(2, round(max(map(length_m, bounds)) / _STEP_M) + 1)
-        ends_m = [along_m(bound)[-1] for bound in bounds]
-        at = [np.linspace(0.0, end_m, n_points) for end_m in ends_m]
-        return np.array([points_at(*pair) for pair in zip(bounds, at, strict=True)])
+        bounds = (self.left_m, self.right_m)
+        longest_m = max(length_m(bound) for bound in bounds)
+        n_points = max(2, round(longest_m / _STEP_M) + 1)
+        edges = []
+        for bound in bounds:
+            stations_m = np.linspace(0.0, along_m(bound)[-1], n_points)
+            edges.append(points_at(bound, stations_m))
+        return np.array(edges)
 
     def turned(self) -> "Lanelet":
-        """The other way."""
+        """The same lanelet in the other direction."""
         return replace(
             self, id=f"{self.id}r", left_m=self.right_m[::-1], right_m=self.left_m[::-1]
         )
@@ -91,7 +120,23 @@ class Lanelet:
 def _lanelet(
     name: str, left_m: FloatArray, right_m: FloatArray, **known: Any
 ) -> Lanelet:
-    """A lanelet whose bounds are turned so that the left one lies on the left."""
+    """Lanelet whose bounds are turned so that the left one is on the left.
+
+    Parameters
+    ----------
+    name : str
+        Id of the lanelet.
+    left_m : (n, 3) float
+        Left bound, in any direction. [m]
+    right_m : (k, 3) float
+        Right bound, in any direction. [m]
+
+    Returns
+    -------
+    lanelet : Lanelet
+        Both bounds run in the same direction.
+    """
+    # Both bounds must run the same way: their ends are then nearest to each other.
     along = np.hypot(*(left_m[[0, -1], :2] - right_m[[0, -1], :2]).T).sum()
     across = np.hypot(*(left_m[[0, -1], :2] - right_m[[-1, 0], :2]).T).sum()
     if across < along:
@@ -109,13 +154,30 @@ def _build(
 ) -> tuple[list[MapLane], list[MapLane], list[MapJunction]]:
     """Lanes between junctions, lanes through them, and the junctions.
 
-    A junction is where lanelets of roads share ground, or what the file says: those
-    that touch each other, and those between them.
+    A junction is where lanelets of roads share ground, or what the file says:
+    those that touch each other, and those between them.
+
+    Parameters
+    ----------
+    lanelets : sequence of Lanelet
+        Lanelets of the file.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        Outside junctions.
+    connections : list of MapLane
+        Through junctions.
+    junctions : list of MapJunction
+        Those that lanes lead to; the others are noted.
     """
     roads = _with_right_sides(
         [one for one in lanelets if one.kind == "driving"], omissions
     )
     roads += [one.turned() for one in roads if not one.is_oneway]
+    # Lanelets that follow each other, and those whose ground meets.
     follows = _followers(roads)
     ground = [one.polygon for one in roads]
     one, other = shapely.STRtree(ground).query(ground, predicate="intersects")
@@ -129,29 +191,32 @@ def _build(
         np.flatnonzero(inside & (label == at)).tolist()
         for at in np.unique(label[inside])
     ]
-    junction_of = {
-        one: f"j{number}" for number, some in enumerate(members, 1) for one in some
-    }
+    junction_of: dict[int, str] = {}
+    for number, group in enumerate(members, start=1):
+        for index in group:
+            junction_of[index] = f"j{number}"
     paths = [
         _map_lane([one], one.id)
         for one in lanelets
         if one.kind in ("walking", "cycling")
     ]
     lanes = [*_lanes(roads, follows, junction_of), *paths]
+    # Outlines of the junctions, fitted to the ends of lanes, and the ways through them.
     tips_of = lanes_by_junction(lanes)
     junctions = []
     connections = []
     for group in members:
         name = junction_of[group[0]]
-        surface = largest_polygon(
-            shapely.union_all([ground[one].buffer(0.05) for one in group])
-        )
+        # Lanelets that only touch in rounded numbers would stay apart.
+        wider = [ground[one].buffer(0.05) for one in group]
+        surface = largest_polygon(shapely.union_all(wider))
         tips = tips_of[name]
         if surface is None or not tips:
             omissions.add("junctions", f"junction {name}", "no lane leads to it")
             continue
         surface, _ = fit_outline(surface, tips)
-        height_m = float(np.mean([roads[one].left_m[:, 2].mean() for one in group]))
+        heights_m = [roads[one].left_m[:, 2].mean() for one in group]
+        height_m = float(np.mean(heights_m))
         outline_m = np.asarray(surface.exterior.coords)[:-1]
         junctions.append(
             MapJunction(id=name, name="", outline_m=outline_m, height_m=height_m)
@@ -161,7 +226,23 @@ def _build(
 
 
 def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[Lanelet]:
-    """Lanelets, turned where they then meet others and do not as they are: a mistake of maps."""
+    """Lanelets, with left and right exchanged where a map has them wrong.
+
+    A lanelet is turned if it then meets others and does not as it is.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    roads : list of Lanelet
+        In the same order; those turned are noted.
+    """
+    # Try every lanelet in both directions.
     turned = [replace(one.turned(), id=one.id) for one in roads]
     follows = _followers([*roads, *turned])
     n_roads = len(roads)
@@ -179,35 +260,56 @@ def _with_right_sides(roads: Sequence[Lanelet], omissions: Omissions) -> list[La
         omissions.add(
             "lanelets with exchanged sides", f"lanelet {roads[index].id}", why
         )
-    every = zip(roads, turned, is_wrong, strict=True)
-    return [other if wrong else one for one, other, wrong in every]
+    right = list(roads)
+    for index in np.flatnonzero(is_wrong).tolist():
+        right[index] = turned[index]
+    return right
 
 
 def _followers(lanelets: Sequence[Lanelet]) -> list[list[int]]:
-    """Lanelets that begin where each one ends, at both bounds."""
+    """Indices of the lanelets that begin where each one ends."""
     if not lanelets:
         return []
-    begins, ends = (
-        np.array([[*one.left_m[at, :2], *one.right_m[at, :2]] for one in lanelets])
-        for at in (0, -1)
-    )
-    found = cKDTree(begins).query_ball_point(ends, _JOINED_M)
+
+    def tips(at: int) -> FloatArray:
+        """Ends of both bounds as one point in four dimensions, (n, 4)."""
+        return np.array(
+            [[*one.left_m[at, :2], *one.right_m[at, :2]] for one in lanelets]
+        )
+
+    begins = cKDTree(tips(0))
+    found: Any = begins.query_ball_point(tips(-1), _JOINED_M)
     return [[one for one in here if one != index] for index, here in enumerate(found)]
 
 
 def _inside(
     roads: Sequence[Lanelet], ground: Sequence[Any], pairs: IntArray
 ) -> BoolArray:
-    """Which lanelets lie in a junction, (n,): those that the file says, or that share ground.
+    """Lanelets that lie in a junction, (n,).
 
-    `pairs`, (k, 2), are those whose ground meets.
+    They are those that the file says, or else those that share ground.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    ground : sequence of Any
+        Polygon of each.
+    pairs : (k, 2) int
+        Those whose ground meets.
+
+    Returns
+    -------
+    is_inside : (n,) bool
+        True for lanelets in a junction.
     """
     inside = np.array([one.is_in_junction for one in roads], dtype=bool)
     if inside.any():
         return inside
     for one, other in pairs[pairs[:, 0] < pairs[:, 1]].tolist():
         if f"{roads[one].id}r" == roads[other].id:
-            continue  # the same ground, in both directions
+            # The same ground, in both directions.
+            continue
         if shapely.intersection(ground[one], ground[other]).area > _MIN_OVERLAP_M2:
             inside[[one, other]] = True
     return inside
@@ -218,35 +320,53 @@ def _lanes(
     follows: Sequence[Sequence[int]],
     junction_of: Mapping[int, str],
 ) -> Iterator[MapLane]:
-    """Lanes outside junctions: lanelets that follow each other without a choice are one."""
+    """Lanes outside junctions: lanelets that follow without a choice.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    follows : Sequence[Sequence[int]]
+        Indices of the lanelets after each one.
+    junction_of : Mapping[int, str]
+        Junction of the lanelets that lie in one.
+
+    Yields
+    ------
+    lane : MapLane
+        Rings come last.
+    """
     before: dict[int, list[int]] = {index: [] for index in range(len(roads))}
     for index, others in enumerate(follows):
         for other in others:
             before[other].append(index)
 
+    # Joints: pairs where one lanelet follows another without a choice on either side.
     outside = [index for index in range(len(roads)) if index not in junction_of]
-    joints = {
-        one: other
-        for one in outside
-        for other in follows[one]
-        if follows[one] == [other]
-        and before[other] == [one]
-        and other not in junction_of
-    }
+    joints: dict[int, int] = {}
+    for one in outside:
+        if len(follows[one]) != 1:
+            continue
+        other = follows[one][0]
+        if before[other] == [one] and other not in junction_of:
+            joints[one] = other
+    # Chains from lanelets that no joint leads to.
     done: set[int] = set()
     starts = [one for one in outside if one not in joints.values()]
-    for start in [*starts, *outside]:  # then what is left: rings
+    # Then what is left: rings.
+    for start in [*starts, *outside]:
         if start in done:
             continue
         chain = [start]
         while (following := joints.get(chain[-1], start)) != start:
             chain.append(following)
         done.update(chain)
-        ends = (before[start], follows[chain[-1]])
-        begin, end = (
-            next((junction_of[one] for one in some if one in junction_of), "")
-            for some in ends
-        )
+        leading_in = [junction_of[one] for one in before[start] if one in junction_of]
+        leading_out = [
+            junction_of[one] for one in follows[chain[-1]] if one in junction_of
+        ]
+        begin = next(iter(leading_in), "")
+        end = next(iter(leading_out), "")
         pieces = [roads[one] for one in chain]
         yield _map_lane(pieces, roads[start].id, from_junction=begin, to_junction=end)
 
@@ -257,13 +377,31 @@ def _connections(
     group: Sequence[int],
     name: str,
 ) -> list[MapLane]:
-    """Ways through a junction: from each lanelet that nothing of it leads to, to where it ends."""
+    """Ways through a junction, from each lanelet that nothing leads to.
+
+    Parameters
+    ----------
+    roads : sequence of Lanelet
+        Lanelets of cars.
+    follows : Sequence[Sequence[int]]
+        Indices of the lanelets after each one.
+    group : sequence of int
+        Indices of the junction's lanelets.
+    name : str
+        Id of the junction.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        At most 200.
+    """
     members = set(group)
     onwards = {
         one: [other for other in follows[one] if other in members] for one in group
     }
     led_to = {other for others in onwards.values() for other in others}
     found: list[MapLane] = []
+    # Extend each way until nothing of the junction follows.
     ways = [[one] for one in group if one not in led_to]
     while ways and len(found) < _MAX_WAYS:
         way = ways.pop()
@@ -285,41 +423,67 @@ def _map_lane(
     from_junction: str = "",
     to_junction: str = "",
 ) -> MapLane:
+    """Lane along lanelets that follow each other.
+
+    Parameters
+    ----------
+    chain : sequence of Lanelet
+        Lanelets, one after the other.
+    lane_id : str
+        Id of the lane.
+    from_junction : str
+        Junction at its begin; empty: none.
+    to_junction : str
+        Junction at its end; empty: none.
+
+    Returns
+    -------
+    lane : MapLane
+        With the speed limit of the last lanelet that has one.
+    """
     edges_m = np.concatenate([one.edges_m for one in chain], axis=1)
     middle_m = edges_m.mean(axis=0)
+    width_m = np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()
     limits = [one.speed_limit_kmh for one in chain if one.speed_limit_kmh is not None]
+    speed_limit_kmh = None
+    if limits:
+        speed_limit_kmh = limits[-1]
     return MapLane(
         id=lane_id,
         kind=chain[0].kind,
-        width_m=float(np.hypot(*(edges_m[0] - edges_m[1])[:, :2].T).mean()),
+        width_m=float(width_m),
         centreline_m=apart(middle_m, _SAME_M),
-        speed_limit_kmh=limits[-1] if limits else None,
+        speed_limit_kmh=speed_limit_kmh,
         from_junction=from_junction,
         to_junction=to_junction,
     )
 
 
 def _keeps_left(roads: Sequence[Lanelet]) -> bool | None:
-    """The side, by lanelets beside others that run against them; None: none do."""
+    """True if traffic keeps left; None: no lanelets side by side show it."""
     edges_m = [one.edges_m.mean(axis=0)[:, :2] for one in roads]
+    # Middle and direction of each lanelet.
     middle_m = np.array([line[len(line) // 2] for line in edges_m]).reshape(-1, 2)
     ahead = np.array([line[-1] - line[0] for line in edges_m]).reshape(-1, 2)
     ahead /= np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]
     votes = 0
     for one, other in cKDTree(middle_m).query_pairs(_BESIDE_M):
         apart_m = middle_m[other] - middle_m[one]
-        is_beside = abs(apart_m @ ahead[one]) < abs(_cross(ahead[one], apart_m))
+        aside_m = _cross(ahead[one], apart_m)
+        is_beside = abs(apart_m @ ahead[one]) < abs(aside_m)
         if is_beside and ahead[one] @ ahead[other] < _AGAINST:
-            if _cross(ahead[one], apart_m) < 0.0:
+            # Traffic keeps left if the other direction lies on the right.
+            if aside_m < 0.0:
                 votes += 1
             else:
-                votes += -1
+                votes -= 1
     if votes:
         return votes > 0
     return None
 
 
 def _cross(one: FloatArray, other: FloatArray) -> float:
+    """Third component of the cross product of two vectors (2,)."""
     return float(one[0] * other[1] - one[1] * other[0])
 
 
@@ -331,6 +495,7 @@ def _source_map(
     keeps_left: bool | None,
     **known: Any,
 ) -> SourceMap:
+    """Map of lanelets; InputError: none of them is for cars."""
     if not any(one.kind == "driving" for one in lanelets):
         raise InputError(str(path), Unquoted("no lanelet for cars"), "a map with roads")
     lanes, connections, junctions = _build(lanelets, omissions)
@@ -359,25 +524,40 @@ def _source_map(
 def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
     """Read a Lanelet2 map: OpenStreetMap XML with relations of type lanelet.
 
-    Lanelets of roads become lanes and junctions, crosswalks, walkways and bicycle lanes
-    theirs, traffic lights and signs poles, areas of buildings things. Positions are
-    those of ``local_x`` and ``local_y`` where nodes have them, else latitude and
-    longitude, in metres around the middle; a map around 0, 0 has no place on earth.
-    `keeps_left`: by default what neighbours show.
+    Lanelets of roads become lanes and junctions, crosswalks, walkways and
+    bicycle lanes theirs, traffic lights and signs poles, areas of buildings
+    things. Positions are those of ``local_x`` and ``local_y`` where nodes have
+    them, else latitude and longitude, in metres around the middle; a map around
+    0, 0 has no place on earth.
 
-    Raises InputError if the file cannot be read, or has no lanelet for cars.
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what neighbours show.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions, poles and things.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no lanelet for cars.
 
     References
     ----------
-    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC 2018,
-       and
-       ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
+    .. [1] F. Poggenhans et al., "Lanelet2: A high-definition map framework", ITSC
+       2018, and ``lanelet2_core/doc/LaneletPrimitives.md`` in its repository.
     """
     elements = read_elements(path)
     omissions = Omissions()
     points_m, crs, has_heights = _positions(elements, path)
     ways = {way.id: points_m[way.rows[way.rows >= 0]] for way in elements.ways}
     lanelets = []
+    # Each relation of type lanelet, unless it lacks a bound or is of another kind.
     for relation in elements.relations:
         if relation.tags.get("type") == "lanelet":
             name = f"lanelet {relation.id}"
@@ -403,53 +583,95 @@ def read_lanelet2(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
                         is_in_junction="turn_direction" in relation.tags,
                     )
                 )
+    source_crs = ""
+    if crs:
+        source_crs = WGS84
+    heights = "above ground"
+    ground_m = np.empty((0, 3))
+    if has_heights:
+        heights = "absolute"
+    if has_heights and lanelets:
+        ground_m = np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
     return _source_map(
         path,
         lanelets,
         omissions,
         keeps_left=keeps_left,
         crs=crs,
-        source_crs=WGS84 if crs else "",
-        heights="absolute" if has_heights else "above ground",
+        source_crs=source_crs,
+        heights=heights,
         poles=tuple(_poles(elements, ways)),
         things=tuple(_buildings(elements, ways, omissions)),
-        ground_m=(
-            np.concatenate([one.edges_m.reshape(-1, 3) for one in lanelets])
-            if has_heights and lanelets
-            else np.empty((0, 3))
-        ),
+        ground_m=ground_m,
     )
 
 
 def _positions(elements: Elements, path: Path) -> tuple[FloatArray, str, bool]:
-    """Places of all nodes in metres, (n, 3), their CRS, and whether they have heights."""
+    """Positions of all nodes, their CRS, and whether they have heights.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    path : Path
+        File, for messages.
+
+    Returns
+    -------
+    points_m : (n, 3) float
+        Heights are 0 where nodes have none. [m]
+    crs : str
+        Empty: the map has no place on earth.
+    has_heights : bool
+        Any node has a height.
+    """
     tags = [elements.node_tags.get(row, {}) for row in range(len(elements.node_ids))]
     if not tags:
         raise InputError(str(path), Unquoted("no nodes"), "a map with lanelets")
     heights = np.array([float_of(some.get("ele", "")) for some in tags])
     height_m = np.nan_to_num(heights)
+    # Positions in metres count, if all nodes have them.
     local = np.array(
         [[float_of(some.get(f"local_{axis}", "")) for axis in "xy"] for some in tags]
     )
     if np.isfinite(local).all():
         return np.column_stack([local, height_m]), "", bool(np.isfinite(heights).any())
+    # Otherwise project around the middle.
     middle_deg = np.median(elements.lon_lat_deg, axis=0)
     crs = local_crs(middle_deg, WGS84, where=str(path))
     plane_m = transform(elements.lon_lat_deg, WGS84, crs)
-    is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
     found = np.column_stack([plane_m, height_m])
-    return found, "" if is_nowhere else crs, bool(np.isfinite(heights).any())
+    has_heights = bool(np.isfinite(heights).any())
+    is_nowhere = bool((np.abs(middle_deg) < _NOWHERE_DEG).all())
+    if is_nowhere:
+        return found, "", has_heights
+    return found, crs, has_heights
 
 
 def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> FloatArray:
-    """The lines of a side one after the other; empty where they do not meet."""
+    """Line of a lanelet's side, joined of its ways, (n, 3).
+
+    Parameters
+    ----------
+    relation : Relation
+        The lanelet.
+    side : str
+        Role of the ways: "left", "right" or "outer".
+    ways : Mapping[int, FloatArray]
+        Points of each way, by its id. [m]
+
+    Returns
+    -------
+    line_m : (n, 3) float
+        Empty where the ways do not meet. [m]
+    """
     parts = [
         ways[ref] for ref, role in relation.members if role == side and ref in ways
     ]
+    line = np.empty((0, 3))
     if parts:
         line = parts.pop(0)
-    else:
-        line = np.empty((0, 3))
+    # Each way is turned or put in front so that it meets the line.
     for part in parts:
         for first, second in (
             (line, part),
@@ -466,6 +688,7 @@ def _bound(relation: Relation, side: str, ways: Mapping[int, FloatArray]) -> Flo
 
 
 def _poles(elements: Elements, ways: Mapping[int, FloatArray]) -> Iterator[Pole]:
+    """Traffic lights and signs of a Lanelet2 map."""
     kinds = {"traffic_light": "traffic light", "traffic_sign": "sign"}
     for way in elements.ways:
         kind = kinds.get(way.tags.get("type", ""))
@@ -476,6 +699,7 @@ def _poles(elements: Elements, ways: Mapping[int, FloatArray]) -> Iterator[Pole]
 def _buildings(
     elements: Elements, ways: Mapping[int, FloatArray], omissions: Omissions
 ) -> Iterator[Thing]:
+    """Areas of buildings as solids; other areas are noted."""
     for relation in elements.relations:
         subtype = relation.tags.get("subtype", "")
         if relation.tags.get("type") != "multipolygon":
@@ -496,34 +720,50 @@ def _buildings(
 
 # ---------- CommonRoad
 def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
-    """Read the lanelets of a CommonRoad scenario, XML of version 2018b or 2020a, in its own metres.
+    """Read the lanelets of a CommonRoad scenario, in its own metres.
 
-    Its traffic lights and signs become poles; its obstacles are left out: they drive in
-    one scenario. Raises InputError if the file cannot be read, or has no lanelet for
-    cars.
+    The format is XML of version 2018b or 2020a. Traffic lights and signs become
+    poles; obstacles are left out: they drive in one scenario.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what neighbours show.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions and poles.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has no lanelet for cars.
 
     References
     ----------
-    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks for
-       motion
-       planning on roads", IV 2017, and the documentation of its XML format, 2020a.
+    .. [1] M. Althoff, M. Koschi, S. Manzinger, "CommonRoad: Composable benchmarks
+       for motion planning on roads", IV 2017, and the documentation of its XML
+       format, 2020a.
     """
     root = read_xml(path, expected="CommonRoad")
     for element in root.iter():
         element.tag = local_name(element)
     omissions = Omissions()
-    crossing = {one.get("ref") for one in root.iter("crossingLanelet")} | {
-        ref.get("ref")
-        for incoming in root.iter("incoming")
-        for tag in ("successorsRight", "successorsStraight", "successorsLeft")
-        for ref in incoming.iter(tag)
-    }
+    # Ids of the lanelets that cross an intersection or lead through it.
+    crossing = {one.get("ref") for one in root.iter("crossingLanelet")}
+    for incoming in root.iter("incoming"):
+        for tag in ("successorsRight", "successorsStraight", "successorsLeft"):
+            crossing |= {ref.get("ref") for ref in incoming.iter(tag)}
     lanelets = []
     for element in root.iter("lanelet"):
         bounds = [_points(element.find(f"{side}Bound")) for side in ("left", "right")]
         name = element.get("id", "")
         if not name:
-            continue  # a reference to one
+            # A reference to one.
+            continue
         types = [one.text or "" for one in element.iter("laneletType")]
         kind = next((_KINDS[text] for text in types if text in _KINDS), "driving")
         if any(len(bound) < 2 for bound in bounds):
@@ -537,30 +777,34 @@ def read_commonroad(path: Path, *, keeps_left: bool | None = None) -> SourceMap:
             name, *bounds, kind=kind, is_oneway=one_way, is_in_junction=inside
         )
         lanelets.append(one)
-    poles = [
-        Pole(
-            id=f"{kind}-{one.get('id')}".replace(" ", "-"),
-            kind=kind,
-            position_m=place[0],
-        )
-        for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign"))
-        for one in root.iter(tag)
-        if one.get("id") and len(place := _points(one.find("position")))
-    ]
+    poles = []
+    for tag, kind in (("trafficLight", "traffic light"), ("trafficSign", "sign")):
+        for element in root.iter(tag):
+            if not element.get("id"):
+                continue
+            places = _points(element.find("position"))
+            if len(places):
+                pole_id = f"{kind}-{element.get('id')}".replace(" ", "-")
+                poles.append(Pole(id=pole_id, kind=kind, position_m=places[0]))
     return _source_map(
-        path, lanelets, omissions, keeps_left=keeps_left, crs="", heights="above ground",
+        path,
+        lanelets,
+        omissions,
+        keeps_left=keeps_left,
+        crs="",
+        heights="above ground",
         poles=tuple(poles),
-    )  # fmt: skip
+    )
 
 
 def _points(element: Element | None) -> FloatArray:
     """Points under an element, (n, 3)."""
-    found = [
-        [
-            float_of(point.findtext(axis) or ("0" if axis == "z" else ""))
-            for axis in "xyz"
-        ]
-        for point in ([] if element is None else element.iter("point"))
-    ]
+    # A point may leave out its height, but not x and y.
+    otherwise = {"x": "", "y": "", "z": "0"}
+    found = []
+    if element is not None:
+        for point in element.iter("point"):
+            texts = [point.findtext(axis) or otherwise[axis] for axis in "xyz"]
+            found.append([float_of(text) for text in texts])
     points = np.array(found).reshape(-1, 3)
     return np.asarray(points[np.isfinite(points).all(axis=1)])

@@ -30,11 +30,13 @@ UP_AXES: dict[str, list[list[int]]] = load_data("geometry.maps", "words.toml")[
 ]
 _MIN_SIZE_M = 0.1
 _MAX_SIZE_M = 20_000.0
+# Upward part of a unit normal: of roofs, not of walls, floors, flat roofs.
 _SLANTED = (
     0.1,
     0.98,
-)  # upward part of a unit normal: of roofs, not of walls, floors, flat roofs
-_MIN_SLANTED_SHARE = 0.02  # of all area: less is no roof to judge by
+)
+# Of all area: less is no roof to judge by.
+_MIN_SLANTED_SHARE = 0.02
 _SURE_SHARE = 0.9
 _Part = tuple[str, FloatArray, NDArray[np.int32]]
 
@@ -46,13 +48,32 @@ def read_mesh(
     up: str | None = None,
     class_name: str = "building",
 ) -> SourceMap:
-    """Read a mesh; every named part of it becomes a thing, where the file has it.
+    """Read a mesh; every named part of it becomes a thing.
 
-    `unit` and the axis `up` must be given for all formats except glTF, which has
-    metres, y up and -z as north. `class_name` is for parts whose names do not say wall,
-    tree, lamp or the like. Raises InputError if the file is damaged; has no triangles,
-    or more than five million; has a size that no junction has; or if all roofs face
-    down.
+    glTF has metres, y up and -z as north; for all other formats unit and up
+    axis must be given.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    unit : str or None
+        One of ``UNITS_M``; None: not given.
+    up : str or None
+        One of ``UP_AXES``; None: not given.
+    class_name : str
+        Class of parts whose names do not say wall, tree, lamp or the like.
+
+    Returns
+    -------
+    source : SourceMap
+        Things where the file has them.
+
+    Raises
+    ------
+    InputError
+        The file is damaged; has no triangles, or more than five million; has a
+        size that no junction has; or all its roofs face down.
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -62,22 +83,24 @@ def read_mesh(
     if not is_gltf and (not unit or not up):
         got = f"a mesh format ({suffix}) that does not say its unit and its up axis"
         refuse(where, got, "`unit` and `up`, such as `unit` m `up` z")
+    # The units and axes of glTF.
     unit = unit or "m"
     up = up or "y"
     check_one_of("unit", unit, UNITS_M)
     check_one_of("up", up, UP_AXES)
+    # One thing for each part, in metres and with z up.
     parts, left_out = _parts(path, is_gltf)
     axes = UNITS_M[unit] * np.array(UP_AXES[up], dtype=np.float64)
     ids: Counter[str] = Counter()
     things = []
     for name, vertices, triangles in parts:
         if _is_solid(vertices, triangles) and volume_m3(vertices, triangles) < 0.0:
-            triangles = triangles[:, ::-1]  # so that it faces outwards
+            # So that it faces outwards.
+            triangles = triangles[:, ::-1]
+        its_class = class_name
         kind = kind_from_name(name)
         if kind:
             its_class = kind.class_name
-        else:
-            its_class = class_name
         things.append(
             Thing.of(unique_id(name, ids), its_class, (vertices @ axes.T, triangles))
         )
@@ -88,13 +111,29 @@ def read_mesh(
 
 
 def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
-    """Name, vertices and triangles of each part in the file's frame, and counts of the rest."""
+    """Parts of a mesh in the file's frame, and counts of what is no mesh.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    is_gltf : bool
+        The file is glTF.
+
+    Returns
+    -------
+    parts : list of (str, (n, 3) float, (m, 3) int32)
+        Name, vertices and triangles, sorted by name.
+    left_out : Counter of str
+        Kinds of geometry that have no triangles.
+    """
     import trimesh
 
     where = str(path)
-    options: dict[str, Any] = (
-        {"split_objects": True} if path.suffix.lower() == ".obj" else {}
-    )
+    suffix = path.suffix.lower()
+    options: dict[str, Any] = {"skip_materials": True, "process": False}
+    if suffix == ".obj":
+        options["split_objects"] = True
     # Only a .gltf has its geometry in files beside it: its buffers.
     resolver = mesh_resolver(path, is_beside=path.suffix.lower() == ".gltf")
     options |= {"resolver": resolver, "skip_materials": True, "process": False}
@@ -107,44 +146,82 @@ def _parts(path: Path, is_gltf: bool) -> tuple[list[_Part], Counter[str]]:
             check_gltf(path)
         with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
             scene = trimesh.load_scene(
-                file, file_type=path.suffix.lower()[1:], **options
+                file,
+                file_type=suffix[1:],
+                **options,
             )
-        for (
-            node
-        ) in scene.graph.nodes_geometry:  # sorted below: trimesh keeps them in sets
+        # Sorted below: trimesh keeps them in sets.
+        for node in scene.graph.nodes_geometry:
             matrix, geometry_name = scene.graph[node]
             geometry = scene.geometry[geometry_name]
             if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
                 left_out[type(geometry).__name__.lower()] += 1
                 continue
+            # Refuse a mesh as soon as it is too large.
             n_triangles += len(geometry.faces)
             if n_triangles > MAX_TRIANGLES:
                 refuse(
-                    where, f"more than {MAX_TRIANGLES:,} triangles", "a simpler mesh"
+                    where,
+                    f"more than {MAX_TRIANGLES:,} triangles",
+                    "a simpler mesh",
                 )
             if geometry.metadata.get("from_gltf_primitive"):
-                node = scene.graph.transforms.parents.get(
-                    node, node
-                )  # itself named at random
+                # Itself named at random.
+                node = scene.graph.transforms.parents.get(node, node)
             name = _name(str(node), str(geometry_name), path.stem)
             parts.append(
                 (name, *_placed(geometry, np.asarray(matrix), f"{where}: {name}"))
             )
     if not parts:
         refuse(where, "no triangles", "a mesh of triangles")
-    return sorted(parts, key=lambda part: (part[0], part[1][0].tolist())), left_out
+
+    def name_and_place(part: _Part) -> tuple[str, list[float]]:
+        """Key for sorting: equal names by their first vertex."""
+        name, vertices, _ = part
+        return name, vertices[0].tolist()
+
+    return sorted(parts, key=name_and_place), left_out
 
 
 def _placed(
-    geometry: Any, matrix: FloatArray, where: str
+    geometry: Any,
+    matrix: FloatArray,
+    where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Vertices and triangles of a geometry at its place in the scene.
+
+    Parameters
+    ----------
+    geometry : Any
+        Mesh of trimesh.
+    matrix : (4, 4) float
+        Transform from the geometry to the scene.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices : (n, 3) float
+        Those that triangles use, in the file's unit.
+    triangles : (m, 3) int32
+        Reversed if the transform mirrors.
+
+    Raises
+    ------
+    InputError
+        An index or a vertex makes no sense.
+    """
     vertices: FloatArray = np.asarray(geometry.vertices, dtype=np.float64)
     faces = np.asarray(geometry.faces, dtype=np.int64)
+    # A damaged file may name vertices that it does not have.
     outside = faces[(faces < 0) | (faces >= len(vertices))]
     if len(outside):
         refuse(
-            where, f"a triangle with vertex {outside[0]}", f"0 to {len(vertices) - 1}"
+            where,
+            f"a triangle with vertex {outside[0]}",
+            f"0 to {len(vertices) - 1}",
         )
+    # Keep only the vertices that triangles use.
     used, triangles = np.unique(faces, return_inverse=True)
     with np.errstate(all="ignore"):
         placed: FloatArray = vertices[used] @ matrix[:3, :3].T + matrix[:3, 3]
@@ -152,17 +229,20 @@ def _placed(
         refuse(where, "a vertex that is not finite (NaN or infinite)", "finite numbers")
     corners = triangles.reshape(-1, 3).astype(np.int32)
     is_mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
-    return placed, corners[:, ::-1] if is_mirrored else corners
+    if is_mirrored:
+        corners = corners[:, ::-1]
+    return placed, corners
 
 
 def _is_solid(vertices: FloatArray, triangles: NDArray[np.int32]) -> bool:
-    """A closed mesh, even if vertices at the same place are not shared."""
+    """True for a closed mesh, even if vertices in one place are not shared."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
-    return is_closed(same.reshape(-1)[triangles].astype(np.int32))
+    shared = same.reshape(-1)[triangles]
+    return is_closed(shared.astype(np.int32))
 
 
 def _name(node: str, geometry: str, stem: str) -> str:
-    """Name of a part: that of its node, or of its geometry where nodes only have numbers."""
+    """Name of a part: of its node, or of its geometry; else that of the file."""
     for name in (node, geometry):
         if any(letter.isalpha() for letter in name) and name not in (
             "world",
@@ -176,6 +256,7 @@ def _name(node: str, geometry: str, stem: str) -> str:
 
 def _check_size(things: list[Thing], where: str, unit: str) -> None:
     """Refuse a size that only a wrong unit explains."""
+    # The box around all things.
     low = np.min([thing.vertices_m.min(axis=0) for thing in things], axis=0)
     high = np.max([thing.vertices_m.max(axis=0) for thing in things], axis=0)
     size_m = float((high - low).max())
@@ -186,29 +267,27 @@ def _check_size(things: list[Thing], where: str, unit: str) -> None:
 
 
 def _check_roofs(things: list[Thing], where: str, up: str) -> None:
-    """Refuse closed buildings whose slanted faces look down: roofs that stand on their heads.
+    """Refuse buildings whose slanted roofs look down: they stand on their heads.
 
-    Boxes with flat roofs look the same both ways, and are not judged.
+    Only closed buildings are judged, and no boxes with flat roofs: they look
+    the same both ways.
     """
     houses = [thing for thing in things if thing.class_name == "building"]
     solid = [house for house in houses if _is_solid(house.vertices_m, house.triangles)]
     corners = [house.vertices_m[house.triangles] for house in solid]
     a, b, c = np.moveaxis(np.concatenate([np.empty((0, 3, 3)), *corners]), 1, 0)
+    # Area and upward part of each triangle's normal.
     normals = 0.5 * np.cross(b - a, c - a)
     areas = np.linalg.norm(normals, axis=1)
     rise = normals[:, 2] / np.where(areas > 0.0, areas, 1.0)
     is_slanted = (np.abs(rise) > _SLANTED[0]) & (np.abs(rise) < _SLANTED[1])
-    up_m2, down_m2 = (
-        float(areas[is_slanted & side].sum()) for side in (rise > 0.0, rise < 0.0)
-    )
+    up_m2 = float(areas[is_slanted & (rise > 0.0)].sum())
+    down_m2 = float(areas[is_slanted & (rise < 0.0)].sum())
     slanted_m2 = up_m2 + down_m2
-    if (
-        slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
-        and down_m2 > _SURE_SHARE * slanted_m2
-    ):
+    has_roofs = slanted_m2 > _MIN_SLANTED_SHARE * areas.sum()
+    if has_roofs and down_m2 > _SURE_SHARE * slanted_m2:
+        other = f"-{up}"
         if up.startswith("-"):
             other = up[1:]
-        else:
-            other = f"-{up}"
         got = f"{100 * down_m2 / slanted_m2:.0f} % of the slanted roofs facing down"
         refuse(where, got, f"an upright mesh; is up the other way: `up`={other}?")

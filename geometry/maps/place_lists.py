@@ -1,4 +1,4 @@
-"""Lists of places: a planner's sites; a city's areas, and counts such as accidents or cars."""
+"""Lists of places: sites; areas of a city; counts such as accidents."""
 
 import logging
 import re
@@ -31,21 +31,48 @@ PLACE_FIELDS: dict[str, list[str]] = _WORDS["fields"]
 _FIELDS: dict[str, list[str]] = PLACE_FIELDS | _WORDS["site_fields"]
 _YES_NO: dict[str, bool] = _WORDS["answers"]
 _Row = tuple[str, dict[str, Any]]
-_NEAR_M = 200_000.0  # a transverse Mercator around a junction has its origin there
+# A transverse Mercator around a junction has its origin there.
+_NEAR_M = 200_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SiteWish:
-    """A place where somebody would mount sensors; None where nothing is stated."""
+    """Place where somebody would mount sensors; None: nothing is stated.
 
-    id: str  # unique in its list
-    position_m: FloatArray  # (2,), in the scene's coordinate reference system
-    kind: str = ""  # in the source's words, in lower case: "lamp post", "kerb"
-    z_m: float | None = None  # of the foot, as the source counts heights
-    min_height_m: float | None = None  # lowest and highest mount above the foot
+    Attributes
+    ----------
+    id : str
+        Unique in its list.
+    position_m : (2,) float
+        In the scene's coordinate reference system. [m]
+    kind : str
+        In the source's words, in lower case: "lamp post", "kerb".
+    z_m : float or None
+        Of the foot, as the source counts heights. [m]
+    min_height_m : float or None
+        Lowest mount above the foot. [m]
+    max_height_m : float or None
+        Highest mount above the foot. [m]
+    cost_eur : float or None
+        Of making the site ready.
+    capacity_units : int or None
+        Units that it can carry.
+    has_power : bool or None
+        Electricity is at hand.
+    has_fibre : bool or None
+        A fibre is at hand.
+    is_forbidden : bool
+        Nothing may be mounted there.
+    """
+
+    id: str
+    position_m: FloatArray
+    kind: str = ""
+    z_m: float | None = None
+    min_height_m: float | None = None
     max_height_m: float | None = None
-    cost_eur: float | None = None  # of making the site ready
-    capacity_units: int | None = None  # units that it can carry
+    cost_eur: float | None = None
+    capacity_units: int | None = None
     has_power: bool | None = None
     has_fibre: bool | None = None
     is_forbidden: bool = False
@@ -55,26 +82,42 @@ class SiteWish:
 
     @property
     def n_said(self) -> int:
-        """How many details are given."""
-        details = fields(self)[2:]  # but for id and position
+        """Number of details that are given."""
+        # But for id and position.
+        details = fields(self)[2:]
         return sum(getattr(self, one.name) != one.default for one in details)
 
 
 def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
-    """Read a list of sites: CSV with a header (comma, semicolon or tab), or GeoJSON with points.
+    """Read a list of sites: CSV with a header, or GeoJSON with points.
 
-    Columns are those of ``docs/formats.md``; case does not matter, nor do units at the
-    end of a name, "height [m]"; a comma may stand for the decimal point. `crs` is the
-    projected one of the scene; empty: it has none. Raises InputError if the file cannot
-    be read, or a field is missing or wrong.
+    Columns are those of ``docs/formats.md``; case does not matter, nor do units
+    at the end of a name, "height [m]"; a comma may stand for the decimal point.
+    Columns are separated by comma, semicolon or tab.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    crs : str
+        Projected reference system of the scene; empty: it has none.
+
+    Returns
+    -------
+    sites : tuple of SiteWish
+        At least one; ids are unique.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a field is missing or wrong.
     """
     suffix = path.suffix.lower()
     if suffix == ".csv":
         rows = list(read_csv_rows(path))
+        names: list[str] = []
         if rows:
             names = list(rows[0][1])
-        else:
-            names = []
         fields = known_columns(names, str(path))
         tell_unknown(names, fields, path)
         rows = [
@@ -86,6 +129,7 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
         raise InputError(str(path), suffix, "one of " + ", ".join(SUFFIXES))
     if not rows:
         refuse(str(path), "no sites", "one per line")
+    # One site for each row; ids must be unique.
     sites = []
     seen: set[str] = set()
     for where, values in rows:
@@ -98,21 +142,50 @@ def read_sites(path: Path, *, crs: str) -> tuple[SiteWish, ...]:
 
 
 def known_columns(
-    names: Sequence[str], where: str, fields: Mapping[str, Sequence[str]] = _FIELDS
+    names: Sequence[str],
+    where: str,
+    fields: Mapping[str, Sequence[str]] = _FIELDS,
 ) -> dict[str, str]:
-    """Field of every known column; InputError: two are one field, or one has another unit."""
+    """Field of every known column.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the columns.
+    where : str
+        File and element at hand, for messages.
+    fields : Mapping[str, Sequence[str]]
+        Names under which each field is known.
+
+    Returns
+    -------
+    known : dict of str to str
+        Field by column; unknown columns are left out.
+
+    Raises
+    ------
+    InputError
+        Two columns are one field, or one has another unit.
+    """
     found: dict[str, str] = {}
-    field_of = {alias: field for field, aliases in fields.items() for alias in aliases}
+    field_of: dict[str, str] = {}
+    for known_field, aliases in fields.items():
+        for alias in aliases:
+            field_of[alias] = known_field
     for name in names:
+        # Drop units at the end of the name.
         words = re.findall(r"[^\W\d_]+", name.strip().lower()[:60])
         while words and words[-1] in _WORDS["units"] and len(words) > 1:
             words.pop()
-            if words[-1] == "in" and len(words) > 1:  # "height in m"
+            # "height in m".
+            if words[-1] == "in" and len(words) > 1:
                 words.pop()
         is_other = len(words) > 1 and words[-1] in _WORDS["other_units"]
         if is_other and "_".join(words[:-1]) in field_of:
             raise InputError(
-                f"{where}: column {name!r:.60}", words[-1], "metres and euros"
+                f"{where}: column {name!r:.60}",
+                words[-1],
+                "metres and euros",
             )
         field = field_of.get("_".join(words))
         if field is None:
@@ -124,10 +197,24 @@ def known_columns(
 
 
 def read_csv_rows(path: Path) -> Iterator[_Row]:
-    """Rows of a CSV file with a header: where each is, and its cells by the names of the columns.
+    """Rows of a CSV file with a header.
 
-    Comma, semicolon or tab; empty lines are left out. Raises InputError for what is no
-    CSV.
+    Cells are separated by comma, semicolon or tab; empty lines are left out.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Yields
+    ------
+    row : (str, dict of str to str)
+        Where the row is, and its cells by the names of the columns.
+
+    Raises
+    ------
+    InputError
+        The file is no CSV.
     """
     rows = csv_rows(read_text(path, "CSV"), str(path), separators=";\t,")
     _, names = next(rows, ("", []))
@@ -142,11 +229,32 @@ def tell_unknown(names: Iterable[str], known: Mapping[str, str], path: Path) -> 
     unknown = [name[:60] for name in dict.fromkeys(names) if name not in known]
     if unknown:
         _log.warning(
-            "%s: columns that are not known, and not read: %s", path, ", ".join(unknown)
+            "%s: columns that are not known, and not read: %s",
+            path,
+            ", ".join(unknown),
         )
 
 
 def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
+    """Rows of a GeoJSON file of points, with the fields of sites.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    crs : str
+        Reference system of the scene; empty: it has none.
+
+    Yields
+    ------
+    row : (str, dict of str to Any)
+        Where the row is, and its values by field.
+
+    Raises
+    ------
+    InputError
+        A geometry is no point, or its coordinates fit no scene.
+    """
     table = read_features(path)
     declared = _declared_crs(table, str(path))
     if len(table.features) > _MAX_SITES:
@@ -174,7 +282,9 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values |= {"lon": geometry.x, "lat": geometry.y}
             elif not crs:
                 refuse(
-                    where, f"coordinates in {table.crs[:80]}", "x and y of the scene"
+                    where,
+                    f"coordinates in {table.crs[:80]}",
+                    "x and y of the scene",
                 )
             else:
                 place = transform([geometry.x, geometry.y], table.crs, crs)
@@ -183,11 +293,14 @@ def _geojson_rows(path: Path, crs: str) -> Iterator[_Row]:
                 values.setdefault("z", geometry.z)
         yield where, values
     tell_unknown(
-        (name for feature in table.features for name in feature.values), known, path
+        (name for feature in table.features for name in feature.values),
+        known,
+        path,
     )
 
 
 def _declared_crs(table: Features, where: str) -> "CRS":
+    """Reference system of a layer; InputError: pyproj does not know it."""
     from pyproj.exceptions import ProjError
 
     try:
@@ -200,6 +313,7 @@ def _declared_crs(table: Features, where: str) -> "CRS":
 
 
 def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
+    """Site of one row; InputError: a field is missing or wrong."""
     site_id = str(values.get("id", "")).strip()
     if not site_id:
         refuse(f"{where}: id", "nothing", "a name")
@@ -215,6 +329,11 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
     capacity = read_number(values, "capacity", where, least=1.0)
     if capacity is not None and capacity != int(capacity):
         raise InputError(f"{where}: capacity", capacity, "a whole number, at least 1")
+    capacity_units = None
+    if capacity is not None:
+        capacity_units = int(capacity)
+    words = str(values.get("kind", "")).lower().replace("_", " ").split()
+    kind = " ".join(words)
     return SiteWish(
         id=site_id[:120],
         position_m=read_position(values, where, crs),
@@ -223,7 +342,7 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
         min_height_m=low,
         max_height_m=high,
         cost_eur=read_number(values, "cost", where, least=0.0),
-        capacity_units=None if capacity is None else int(capacity),
+        capacity_units=capacity_units,
         has_power=_yes_no(values, "power", where),
         has_fibre=_yes_no(values, "fibre", where),
         is_forbidden=bool(_yes_no(values, "forbidden", where)),
@@ -231,7 +350,28 @@ def _site(values: Mapping[str, Any], where: str, crs: str) -> SiteWish:
 
 
 def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray:
-    """Position (2,) by x and y, or lat and lon, in a scene's system, in metres; or InputError."""
+    """Position in a scene's system, by x and y, or by lat and lon.
+
+    Parameters
+    ----------
+    values : Mapping[str, Any]
+        Values of the row, by the names of the fields.
+    where : str
+        File and element at hand, for messages.
+    crs : str
+        Reference system of the scene; empty: it has none.
+
+    Returns
+    -------
+    position_m : (2,) float
+        In the scene's system. [m]
+
+    Raises
+    ------
+    InputError
+        A coordinate is missing or out of range, or latitude and longitude are
+        swapped.
+    """
     given = {
         name: read_number(values, name, where) for name in ("x", "y", "lat", "lon")
     }
@@ -239,10 +379,9 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     if x is not None and y is not None:
         return np.array([x, y])
     if lat is None or lon is None:
+        wanted = ("lat", "lon")
         if (x is None) != (y is None):
             wanted = ("x", "y")
-        else:
-            wanted = ("lat", "lon")
         missing = " and ".join(name for name in wanted if given[name] is None)
         refuse(f"{where}: {missing}", "nothing", "x and y, or lat and lon")
     if not crs:
@@ -254,13 +393,15 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
     for name, value, limit in (("lat", lat, 90.0), ("lon", lon, 180.0)):
         if abs(value) > limit:
             raise InputError(
-                f"{where}: {name}", value, f"-{limit:g} to {limit:g} degrees"
+                f"{where}: {name}",
+                value,
+                f"-{limit:g} to {limit:g} degrees",
             )
+    # A place that lies here only with latitude and longitude swapped is refused.
     position = transform([lon, lat], WGS84, crs)
+    swapped = np.full(2, np.inf)
     if abs(lon) <= 90.0:
         swapped = transform([lat, lon], WGS84, crs)
-    else:
-        swapped = np.full(2, np.inf)
     if _is_here(swapped, crs, [lat, lon]) and not _is_here(position, crs, [lon, lat]):
         expected = "a place near the scene: are latitude and longitude swapped?"
         raise InputError(f"{where}: lat", lat, expected)
@@ -270,7 +411,10 @@ def read_position(values: Mapping[str, Any], where: str, crs: str) -> FloatArray
 
 
 def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
-    """A position lies in a reference system's area, or near its origin if no area is known."""
+    """True if a position lies in a reference system's area.
+
+    If no area is known, it must lie near the origin.
+    """
     if not np.isfinite(position_m).all():
         return False
     area = parse_crs(crs).area_of_use
@@ -281,17 +425,44 @@ def _is_here(position_m: FloatArray, crs: str, lonlat_deg: list[float]) -> bool:
 
 
 def read_number(
-    values: Mapping[str, Any], field: str, where: str, *, least: float | None = None
+    values: Mapping[str, Any],
+    field: str,
+    where: str,
+    *,
+    least: float | None = None,
 ) -> float | None:
-    """A finite number, or None where nothing is stated; a comma may be the decimal point."""
+    """Finite number of a field, or None where nothing is stated.
+
+    A comma may be the decimal point.
+
+    Parameters
+    ----------
+    values : Mapping[str, Any]
+        Values of the row, by the names of the fields.
+    field : str
+        Name of the field.
+    where : str
+        File and element at hand, for messages.
+    least : float or None
+        Smallest value that makes sense; None: any.
+
+    Returns
+    -------
+    number : float or None
+        In the unit of the field.
+
+    Raises
+    ------
+    InputError
+        It is no number, or too small.
+    """
     value = values.get(field)
     if value is None or value == "":
         return None
     if isinstance(value, str) and "," in value:
+        thousands = ","
         if value.rfind(",") > value.rfind("."):
             thousands = "."
-        else:
-            thousands = ","
         value = value.replace(thousands, "").replace(",", ".")
     number = float_of(value)
     if not np.isfinite(number) or (least is not None and number < least):
@@ -303,6 +474,7 @@ def read_number(
 
 
 def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
+    """Answer in a field; None: nothing is stated."""
     value = values.get(field)
     if value is None or value == "":
         return None
@@ -315,12 +487,24 @@ def _yes_no(values: Mapping[str, Any], field: str, where: str) -> bool | None:
 # ---------- areas, and counts at places
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
-    """A polygon, or a place that something is near to."""
+    """Polygon, or a place that something is near to.
 
-    where: str  # file and row, for messages
+    Attributes
+    ----------
+    where : str
+        File and row, for messages.
+    name : str
+        Name in the file, or a number.
+    geometry : BaseGeometry
+        In the coordinates of the map.
+    values : Mapping[str, Any]
+        By the name of the column, in lower case.
+    """
+
+    where: str
     name: str
-    geometry: BaseGeometry  # in the coordinates of the map
-    values: Mapping[str, Any]  # by the name of the column, in lower case
+    geometry: BaseGeometry
+    values: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -339,20 +523,33 @@ class Counts:
         Where the values stand; empty: each place counts 1.
     """
 
-    # (n, 2); in the coordinates of the map; None: `junctions` are named
     positions_m: FloatArray | None
-    junctions: tuple[
-        str, ...
-    ]  # id or name of the junction of each; empty: places are given
-    values: FloatArray  # (n,); at least 0
-    column: str  # where the values stand; empty: each place counts 1
+    junctions: tuple[str, ...]
+    values: FloatArray
+    column: str
 
 
 def read_areas(path: Path, *, crs: str) -> tuple[Area, ...]:
-    """Read areas from GeoJSON, GeoPackage or Shapefile into a map's coordinates.
+    """Read areas from a GIS file into a map's coordinates.
 
-    Raises InputError if the file cannot be read, has no geometry, or the map does not
-    say where on earth it lies.
+    Parameters
+    ----------
+    path : Path
+        GeoJSON, GeoPackage or Shapefile.
+    crs : str
+        Projected coordinate reference system of the map, for pyproj; empty:
+        unknown.
+
+    Returns
+    -------
+    areas : tuple of Area
+        At least one.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no geometry, or the map does not say where
+        on earth it lies.
     """
     table = read_features(path)
     areas = []
@@ -410,6 +607,7 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
     names = {
         str(name): str(name).strip().lower() for _, values in rows for name in values
     }
+    # The counts, and where they are: by junction or by place.
     found = _column(names, column, path)
     counts = [_count(row, found, where) for where, row in rows]
     junctions: tuple[str, ...] = ()
@@ -425,17 +623,20 @@ def read_counts(path: Path, *, crs: str, column: str = "") -> Counts:
             places.append(
                 read_position({known[one]: row[one] for one in known}, where, crs)
             )
-    if places is None:
-        positions = None
-    else:
+    positions = None
+    if places is not None:
         positions = np.array(places).reshape(-1, 2)
     values = np.array(counts)
     return Counts(
-        positions_m=positions, junctions=junctions, values=values, column=found
+        positions_m=positions,
+        junctions=junctions,
+        values=values,
+        column=found,
     )
 
 
 def _column(names: Mapping[str, str], column: str, path: Path) -> str:
+    """Column of the counts; empty: there is none."""
     if column:
         if column not in names:
             known = ", ".join(sorted(names)) or "none"
@@ -446,10 +647,10 @@ def _column(names: Mapping[str, str], column: str, path: Path) -> str:
 
 
 def _count(row: Mapping[str, Any], column: str, where: str) -> float:
+    """Count of one row; InputError: it is no number of at least 0."""
+    value: Any = 1.0
     if column:
         value = row.get(column)
-    else:
-        value = 1.0
     number = float_of(value)
     if not (np.isfinite(number) and number >= 0.0):
         raise InputError(f"{where}: {column}", value, "a number, at least 0")
@@ -457,6 +658,7 @@ def _count(row: Mapping[str, Any], column: str, where: str) -> float:
 
 
 def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
+    """Geometry of a feature in the map's coordinates."""
     assert feature.geometry is not None
     if not crs:
         got = f"coordinates in {table.crs[:80] or 'an unknown system'}"
@@ -473,21 +675,61 @@ def _in_crs(feature: Feature, table: Features, crs: str) -> BaseGeometry:
 
 
 def snap(
-    points_m: FloatArray, junctions_m: FloatArray, *, within_m: float
+    points_m: FloatArray,
+    junctions_m: FloatArray,
+    *,
+    within_m: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Nearest junction of each point, (n,), -1: none so near; and how far it is, (n,) metres."""
+    """Nearest junction of each point, and how far it is.
+
+    Parameters
+    ----------
+    points_m : (n, 2) float
+        Points. [m]
+    junctions_m : (m, 2) float
+        Middles of the junctions. [m]
+    within_m : float
+        Largest distance. [m]
+
+    Returns
+    -------
+    index : (n,) int
+        -1: none is so near.
+    distance_m : (n,) float
+        To the nearest junction. [m]
+    """
     found, nearest = cKDTree(junctions_m).query(points_m)
     distance: FloatArray = np.asarray(found)
     return np.where(distance <= within_m, nearest, -1), distance
 
 
 def areas_of(
-    areas: Sequence[Area], points_m: FloatArray, *, within_m: float = 0.0
+    areas: Sequence[Area],
+    points_m: FloatArray,
+    *,
+    within_m: float = 0.0,
 ) -> list[list[int]]:
-    """Indices of the areas that each point lies in, or no farther from than some metres."""
+    """Indices of the areas that each point lies in.
+
+    Parameters
+    ----------
+    areas : sequence of Area
+        Areas.
+    points_m : (n, 2) float
+        Points. [m]
+    within_m : float
+        Distance from an area that still counts. [m]
+
+    Returns
+    -------
+    found : list of list of int
+        One list for each point, ascending.
+    """
     tree = shapely.STRtree([area.geometry for area in areas])
     point, area = tree.query(
-        shapely.points(points_m), predicate="dwithin", distance=within_m
+        shapely.points(points_m),
+        predicate="dwithin",
+        distance=within_m,
     )
     found: list[list[int]] = [[] for _ in points_m]
     for index, one in sorted(zip(point.tolist(), area.tolist(), strict=True)):

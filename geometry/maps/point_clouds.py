@@ -1,4 +1,8 @@
-"""Point clouds (LAS, LAZ, PCD): the ground below the points, and solids of voxels upon it."""
+"""Point clouds (LAS, LAZ, PCD) as ground and as solids of voxels upon it.
+
+Points are read a chunk at a time. The lowest ones give the ground; those
+above it become voxels, and voxels that touch become one thing.
+"""
 
 import re
 import struct
@@ -42,13 +46,15 @@ CHUNK_POINTS = 1_000_000
 _ITEM_BYTES = {0: 0, 6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29, 14: 0}
 # Of the types that are packed in layers: how many; 0: one for every byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1, 14: 0}
-Points = tuple[
-    FloatArray, NDArray[np.uint8]
-]  # coordinates (n, 3) and LAS classes (n,), 0: none
+# Coordinates (n, 3) and LAS classes (n,), 0: none.
+Points = tuple[FloatArray, NDArray[np.uint8]]
 _MAX_HEADER_BYTES = 65_536
-_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}  # bytes, by type
+# Bytes, by type.
+_PCD_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 CELL_M = 1.0
-_MAX_CELLS = 16_000_000  # 4 km x 4 km
+# 4 km x 4 km.
+_MAX_CELLS = 16_000_000
+# cells; buildings wider than the last are taken for hills.
 _WINDOWS = (
     3,
     5,
@@ -57,20 +63,23 @@ _WINDOWS = (
     33,
     65,
     129,
-)  # cells; buildings wider than the last are taken for hills
+)
 _STEP_M = 0.5
-_SLOPE = 0.1  # higher and steeper than this is not ground
+# Higher and steeper than this is not ground.
+_SLOPE = 0.1
 VOXEL_M = 0.25
 _MAX_VOXEL_M = 2.0
 _MAX_VOXELS = 30_000_000
 _MAX_THINGS = 20_000
-_MIDDLE = 1 << 19  # cell of the origin, on every axis
-_GROUND_M = 0.3  # lower points are ground: grass, kerbs, noise
-_MIN_HEIGHT_M = 0.5  # lower things hide nobody
+# Cell of the origin, on every axis.
+_MIDDLE = 1 << 19
+# Lower points are ground: grass, kerbs, noise.
+_GROUND_M = 0.3
+# Lower things hide nobody.
+_MIN_HEIGHT_M = 0.5
 _MIN_VOXELS = 4
-_MIN_NEIGHBOURS = (
-    6.0  # of 8 in a surface: with fewer, one hole in a hundred is not bridged
-)
+# Of 8 in a surface: with fewer, one hole in a hundred is not bridged.
+_MIN_NEIGHBOURS = 6.0
 _MIN_ROOF_M2 = 10.0
 _MIN_FLAT_SHARE = 0.8
 # Classes of LAS 1.4: the surface of a point. Others are of the class that the caller
@@ -79,25 +88,50 @@ _GROUND = (2,)
 _VEGETATION = (3, 4, 5)
 _BUILDING = (6,)
 _LEFT_OUT = {
-    7: "noise", 9: "water", 10: "rail", 11: "road surface", 13: "wire", 14: "wire", 15: "pylon",
-    16: "wire", 17: "bridge deck", 18: "noise",
-}  # fmt: skip
-_BITS = 20  # per axis in a key: 1,048,575 voxels, 262 km of 0.25 m
+    7: "noise",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    13: "wire",
+    14: "wire",
+    15: "pylon",
+    16: "wire",
+    17: "bridge deck",
+    18: "noise",
+}
+# Per axis in a key: 1,048,575 voxels, 262 km of 0.25 m.
+_BITS = 20
 _MASK = (1 << _BITS) - 1
 MAX_VOXELS_PER_AXIS = _MASK - 1
-MAX_COLUMN_VOXELS = (
-    20_000_000  # of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m
-)
-MAX_WALL_VOXELS = 100_000_000  # of all things of a file
-_MAX_DENSE = 30_000_000  # cells of a cluster's box that is searched for voids
+# Of a thing: 10,000 m^2 of roof 30 m above ground, 0.25 m.
+MAX_COLUMN_VOXELS = 20_000_000
+# Of all things of a file.
+MAX_WALL_VOXELS = 100_000_000
+# Cells of a cluster's box that is searched for voids.
+_MAX_DENSE = 30_000_000
 
 
 @contextmanager
 def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
-    """Open a ``.las``, ``.laz`` or ``.pcd`` file: yields its CRS, if any, and chunks of points.
+    """Open a point cloud: yields its CRS, if any, and chunks of points.
 
-    Raises InputError if it cannot be read, claims more than 50 million points or more
-    than it has bytes for, or is damaged (also while its points are read).
+    Parameters
+    ----------
+    path : Path
+        A ``.las``, ``.laz`` or ``.pcd`` file.
+
+    Yields
+    ------
+    crs : CRS or None
+        As the file declares it.
+    points : iterator of Points
+        Coordinates and classes, a chunk at a time.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, claims more than 50 million points or more than
+        it has bytes for, or is damaged (also while its points are read).
     """
     where = str(path)
     suffix = path.suffix.lower()
@@ -110,15 +144,15 @@ def open_points(path: Path) -> Iterator[tuple["CRS | None", Iterator[Points]]]:
         _check_header(path)
         with _las_reader(path) as reader:
             crs = None
-            with suppress(
-                Exception
-            ):  # whatever a damaged record makes laspy and pyproj raise
+            # Whatever a damaged record makes laspy and pyproj raise.
+            with suppress(Exception):
                 crs = reader.header.parse_crs()
             yield crs, _chunks(reader, where)
 
 
 # ---------- LAS and LAZ files, through laspy
 def _las_reader(path: Path) -> Any:
+    """Open a LAS or LAZ file with laspy; InputError: it is none."""
     where = str(path)
     try:
         # One thread: the parallel one of lazrs aborts the process where a chunk table
@@ -132,7 +166,9 @@ def _las_reader(path: Path) -> Any:
     if not np.isfinite(scales).all() or (scales[0] == 0.0).any():
         reader.close()
         raise InputError(
-            f"{where}: header", scales.tolist(), "finite scales and offsets"
+            f"{where}: header",
+            scales.tolist(),
+            "finite scales and offsets",
         )
     return reader
 
@@ -147,9 +183,12 @@ def _check_header(path: Path) -> None:
             refuse(where, "something else", "a LAS file")
         header_bytes, first_point, n_records = struct.unpack_from("<HII", head, 94)
         point_format, point_bytes, n_points = struct.unpack_from("<BHI", head, 104)
-        if head[25] >= 4 and len(head) >= 375:  # version 1.4
+        # Version 1.4.
+        if head[25] >= 4 and len(head) >= 375:
             first_extended, n_extended, n_points_14 = struct.unpack_from(
-                "<QIQ", head, 235
+                "<QIQ",
+                head,
+                235,
             )
             n_points = n_points_14 or n_points
             if n_extended and first_extended + 60 * n_extended > n_bytes:
@@ -166,7 +205,8 @@ def _check_header(path: Path) -> None:
         if not is_inside or header_bytes + 54 * n_records > first_point:
             refuse(where, f"{n_records:,} records in its header", "as many as fit")
         claimed = first_point + n_points * point_bytes
-        if point_format & 0xC0:  # packed
+        # Packed.
+        if point_format & 0xC0:
             file.seek(header_bytes)
             n_layers = _n_layers(file, where, n_records, point_bytes)
             _check_chunks(file, where, first_point, point_bytes, n_layers)
@@ -177,7 +217,29 @@ def _check_header(path: Path) -> None:
 
 
 def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> int:
-    """Number of layers in which chunks of points are packed, 0: none; InputError: no known kind."""
+    """Number of layers in which chunks of points are packed; 0: none.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+    n_records : int
+        Records of the header, of which one describes the packing.
+    point_bytes : int
+        Bytes of an unpacked point.
+
+    Returns
+    -------
+    n_layers : int
+        Each layer has its size before the chunk.
+
+    Raises
+    ------
+    InputError
+        The points are packed in no known way.
+    """
     for _ in range(n_records):
         head = file.read(54)
         if len(head) < 54:
@@ -206,17 +268,35 @@ def _n_layers(file: BinaryIO, where: str, n_records: int, point_bytes: int) -> i
 
 
 def _check_chunks(
-    file: BinaryIO, where: str, first_point: int, point_bytes: int, n_layers: int
+    file: BinaryIO,
+    where: str,
+    first_point: int,
+    point_bytes: int,
+    n_layers: int,
 ) -> None:
-    """Refuse chunks of packed points that claim more bytes than there are before their table."""
+    """Refuse chunks of packed points that claim more bytes than there are.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+    first_point : int
+        Byte at which the points begin.
+    point_bytes : int
+        Bytes of an unpacked point.
+    n_layers : int
+        See :func:`_n_layers`.
+    """
     n_bytes = file.seek(0, 2)
     file.seek(first_point)
     head = file.read(8)
+    at = 0
     if len(head) == 8:
         at = struct.unpack("<q", head)[0]
-    else:
-        at = 0
-    if at == -1:  # of a file that was written as a stream: in its last eight bytes
+    # Of a file that was written as a stream: in its last eight bytes.
+    if at == -1:
         file.seek(-8, 2)
         at = struct.unpack("<q", file.read(8))[0]
     if not first_point < at <= n_bytes - 8:
@@ -231,19 +311,19 @@ def _check_chunks(
         begin += len(sizes) + sum(
             struct.unpack(f"<{len(sizes) // 4}I", sizes[: len(sizes) & ~3])
         )
-    if (
-        n_chunks * point_bytes > n_bytes or begin > at
-    ):  # a chunk's first point is not packed
+    # A chunk's first point is not packed.
+    if n_chunks * point_bytes > n_bytes or begin > at:
         refuse(where, f"{n_chunks:,} chunks of points that claim more bytes", f"{at:,}")
 
 
 def _chunks(reader: Any, where: str) -> Iterator[Points]:
+    """Points of an open LAS file, a chunk at a time."""
     try:
-        for points in reader.chunk_iterator(
-            CHUNK_POINTS
-        ):  # no more than the header has
+        # No more than the header has.
+        for points in reader.chunk_iterator(CHUNK_POINTS):
             xyz = np.stack(
-                [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"], axis=1
+                [np.asarray(points[axis], dtype=np.float64) for axis in "xyz"],
+                axis=1,
             )
             yield xyz, np.asarray(points.classification, dtype=np.uint8)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -252,47 +332,69 @@ def _chunks(reader: Any, where: str) -> Iterator[Points]:
         BaseException
     ) as error:  # laspy raises anything, lazrs even others than Exception
         raise InputError(
-            where, Unquoted(_one_line(error)), "undamaged points"
+            where,
+            Unquoted(_one_line(error)),
+            "undamaged points",
         ) from None
 
 
 def _one_line(error: BaseException) -> str:
+    """Type and message of an error in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:150]}"
 
 
 # ---------- PCD files
 def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
-    """Points of an open PCD file, version 0.7: ascii, binary or binary_compressed; all of class 0.
+    """Points of an open PCD file, version 0.7, all of class 0.
 
-    Points without coordinates (NaN) are left out. Raises InputError, while points are
-    read, if the file claims more than 50 million or more than it contains, or is
-    damaged.
+    The data may be ascii or binary. Points without coordinates (NaN) are left
+    out.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : Points
+        A chunk of them.
+
+    Raises
+    ------
+    InputError
+        While points are read: the file claims more than 50 million or more than
+        it contains, or is damaged.
     """
     header = _pcd_header(file, where)
     names = header.get("FIELDS", [])
     kinds = header.get("TYPE", [])
     if not {"x", "y", "z"} <= set(names):
         raise InputError(
-            f"{where}: FIELDS", " ".join(names)[:80], "x, y and z among them"
+            f"{where}: FIELDS",
+            " ".join(names)[:80],
+            "x, y and z among them",
         )
     sizes = _integers(header, "SIZE", len(names), where)
     has_counts = "COUNT" in header
+    counts = [1] * len(sizes)
     if has_counts:
         counts = _integers(header, "COUNT", len(names), where)
-    else:
-        counts = [1] * len(sizes)
     n_points = _integers(header, "POINTS", 1, where)[0]
     if not 0 < n_points <= MAX_POINTS:
         raise InputError(f"{where}: POINTS", n_points, f"1 to {MAX_POINTS:,}")
     formats = []
     for index, (name, size, count) in enumerate(zip(names, sizes, counts, strict=True)):
+        kind = ""
         if index < len(kinds):
             kind = kinds[index]
-        else:
-            kind = ""
         if size not in _PCD_SIZES.get(kind, ()) or not 0 < count <= 4096:
             raise InputError(
-                f"{where}: field {name}", (kind, size), "a TYPE, SIZE and COUNT of PCD"
+                f"{where}: field {name}",
+                (kind, size),
+                "a TYPE, SIZE and COUNT of PCD",
             )
         formats.append((f"{index}", f"<{kind.lower()}{size}", (count,)))
     columns = [names.index(axis) for axis in "xyz"]
@@ -300,13 +402,18 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
     if encoding == "ascii":
         first = np.cumsum([0, *counts])
         chunks = _pcd_ascii(
-            file, [int(first[column]) for column in columns], n_points, where
+            file,
+            [int(first[column]) for column in columns],
+            n_points,
+            where,
         )
     elif encoding == "binary":
         chunks = _pcd_binary(file, np.dtype(formats), columns, n_points, where)
     else:
         raise InputError(
-            f"{where}: DATA", encoding, "ascii or binary; convert it first"
+            f"{where}: DATA",
+            encoding,
+            "ascii or binary; convert it first",
         )
     n_found = 0
     for xyz in chunks:
@@ -318,6 +425,7 @@ def _pcd_points(file: BinaryIO, where: str) -> Iterator[Points]:
 
 
 def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
+    """Words after each keyword of a PCD header, up to DATA."""
     header: dict[str, list[str]] = {}
     while file.tell() < _MAX_HEADER_BYTES:
         line = file.readline(_MAX_HEADER_BYTES)
@@ -336,6 +444,24 @@ def _pcd_header(file: BinaryIO, where: str) -> dict[str, list[str]]:
 
 
 def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> list[int]:
+    """Whole numbers after a keyword of a PCD header.
+
+    Parameters
+    ----------
+    header : dict[str, list[str]]
+        See :func:`_pcd_header`.
+    key : str
+        Keyword.
+    n : int
+        How many numbers there must be.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    numbers : list of int
+        Not negative.
+    """
     words = header.get(key, [])
     if len(words) != n or not all(re.fullmatch(r"[0-9]{1,18}", word) for word in words):
         raise InputError(f"{where}: {key}", " ".join(words)[:80], f"{n} whole numbers")
@@ -343,8 +469,37 @@ def _integers(header: dict[str, list[str]], key: str, n: int, where: str) -> lis
 
 
 def _pcd_binary(
-    file: BinaryIO, record: np.dtype[Any], columns: list[int], n_points: int, where: str
+    file: BinaryIO,
+    record: np.dtype[Any],
+    columns: list[int],
+    n_points: int,
+    where: str,
 ) -> Iterator[FloatArray]:
+    """Coordinates of binary PCD data, (n, 3), a chunk at a time.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    record : np.dtype[Any]
+        Layout of a point.
+    columns : list of int
+        Indices of x, y and z among the fields.
+    n_points : int
+        Number of points that the header claims.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : (n, 3) float
+        Chunk of points. [m]
+
+    Raises
+    ------
+    InputError
+        The file is cut off.
+    """
     here = file.tell()
     n_bytes = file.seek(0, 2) - here
     file.seek(here)
@@ -355,25 +510,55 @@ def _pcd_binary(
     for first in range(0, n_points, chunk):
         n = min(chunk, n_points - first)
         table = np.frombuffer(file.read(n * record.itemsize), dtype=record)
-        with np.errstate(invalid="ignore"):  # NaNs of the signalling kind
+        # NaNs of the signalling kind.
+        with np.errstate(invalid="ignore"):
             xyz = [table[str(column)][:, 0].astype(np.float64) for column in columns]
         yield np.stack(xyz, axis=1)
 
 
 def _pcd_ascii(
-    file: BinaryIO, columns: list[int], n_points: int, where: str
+    file: BinaryIO,
+    columns: list[int],
+    n_points: int,
+    where: str,
 ) -> Iterator[FloatArray]:
+    """Coordinates of ascii PCD data, (n, 3), a chunk at a time.
+
+    Parameters
+    ----------
+    file : BinaryIO
+        Open file.
+    columns : list of int
+        Indices of x, y and z among the words of a line.
+    n_points : int
+        Number of points that the header claims.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    points : (n, 3) float
+        Chunk of points. [m]
+
+    Raises
+    ------
+    InputError
+        A line has no numbers, or the file is cut off.
+    """
     n_found = 0
     while lines := file.readlines(32_000_000):
         lines = [line for line in lines if line.strip()][: n_points - n_found]
         try:
             rows = [line.split() for line in lines]
             numbers = np.array(
-                [[row[column] for column in columns] for row in rows], dtype=float
+                [[row[column] for column in columns] for row in rows],
+                dtype=float,
             )
         except (ValueError, IndexError):
             raise InputError(
-                where, Unquoted("a line without x, y and z"), "numbers"
+                where,
+                Unquoted("a line without x, y and z"),
+                "numbers",
             ) from None
         n_found += len(lines)
         if len(lines):
@@ -391,25 +576,45 @@ class LowestPoints:
         self._z_m: FloatArray = np.empty(0)
 
     def add(self, points_m: FloatArray) -> None:
-        """Add points, (n, 3)."""
+        """Add points, (n, 3), in metres."""
         if not len(points_m):
             return
         cells = np.concatenate(
             [self._cells, np.floor(points_m[:, :2] / CELL_M).astype(np.int64)]
         )
         z_m = np.concatenate([self._z_m, points_m[:, 2]])
+        # Sorted by cell and then by height, the first point of each cell is the lowest.
         order = np.lexsort((z_m, cells[:, 1], cells[:, 0]))
         cells = cells[order]
         z_m = z_m[order]
         is_first = np.ones(len(cells), dtype=np.bool_)
         is_first[1:] = (cells[1:] != cells[:-1]).any(axis=1)
-        self._cells, self._z_m = cells[is_first], z_m[is_first]
+        self._cells = cells[is_first]
+        self._z_m = z_m[is_first]
 
     def __len__(self) -> int:
         return len(self._z_m)
 
     def grid(self, where: str) -> tuple[IntArray, FloatArray]:
-        """First cell (2,), and heights of cells, (n, m), NaN: none; InputError: too large."""
+        """Grid of the lowest points.
+
+        Parameters
+        ----------
+        where : str
+            File and element at hand, for messages.
+
+        Returns
+        -------
+        first : (2,) int
+            Indices of the first cell.
+        heights_m : (n, m) float
+            Lowest point of each cell; NaN: none. [m]
+
+        Raises
+        ------
+        InputError
+            The points cover too large an area.
+        """
         low = self._cells.min(axis=0)
         shape = self._cells.max(axis=0) - low + 1
         if np.prod(shape.astype(np.float64)) > _MAX_CELLS:
@@ -421,7 +626,18 @@ class LowestPoints:
 
 
 def fill_gaps(heights_m: FloatArray) -> FloatArray:
-    """Heights (n, m) with gaps (NaN) filled from the nearest cell. [m]."""
+    """Heights with gaps filled from the nearest cell that has one.
+
+    Parameters
+    ----------
+    heights_m : (n, m) float
+        NaN: none. [m]
+
+    Returns
+    -------
+    filled_m : (n, m) float
+        Without gaps, unless there is no height at all. [m]
+    """
     if not np.isnan(heights_m).any():
         return heights_m
     _, nearest = distance_transform_edt(np.isnan(heights_m), return_indices=True)
@@ -429,12 +645,22 @@ def fill_gaps(heights_m: FloatArray) -> FloatArray:
 
 
 def filter_ground(heights_m: FloatArray) -> FloatArray:
-    """Ground (n, m) under the lowest points of cells (NaN: none). [m].
+    """Ground under the lowest points of cells.
 
-    A surface is opened with growing windows. A cell that an opening lowers by more than
-    the ground could rise within half the window carries something, and gets the height
-    of the nearest ground. Part of a house that is lower than the ground behind it is
-    taken for ground.
+    A surface is opened with growing windows. A cell that an opening lowers by
+    more than the ground could rise within half the window carries something,
+    and gets the height of the nearest ground. Part of a house that is lower
+    than the ground behind it is taken for ground.
+
+    Parameters
+    ----------
+    heights_m : (n, m) float
+        Lowest point of each cell; NaN: none. [m]
+
+    Returns
+    -------
+    ground_m : (n, m) float
+        Without gaps. [m]
 
     References
     ----------
@@ -444,7 +670,8 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
     """
     surface = fill_gaps(heights_m)
     if min(surface.shape) >= 5:
-        closed = grey_closing(surface, size=(3, 3))  # single points below the ground
+        # Single points below the ground.
+        closed = grey_closing(surface, size=(3, 3))
         surface = np.where(closed - surface > 2.0 * _STEP_M, closed, surface)
     is_ground = np.ones(surface.shape, dtype=np.bool_)
     opened = surface
@@ -463,18 +690,35 @@ def filter_ground(heights_m: FloatArray) -> FloatArray:
 
 # ---------- things
 def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
-    """Read a point cloud (``.las``, ``.laz``, ``.pcd``) as things that hide what is behind them.
+    """Read a point cloud as things that hide what is behind them.
 
-    Ground is removed: class 2, or else by a filter. The other points become voxels of
-    0.25 m, doubled up to 2 m until those of a thin scan touch; voxels that touch become
-    one thing. A voxel hides exactly where there is a point, while a fitted surface
-    closes gateways or stays open where a scan is thin. Gaps of one voxel are bridged,
-    enclosed voids filled, and roofs seen only from the air filled to the ground.
-    `class_name` is for points without a class. PCD is in metres, z up. Raises
-    InputError if it is damaged or too large, or only ground is left.
+    Ground is removed: class 2, or else by a filter. The other points become
+    voxels of 0.25 m, doubled up to 2 m until those of a thin scan touch; voxels
+    that touch become one thing. A voxel hides exactly where there is a point,
+    while a fitted surface closes gateways or stays open where a scan is thin.
+    Gaps of one voxel are bridged, enclosed voids filled, and roofs seen only
+    from the air filled to the ground. PCD is in metres, z up.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.las``, ``.laz`` or ``.pcd`` file.
+    class_name : str
+        Class of points that do not have one in the file.
+
+    Returns
+    -------
+    source : SourceMap
+        Things, and points of the ground.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or too large, or only ground is left.
     """
     where = str(path)
     check_one_of("class_name", class_name, CLASS_NAMES)
+    # Collect voxels and lowest points a chunk at a time.
     scan = _Scan(where=where)
     with open_points(path) as (crs, chunks):
         for points, classes in chunks:
@@ -510,6 +754,26 @@ def read_point_cloud(path: Path, *, class_name: str = "building") -> SourceMap:
 
 @dataclass(slots=True, kw_only=True)
 class _Scan:
+    """Voxels and lowest points of a scan, collected a chunk at a time.
+
+    Attributes
+    ----------
+    where : str
+        File, for messages.
+    place : Georeference or None
+        Where the scan lies on earth; None: no point was read.
+    origin_m : (3,) float or None
+        Corner near the first points, from which voxels are counted. [m]
+    keys : dict[str, IntArray]
+        Sorted voxels, by kind.
+    lowest : LowestPoints
+        Lowest points of all classes.
+    lowest_ground : LowestPoints
+        Lowest points of class 2.
+    left_out : Counter[str]
+        Numbers of points of classes that hide nothing.
+    """
+
     where: str
     place: Georeference | None = None
     origin_m: FloatArray | None = None
@@ -519,7 +783,7 @@ class _Scan:
     left_out: Counter[str] = field(default_factory=Counter)
 
     def ground_m(self) -> FloatArray:
-        """Lowest point of class 2 in every square metre, in the middle of it, (n, 3)."""
+        """Lowest point of class 2 in every square metre, at its middle, (n, 3)."""
         if not len(self.lowest_ground):
             return np.empty((0, 3))
         first, height_m = self.lowest_ground.grid(self.where)
@@ -529,9 +793,22 @@ class _Scan:
         return self.origin_m + np.column_stack([east_north_m, height_m[tuple(cells.T)]])
 
     def add(
-        self, points_m: FloatArray, classes: NDArray[np.uint8], class_name: str
+        self,
+        points_m: FloatArray,
+        classes: NDArray[np.uint8],
+        class_name: str,
     ) -> None:
-        """Add a chunk of points."""
+        """Add a chunk of points.
+
+        Parameters
+        ----------
+        points_m : (n, 3) float
+            In metres, in the map's coordinates. [m]
+        classes : (n,) int
+            LAS classes; 0: none.
+        class_name : str
+            Class of things that do not state theirs.
+        """
         for number, name in _LEFT_OUT.items():
             if n_points := int((classes == number).sum()):
                 self.left_out[name] += n_points
@@ -562,7 +839,23 @@ class _Scan:
 
 
 def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
-    """Voxels by kind with z counted from the ground, and as coarse as the points are apart."""
+    """Voxels above the ground by kind, as coarse as the scan asks for.
+
+    Parameters
+    ----------
+    scan : _Scan
+        The scan.
+
+    Returns
+    -------
+    heights : dict of str to (n,) int
+        Voxels with z counted from the ground.
+    voxel_m : float
+        Their edge. [m]
+    notes : list of Note
+        Detail that was lost.
+    """
+    # The ground: points of its class, or else a filter of the lowest ones.
     low, lowest_m = scan.lowest.grid(scan.where)
     if len(scan.lowest_ground):
         ground_m = np.full(lowest_m.shape, np.nan)
@@ -581,15 +874,16 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
         above_m = middles_m[:, 2] - ground_m[cells[:, 0], cells[:, 1]]
         kept[:, 2] = np.floor(above_m / VOXEL_M).astype(np.int64) + _MIDDLE
         heights[kind] = np.unique(to_keys(kept[above_m > _GROUND_M]))
+    # Solid things decide on the voxel, vegetation only where there is nothing else.
     solid = [
         keys for kind, keys in heights.items() if kind != "vegetation" and len(keys)
     ]
     everything = np.unique(np.concatenate(solid or list(heights.values())))
     voxel_m = VOXEL_M
+    # Double the edge until the voxels of a surface touch each other.
+    most_m = 0.0
     if len(everything):
         most_m = 0.5 * _MAX_VOXEL_M
-    else:
-        most_m = 0.0
     while voxel_m <= most_m and mean_neighbours(everything) < _MIN_NEIGHBOURS:
         voxel_m *= 2.0
         heights = {kind: _coarser(keys) for kind, keys in heights.items()}
@@ -601,17 +895,50 @@ def _above_ground(scan: _Scan) -> tuple[dict[str, IntArray], float, list[Note]]:
 
 
 def _coarser(keys: IntArray) -> IntArray:
+    """Voxels of twice the edge that cover the given ones, sorted."""
     return np.unique(to_keys((to_cells(keys) - _MIDDLE) // 2 + _MIDDLE))
 
 
 def _things(
-    heights: dict[str, IntArray], voxel_m: float, scan: _Scan, class_name: str
+    heights: dict[str, IntArray],
+    voxel_m: float,
+    scan: _Scan,
+    class_name: str,
 ) -> tuple[list[Thing], int]:
-    """One thing per cluster, and the number of clusters that are too small."""
+    """One thing per cluster, and the number of clusters that are too small.
+
+    Parameters
+    ----------
+    heights : dict[str, IntArray]
+        Voxels by kind, with z counted from the ground.
+    voxel_m : float
+        Edge of a voxel. [m]
+    scan : _Scan
+        The scan.
+    class_name : str
+        Class of things that do not state theirs.
+
+    Returns
+    -------
+    things : list of Thing
+        Roofs seen from the air are filled to the ground.
+    n_small : int
+        Clusters that were left out.
+
+    Raises
+    ------
+    InputError
+        There are too many things or triangles.
+    """
+    # Clusters of each kind that are large enough.
     found: list[tuple[str, IntArray]] = []
     small = 0
-    for kind, keys in ((kind, keys) for kind, keys in heights.items() if len(keys)):
-        keys = _stood(keys if kind == "vegetation" else bridged(keys), voxel_m)
+    for kind, keys in heights.items():
+        if not len(keys):
+            continue
+        if kind != "vegetation":
+            keys = bridged(keys)
+        keys = _stood(keys, voxel_m)
         labels = clusters(keys)
         order = np.argsort(labels, kind="stable")
         for part in np.split(keys[order], np.cumsum(np.bincount(labels))[:-1]):
@@ -622,8 +949,11 @@ def _things(
                 found.append((kind, part))
     if len(found) > _MAX_THINGS:
         refuse(
-            scan.where, f"{len(found):,} things", f"at most {_MAX_THINGS:,}; cut it out"
+            scan.where,
+            f"{len(found):,} things",
+            f"at most {_MAX_THINGS:,}; cut it out",
         )
+    # The surface of each cluster.
     things: list[Thing] = []
     names: Counter[str] = Counter()
     assert scan.origin_m is not None
@@ -632,10 +962,9 @@ def _things(
     n_walls = MAX_WALL_VOXELS
     where = scan.where
     for kind, part in found:
+        name = kind
         if kind == "roofs":
             name = "building"
-        else:
-            name = kind
         if kind == "roofs" or (
             name == class_name == "building" and _is_roof(part, voxel_m)
         ):
@@ -645,7 +974,11 @@ def _things(
             part = filled(part, _MIDDLE)
         names[name] += 1
         mesh = faces(
-            part, origin_m=origin_m, voxel_m=voxel_m, max_triangles=n_left, where=where
+            part,
+            origin_m=origin_m,
+            voxel_m=voxel_m,
+            max_triangles=n_left,
+            where=where,
         )
         n_left -= len(mesh[1])
         things.append(Thing.of(f"{name} {names[name]}", name, mesh))
@@ -653,7 +986,22 @@ def _things(
 
 
 def _stood(keys: IntArray, voxel_m: float) -> IntArray:
-    """Voxels with those below them that were taken for ground: columns that begin just above it."""
+    """Voxels, and those below them that were taken for ground.
+
+    Columns that begin just above the ground are continued down to it.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    voxel_m : float
+        Edge of a voxel. [m]
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
+    """
     cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     lowest = np.minimum.reduceat(cells[:, 2], start)
@@ -666,7 +1014,7 @@ def _stood(keys: IntArray, voxel_m: float) -> IntArray:
 
 
 def _is_roof(keys: IntArray, voxel_m: float) -> bool:
-    """An even patch with nothing below: a roof seen from the air."""
+    """True for an even patch with nothing below: a roof seen from the air."""
     cells = to_cells(keys)
     columns, start = np.unique(cells[:, :2], axis=0, return_index=True)
     if len(columns) * voxel_m**2 < _MIN_ROOF_M2:
@@ -680,7 +1028,8 @@ def _is_roof(keys: IntArray, voxel_m: float) -> bool:
 
 
 # ---------- voxels: cubes where there are points
-_HALF_OF_NEIGHBOURS = tuple(  # differences of keys
+# Differences of keys.
+_HALF_OF_NEIGHBOURS = tuple(
     (x << 2 * _BITS) + (y << _BITS) + z
     for x, y, z in product((-1, 0, 1), repeat=3)
     if (x, y, z) > (0, 0, 0)
@@ -688,7 +1037,18 @@ _HALF_OF_NEIGHBOURS = tuple(  # differences of keys
 
 
 def to_keys(cells: IntArray) -> IntArray:
-    """One integer per cell (n, 3), ordered as x, y, z: each from 1 to ``MAX_VOXELS_PER_AXIS``."""
+    """One integer for each cell, in the order of x, y and z.
+
+    Parameters
+    ----------
+    cells : (n, 3) int
+        Indices from 1 to ``MAX_VOXELS_PER_AXIS``.
+
+    Returns
+    -------
+    keys : (n,) int
+        20 bits for each axis.
+    """
     return (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
 
 
@@ -698,7 +1058,7 @@ def to_cells(keys: IntArray) -> IntArray:
 
 
 def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
-    """Which keys are in `sorted_keys`."""
+    """True for keys that are among sorted ones, (n,)."""
     if not len(sorted_keys):
         return np.zeros(len(keys), dtype=np.bool_)
     places = np.minimum(np.searchsorted(sorted_keys, keys), len(sorted_keys) - 1)
@@ -706,10 +1066,19 @@ def is_in(keys: IntArray, sorted_keys: IntArray) -> BoolArray:
 
 
 def clusters(keys: IntArray) -> IntArray:
-    """Cluster number of every voxel: voxels that touch at a face, an edge or a corner are one.
+    """Cluster of every voxel: voxels that touch are one.
 
-    `keys` are sorted and unique; numbers follow the order of the clusters' first
-    voxels.
+    They touch at a face, an edge or a corner.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+
+    Returns
+    -------
+    labels : (n,) int
+        Numbered in the order of the clusters' first voxels.
     """
     n = len(keys)
     pairs = []
@@ -719,14 +1088,15 @@ def clusters(keys: IntArray) -> IntArray:
         pairs.append(np.stack([here, np.searchsorted(keys, moved[here])]))
     first, second = np.concatenate(pairs, axis=1)
     graph = coo_array(
-        (np.ones(len(first), dtype=np.bool_), (first, second)), shape=(n, n)
+        (np.ones(len(first), dtype=np.bool_), (first, second)),
+        shape=(n, n),
     )
     _, labels = connected_components(graph, directed=False)
     return np.asarray(labels, dtype=np.int64)
 
 
 def bridged(keys: IntArray) -> IntArray:
-    """Voxels, and those between two that lie opposite one another, sorted."""
+    """Voxels, and those between two that lie opposite each other, sorted."""
     between = [keys]
     for step in _HALF_OF_NEIGHBOURS:
         between.append(keys[is_in(keys + 2 * step, keys)] + step)
@@ -740,10 +1110,22 @@ def mean_neighbours(keys: IntArray) -> float:
 
 
 def filled(keys: IntArray, floor: int) -> IntArray:
-    """Voxels of one cluster, and the voids that they enclose together with the ground, sorted.
+    """Voxels of one cluster, and the voids that they enclose, sorted.
 
-    `floor` is the lowest z above ground. A cluster whose box is too large stays as it
-    is.
+    The ground closes clusters that stand on it. A cluster whose box is too
+    large stays as it is.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    floor : int
+        Lowest z above ground.
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
     """
     cells = to_cells(keys)
     low = cells.min(axis=0)
@@ -754,19 +1136,44 @@ def filled(keys: IntArray, floor: int) -> IntArray:
     stands = bool((cells[:, 2] <= floor + 1).any())
     dense = np.zeros(tuple(shape + [0, 0, 1]), dtype=np.bool_)
     dense[tuple((cells - low + [0, 0, 1]).T)] = True
-    dense[:, :, 0] = stands  # the ground closes clusters that stand on it
+    # The ground closes clusters that stand on it.
+    dense[:, :, 0] = stands
     dense = binary_fill_holes(dense)[:, :, 1:]
     return np.sort(to_keys(np.argwhere(dense).astype(np.int64) + low))
 
 
 def columns_to(
-    keys: IntArray, floor: int, where: str, *, n_left: int = MAX_WALL_VOXELS
+    keys: IntArray,
+    floor: int,
+    where: str,
+    *,
+    n_left: int = MAX_WALL_VOXELS,
 ) -> IntArray:
     """Voxels from the floor to the highest of every column, sorted.
 
-    Raises InputError if they are more than any building has, or than `n_left` of what
-    all buildings of a file may have: heights in another unit, or damaged.
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    floor : int
+        Lowest z above ground.
+    where : str
+        File and element at hand, for messages.
+    n_left : int
+        Voxels that the file's other buildings leave.
+
+    Returns
+    -------
+    keys : (m,) int
+        Sorted.
+
+    Raises
+    ------
+    InputError
+        They are more than any building has, or than all buildings of a file may
+        have: heights in another unit, or damaged.
     """
+    # Height of each column.
     columns, start = np.unique(keys >> _BITS, return_index=True)
     counts = np.maximum(np.maximum.reduceat(keys & _MASK, start) - floor + 1, 0)
     total = int(counts.sum())
@@ -776,7 +1183,9 @@ def columns_to(
     ):
         if n_voxels > most:
             refuse(
-                where, f"walls of {n_voxels:,} voxels", f"at most {most:,} of {whose}"
+                where,
+                f"walls of {n_voxels:,} voxels",
+                f"at most {most:,} of {whose}",
             )
     # Ascending, for columns are: one array, and no sorting.
     walls = np.repeat((columns << _BITS) + floor - (np.cumsum(counts) - counts), counts)
@@ -795,18 +1204,45 @@ def faces(
     max_triangles: int,
     where: str,
 ) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of sorted voxels: rectangles as large as possible, of two triangles each.
+    """Surface of voxels: rectangles as large as possible.
 
-    It is closed, though a rectangle's edge may meet several smaller ones. `origin_m`
-    (3,) is the lower corner of cell (0, 0, 0). Triangles run counter-clockwise seen
-    from outside. Raises InputError if there are more than `max_triangles`.
+    Each rectangle is two triangles. The surface is closed, though a rectangle's
+    edge may meet several smaller ones.
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    origin_m : (3,) float
+        Lower corner of cell (0, 0, 0). [m]
+    voxel_m : float
+        Edge of a voxel. [m]
+    max_triangles : int
+        Largest number of triangles.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices_m : (k, 3) float
+        Without repetitions. [m]
+    triangles : (m, 3) int32
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        There are more than `max_triangles`.
     """
+    # Rectangles of all six directions share their corners.
     quads = np.concatenate(
         [_rectangles(keys, axis, sign) for axis in range(3) for sign in (-1, 1)]
     )
     if 2 * len(quads) > max_triangles:
         refuse(
-            where, f"{2 * len(quads):,} triangles", "a larger voxel, or fewer points"
+            where,
+            f"{2 * len(quads):,} triangles",
+            "a larger voxel, or fewer points",
         )
     unique, inverse = np.unique(quads.reshape(-1, 3), axis=0, return_inverse=True)
     index = inverse.reshape(-1, 4)
@@ -817,8 +1253,24 @@ def faces(
 
 
 def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
-    """Corners of the rectangles that face along an axis, (n, 4, 3), as indices of cells."""
-    step = sign << (2 - axis) * _BITS  # to the neighbour's key
+    """Corners of the rectangles that face along an axis, (n, 4, 3).
+
+    Parameters
+    ----------
+    keys : (n,) int
+        Voxels, one integer each, sorted and unique.
+    axis : int
+        0, 1 or 2: x, y or z.
+    sign : int
+        1 or -1: along the axis or against it.
+
+    Returns
+    -------
+    corners : (n, 4, 3) int
+        Indices of cells, counter-clockwise seen from outside.
+    """
+    # To the neighbour's key.
+    step = sign << (2 - axis) * _BITS
     cells = to_cells(keys[~is_in(keys + step, keys)])
     u, v = [other for other in range(3) if other != axis]
     slab = cells[:, axis]
@@ -835,14 +1287,26 @@ def _rectangles(keys: IntArray, axis: int, sign: int) -> IntArray:
     quads[:, :, u] = np.stack([a_low, a_high, a_high, a_low], axis=1)
     quads[:, :, v] = np.stack([b_low, b_low, b_high, b_high], axis=1)
     # u, v, axis are right-handed for x and z as axes, left-handed for y.
-    is_outward = (sign > 0) == (axis != 1)
-    if is_outward:
-        return quads
-    return quads[:, ::-1]
+    if (sign > 0) != (axis != 1):
+        quads = quads[:, ::-1]
+    return quads
 
 
 def _runs(columns: tuple[IntArray, ...]) -> tuple[tuple[IntArray, ...], IntArray]:
-    """First rows of runs whose last column counts on while the others stay, and its last values."""
+    """Runs of rows whose last column counts on while the others stay.
+
+    Parameters
+    ----------
+    columns : tuple of (n,) int
+        Columns of a table.
+
+    Returns
+    -------
+    first : tuple of (m,) int
+        First row of each run.
+    last : (m,) int
+        Last value of the last column in each run.
+    """
     order = np.lexsort(columns[::-1])
     columns = tuple(column[order] for column in columns)
     goes_on = np.diff(columns[-1]) == 1

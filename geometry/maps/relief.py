@@ -1,4 +1,4 @@
-"""Ground around a junction: heights of maps or of a GeoTIFF raster, and things set upon it."""
+"""Ground around a junction: heights of maps or of a GeoTIFF raster."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +16,28 @@ from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame, transform
 from .source_map import MapJunction, SourceMap, Thing
 
-_STEP_M = 2.0  # of the grid
-_FLAT_M = 0.1  # ground that is nowhere higher or lower than this is a plane
-_BEYOND_M = 50.0  # points farther outside have no say
+# Of the grid.
+_STEP_M = 2.0
+# Ground that is nowhere higher or lower than this is a plane.
+_FLAT_M = 0.1
+# Points farther outside have no say.
+_BEYOND_M = 50.0
 _SAME_LEVEL_M = 2.0
-_STEEPEST = 0.08  # more than this above the arms' roads is a bridge
-_OTHER_ZERO_M = (
-    3.0  # a map whose things are this far off counts heights from another zero
-)
-_FLOATS_M = 3.0  # at most: what is higher above the ground is meant to be there
-_COARSEST_M = 30.0  # the global models; coarser ones know no street
-_MIDDLE_M = 60.0  # there must be a height this near to the junction
+# More than this above the arms' roads is a bridge.
+_STEEPEST = 0.08
+# A map whose things are this far off counts heights from another zero.
+_OTHER_ZERO_M = 3.0
+# At most: what is higher above the ground is meant to be there.
+_FLOATS_M = 3.0
+# The global models; coarser ones know no street.
+_COARSEST_M = 30.0
+# There must be a height this near to the junction.
+_MIDDLE_M = 60.0
 _LIMITS_M = (-500.0, 9000.0)
-_MAX_PIXELS = 4_000_000  # around a junction: of 16 cm, 320 m by 320 m
-_MAX_BLOCK_BYTES = (
-    100_000_000  # GDAL unpacks blocks as a whole, and a mask line by line or whole
-)
+# Around a junction: of 16 cm, 320 m by 320 m.
+_MAX_PIXELS = 4_000_000
+# GDAL unpacks blocks as a whole, and a mask line by line or whole.
+_MAX_BLOCK_BYTES = 100_000_000
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # GDAL would look at files of any of its formats next to the raster, such as a mask.
 _ALONE = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "GDAL_PAM_ENABLED": "NO"}
@@ -40,50 +46,81 @@ _EXPECTED = "a GeoTIFF of heights"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """The ground around a junction: its middle is at z = 0."""
+    """Ground around a junction: its middle is at z = 0.
 
-    terrain: Terrain | None = None  # none: the plane z = 0
-    zero_m: float = (
-        0.0  # height of the middle of the junction as `source` counts heights
-    )
+    Attributes
+    ----------
+    terrain : Terrain or None
+        The ground; None: the plane z = 0.
+    zero_m : float
+        Height of the junction's middle as `source` counts heights. [m]
+    roads : SourceMap or None
+        Map with the roads; None: the ground is a plane.
+    roads_m : Terrain or None
+        Ground of the map with the roads, as that counts heights, where another
+        source has them. [m]
+    notes : tuple of Note
+        What was made of the heights.
+    """
+
+    terrain: Terrain | None = None
+    zero_m: float = 0.0
     roads: SourceMap | None = None
-    # ground of the map with the roads, as that counts heights, where another source has
-    # them
     roads_m: Terrain | None = None
-    notes: tuple[Note, ...] = ()  # what was made of the heights
+    notes: tuple[Note, ...] = ()
 
     def at(self, points_m: FloatArray) -> FloatArray:
-        """Height of the ground at points (n, 2)."""
+        """Height of the ground at points (n, 2), in metres."""
         if self.terrain is None:
             return np.zeros(len(points_m))
         return self.terrain.at(points_m)
 
     def above_m(self, vertices_m: FloatArray) -> FloatArray:
-        """Height of vertices (n, 3) above the ground below them."""
+        """Height of vertices (n, 3) above the ground below them, in metres."""
         return vertices_m[:, 2] - self.at(vertices_m[:, :2])
 
     def lower(
-        self, source: SourceMap, things: Sequence[Thing], given_m: float | None
+        self,
+        source: SourceMap,
+        things: Sequence[Thing],
+        given_m: float | None,
     ) -> Iterator[tuple[FloatArray, bool]]:
-        """Vertices of a map's things with heights from z = 0, and whether they were set down.
+        """Vertices of a map's things with heights from z = 0.
 
-        `given_m` is the height in the map of the road in the junction's middle. Where a
-        map counts heights above the ground, walls follow it, and other things stand on
-        the lowest ground below them.
+        Where a map counts heights above the ground, walls follow it, and other
+        things stand on the lowest ground below them.
+
+        Parameters
+        ----------
+        source : SourceMap
+            The map.
+        things : sequence of Thing
+            Things of the map.
+        given_m : float or None
+            Height in the map of the road in the junction's middle; None: not given.
+            [m]
+
+        Yields
+        ------
+        vertices_m : (n, 3) float
+            Vertices of each thing, in order. [m]
+        is_set_down : bool
+            It would have floated above the ground.
         """
         if source.heights == "above ground" and given_m is None:
             for thing in things:
                 ground = self.at(thing.vertices_m[:, :2])
                 if thing.class_name == "wall":
-                    up = ground
+                    yield _lifted(thing, ground), False
                 else:
-                    up = ground.min()
-                yield _lifted(thing, up), False
+                    yield _lifted(thing, ground.min()), False
             return
+        # Absolute heights: count them from the junction's middle.
         zero_m = self._zero_m(source, things, given_m)
         may_float = given_m is None or self.terrain is not None
         for thing in things:
             vertices = _lifted(thing, -zero_m)
+            # The map's own ground is replaced by that of the other source.
             if source is self.roads and self.roads_m is not None:
                 middle = vertices[:, :2].mean(axis=0, keepdims=True)
                 own_m = self.roads_m.at(middle) - self.roads_m.at(np.zeros(2))
@@ -94,12 +131,18 @@ class Relief:
                 and thing.class_name == "building"
                 and _FLAT_M < gap_m <= _FLOATS_M
             )
-            yield vertices - [0.0, 0.0, gap_m if floats else 0.0], floats
+            down_m = 0.0
+            if floats:
+                down_m = gap_m
+            yield vertices - [0.0, 0.0, down_m], floats
 
     def _zero_m(
-        self, source: SourceMap, things: Sequence[Thing], given_m: float | None
+        self,
+        source: SourceMap,
+        things: Sequence[Thing],
+        given_m: float | None,
     ) -> float:
-        """The height in a map that becomes z = 0."""
+        """Height in a map that becomes z = 0, in metres."""
         if source is self.roads and source.heights == "absolute":
             if self.roads_m is None:
                 return self.zero_m
@@ -112,11 +155,15 @@ class Relief:
         vertices = [thing.vertices_m for thing in things]
         feet_m = [one[:, 2].min() - self.at(one[:, :2]).min() for one in vertices]
         off_m = float(np.median(feet_m) - self.zero_m)
-        return self.zero_m + (off_m if abs(off_m) > _OTHER_ZERO_M else 0.0)
+        if abs(off_m) > _OTHER_ZERO_M:
+            return self.zero_m + off_m
+        return self.zero_m
 
 
 def _lifted(thing: Thing, up_m: FloatArray | float) -> FloatArray:
-    return np.column_stack([thing.vertices_m[:, :2], thing.vertices_m[:, 2] + up_m])
+    """Vertices of a thing, (n, 3), raised by some metres."""
+    heights_m = thing.vertices_m[:, 2] + up_m
+    return np.column_stack([thing.vertices_m[:, :2], heights_m])
 
 
 def find_relief(
@@ -126,13 +173,30 @@ def find_relief(
     *,
     half_m: float,
 ) -> Relief:
-    """The ground within a square around a junction of the first map.
+    """Ground within a square around a junction of the first map.
 
-    Heights are those of the first of the other maps that has some near the junction, or
-    of the roads. Roads on bridges, more than 2 m and 8 % off those of its arms, have no
-    say.
+    Heights are those of the first of the other maps that has some near the
+    junction, or of the roads. Roads on bridges, more than 2 m and 8 % off those
+    of its arms, have no say.
+
+    Parameters
+    ----------
+    maps : sequence of SourceMap
+        Maps, the one with the roads first.
+    junction : MapJunction
+        A junction of the first map.
+    frame : LocalFrame
+        Frame of the scene.
+    half_m : float
+        Half the edge of the square around the junction. [m]
+
+    Returns
+    -------
+    relief : Relief
+        A plane where nothing tells heights, or all are alike.
     """
     roads = maps[0]
+    # Heights of the roads, and those of every other map.
     own = _near(frame.take(roads.ground_m, roads), half_m)
     if roads.heights == "absolute":
         own = _on_level(own, roads, junction, frame)
@@ -144,35 +208,44 @@ def find_relief(
     name, points = next((one for one in found if len(one[1])), ("", own))
     if not name:
         return Relief()
+    # Count heights from the middle of the junction.
     ground = fit_terrain(points, half_m=half_m, step_m=_STEP_M)
     middle_m = float(ground.at(np.zeros(2)))
     terrain = replace(ground, height_m=ground.height_m - middle_m)
     span_m = float(np.ptp(terrain.height_m))
     if np.abs(terrain.height_m).max() <= _FLAT_M:
         return Relief()
+    # Things of the map with the roads count from its own ground.
     is_other = points is not own and roads.heights == "absolute" and len(own) > 0
-    why = (
-        f"ground from {terrain.height_m.min():.1f} m to {terrain.height_m.max():.1f} m"
-    )
+    roads_m = None
+    if is_other:
+        roads_m = fit_terrain(own, half_m=half_m, step_m=_STEP_M)
+    low_m = terrain.height_m.min()
+    high_m = terrain.height_m.max()
+    range_m = f"from {low_m:.1f} m to {high_m:.1f} m"
+    why = f"ground {range_m} around the junction ({span_m:.1f} m)"
     return Relief(
         terrain=terrain,
         zero_m=middle_m,
         roads=roads,
-        roads_m=fit_terrain(own, half_m=half_m, step_m=_STEP_M) if is_other else None,
-        notes=(
-            Note(f"heights of {name}", f"{why} around the junction ({span_m:.1f} m)"),
-        ),
+        roads_m=roads_m,
+        notes=(Note(f"heights of {name}", why),),
     )
 
 
 def _near(points_m: FloatArray, half_m: float) -> FloatArray:
-    return points_m[(np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)]
+    """Points within a square, and 50 m around it."""
+    is_near = (np.abs(points_m[:, :2]) <= half_m + _BEYOND_M).all(axis=1)
+    return points_m[is_near]
 
 
 def _on_level(
-    points_m: FloatArray, roads: SourceMap, junction: MapJunction, frame: LocalFrame
+    points_m: FloatArray,
+    roads: SourceMap,
+    junction: MapJunction,
+    frame: LocalFrame,
 ) -> FloatArray:
-    """Points that are not far above or below the nearest road that leads to the junction."""
+    """Points that lie about as high as the nearest road to the junction."""
     own = [
         one
         for one in roads.lanes
@@ -180,15 +253,21 @@ def _on_level(
     ]
     arms = [lane.centreline_m for lane in own]
     middle = np.append(junction.position_m, junction.height_m)
+    # Points of the roads that lead to the junction.
     level = frame.take(np.concatenate([middle[None], *arms]), roads)
     away_m, nearest = cKDTree(level[:, :2]).query(points_m[:, :2])
     most_m = _SAME_LEVEL_M + _STEEPEST * away_m
-    return np.asarray(points_m[np.abs(points_m[:, 2] - level[nearest, 2]) <= most_m])
+    off_m = np.abs(points_m[:, 2] - level[nearest, 2])
+    return np.asarray(points_m[off_m <= most_m])
 
 
 # ---------- heights of the ground from GeoTIFF rasters
 def read_elevation(
-    path: Path, *, crs: str, middle_m: FloatArray, half_m: float
+    path: Path,
+    *,
+    crs: str,
+    middle_m: FloatArray,
+    half_m: float,
 ) -> SourceMap:
     """Read the heights around a place from a raster.
 
@@ -225,9 +304,8 @@ def read_elevation(
             " (in a checkout: uv run --extra terrain place-rsus ..)"
         ) from None
     with open_file(path) as file:
-        if not file.read(4).startswith(
-            _MAGIC
-        ):  # GDAL goes by content: a text may name an address
+        # GDAL goes by content: a text may name an address.
+        if not file.read(4).startswith(_MAGIC):
             refuse(str(path), "something else", _EXPECTED)
     if not crs:
         expected = (
@@ -245,9 +323,37 @@ def read_elevation(
 
 
 def _read(
-    raster: Any, where: str, crs: str, middle_m: FloatArray, half_m: float
+    raster: Any,
+    where: str,
+    crs: str,
+    middle_m: FloatArray,
+    half_m: float,
 ) -> FloatArray:
-    """Points (n, 3) of an open data set within a square."""
+    """Points of an open raster within a square, (n, 3).
+
+    Parameters
+    ----------
+    raster : Any
+        Data set of rasterio.
+    where : str
+        File and element at hand, for messages.
+    crs : str
+        Reference system of the result.
+    middle_m : (2,) float
+        Middle of the square. [m]
+    half_m : float
+        Half the edge of the square around the junction. [m]
+
+    Returns
+    -------
+    points_m : (n, 3) float
+        Middles of the pixels that have a height. [m]
+
+    Raises
+    ------
+    InputError
+        See :func:`read_elevation`.
+    """
     if raster.count != 1:
         refuse(where, f"{raster.count} bands", "one band, of heights in metres")
     if raster.crs is None:
@@ -256,6 +362,7 @@ def _read(
     grid = raster.transform
     if not np.linalg.det([[grid.a, grid.b], [grid.d, grid.e]]):
         refuse(where, "pixels without area", "a raster that lies on the map")
+    # Find the pixels that cover the square, by points all over it.
     sides = np.linspace(-half_m, half_m, 9)
     lattice = middle_m + np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
     columns, rows = ~grid @ tuple(transform(lattice, crs, own_crs).T)
@@ -266,6 +373,7 @@ def _read(
     if left >= right or top >= bottom:
         refuse(where, "a raster that lies elsewhere", "one that covers the junction")
     _check_memory(raster, (right - left) * (bottom - top), where)
+    # Middles of these pixels in the coordinates of the map.
     column, row = np.meshgrid(
         np.arange(left, right) + 0.5, np.arange(top, bottom) + 0.5
     )
@@ -275,6 +383,7 @@ def _read(
         [0.0, 0.0, 1.0],
     ]
     corners = transform(np.stack(grid @ tuple(middle), axis=-1), own_crs, crs)
+    # Edge of a pixel on the ground.
     size_m = np.hypot(*(corners[1:] - corners[0]).T).max()
     if size_m > _COARSEST_M * 1.2:
         refuse(
@@ -285,6 +394,7 @@ def _read(
     band = np.ma.masked_invalid(
         raster.read(1, window=((top, bottom), (left, right)), masked=True)
     )
+    # Keep the pixels that have a height that makes sense.
     low_m, high_m = _LIMITS_M
     heights = np.ma.filled(band.astype(np.float64), np.nan)
     is_known = np.isfinite(heights)
@@ -297,15 +407,19 @@ def _read(
     away_m = np.hypot(*(points[:, :2] - middle_m).T)
     if not (away_m <= _MIDDLE_M).any():
         refuse(
-            where, "no heights at the junction", f"some within {_MIDDLE_M:g} m of it"
+            where,
+            "no heights at the junction",
+            f"some within {_MIDDLE_M:g} m of it",
         )
     return points
 
 
 def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
+    """Refuse a raster that takes too much memory around the junction."""
     if n_pixels > _MAX_PIXELS:
         got = f"{n_pixels:,} pixels around the junction"
         refuse(where, got, f"at most {_MAX_PIXELS:,}: a coarser raster")
+    # What GDAL unpacks at a time: a block, and perhaps the whole mask.
     rows, columns = raster.block_shapes[0]
     n_bytes = rows * columns * np.dtype(raster.dtypes[0]).itemsize
     if any(flag.name == "per_dataset" for flag in raster.mask_flag_enums[0]):
@@ -316,8 +430,7 @@ def _check_memory(raster: Any, n_pixels: int, where: str) -> None:
 
 
 def _span(values: FloatArray, size: int) -> tuple[int, int]:
-    """First and last but one of the pixels that values lie in, one more on each side, inside."""
-    return (
-        max(int(np.floor(values.min())) - 1, 0),
-        min(int(np.ceil(values.max())) + 1, size),
-    )
+    """Range of the pixels that values lie in, with one more on each side."""
+    first = int(np.floor(values.min())) - 1
+    end = int(np.ceil(values.max())) + 1
+    return max(first, 0), min(end, size)

@@ -1,4 +1,8 @@
-"""Sites of a scene: poles of the map, a planner's list or kerbs, and where each can stand."""
+"""Sites of a scene: poles of the map, a planner's list, or kerbs.
+
+Sites are moved next to the road and out of walls, and dropped where that
+would be too far.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -37,11 +41,14 @@ from .source_map import (
 _REACH_M = 60.0
 _AT_OUTLINE_M = 1.5
 _JOINED_M = 0.5
-_MEDIAN_M = 8.0  # between carriageways: a narrower gap is a median, no roadside
+# Between carriageways: a narrower gap is a median, no roadside.
+_MEDIAN_M = 8.0
 _PARALLEL = np.cos(np.deg2rad(20.0))
 _STEP_M = 0.25
-_LONGER_M = 1.0  # the outline is not square to every lane
-_BELOW_ROOF_M = 0.3  # a sensor and its bracket
+# The outline is not square to every lane.
+_LONGER_M = 1.0
+# A sensor and its bracket.
+_BELOW_ROOF_M = 0.3
 AUTO = "auto"
 MAP = "map"
 KERB = "kerb:"
@@ -49,17 +56,43 @@ _AUTO: dict[str, float] = load_data("geometry.maps", "sites.toml")["auto"]
 _SPACINGS_M = (2.0, 100.0)
 # Of a pole's middle from the kerb; assumption: the usual clearance of a carriageway.
 SETBACK_M = 0.5
-_MAX_MOVE_M = 15.0  # from a lane or the middle of a junction to the kerb
-_MAX_MOVE_FROM_WALL_M = 2.0  # farther inside, it hangs on the building
+# From a lane or the middle of a junction to the kerb.
+_MAX_MOVE_M = 15.0
+# Farther inside, it hangs on the building.
+_MAX_MOVE_FROM_WALL_M = 2.0
 _FROM_WALL_M = 0.3
-_MAST_ARM_M = 12.0  # from what hangs over the road to the foot of its pole
-_ISLAND_M2 = 4.0  # smaller gaps between lanes are no place to stand
+# From what hangs over the road to the foot of its pole.
+_MAST_ARM_M = 12.0
+# Smaller gaps between lanes are no place to stand.
+_ISLAND_M2 = 4.0
 
 
 def kerb_sites(
-    lanes: Sequence[Lane], outline_m: ArrayLike, spacing_m: float
+    lanes: Sequence[Lane],
+    outline_m: ArrayLike,
+    spacing_m: float,
 ) -> tuple[SiteWish, ...]:
-    """Sites along the outer kerbs of a junction's arms, from its corners 60 m outwards."""
+    """Sites along the outer kerbs of a junction's arms, 60 m outwards.
+
+    Parameters
+    ----------
+    lanes : sequence of Lane
+        Lanes of the scene.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    spacing_m : float
+        Least distance along each kerb. [m]
+
+    Returns
+    -------
+    sites : tuple of SiteWish
+        Half a metre behind the kerbs.
+
+    Raises
+    ------
+    InputError
+        The spacing is below 0.5 m, or the outline has no area.
+    """
     if not (np.isfinite(spacing_m) and spacing_m >= 0.5):
         raise InputError("spacing_m", spacing_m, "metres, at least 0.5")
     outline = float_array(outline_m, (-1, 2), "outline_m")
@@ -68,10 +101,13 @@ def kerb_sites(
     inside = area_of(outline)
     ring = shapely.LinearRing(outline)
     roads = [lane for lane in lanes if lane.kind in ("driving", "parking")]
+    # Lanes from the outline outwards, and the ground beside them.
     arms = [(lane, line) for lane in roads for line in _outward(lane, roads, ring)]
     strips = shapely.STRtree(
         [_strip(lane, line, beside_m=SETBACK_M - 0.05) for lane, line in arms]
     )
+    # Both sides of each arm, where they are free: not in the junction, on a lane or
+    # on a median, and at most 60 m away.
     sites: dict[str, SiteWish] = {}
     for lane, line in arms:
         for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -96,15 +132,32 @@ def kerb_sites(
 
 
 def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray]:
-    """Centrelines (n, 2) of a lane that touches the outline, with its continuations, outwards."""
+    """Centrelines of a lane that touches the outline, outwards, (n, 2) each.
+
+    Lanes that continue it are joined to it.
+
+    Parameters
+    ----------
+    lane : Lane
+        The lane.
+    lanes : sequence of Lane
+        All lanes of roads.
+    outline : Any
+        Outline of the junction, a shapely ring.
+
+    Returns
+    -------
+    lines_m : list of (n, 2) float
+        From the outline outwards. [m]
+    """
     lines = []
     for line in (lane.centreline_m, lane.centreline_m[::-1]):
         start_m, end_m = shapely.distance(shapely.points(line[[0, -1]]), outline)
-        is_stub = (
-            length_m(line) < 2.0 * _AT_OUTLINE_M
-        )  # its far end is at the outline, too
+        # Its far end is at the outline, too.
+        is_stub = length_m(line) < 2.0 * _AT_OUTLINE_M
         if start_m > _AT_OUTLINE_M or (is_stub and end_m < start_m):
             continue
+        # Add lanes that begin where the line ends, until it is long enough.
         joined = [line]
         used = {lane.id}
         while length_m(np.concatenate(joined)) < _REACH_M + 10.0:
@@ -119,7 +172,9 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
             if not after:
                 break
             used.add(after)
-            joined.append(points[1:] if len(points) > 2 else points)
+            if len(points) > 2:
+                points = points[1:]
+            joined.append(points)
         whole = apart(np.concatenate(joined), 1e-6)
         if len(whole) >= 2:
             lines.append(whole)
@@ -127,7 +182,7 @@ def _outward(lane: Lane, lanes: Sequence[Lane], outline: Any) -> list[FloatArray
 
 
 def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
-    """A lane's surface with a strip on either side, extended by a metre at both ends."""
+    """Surface of a lane with a strip on either side, a metre longer."""
     ends = line[[0, -1]]
     ways = ends - line[[1, -2]]
     ends = ends + _LONGER_M * ways / np.hypot(*ways.T)[:, None]
@@ -136,9 +191,28 @@ def _strip(lane: Lane, line: FloatArray, *, beside_m: float) -> Polygon:
 
 
 def _offset(
-    line: FloatArray, offset_m: float
+    line: FloatArray,
+    offset_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Distance along a line, position and outward direction of points next to it, every 0.25 m."""
+    """Points beside a line, every 0.25 m.
+
+    Parameters
+    ----------
+    line : (n, 2) float
+        The line. [m]
+    offset_m : float
+        To the left of the line. [m]
+
+    Returns
+    -------
+    along_m : (k,) float
+        Distances along the line. [m]
+    points_m : (k, 2) float
+        Positions. [m]
+    outwards : (k, 2) float
+        Unit vectors away from the line.
+    """
+    # Every 0.25 m, the segment of the line and its left side.
     pieces = steps_m(line)
     at = along_m(line)
     along: FloatArray = np.arange(0.0, min(at[-1], 500.0), _STEP_M)
@@ -149,12 +223,15 @@ def _offset(
 
 
 def _is_median(
-    points: FloatArray, outwards: FloatArray, arms: Sequence[tuple[Lane, FloatArray]]
+    points: FloatArray,
+    outwards: FloatArray,
+    arms: Sequence[tuple[Lane, FloatArray]],
 ) -> BoolArray:
-    """Points beyond which another lane runs parallel, a few metres further outwards."""
+    """True for points beyond which another lane runs parallel, (n,)."""
     is_median: BoolArray = np.zeros(len(points), dtype=np.bool_)
     if not len(points):
         return is_median
+    # Look outwards from each point: a parallel lane means a median.
     rays = shapely.linestrings(
         np.stack([points, points + _MEDIAN_M * outwards], axis=1)
     )
@@ -169,14 +246,32 @@ def _is_median(
 
 
 def tidy_sites(
-    sites: Sequence[SiteWish], *, things: Sequence[Thing] = (), snap_m: float = 1.0
+    sites: Sequence[SiteWish],
+    *,
+    things: Sequence[Thing] = (),
+    snap_m: float = 1.0,
 ) -> tuple[tuple[SiteWish, ...], tuple[Note, ...]]:
-    """Drop sites inside a building, and all but one of those within `snap_m` of each other.
+    """Sites outside buildings and apart from each other, and notes.
 
-    Of close ones the site with more details is kept, then the earlier one. `things` are
-    in the same coordinates. Returns the sites kept, in order, and the others with the
-    reason.
+    Of close ones the site with more details is kept, then the earlier one.
+
+    Parameters
+    ----------
+    sites : sequence of SiteWish
+        Sites, in any order.
+    things : sequence of Thing
+        Things in the same coordinates.
+    snap_m : float
+        Sites within this distance are one; 0: none are. [m]
+
+    Returns
+    -------
+    kept : tuple of SiteWish
+        In the given order.
+    notes : tuple of Note
+        The others, with the reason.
     """
+    # Sites in a building go first, then the close ones.
     positions = np.array([site.position_m for site in sites]).reshape(-1, 2)
     buildings = [thing for thing in things if thing.class_name == "building"]
     around = _things_over(positions, buildings)
@@ -199,7 +294,7 @@ def tidy_sites(
 
 
 def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Thing]:
-    """The first thing in whose footprint a point lies, by the index of the point."""
+    """First thing in whose footprint a point lies, by index of the point."""
     found: dict[int, Thing] = {}
     for thing in things:
         if len(thing.triangles):
@@ -210,10 +305,19 @@ def _things_over(positions: FloatArray, things: Sequence[Thing]) -> dict[int, Th
 
 # ---------- the sites of a scene
 def check_sites(where: str, *, crs: str) -> None:
-    """Check where sites come from without a junction, see :func:`choose_sites`.
+    """Check where sites come from, before a junction is chosen.
 
-    Raises InputError if `where` cannot be read; `crs` is that of the map with the
-    roads.
+    Parameters
+    ----------
+    where : str
+        See :func:`choose_sites`.
+    crs : str
+        Reference system of the map with the roads.
+
+    Raises
+    ------
+    InputError
+        `where` cannot be read.
     """
     if _is_list(where):
         read_sites(Path(where), crs=crs)
@@ -222,26 +326,53 @@ def check_sites(where: str, *, crs: str) -> None:
 
 
 def _is_list(where: str) -> bool:
-    """True if sites are listed in a file. Raises InputError if it is no word either."""
+    """True if sites are listed in a file; InputError: it is no word either."""
     if where in (AUTO, MAP) or where.startswith(KERB):
         return False
     if Path(where).suffix.lower() in SUFFIXES:
         return True
     raise InputError(
-        "sites", where, "auto, map, kerb:SPACING, or a .csv or .geojson file"
+        "sites",
+        where,
+        "auto, map, kerb:SPACING, or a .csv or .geojson file",
     )
 
 
 def choose_sites(
-    where: str, surroundings: Surroundings, roads: SourceMap, *, radius_m: float
+    where: str,
+    surroundings: Surroundings,
+    roads: SourceMap,
+    *,
+    radius_m: float,
 ) -> tuple[tuple[Site, ...], tuple[Note, ...]]:
     """Sites of a scene, at least one, and notes on what was left out.
 
-    `where` is "map", "kerb:SPACING", a CSV or GeoJSON file (x and y in the coordinates
-    of `roads`), or "auto": the poles of the map but for low sign posts and what belongs
-    to another junction, and masts along the kerbs where none of them is near the
-    middle, see ``data/sites.toml``. Raises InputError if `where` cannot be read, or no
-    site is left within `radius_m`.
+    Parameters
+    ----------
+    where : str
+        "map": the poles of the map; "kerb:SPACING"; a CSV or GeoJSON file (x
+        and y in the coordinates of `roads`); or "auto": the poles of the map
+        but for low sign posts and what belongs to another junction, and masts
+        along the kerbs where none of them is near the middle, see
+        ``data/sites.toml``.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    roads : SourceMap
+        Map with the roads.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+
+    Returns
+    -------
+    sites : tuple of Site
+        Their ids are unique, and a comma-separated list can name them.
+    notes : tuple of Note
+        What was moved, added or left out.
+
+    Raises
+    ------
+    InputError
+        `where` cannot be read, or no site is left within `radius_m`.
     """
     notes: list[Note] = []
     if _is_list(where):
@@ -254,9 +385,11 @@ def choose_sites(
     else:
         wishes = _kerbs(surroundings, _spacing_m(where), radius_m)
     is_asked_for = not where.startswith(KERB) and where != AUTO
-    taken: Counter[str] = Counter()  # ids that a comma-separated list can name
+    # Ids that a comma-separated list can name.
+    taken: Counter[str] = Counter()
     ids = [unique_id(plain_id(wish.id) or "site", taken) for wish in wishes]
     wishes = [replace(wish, id=name) for wish, name in zip(wishes, ids, strict=True)]
+    # Move them off the road, out of walls, and below roofs.
     placed = _settled(wishes, surroundings, notes if is_asked_for else [])
     kept, dropped = tidy_sites(placed, things=standing_things(surroundings))
     left_out = [*dropped]
@@ -268,9 +401,28 @@ def choose_sites(
 
 
 def _settled(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
-    """Sites next to the road unless they hang, out of walls; those in buildings stay for later."""
+    """Sites next to the road and out of walls; hanging ones stay.
+
+    Sites in buildings stay for :func:`tidy_sites`.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Sites as they were asked for.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        Those that are too far from a place are noted.
+    """
     kept = []
     places = find_places([wish.position_m for wish in wishes], surroundings)
     for wish, place in zip(wishes, places, strict=True):
@@ -286,9 +438,29 @@ def _settled(
 
 
 def _own_poles(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
-    """Poles that are sites by default: no low sign posts, and none of another junction."""
+    """Poles that are sites by default.
+
+    Low sign posts, and poles that belong to another junction, are noted.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Poles of the map.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        In the same order.
+    """
+    # Distance of each pole from this junction, and from the others.
     feet = shapely.points(np.array([wish.position_m for wish in wishes]).reshape(-1, 2))
     own_m = shapely.distance(feet, area_of(surroundings.outline_m))
     other_m = np.full(len(wishes), np.inf)
@@ -304,7 +476,12 @@ def _own_poles(
         is_low = (
             wish.kind == "sign" and (heights_m[wish.id] or sign_m) < _AUTO["min_sign_m"]
         )
-        (far if is_far else low if is_low else kept).append(wish)
+        if is_far:
+            far.append(wish)
+        elif is_low:
+            low.append(wish)
+        else:
+            kept.append(wish)
     for group, noun, why in (
         (
             far,
@@ -314,9 +491,9 @@ def _own_poles(
         (low, "sign posts", f"lower than {_AUTO['min_sign_m']:g} m"),
     ):
         if group:
-            what = f"{len(group)} {noun}, such as {group[0].id}"
-            if not (len(group) > 1):
-                what = f"{group[0].kind} {group[0].id}"
+            what = f"{group[0].kind} {group[0].id}"
+            if len(group) > 1:
+                what = f"{len(group)} {noun}, such as {group[0].id}"
             notes.append(Note(what, f"{why}: no site unless asked for"))
     return kept
 
@@ -327,9 +504,27 @@ def _masts(
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
-    """Masts along the kerbs where no pole is near the junction's middle, which is noted."""
+    """Masts along the kerbs where no pole is near the junction's middle.
+
+    Parameters
+    ----------
+    poles : sequence of SiteWish
+        Poles of the map.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    radius_m : float
+        Radius around the middle of the junction. [m]
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    masts : list of SiteWish
+        Empty if a pole is near.
+    """
     nearest_m = min(
-        (float(np.hypot(*pole.position_m)) for pole in poles), default=np.inf
+        (float(np.hypot(*pole.position_m)) for pole in poles),
+        default=np.inf,
     )
     if nearest_m <= _AUTO["near_m"]:
         return []
@@ -342,13 +537,32 @@ def _masts(
 
 
 def _below_roofs(
-    wishes: Sequence[SiteWish], surroundings: Surroundings, notes: list[Note]
+    wishes: Sequence[SiteWish],
+    surroundings: Surroundings,
+    notes: list[Note],
 ) -> list[SiteWish]:
-    """Sites that carry sensors no higher than what is above them lets them."""
+    """Sites that carry sensors no higher than roofs above let them.
+
+    Parameters
+    ----------
+    wishes : sequence of SiteWish
+        Sites.
+    surroundings : Surroundings
+        Surroundings of the junction.
+    notes : list of Note
+        Notes on what was changed or left out; entries are added.
+
+    Returns
+    -------
+    kept : list of SiteWish
+        Sites where nothing fits below the roof are noted.
+    """
     kept = []
     positions = np.array([wish.position_m for wish in wishes]).reshape(-1, 2)
     for wish, clear_m in zip(
-        wishes, clear_heights_m(positions, surroundings), strict=True
+        wishes,
+        clear_heights_m(positions, surroundings),
+        strict=True,
     ):
         most_m = round(float(clear_m) - _BELOW_ROOF_M, 3)
         (low_m, high_m) = _mounts_m(wish)
@@ -365,6 +579,7 @@ def _below_roofs(
 
 
 def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
+    """Poles of the map as sites; those that are too low are noted."""
     wishes = []
     for pole in surroundings.poles:
         if pole.height_m is not None and pole.height_m < MIN_POLE_M:
@@ -378,17 +593,21 @@ def _poles(surroundings: Surroundings, notes: list[Note]) -> list[SiteWish]:
 
 
 def _kerbs(
-    surroundings: Surroundings, spacing_m: float, radius_m: float
+    surroundings: Surroundings,
+    spacing_m: float,
+    radius_m: float,
 ) -> list[SiteWish]:
-    """Sites along the kerbs, named by where they lie: kerb-ne-1 is the nearest one there."""
+    """Sites along the kerbs, named by where they lie.
+
+    "kerb-ne-1" is the nearest one in the north-east.
+    """
     count: Counter[str] = Counter()
     named = []
     wishes = kerb_sites(surroundings.lanes, surroundings.outline_m, spacing_m)
     for wish in sorted(wishes, key=lambda wish: float(np.hypot(*wish.position_m))):
         if np.hypot(*wish.position_m) <= radius_m:
-            octant = "".join(
-                word[0] for word in compass_point(wish.position_m).split("-")
-            )
+            words = compass_point(wish.position_m).split("-")
+            octant = "".join(word[0] for word in words)
             count[octant] += 1
             named.append(replace(wish, id=f"kerb-{octant}-{count[octant]}"))
     return named
@@ -401,24 +620,26 @@ def _listed(
     radius_m: float,
     notes: list[Note],
 ) -> list[SiteWish]:
+    """Sites of a planner's list within the radius; the others are noted."""
     listed = read_sites(path, crs=roads.crs)
     frame = surroundings.frame
     every = [
         replace(wish, position_m=frame.take(wish.position_m, roads)) for wish in listed
     ]
     wishes = [wish for wish in every if np.hypot(*wish.position_m) <= radius_m]
-    if n_far := len(every) - len(wishes):
+    n_far = len(every) - len(wishes)
+    if n_far:
         why = f"farther than {radius_m:g} m from the junction"
         notes.append(Note(f"{n_far} sites in {path.name}", why))
-    if dark := sum(
-        wish.has_power is False or wish.has_fibre is False for wish in wishes
-    ):
+    n_dark = sum(wish.has_power is False or wish.has_fibre is False for wish in wishes)
+    if n_dark:
         why = "only what cost_eur states is counted"
-        notes.append(Note(f"power or fibre that {dark} sites lack", why))
+        notes.append(Note(f"power or fibre that {n_dark} sites lack", why))
     return wishes
 
 
 def _spacing_m(where: str) -> float:
+    """Spacing in a text such as "kerb:15", in metres."""
     low, high = _SPACINGS_M
     spacing_m = float_of(where.removeprefix(KERB))
     if not low <= spacing_m <= high:
@@ -427,11 +648,15 @@ def _spacing_m(where: str) -> float:
 
 
 def _kind_of(wish: SiteWish) -> PoleKind:
+    """Kind of pole of a site; "pole" if its kind is unknown."""
     return load_pole_kinds().get(wish.kind, load_pole_kinds()["pole"])
 
 
 def _mounts_m(wish: SiteWish) -> tuple[float, float]:
-    """Lowest and highest mount above the road in metres: as listed, or usual for its kind."""
+    """Lowest and highest mount above the road in metres.
+
+    They are listed, or usual for the site's kind.
+    """
     low_m, high_m = _kind_of(wish).height_range_m
     if wish.min_height_m is not None:
         low_m = wish.min_height_m
@@ -443,11 +668,17 @@ def _mounts_m(wish: SiteWish) -> tuple[float, float]:
 
 
 def _site(wish: SiteWish) -> Site:
+    """Site of a scene; InputError: its lowest mount is not above the road."""
     low_m, high_m = _mounts_m(wish)
     if low_m <= 0.0:
         raise InputError(
-            f"site {wish.id}: mount height", low_m, "metres above the road, > 0"
+            f"site {wish.id}: mount height",
+            low_m,
+            "metres above the road, > 0",
         )
+    use = "free"
+    if wish.is_forbidden:
+        use = "forbidden"
     return Site(
         id=wish.id,
         position_m=np.append(wish.position_m, 0.0),
@@ -455,16 +686,24 @@ def _site(wish: SiteWish) -> Site:
         height_range_m=np.array([low_m, high_m]),
         capacity_units=wish.capacity_units or _kind_of(wish).capacity_units,
         cost_eur=wish.cost_eur or 0.0,
-        use="forbidden" if wish.is_forbidden else "free",
+        use=use,
     )
 
 
 # ---------- where poles and sites can stand
 class Place(NamedTuple):
-    """Where something can stand: its place (2,) or None, and why it is not where it was."""
+    """Where something can stand, and why it is not where it was.
+
+    Attributes
+    ----------
+    position_m : (2,) float or None
+        None: nowhere near. [m]
+    why : str
+        Empty: it stays.
+    """
 
     position_m: FloatArray | None
-    why: str = ""  # empty: it stays
+    why: str = ""
 
 
 def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Place]:
@@ -493,6 +732,7 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
     ]
     solid = [thing for thing in standing if thing.class_name in ("building", "wall")]
     walls = _things_over(positions, solid)
+    # Boxes find the walls that are near a point.
     boxes = shapely.STRtree(
         [shapely.box(*low, *high) for low, high in map(_box, solid)]
     )
@@ -503,10 +743,10 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
         if not is_on_road[index] and wall is None:
             places.append(Place(position))
             continue
-        if wall is None:
-            most_m = _MAX_MOVE_M
-        else:
+        most_m = _MAX_MOVE_M
+        if wall is not None:
             most_m = _MAX_MOVE_FROM_WALL_M
+        # The edge of everything near that it may not stand on: road and walls.
         point = shapely.Point(position)
         close = np.sort(
             boxes.query(point, predicate="dwithin", distance=most_m + 1.0)
@@ -544,18 +784,17 @@ def find_places(positions_m: ArrayLike, surroundings: Surroundings) -> list[Plac
 
 
 def _without_gaps(area: Any) -> Any:
-    """An area without small holes: gaps between lanes that are drawn a little apart."""
+    """Area without small holes: gaps between lanes drawn a little apart."""
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    islands = [
-        [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
-        for part in parts
-    ]
-    pairs = zip(parts, islands, strict=True)
-    return shapely.union_all([Polygon(part.exterior, holes) for part, holes in pairs])
+    filled = []
+    for part in parts:
+        islands = [one for one in part.interiors if Polygon(one).area > _ISLAND_M2]
+        filled.append(Polygon(part.exterior, islands))
+    return shapely.union_all(filled)
 
 
 def standing_things(surroundings: Surroundings) -> list[Thing]:
-    """Things that stand on the ground; roofs, bridges and the like are passed below."""
+    """Things that stand on the ground; one can pass below the others."""
     return [
         thing
         for thing in surroundings.things
@@ -564,7 +803,20 @@ def standing_things(surroundings: Surroundings) -> list[Thing]:
 
 
 def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> FloatArray:
-    """Height above the ground at which buildings begin over points (n, 2); infinite: none, (n,)."""
+    """Height above the ground at which buildings begin over points, (n,).
+
+    Parameters
+    ----------
+    positions_m : (n, 2) float
+        Points. [m]
+    surroundings : Surroundings
+        Surroundings of the junction.
+
+    Returns
+    -------
+    clear_m : (n,) float
+        Infinite: none is above. [m]
+    """
     clear: FloatArray = np.full(len(positions_m), np.inf)
     for thing in surroundings.things:
         above_m = _headroom_m(thing, surroundings)
@@ -579,21 +831,24 @@ def clear_heights_m(positions_m: FloatArray, surroundings: Surroundings) -> Floa
 
 
 def _headroom_m(thing: Thing, surroundings: Surroundings) -> float:
+    """Height below a thing that is free, in metres; 0: it has no vertices."""
     if len(thing.vertices_m):
         return headroom_m(thing.vertices_m, surroundings.terrain)
     return 0.0
 
 
 def footprint(thing: Thing) -> Any:
-    """Ground that a thing covers, seen from above: a shapely geometry in metres."""
+    """Ground that a thing covers, seen from above: shapely, in metres."""
     return flat_union(thing.vertices_m[thing.triangles])
 
 
 def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
-    """Which points lie within the footprint of a thing: below or above it."""
+    """True for points that lie within the footprint of a thing, (n,)."""
+    # The box is quick; the exact footprint only counts inside it.
     low, high = _box(thing)
     result = np.asarray(
-        ((positions_m > low) & (positions_m < high)).all(axis=1), dtype=bool
+        ((positions_m > low) & (positions_m < high)).all(axis=1),
+        dtype=bool,
     )
     if result.any():
         result[result] = shapely.intersects_xy(footprint(thing), *positions_m[result].T)
@@ -601,6 +856,7 @@ def is_under(positions_m: FloatArray, thing: Thing) -> BoolArray:
 
 
 def _box(thing: Thing) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest x and y of a thing's vertices, (2,) each."""
     return thing.vertices_m[:, :2].min(axis=0), thing.vertices_m[:, :2].max(axis=0)
 
 
@@ -625,19 +881,21 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
         return surroundings, ()
     feet = np.array([pole.position_m[:2] for pole in surroundings.poles])
     placed = [*zip(surroundings.poles, find_places(feet, surroundings), strict=True)]
+    # Poles that stand beside the road already.
     masts = [pole for pole, place in placed if pole.kind == "pole" and not place.why]
     kept: list[Pole] = []
     notes: list[Note] = []
     for pole, place in placed:
         what = f"{pole.kind} {pole.id}"
-        offsets_m = {mast.id: (mast.position_m - pole.position_m)[:2] for mast in masts}
-        away_m = {
-            name: float(np.hypot(*offset_m)) for name, offset_m in offsets_m.items()
-        }
-        mast = min(away_m, key=away_m.__getitem__, default="")
+        # A signal over the road is left to the nearest pole, if one is near enough.
+        away_m: dict[str, float] = {}
+        for mast in masts:
+            offset_m = (mast.position_m - pole.position_m)[:2]
+            away_m[mast.id] = float(np.hypot(*offset_m))
+        nearest = min(away_m, key=away_m.__getitem__, default="")
         hangs = bool(place.why) and pole.kind in ("traffic light", "sign")
-        if hangs and mast and away_m[mast] <= _MAST_ARM_M:
-            notes.append(Note(what, f"it hangs over the road: its pole is {mast}"))
+        if hangs and nearest and away_m[nearest] <= _MAST_ARM_M:
+            notes.append(Note(what, f"it hangs over the road: its pole is {nearest}"))
             continue
         if place.position_m is None:
             notes.append(Note(what, f"no site: {place.why}"))
@@ -646,7 +904,8 @@ def settle_poles(surroundings: Surroundings) -> tuple[Surroundings, tuple[Note, 
             what = Phrase("{kind} {name}", kind=Phrase(pole.kind), name=pole.id)
             notes.append(Note(what, place.why, kind="sites", site_ids=(pole.id,)))
             pole = replace(
-                pole, position_m=np.append(place.position_m, pole.position_m[2])
+                pole,
+                position_m=np.append(place.position_m, pole.position_m[2]),
             )
         kept.append(pole)
     return replace(surroundings, poles=tuple(kept)), tuple(notes)

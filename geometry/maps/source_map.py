@@ -1,4 +1,8 @@
-"""Content of a map file in any format: lanes, junctions, things, poles; their meshes and kinds."""
+"""Content of a map file in any format: lanes, junctions, things, poles.
+
+Also here are the meshes of things, their kinds, and numbers as people write
+them.
+"""
 
 import re
 from collections import Counter
@@ -20,22 +24,32 @@ from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
 
-Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
-_SAME_M = 1e-3  # corners closer than this are one
-_MIN_AREA_M2 = 1e-6  # of a polygon in space
+# Outer ring, then holes; (n, 3) each.
+Polygon3D = Sequence[FloatArray]
+# Corners closer than this are one.
+_SAME_M = 1e-3
+# Of a polygon in space.
+_MIN_AREA_M2 = 1e-6
 _MIN_FOOTPRINT_M2 = 0.01
 NOTHING = (np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
 LANE_KINDS = ("driving", "parking", "cycling", "walking")
 POLE_KINDS = ("lamp post", "traffic light", "sign", "pole")
 Heights = Literal["above ground", "absolute"]
-MAX_TRIANGLES = 5_000_000  # of the things of a file
-_MAX_ID = 120  # characters
-_MAX_SKIPPED = 100  # entries
-_MAX_NAME = 200  # characters of a name that are looked at
-_MAX_WORDS = 3  # that are read as one
+# Of the things of a file.
+MAX_TRIANGLES = 5_000_000
+# Characters.
+_MAX_ID = 120
+# Entries.
+_MAX_SKIPPED = 100
+# Characters of a name that are looked at.
+_MAX_NAME = 200
+# That are read as one.
+_MAX_WORDS = 3
 _WORD = re.compile(r"[A-ZÄÖÜ]?[a-zäöüß]+|[A-ZÄÖÜ]+(?![a-zäöüß])")
-_MAX_NESTED = 50  # collections within collections
-_SECTIONS = 10  # of a pole's cylinder
+# Collections within collections.
+_MAX_NESTED = 50
+# Of a pole's cylinder.
+_SECTIONS = 10
 _NUMBER = r"([0-9]{1,7}(?:[.,][0-9]{1,9})?)"
 _LENGTH = re.compile(rf"{_NUMBER}\s*([a-z]*|'|\")\.?")
 _FEET_AND_INCHES = re.compile(
@@ -50,28 +64,40 @@ MIN_POLE_M = 2.5
 
 
 def triangulate(rings_m: Polygon3D) -> Mesh:
-    """Triangles of a flat polygon in space: an outer ring and holes, (n, 3) each, open or closed.
+    """Triangles of a flat polygon in space.
 
-    The polygon is projected onto the plane across Newell's normal, cut by ear clipping
-    there, and keeps its own corners, so that a polygon that is not quite flat still
-    meets its neighbours. The outer ring runs counter-clockwise seen from the polygon's
-    front; holes run in either direction. Returns vertices and triangles that face as
-    the polygon does, none if it has no area.
+    The polygon is projected onto the plane across Newell's normal, cut by ear
+    clipping there, and keeps its own corners, so that a polygon that is not
+    quite flat still meets its neighbours.
+
+    Parameters
+    ----------
+    rings_m : sequence of (n, 3) float
+        Outer ring, then holes, open or closed. The outer ring runs
+        counter-clockwise seen from the polygon's front; holes run in either
+        direction. [m]
+
+    Returns
+    -------
+    vertices_m : (k, 3) float
+        Corners without repetitions; none if the polygon has no area. [m]
+    triangles : (m, 3) int32
+        They face as the polygon does.
 
     References
     ----------
-    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization of ten
-       hidden-surface algorithms", 1974: Newell's normal, the sum of the cross products
-       of neighbouring corners.
+    .. [1] I. E. Sutherland, R. F. Sproull, R. A. Schumacker, "A characterization
+       of ten hidden-surface algorithms", 1974: Newell's normal, the sum of the
+       cross products of neighbouring corners.
     """
-    rings = [
-        ring for ring in (_without_repeats(ring) for ring in rings_m) if len(ring) >= 3
-    ]
-    if not rings or len(_without_repeats(rings_m[0])) < 3:
+    open_rings = [_without_repeats(ring) for ring in rings_m]
+    rings = [ring for ring in open_rings if len(ring) >= 3]
+    if not rings or len(open_rings[0]) < 3:
         return NOTHING
     vertices: FloatArray = np.concatenate(rings)
     middle = vertices.mean(axis=0)
     outer = rings[0] - middle
+    # Newell's normal of the outer ring.
     products = outer.T @ outer[[*range(1, len(outer)), 0]]
     normal = np.array(
         [products[at] - products[at[::-1]] for at in ((1, 2), (2, 0), (0, 1))]
@@ -82,9 +108,8 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
     normal /= length
     if len(vertices) == 3:
         return vertices, np.array([[0, 1, 2]], dtype=np.int32)
-    across = np.zeros(
-        3
-    )  # to the normal: the axis least like it, less what lies along the normal
+    # To the normal: the axis least like it, less what lies along the normal.
+    across = np.zeros(3)
     across[np.argmin(np.abs(normal))] = 1.0
     across -= (across @ normal) * normal
     across /= np.sqrt(across @ across)
@@ -96,7 +121,20 @@ def triangulate(rings_m: Polygon3D) -> Mesh:
 
 
 def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
-    """Counter-clockwise triangles (m, 3) of rings (n, 2), outer first, each up to one of `ends`."""
+    """Triangles of rings in a plane, counter-clockwise, (m, 3).
+
+    Parameters
+    ----------
+    flat_m : (n, 2) float
+        Corners of the outer ring, then of the holes. [m]
+    ends : (k,) int
+        Index after the last corner of each ring.
+
+    Returns
+    -------
+    triangles : (m, 3) int32
+        Indices of corners.
+    """
     corners = np.asarray(ends, dtype=np.uint32)
     found = mapbox_earcut.triangulate_float64(flat_m, corners)
     triangles: NDArray[np.int32] = np.asarray(found, dtype=np.int32).reshape(-1, 3)
@@ -109,11 +147,22 @@ def clip_ears(flat_m: FloatArray, ends: ArrayLike) -> NDArray[np.int32]:
 
 
 def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
-    """One mesh of many polygons with shared corners; a closed mesh faces outwards.
+    """One mesh of many polygons with shared corners.
 
-    Vertices closer than about a millimetre along every axis are merged. The mesh is
-    empty if no polygon has an area.
+    Vertices closer than about a millimetre along every axis are merged. A
+    closed mesh faces outwards.
+
+    Parameters
+    ----------
+    polygons : sequence of Polygon3D
+        Outer ring and holes of each.
+
+    Returns
+    -------
+    mesh : Mesh
+        Empty if no polygon has an area.
     """
+    # Triangles of every polygon that has an area.
     pieces = [triangulate(rings) for rings in polygons]
     pieces = [piece for piece in pieces if len(piece[1])]
     if not pieces:
@@ -121,7 +170,10 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
     corners, triangles = join(pieces)
     rounded = np.round(corners / _SAME_M).astype(np.int64)
     _, taken, merged = np.unique(
-        rounded, axis=0, return_index=True, return_inverse=True
+        rounded,
+        axis=0,
+        return_index=True,
+        return_inverse=True,
     )
     vertices = corners[taken]
     triangles = merged.reshape(-1)[triangles].astype(np.int32)
@@ -133,14 +185,14 @@ def surface_mesh(polygons: Sequence[Polygon3D]) -> Mesh:
 
 
 def is_closed(triangles: NDArray[np.int32]) -> bool:
-    """Every edge is used as often in one direction as in the other."""
+    """True if every edge is used as often in one direction as in the other."""
     edges = np.concatenate(
         [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]
     )
+    n_vertices = 0
     if len(triangles):
         n_vertices = int(triangles.max()) + 1
-    else:
-        n_vertices = 0
+    # One number for each directed edge, sorted in both directions.
     forth = np.sort(edges[:, 0].astype(np.int64) * n_vertices + edges[:, 1])
     back = np.sort(edges[:, 1].astype(np.int64) * n_vertices + edges[:, 0])
     return bool(len(triangles)) and bool((forth == back).all())
@@ -159,9 +211,9 @@ def _without_repeats(ring: FloatArray) -> FloatArray:
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 3)
     if not len(points):
         return points
-    return np.asarray(
-        points[(points != points[[-1, *range(len(points) - 1)]]).any(axis=1)]
-    )
+    before = points[[-1, *range(len(points) - 1)]]
+    is_new = (points != before).any(axis=1)
+    return np.asarray(points[is_new])
 
 
 def extrude(
@@ -172,12 +224,34 @@ def extrude(
     holes_m: Sequence[ArrayLike] = (),
     where: str = "footprint",
 ) -> Mesh:
-    """A closed solid over a footprint: an outline (n, 2) and holes.
+    """Closed solid over a footprint: an outline and holes.
 
-    Rings are open or closed, in either direction. Returns vertices (k, 3) and triangles
-    that run counter-clockwise seen from outside. Outlines that cross themselves are
-    mended first. Raises InputError, with `where` in its message, if no area is left or
-    the roof is not above the floor.
+    Outlines that cross themselves are mended first.
+
+    Parameters
+    ----------
+    outer_m : (n, 2) float
+        Outline, open or closed, in either direction. [m]
+    bottom_m : float
+        Height of the floor. [m]
+    top_m : float
+        Height of the roof. [m]
+    holes_m : sequence of (k, 2) float
+        Outlines of holes. [m]
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices_m : (k, 3) float
+        Corners of floor and roof. [m]
+    triangles : (m, 3) int32
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        No area is left, or the roof is not above the floor.
     """
     outer = float_array(outer_m, (-1, 2), where)
     if len(np.unique(outer, axis=0)) < 3:
@@ -187,12 +261,38 @@ def extrude(
 
 
 def extrude_polygon(
-    polygon: Polygon, *, bottom_m: float, top_m: float, where: str = "footprint"
+    polygon: Polygon,
+    *,
+    bottom_m: float,
+    top_m: float,
+    where: str = "footprint",
 ) -> Mesh:
-    """Closed solid over a polygon with its holes; one that crosses itself is mended first.
+    """Closed solid over a polygon with its holes.
 
-    Raises InputError, with `where` in its message, if no area is left or the roof is
-    not above the floor.
+    A polygon that crosses itself is mended first.
+
+    Parameters
+    ----------
+    polygon : Polygon
+        Footprint. [m]
+    bottom_m : float
+        Height of the floor. [m]
+    top_m : float
+        Height of the roof. [m]
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    vertices_m : (k, 3) float
+        Corners of floor and roof. [m]
+    triangles : (m, 3) int32
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    InputError
+        No area is left, or the roof is not above the floor.
     """
     import trimesh
 
@@ -216,7 +316,20 @@ def parts_of(shape: BaseGeometry, depth: int = 0) -> list[BaseGeometry]:
 
 
 def polygons_of(shape: BaseGeometry, *, above_m2: float = 0.0) -> list[Polygon]:
-    """Polygons of a geometry, or of a collection of such, that have more than an area."""
+    """Polygons of a geometry that have more than an area.
+
+    Parameters
+    ----------
+    shape : BaseGeometry
+        A geometry, or a collection of such.
+    above_m2 : float
+        Area that a polygon must exceed. [m^2]
+
+    Returns
+    -------
+    polygons : list of Polygon
+        In the order of the geometry.
+    """
     return [
         p for p in parts_of(shape) if p.geom_type == "Polygon" and p.area > above_m2
     ]
@@ -229,7 +342,8 @@ def unit_ball() -> Mesh:
 
     ball = trimesh.creation.icosphere(subdivisions=1)
     return np.asarray(ball.vertices, dtype=np.float64), np.asarray(
-        ball.faces, dtype=np.int32
+        ball.faces,
+        dtype=np.int32,
     )
 
 
@@ -241,7 +355,8 @@ def unit_cylinder(n_sides: int) -> Mesh:
     segment = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     prism = trimesh.creation.cylinder(radius=1.0, segment=segment, sections=n_sides)
     return np.asarray(prism.vertices, dtype=np.float64), np.asarray(
-        prism.faces, dtype=np.int32
+        prism.faces,
+        dtype=np.int32,
     )
 
 
@@ -254,27 +369,40 @@ def _clean_names(value: object, *fields: str) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MapLane:
-    """One lane between two junctions, or from one to where it ends."""
+    """Lane between two junctions, or from one to where it ends.
 
-    id: str  # from the source; unique in the map
-    kind: str  # one of ``LANE_KINDS``
-    width_m: (
-        float  # mean full width; of a lane that leads to a junction along the last 30 m
-    )
-    centreline_m: (
-        FloatArray  # (n, 3); in driving direction, or that of the next driving lane
-    )
-    from_junction: str = (
-        ""  # ids of the junctions at whose outlines it stops; empty: none
-    )
+    Attributes
+    ----------
+    id : str
+        From the source; unique in the map.
+    kind : str
+        One of ``LANE_KINDS``.
+    width_m : float
+        Mean full width; of a lane that leads to a junction along the last 30 m.
+        [m]
+    centreline_m : (n, 3) float
+        In driving direction, or that of the next driving lane. [m]
+    from_junction : str
+        Id of the junction at whose outline it begins; empty: none.
+    to_junction : str
+        Id of the junction at its end; empty: none.
+    speed_limit_kmh : float or None
+        Where it leads into a junction, or else out of one. [km/h]
+    turns : tuple of Turn
+        By its markings, see :class:`geometry.scene.Lane`.
+    road_class : str
+        There, as OpenStreetMap calls it ("primary"); empty: not known.
+    """
+
+    id: str
+    kind: str
+    width_m: float
+    centreline_m: FloatArray
+    from_junction: str = ""
     to_junction: str = ""
-    speed_limit_kmh: float | None = (
-        None  # where it leads into a junction, or else out of one
-    )
-    turns: tuple[Turn, ...] = ()  # by its markings, see :class:`geometry.scene.Lane`
-    road_class: str = (
-        ""  # there, as OpenStreetMap calls it ("primary"); empty: not known
-    )
+    speed_limit_kmh: float | None = None
+    turns: tuple[Turn, ...] = ()
+    road_class: str = ""
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "from_junction", "to_junction")
@@ -285,7 +413,9 @@ class MapLane:
         set_arrays(self, f"{where}.", centreline_m=(-1, 3))
         if len(self.centreline_m) < 2:
             raise InputError(
-                f"{where}.centreline_m", len(self.centreline_m), "at least two points"
+                f"{where}.centreline_m",
+                len(self.centreline_m),
+                "at least two points",
             )
 
 
@@ -308,14 +438,11 @@ class MapJunction:
         with.
     """
 
-    id: str  # from the source; unique in the map
-    name: str  # for people, such as the streets that meet; may be empty
-    # (n, 2); of its road surface, where the lanes of its arms begin and end
+    id: str
+    name: str
     outline_m: FloatArray
-    height_m: float = 0.0  # height of the road in its middle, as the map counts heights
-    roads: tuple[
-        LeadingRoad, ...
-    ] = ()  # that lead to it, as the map's network has them
+    height_m: float = 0.0
+    roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
         _clean_names(self, "id", "name")
@@ -323,7 +450,9 @@ class MapJunction:
         set_arrays(self, where, outline_m=(-1, 2))
         if len(self.outline_m) < 3:
             raise InputError(
-                f"{where}outline_m", len(self.outline_m), "at least three points"
+                f"{where}outline_m",
+                len(self.outline_m),
+                "at least three points",
             )
 
     @property
@@ -352,13 +481,11 @@ class Thing:
         The source does not give its height.
     """
 
-    id: str  # from the source; unique in the map
-    class_name: str  # one of :data:`geometry.scene.CLASS_NAMES`
-    vertices_m: FloatArray  # (n, 3); heights as the map counts them
-    triangles: NDArray[
-        np.int32
-    ]  # (m, 3); vertex indices, counter-clockwise seen from outside
-    is_height_assumed: bool = False  # the source does not give its height
+    id: str
+    class_name: str
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+    is_height_assumed: bool = False
 
     def __post_init__(self) -> None:
         _clean_names(self, "id")
@@ -394,17 +521,27 @@ class Thing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pole:
-    """A pole that could carry sensors."""
+    """Pole that could carry sensors.
 
-    id: str  # from the source; unique in the map
-    kind: str  # one of ``POLE_KINDS``
-    position_m: FloatArray  # (3,); position of its foot
-    height_m: float | None = (
-        None  # height of its top above its foot, if the source gives it
-    )
-    assumed: str = (
-        ""  # why its position is not that of the source, in words; empty: it is
-    )
+    Attributes
+    ----------
+    id : str
+        From the source; unique in the map.
+    kind : str
+        One of ``POLE_KINDS``.
+    position_m : (3,) float
+        Position of its foot. [m]
+    height_m : float or None
+        Height of its top above its foot, if the source gives it. [m]
+    assumed : str
+        Why its position is not that of the source, in words; empty: it is.
+    """
+
+    id: str
+    kind: str
+    position_m: FloatArray
+    height_m: float | None = None
+    assumed: str = ""
 
     def __post_init__(self) -> None:
         _clean_names(self, "id")
@@ -414,15 +551,29 @@ class Pole:
 
 @dataclass(frozen=True, slots=True)
 class Omissions:
-    """Names of parts of a file that are left out, by kind and reason: a short list."""
+    """Names of parts of a file that are left out, by kind and reason.
+
+    Attributes
+    ----------
+    found : dict[tuple[str, str], list[str]]
+        Names, by kind and reason.
+    """
 
     found: dict[tuple[str, str], list[str]] = field(default_factory=dict)
 
     def add(self, kind: str, name: str, why: str) -> None:
         """Note that a thing was left out, or changed.
 
-        `kind` is in the plural, "signals of other kinds", `name` the thing at hand:
-        "road 5 signal 12". Repetitions in a row count once.
+        Repetitions in a row count once.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of the thing in the plural, "signals of other kinds".
+        name : str
+            Thing at hand, "road 5 signal 12".
+        why : str
+            Reason.
         """
         names = self.found.setdefault((kind, why), [])
         if name not in names[-1:]:
@@ -432,8 +583,10 @@ class Omissions:
         """One entry per kind and reason; of many, the first."""
         entries = []
         for (kind, why), names in self.found.items():
-            many = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
-            entries.append(Note(names[0] if len(names) == 1 else many, why))
+            what = names[0]
+            if len(names) > 1:
+                what = f"{len(names)} {kind}, such as {' and '.join(names[:2])}"
+            entries.append(Note(what, why))
         return shortened(entries)
 
 
@@ -455,8 +608,10 @@ def unique_id(wanted: str, taken: Counter[str]) -> str:
 
 def shortened(skipped: Sequence[Note]) -> tuple[Note, ...]:
     """The first of many entries, and one that counts the rest."""
+    if len(skipped) <= _MAX_SKIPPED:
+        return tuple(skipped)
     more = Note(f"{len(skipped) - _MAX_SKIPPED} more", "for reasons like these")
-    return (*skipped[:_MAX_SKIPPED], *([more] if len(skipped) > _MAX_SKIPPED else []))
+    return (*skipped[:_MAX_SKIPPED], more)
 
 
 def counted(counts: Counter[str], why: str) -> list[Note]:
@@ -496,24 +651,19 @@ class SourceMap:
         What was left out, and why.
     """
 
-    name: str  # name of the file
-    # projected one of all coordinates here, in metres, for pyproj; empty: unknown
+    name: str
     crs: str
-    source_crs: str = ""  # the one that the file itself uses, such as "EPSG:4326"
-    heights: Heights = "above ground"  # zero of the z axis
+    source_crs: str = ""
+    heights: Heights = "above ground"
     lanes: tuple[MapLane, ...] = ()
-    connections: tuple[
-        MapLane, ...
-    ] = ()  # lanes through junctions, if the map has them
+    connections: tuple[MapLane, ...] = ()
     junctions: tuple[MapJunction, ...] = ()
     things: tuple[Thing, ...] = ()
     poles: tuple[Pole, ...] = ()
-    # (n, 2, 2); lines on which pedestrians cross, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    # (n, 3); points of the ground, with absolute heights, whatever those of things are
     ground_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    keeps_left: bool = False  # traffic keeps left
-    skipped: tuple[Note, ...] = ()  # what was left out, and why
+    keeps_left: bool = False
+    skipped: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         set_arrays(self, f"{self.name}: ", ground_m=(-1, 3), crosswalks_m=(-1, 2, 2))
@@ -529,27 +679,49 @@ class SourceMap:
 # ---------- kinds of things and poles
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingKind:
-    """A kind of thing."""
+    """Kind of thing.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the kind.
+    class_name : str
+        One of geometry.scene.CLASS_NAMES.
+    words : tuple of str
+        In names of such things, in lower case; see :func:`has_word`.
+    height_m : float
+        Height that is assumed where nothing is stated. [m]
+    thickness_m : float
+        Thickness that is assumed where nothing is stated. [m]
+    """
 
     kind: str
-    class_name: str  # one of geometry.scene.CLASS_NAMES
-    words: tuple[
-        str, ...
-    ]  # in names of such things, in lower case; see :func:`has_word`
-    height_m: float  # assumed where nothing is stated, as is the thickness
+    class_name: str
+    words: tuple[str, ...]
+    height_m: float
     thickness_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThingDefaults:
-    """The content of ``data/things.toml``."""
+    """Content of ``data/things.toml``.
+
+    Attributes
+    ----------
+    storey_height_m : float
+        Height of a storey. [m]
+    max_height_m : float
+        Larger values are not taken for heights. [m]
+    max_storeys : int
+        Larger values are not taken for numbers of storeys.
+    kinds : tuple of ThingKind
+        In the order in which names are searched for their words.
+    """
 
     storey_height_m: float
-    max_height_m: float  # larger values are not taken for heights
-    max_storeys: int  # larger values are not taken for numbers of storeys
-    kinds: tuple[
-        ThingKind, ...
-    ]  # in the order in which names are searched for their words
+    max_height_m: float
+    max_storeys: int
+    kinds: tuple[ThingKind, ...]
 
 
 @cache
@@ -559,7 +731,7 @@ def thing_defaults() -> ThingDefaults:
 
 
 def kind_from_name(name: str) -> ThingKind | None:
-    """The first kind in ``data/things.toml`` one of whose words is in a name; None: no kind.
+    """First kind in ``data/things.toml`` that a name has a word of, or None.
 
     >>> kind_from_name("StreetLamp.003").class_name
     'lamp post'
@@ -576,12 +748,13 @@ def words_of(name: str) -> list[str]:
 
 
 def has_word(names: Iterable[str], wanted: Collection[str]) -> bool:
-    """One of the names has a word of the list, or several words that together are one."""
+    """True if a name has a word of the list, or words that together are one."""
     return any(phrase in wanted for name in names for phrase in _phrases(name))
 
 
 @lru_cache(maxsize=4096)
 def _phrases(name: str) -> frozenset[str]:
+    """Words of a name, and up to three in a row as one, without plural s."""
     found = words_of(name)
     return frozenset(
         "".join(found[begin:end]).removesuffix(plural)
@@ -599,13 +772,27 @@ def kind_of_class(class_name: str) -> ThingKind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoleKind:
-    """A kind of pole, for poles of which the map gives no more."""
+    """Kind of pole, for poles of which the map gives no more.
+
+    Attributes
+    ----------
+    kind : str
+        One of ``POLE_KINDS``.
+    height_m : float
+        Height of its top. [m]
+    radius_m : float
+        Radius of its cylinder. [m]
+    height_range_m : tuple[float, float]
+        Lowest and highest mount above the road. [m]
+    capacity_units : int
+        Sensors that it can carry.
+    """
 
     kind: str
     height_m: float
     radius_m: float
-    height_range_m: tuple[float, float]  # lowest and highest mount above the road
-    capacity_units: int  # sensors that it can carry
+    height_range_m: tuple[float, float]
+    capacity_units: int
 
 
 @cache
@@ -624,20 +811,21 @@ def build_pole_body(pole: Pole) -> tuple[str, Mesh]:
     foot = np.append(pole.position_m[:2], 0.0)
     ends = [foot, foot + [0.0, 0.0, height_m]]
     body = trimesh.creation.cylinder(
-        radius=kind.radius_m, segment=ends, sections=_SECTIONS
+        radius=kind.radius_m,
+        segment=ends,
+        sections=_SECTIONS,
     )
+    mesh = (np.asarray(body.vertices), np.asarray(body.faces, dtype=np.int32))
     if pole.kind == "traffic light":
-        class_name = "traffic light"
-    else:
-        class_name = "lamp post"
-    return class_name, (
-        np.asarray(body.vertices),
-        np.asarray(body.faces, dtype=np.int32),
-    )
+        return "traffic light", mesh
+    return "lamp post", mesh
 
 
 def mount_range_m(pole: Pole) -> tuple[float, float]:
-    """Lowest and highest mount on a pole in metres: a low pole carries sensors at its top."""
+    """Lowest and highest mount on a pole in metres.
+
+    A low pole carries sensors at its top.
+    """
     low, high = load_pole_kinds()[pole.kind].height_range_m
     if pole.height_m is None:
         return low, high
@@ -647,7 +835,9 @@ def mount_range_m(pole: Pole) -> tuple[float, float]:
 
 # ---------- numbers as people write them
 def parse_length_m(text: str) -> float | None:
-    r"""A length as people write it, with decimal commas, units or ranges (their middle), or None.
+    r"""Length as people write it, in metres, or None.
+
+    There may be decimal commas, units or ranges, of which the middle counts.
 
     >>> [parse_length_m(text) for text in ("3,5", "12 ft", "3-4 m", "wide")]
     [3.5, 3.6576000000000004, 3.5, None]
@@ -658,29 +848,29 @@ def parse_length_m(text: str) -> float | None:
     if match := _FEET_AND_INCHES.fullmatch(text):
         return _number(match[1]) * UNITS_M["ft"] + _number(match[2]) * UNITS_M["in"]
     match = _LENGTH.fullmatch(text) or _RANGE.fullmatch(text)
-    if match:
-        *numbers, unit = match.groups()
-    else:
-        *numbers, unit = ("", "?")
+    if match is None:
+        return None
+    # One number, or the two of a range, and the unit.
+    *texts, unit = match.groups()
     if unit not in UNITS_M:
         return None
-    return sum(map(_number, numbers)) / len(numbers) * UNITS_M[unit]
+    numbers = [_number(text) for text in texts]
+    return sum(numbers) / len(numbers) * UNITS_M[unit]
 
 
 def parse_speed_kmh(text: str) -> float | None:
-    """A speed above 0 such as "50", "50 km/h" or "30 mph"; None: it is no such text.
+    """Speed above 0 as people write it, in km/h, or None.
+
+    Texts are such as "50", "50 km/h" or "30 mph".
 
     >>> [parse_speed_kmh(text) for text in ("50 km/h", "30 mph", "0", "fast")]
     [50.0, 48.28032, None, None]
     """
     match = _SPEED.fullmatch(text.strip().lower())
-    if match:
-        unit_kmh = _UNITS["units_kmh"].get(match[2], 0.0)
-    else:
-        unit_kmh = 0.0
-    if match:
-        return _number(match[1]) * unit_kmh or None
-    return None
+    if match is None:
+        return None
+    unit_kmh: float = _UNITS["units_kmh"].get(match[2], 0.0)
+    return _number(match[1]) * unit_kmh or None
 
 
 def _number(text: str) -> float:

@@ -41,19 +41,24 @@ from .roads import (
 )
 
 __all__ = ["read_opendrive"]
-_JOINED_M = 1.0e-3  # a road that is shorter is but a joint between its neighbours
+# A road that is shorter is but a joint between its neighbours.
+_JOINED_M = 1.0e-3
 
 
 def read_opendrive(path: Path) -> SourceMap:
     """Read a file in ASAM OpenDRIVE 1.4 to 1.8.
 
-    Roads outside junctions become lanes in driving direction, connecting roads lanes
-    through their junctions, whose outlines are those of these roads' surface; objects
-    and signals become things, poles, crosswalks and parking lanes. Heights are
-    absolute; across, roads have their superelevation and shape.
+    Roads outside junctions become lanes in driving direction, connecting roads
+    lanes through their junctions, whose outlines are those of these roads'
+    surface; objects and signals become things, poles, crosswalks and parking
+    lanes. Heights are absolute; across, roads have their superelevation and
+    shape.
 
-    Raises InputError if the file cannot be read, is no OpenDRIVE, has no roads, lacks a
-    number or has one out of range, or needs too many points.
+    Raises
+    ------
+    InputError
+        The file cannot be read, is no OpenDRIVE, has no roads, lacks a number
+        or has one out of range, or needs too many points.
 
     References
     ----------
@@ -81,9 +86,8 @@ def read_opendrive(path: Path) -> SourceMap:
     connections = _connections(roads, junctions, where)
     for one in junctions:
         arms = [roads[name] for name, at in ends.items() if one.id in at]
-        if arms and all(
-            road.is_motorway for road in arms
-        ):  # cars are led on through it
+        # Cars are led on through it.
+        if arms and all(road.is_motorway for road in arms):
             why = "motorways merge or part where nobody walks"
             omissions.add("junctions", f"junction {one.id}", why)
             junctions = [other for other in junctions if other is not one]
@@ -95,11 +99,16 @@ def read_opendrive(path: Path) -> SourceMap:
     for element in root.iter("include"):
         name = f"include {element.get('file', '')[:80]}"
         omissions.add("included files", name, "other files are not read")
+    surfaces_m = []
+    for sections in sampled.values():
+        surfaces_m += [section.surface_m() for section in sections]
     n_left = sum(road.keeps_left for road in roads.values())
     if 0 < n_left < len(roads):
         name = f"rule of {min(n_left, len(roads) - n_left)} of {len(roads)} roads"
         omissions.add(
-            "rules", name, "traffic in a map keeps one side: that of most roads"
+            "rules",
+            name,
+            "traffic in a map keeps one side: that of most roads",
         )
     return SourceMap(
         name=where,
@@ -113,21 +122,40 @@ def read_opendrive(path: Path) -> SourceMap:
         poles=tuple(merge_poles([*found.poles, *poles])),
         crosswalks_m=np.array(crosswalks).reshape(-1, 2, 2),
         keeps_left=2 * n_left > len(roads),
-        ground_m=np.concatenate(
-            [
-                section.surface_m()
-                for sections in sampled.values()
-                for section in sections
-            ]
-        ),
+        ground_m=np.concatenate(surfaces_m),
         skipped=omissions.listed(),
     )
 
 
 def _read_roads(
-    root: Element, where: str, offset: Offset, omissions: Omissions
+    root: Element,
+    where: str,
+    offset: Offset,
+    omissions: Omissions,
 ) -> dict[str, Road]:
-    """All roads by id; the neighbours of those without a length are joined, which is noted."""
+    """All roads by id; neighbours of roads without a length are joined.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+    offset : Offset
+        Offset of the file's header.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    roads : dict of str to Road
+        Without those that are shorter than a millimetre, which are noted.
+
+    Raises
+    ------
+    InputError
+        There is no road, or an id comes twice.
+    """
     roads: dict[str, Road] = {}
     joints: dict[str, tuple[RoadLink, RoadLink]] = {}
     for element, _ in numbered(root, "road", where):
@@ -157,21 +185,37 @@ def _read_roads(
 
 
 def _beyond(
-    link: RoadLink, joints: Mapping[str, tuple[RoadLink, RoadLink]]
+    link: RoadLink,
+    joints: Mapping[str, tuple[RoadLink, RoadLink]],
 ) -> RoadLink:
-    """What a link leads to, roads without a length passed over."""
+    """What a link leads to, roads without a length passed over.
+
+    Parameters
+    ----------
+    link : RoadLink
+        Link of a road.
+    joints : Mapping[str, tuple[RoadLink, RoadLink]]
+        Links of the roads without a length, by their ids.
+
+    Returns
+    -------
+    link : RoadLink
+        It leads to a road with a length, a junction or nothing.
+    """
     for _ in range(len(joints)):
         if link.kind != "road" or link.id not in joints:
             break
         before, after = joints[link.id]
-        if link.contact == "end":
+        # On through the road without a length, to its other end.
+        is_at_end = link.contact == "end"
+        link = after
+        if is_at_end:
             link = before
-        else:
-            link = after
     return link
 
 
 def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
+    """Sampled sections of all roads, by id; too many points are refused."""
     sampled: dict[str, tuple[SampledSection, ...]] = {}
     n_points = 0
     for road in roads.values():
@@ -186,13 +230,19 @@ def _sample(roads: Mapping[str, Road]) -> dict[str, tuple[SampledSection, ...]]:
 
 
 def _connections(
-    roads: Mapping[str, Road], junctions: Sequence[MapJunction], where: str
+    roads: Mapping[str, Road],
+    junctions: Sequence[MapJunction],
+    where: str,
 ) -> tuple[MapLane, ...]:
+    """Lanes through the given junctions; too many points are refused."""
     there = {junction.id for junction in junctions}
     found: list[MapLane] = []
     n_points = 0
-    for road in (road for road in roads.values() if road.junction in there):
-        found += (here := connecting_lanes(road))
+    for road in roads.values():
+        if road.junction not in there:
+            continue
+        here = connecting_lanes(road)
+        found += here
         n_points += sum(len(lane.centreline_m) for lane in here)
         if n_points > MAX_POINTS:
             got = f"more than {n_points:,} points of lanes through junctions"

@@ -1,4 +1,4 @@
-"""Junctions: records of a file, the roads that end at them, and outlines of their road surface."""
+"""OpenDRIVE junctions: records, roads that lead there, and outlines."""
 
 from collections import defaultdict
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -17,39 +17,83 @@ from ..source_map import MapJunction, MapLane, Omissions
 from .lanes import RoadEnds, SampledSection, lane_kind
 from .roads import NO_JUNCTION, Road, RoadLink, load_facts, numbered, take_id
 
-_AHEAD_M = 10.0  # over which the direction of a road is taken
-_MIN_LANE_M = 1.0  # a lane that begins or ends is narrower
-_ARM_KINDS = ("driving", "parking")  # a car parked at the corner hides who crosses
-_AT_OUTLINE_M = 1.0  # lanes end within 1.5 m of it; later steps may move it slightly
-_MAX_REACH_M = 50.0  # a lane that ends farther off does not end at the junction
-_MOUTH_M = 15.0  # of a lane, which is no part of the junction
-_WAY_WIDTH_M = (
-    1.0  # to a lane's end outside: other ends that it passes stay at the outline
-)
-_CLOSE_GAPS_M = 0.05  # hairlines between strips that touch
+# Over which the direction of a road is taken.
+_AHEAD_M = 10.0
+# A lane that begins or ends is narrower.
+_MIN_LANE_M = 1.0
+# A car parked at the corner hides who crosses.
+_ARM_KINDS = ("driving", "parking")
+# Lanes end within 1.5 m of it; later steps may move it slightly.
+_AT_OUTLINE_M = 1.0
+# A lane that ends farther off does not end at the junction.
+_MAX_REACH_M = 50.0
+# Of a lane, which is no part of the junction.
+_MOUTH_M = 15.0
+# To a lane's end outside: other ends that it passes stay at the outline.
+_WAY_WIDTH_M = 1.0
+# Hairlines between strips that touch.
+_CLOSE_GAPS_M = 0.05
 _SIMPLIFY_M = 0.02
-_GRID_M = 0.001  # on a grid, overlays of nearly equal edges cannot fail
+# On a grid, overlays of nearly equal edges cannot fail.
+_GRID_M = 0.001
 _MIN_WIDTH_M = 0.05
 _PIECE_POINTS = 40
-_MAX_POINTS = 200_000  # of the surface of one junction
+# Of the surface of one junction.
+_MAX_POINTS = 200_000
 _MIN_AREA_M2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JunctionRecord:
-    """A junction as the file has it."""
+    """Junction as the file has it.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    name : str
+        Name in the file; may be empty.
+    has_surface : bool
+        By its type it has connecting roads.
+    incoming : tuple of str
+        Ids of the roads that lead to it.
+    element : Element
+        For further content.
+    """
 
     id: str
     name: str
-    has_surface: bool  # by its type it has connecting roads
-    incoming: tuple[str, ...]  # ids of the roads that lead to it
-    element: Element  # for further content
+    has_surface: bool
+    incoming: tuple[str, ...]
+    element: Element
 
 
 def read_junction_records(
-    root: Element, where: str, omissions: Omissions
+    root: Element,
+    where: str,
+    omissions: Omissions,
 ) -> dict[str, JunctionRecord]:
-    """Junctions of a document, by id; raises InputError if an id is missing or double."""
+    """Junctions of a document, by id; those without surface are noted.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    records : dict of str to JunctionRecord
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        An id is missing or comes twice.
+    """
     found: dict[str, JunctionRecord] = {}
     without_surface = load_facts()["without_surface"]
     for element, here in numbered(root, "junction", where):
@@ -79,10 +123,24 @@ def find_road_ends(
     junctions: Mapping[str, JunctionRecord],
     omissions: Omissions,
 ) -> dict[str, RoadEnds]:
-    """Junctions at both ends of the roads outside junctions, by id of the road.
+    """Junctions at both ends of the roads outside junctions, by road.
 
-    They come from the roads' own links, or else from the connecting roads that lead to
-    them. Links to missing roads and junctions are noted in `omissions`.
+    They come from the roads' own links, or else from the connecting roads that
+    lead to them. Links to missing roads and junctions are noted in `omissions`.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    junctions : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    ends : dict of str to (str, str)
+        Junctions at the start and at the end; empty: none.
     """
     led_to: dict[tuple[str, str], str] = {}
     for road in roads.values():
@@ -91,6 +149,7 @@ def find_road_ends(
                 led_to.setdefault((link.id, link.contact), road.junction)
 
     def junction_at(road: Road, link: RoadLink, end: str) -> str:
+        """Junction that a link leads to, directly or through a road; empty: none."""
         known = {"junction": junctions, "road": roads}.get(link.kind, {})
         if link.kind and link.id not in known:
             name = f"road {road.id}, link to {link.kind[:20]} {link.id[:40]}"
@@ -105,14 +164,13 @@ def find_road_ends(
             return found
         return ""
 
-    return {
-        road.id: (
-            junction_at(road, road.before, "start"),
-            junction_at(road, road.after, "end"),
-        )
-        for road in roads.values()
-        if road.junction == NO_JUNCTION
-    }
+    ends: dict[str, RoadEnds] = {}
+    for road in roads.values():
+        if road.junction == NO_JUNCTION:
+            at_start = junction_at(road, road.before, "start")
+            at_end = junction_at(road, road.after, "end")
+            ends[road.id] = (at_start, at_end)
+    return ends
 
 
 def leading_roads(
@@ -120,23 +178,59 @@ def leading_roads(
     ends: Mapping[str, RoadEnds],
     sampled: Mapping[str, Sequence[SampledSection]],
 ) -> dict[str, tuple[LeadingRoad, ...]]:
-    """Roads that lead to each junction, by its id, with the driving lanes recorded there."""
+    """Roads that lead to each junction, by its id.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    ends : Mapping[str, RoadEnds]
+        Junctions at both ends of each road.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+
+    Returns
+    -------
+    leading : dict of str to tuple of LeadingRoad
+        With the driving lanes recorded at that end.
+    """
     found: dict[str, tuple[LeadingRoad, ...]] = defaultdict(tuple)
     for road_id, at in ends.items():
         for junction, is_start in zip(at, (True, False), strict=True):
             section = sampled[road_id][0 if is_start else -1]
-            if junction and (lead := _leading_road(roads[road_id], section, is_start)):
+            if not junction:
+                continue
+            lead = _leading_road(roads[road_id], section, is_start)
+            if lead is not None:
                 found[junction] += (lead,)
     return found
 
 
 def _leading_road(
-    road: Road, section: SampledSection, is_start: bool
+    road: Road,
+    section: SampledSection,
+    is_start: bool,
 ) -> LeadingRoad | None:
+    """Road at one of its ends; None: no driving lane is there.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    section : SampledSection
+        Section at that end.
+    is_start : bool
+        The road's start is meant.
+
+    Returns
+    -------
+    lead : LeadingRoad or None
+        Its direction is away from the junction to the road.
+    """
+    # First or last station of the section.
+    index = -1
     if is_start:
         index = 0
-    else:
-        index = -1
     driving = [
         lane
         for lane in section.lanes.values()
@@ -149,7 +243,9 @@ def _leading_road(
     n_following = sum(
         ((one.number < 0) != road.keeps_left) != one.is_reversed for one in records
     )
-    edges_m = [float(m[index]) for lane in lanes for m in (lane.inner_m, lane.outer_m)]
+    edges_m: list[float] = []
+    for lane in lanes:
+        edges_m += (float(lane.inner_m[index]), float(lane.outer_m[index]))
     middle_m = 0.5 * (min(edges_m) + max(edges_m))
     ahead_m = min(_AHEAD_M, road.length_m)
     if is_start:
@@ -157,7 +253,8 @@ def _leading_road(
     else:
         ends_m = (road.length_m - ahead_m, road.length_m)
     away = road.line.at(np.array(ends_m))[0]
-    n_lanes = (n_following, len(lanes) - n_following)  # along the road, against it
+    # Along the road, against it.
+    n_lanes = (n_following, len(lanes) - n_following)
     return LeadingRoad(
         name=clean_name(road.name or f"road {road.id}"),
         point_m=section.points_m[index, :2] + middle_m * section.left[index],
@@ -176,12 +273,39 @@ def build_junctions(
     omissions: Omissions,
     where: str,
 ) -> tuple[list[MapJunction], list[MapLane]]:
-    """Junctions with their outlines, and lanes without links to missing junctions.
+    """Junctions with their outlines, and lanes without links to others.
 
-    An outline is that of the union of the driving lanes of the connecting roads,
-    without holes; the ends of driving and parking lanes that lead there lie on it.
-    Junctions without surface, and lanes that end far from theirs, are noted. Raises
-    InputError if a junction needs too many points.
+    An outline is that of the union of the driving lanes of the connecting
+    roads, without holes; the ends of driving and parking lanes that lead there
+    lie on it. Junctions without surface, and lanes that end far from theirs,
+    are noted.
+
+    Parameters
+    ----------
+    records : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+    lanes : sequence of MapLane
+        Lanes outside junctions.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    junctions : list of MapJunction
+        Those that have a surface.
+    lanes : list of MapLane
+        Without links to junctions that are left out.
+
+    Raises
+    ------
+    InputError
+        A junction needs too many points.
     """
     members: dict[str, list[str]] = {}
     for road in roads.values():
@@ -200,13 +324,13 @@ def build_junctions(
             got = f"roads of {n_points:,} points"
             refuse(f"{where}: junction {record.id}", got, f"at most {_MAX_POINTS:,}")
         own_tips = tips[record.id]
-        with np.errstate(
-            divide="ignore", invalid="ignore"
-        ):  # flags that GEOS leaves behind
+        # Flags that GEOS leaves behind.
+        with np.errstate(divide="ignore", invalid="ignore"):
             surface = _surface(pieces)
-            fitted, far = (
-                (None, []) if surface is None else fit_outline(surface, own_tips)
-            )
+            fitted = None
+            far: list[MapLane] = []
+            if surface is not None:
+                fitted, far = fit_outline(surface, own_tips)
         if fitted is None:
             why = "it has no connecting road with a driving lane"
             omissions.add("junctions without surface", f"junction {record.id}", why)
@@ -238,7 +362,22 @@ def with_known_junctions(
     junctions: Sequence[MapJunction],
     apart: Container[tuple[str, str]] = (),
 ) -> list[MapLane]:
-    """Lanes that name these junctions alone, and none that they lie `apart` from, by its id."""
+    """Lanes that name no other junctions than the given ones.
+
+    Parameters
+    ----------
+    lanes : iterable of MapLane
+        Lanes of the map.
+    junctions : sequence of MapJunction
+        Junctions of the map.
+    apart : Container[tuple[str, str]]
+        Ids of junctions and lanes that lie too far from each other.
+
+    Returns
+    -------
+    lanes : list of MapLane
+        With empty names in place of other junctions.
+    """
     there = {junction.id for junction in junctions}
 
     def known(lane: MapLane, name: str) -> str:
@@ -259,7 +398,18 @@ def with_known_junctions(
 def lanes_by_junction(
     lanes: Iterable[MapLane],
 ) -> dict[str, list[tuple[MapLane, FloatArray]]]:
-    """Lanes that end or begin at each junction, by its id, as lines (n, 2) away from it."""
+    """Lanes at each junction, as lines away from it.
+
+    Parameters
+    ----------
+    lanes : iterable of MapLane
+        Lanes of the map.
+
+    Returns
+    -------
+    tips : dict of str to list of (MapLane, (n, 2) float)
+        By id of the junction. [m]
+    """
     tips: dict[str, list[tuple[MapLane, FloatArray]]] = defaultdict(list)
     for lane in lanes:
         line = lane.centreline_m[:, :2]
@@ -269,20 +419,32 @@ def lanes_by_junction(
 
 
 def _surface(sections: Sequence[SampledSection]) -> Any:
-    """Largest part of the union of the strips of driving lanes, without holes, or None."""
-    rings = [
-        np.concatenate([inner, outer[::-1]])
-        for section in sections
-        for lane in section.lanes.values()
-        if lane_kind(lane.record.type) == "driving"
-        and lane.width_m.max() > _MIN_WIDTH_M
-        for edges in [
-            (section.points_at(lane.inner_m), section.points_at(lane.outer_m))
-        ]
-        # In short pieces, so that self-intersections stay cheap to mend.
-        for at in range(0, len(section.s_m) - 1, _PIECE_POINTS)
-        for inner, outer in [[edge[at : at + _PIECE_POINTS + 1, :2] for edge in edges]]
-    ]
+    """Largest part of the union of driving lanes, without holes, or None.
+
+    Parameters
+    ----------
+    sections : sequence of SampledSection
+        Sections of the connecting roads.
+
+    Returns
+    -------
+    surface : Polygon or None
+        In metres.
+    """
+    rings = []
+    for section in sections:
+        for lane in section.lanes.values():
+            if lane_kind(lane.record.type) != "driving":
+                continue
+            if not lane.width_m.max() > _MIN_WIDTH_M:
+                continue
+            inner = section.points_at(lane.inner_m)[:, :2]
+            outer = section.points_at(lane.outer_m)[:, :2]
+            # In short pieces, so that self-intersections stay cheap to mend.
+            for begin in range(0, len(section.s_m) - 1, _PIECE_POINTS):
+                end = begin + _PIECE_POINTS + 1
+                ring = np.concatenate([inner[begin:end], outer[begin:end][::-1]])
+                rings.append(ring)
     if not rings:
         return None
     strips = shapely.make_valid(np.array([shapely.Polygon(ring) for ring in rings]))
@@ -293,7 +455,7 @@ def _surface(sections: Sequence[SampledSection]) -> Any:
 
 
 def largest_polygon(shape: Any) -> Any:
-    """Largest polygon of a shape with its holes filled, or None if it is tiny."""
+    """Largest polygon of a shape with its holes filled; None: it is tiny."""
     parts = [part for part in shapely.get_parts(shape) if part.geom_type == "Polygon"]
     filled = [shapely.Polygon(part.exterior) for part in parts if not part.is_empty]
     largest = max(filled, key=lambda part: part.area, default=None)
@@ -303,9 +465,29 @@ def largest_polygon(shape: Any) -> Any:
 
 
 def fit_outline(
-    surface: Any, tips: Sequence[tuple[MapLane, FloatArray]]
+    surface: Any,
+    tips: Sequence[tuple[MapLane, FloatArray]],
 ) -> tuple[Any, list[MapLane]]:
-    """Move an outline to the ends of the lanes that lead to it; and the lanes too far outside."""
+    """Surface whose outline meets the ends of lanes, and lanes too far off.
+
+    Lanes that end inside cut their mouths out of the surface; those that end
+    outside extend it by a narrow way.
+
+    Parameters
+    ----------
+    surface : Any
+        Polygon of the junction. [m]
+    tips : Sequence[tuple[MapLane, FloatArray]]
+        Lanes and their lines away from the junction. [m]
+
+    Returns
+    -------
+    surface : Polygon
+        With the mouths of lanes fitted.
+    far : list of MapLane
+        Lanes that do not end at the junction.
+    """
+    # Lanes that end inside: their mouths are no part of the junction.
     inside = []
     for lane, line in tips:
         tip = shapely.Point(line[0])
@@ -320,6 +502,7 @@ def fit_outline(
         rest = largest_polygon(shapely.difference(surface, mouths, grid_size=_GRID_M))
         if rest is not None:
             surface = rest
+    # Lanes that end outside: a narrow way leads to each of them.
     far = []
     ways = []
     for lane, line in tips:

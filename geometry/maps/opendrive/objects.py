@@ -1,4 +1,8 @@
-"""Objects and signals along the roads: buildings, trees, crosswalks, parking spaces, poles."""
+"""Objects and signals along OpenDRIVE roads.
+
+Objects become things, poles, crosswalks and parking lanes; signals become
+poles and crosswalks.
+"""
 
 from bisect import bisect_left
 from collections import Counter
@@ -38,15 +42,15 @@ from .roads import (
     take_size,
 )
 
-_CLEARLY_LONGER = (
-    1.3  # of two sides: below it, people cross more nearly across the road
-)
+# Of two sides: below it, people cross more nearly across the road.
+_CLEARLY_LONGER = 1.3
 _MIN_LENGTH_M = 0.5
 _SAME_ROW_T_M = 1.0
 _SAME_ROW_GAP_M = 1.5
 _STEP_M = 2.0
 _MIN_SIZE_M = 0.5
-_MAX_PLACES = 100_000  # of all objects of a file
+# Of all objects of a file.
+_MAX_PLACES = 100_000
 _MAX_VERTICES = 5_000_000
 _CLASSES = {"tree": "vegetation", "obstacle": "wall"}
 _NO_SIZE = "it has no outline, length, width or radius"
@@ -57,11 +61,21 @@ _KIND_ORDER = ("traffic light", "lamp post", "sign", "pole")
 
 
 def object_kind(element: Element) -> str | None:
-    """Kind of an object from its type and name; None: none that matters here.
+    """Kind of an object from its type and name; None: none that matters.
 
-    "crosswalk", "parking space", "tree", "vegetation", "building", "wall", "parked
-    vehicle", one of ``POLE_KINDS``, or "obstacle" if the standard's type says no more
-    than that.
+    "crosswalk", "parking space", "tree", "vegetation", "building", "wall",
+    "parked vehicle", one of ``POLE_KINDS``, or "obstacle" if the standard's
+    type says no more than that.
+
+    Parameters
+    ----------
+    element : Element
+        The <object>.
+
+    Returns
+    -------
+    kind : str or None
+        The words are those of ``data/opendrive.toml``.
     """
     object_type = element.get("type", "")
     name = element.get("name", "")
@@ -69,7 +83,8 @@ def object_kind(element: Element) -> str | None:
     if has_word(
         (object_type, name, subtype), load_facts()["object_words"]["crosswalk"]
     ):
-        return "crosswalk"  # some write them as road marks
+        # Some write them as road marks.
+        return "crosswalk"
     if has_word((object_type, name), load_facts()["flat"]["words"]):
         return None
     if element.find("parkingSpace") is not None:
@@ -78,9 +93,11 @@ def object_kind(element: Element) -> str | None:
     for kind, types in load_facts()["object_types"].items():
         if plain in types and element.get("dynamic", "no") != "yes":
             return str(kind)
-    for text in (
-        (object_type,) if plain not in load_facts()["says_nothing"] else (name, subtype)
-    ):
+    # The type decides, unless it is one that says nothing.
+    texts: tuple[str, ...] = (object_type,)
+    if plain in load_facts()["says_nothing"]:
+        texts = (name, subtype)
+    for text in texts:
         for kind, listed in load_facts()["object_words"].items():
             if has_word((text,), listed):
                 return str(kind)
@@ -90,9 +107,19 @@ def object_kind(element: Element) -> str | None:
 
 
 def signal_kind(element: Element) -> str | None:
-    """Kind of a signal: "traffic light", "crosswalk" (painted), "sign"; None: other paint.
+    """Kind of a signal from its name and types; None: other paint.
 
     What the file calls static is no traffic light, whatever its name.
+
+    Parameters
+    ----------
+    element : Element
+        The <signal>.
+
+    Returns
+    -------
+    kind : {"traffic light", "crosswalk", "sign"} or None
+        A crosswalk is painted on the road.
     """
     facts = load_facts()["signals"]
     texts = (
@@ -117,22 +144,48 @@ def signal_kind(element: Element) -> str | None:
 
 # ---------- crosswalks
 def crosswalk_line(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> FloatArray | None:
-    """Line (2, 2) the long way through the smallest box, or across the road; None: no extent."""
-    corners, _ = _corners(road, spot, outlines, turn_rad) or (np.empty((0, 2)), None)
+    """Line on which pedestrians cross; None: the object has no extent.
+
+    It runs the long way through the smallest box around the outline, or across
+    the road if that box is nearly square.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    line_m : (2, 2) float or None
+        Begin and end. [m]
+    """
+    found = _corners(road, spot, outlines, turn_rad)
+    if found is None:
+        return None
+    corners, _ = found
     if len(corners) == 2:
         if np.hypot(*(corners[1] - corners[0])) > _MIN_LENGTH_M:
             return corners
         return None
     if not len(corners):
         return None
-    with np.errstate(
-        divide="ignore", invalid="ignore"
-    ):  # flags that GEOS leaves behind
+    # Flags that GEOS leaves behind.
+    with np.errstate(divide="ignore", invalid="ignore"):
         box = shapely.MultiPoint(corners).minimum_rotated_rectangle
     if box.geom_type != "Polygon":
         return None
+    # The long way, unless the sides are nearly equal: then the way across the road.
     ring = np.asarray(box.exterior.coords)[:4]
     sides = np.array([ring[1] - ring[0], ring[2] - ring[1]])
     lengths = np.hypot(*sides.T)
@@ -143,15 +196,36 @@ def crosswalk_line(
         longer = int(np.abs(sides @ across_road / lengths).argmax())
     if lengths[longer] < _MIN_LENGTH_M:
         return None
-    return np.asarray(
-        ring.mean(axis=0) + 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
-    )
+    half = 0.5 * np.array([[-1.0], [1.0]]) * sides[longer]
+    return np.asarray(ring.mean(axis=0) + half)
 
 
 def _corners(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Corners (n, 2) of an object's outline or box: on the map, and as s and t; None: no extent."""
+    """Corners of an object's outline or box; None: it has no extent.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        On the map. [m]
+    road_m : (n, 2) float
+        The same as s and t. [m]
+    """
     outer = next((outline for outline in outlines if outline.is_outer), None)
     if outer is not None:
         return outer.points_m, outer.road_m
@@ -162,9 +236,27 @@ def _corners(
 
 
 def cross_paths(
-    records: Mapping[str, JunctionRecord], roads: Mapping[str, Road]
+    records: Mapping[str, JunctionRecord],
+    roads: Mapping[str, Road],
 ) -> Iterator[FloatArray]:
-    """Lines of the paths on which pedestrians cross junctions (OpenDRIVE 1.8, <crossPath>)."""
+    """Lines of the paths on which pedestrians cross junctions.
+
+    Parameters
+    ----------
+    records : Mapping[str, JunctionRecord]
+        Junctions of the file, by id.
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+
+    Yields
+    ------
+    line_m : (2, 2) float
+        Begin and end. [m]
+
+    References
+    ----------
+    .. [1] ASAM OpenDRIVE 1.8, element <crossPath>.
+    """
     for record in records.values():
         for path in record.element.findall("crossPath"):
             road = roads.get(path.get("crossingRoad", ""))
@@ -177,7 +269,19 @@ def cross_paths(
 # ---------- parking spaces
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Space:
-    """A parking space as a box along its road: s from first to last, t from right to left."""
+    """Parking space as a box along its road.
+
+    Attributes
+    ----------
+    first_m : float
+        First station. [m]
+    last_m : float
+        Last station. [m]
+    right_m : float
+        T of its right side. [m]
+    left_m : float
+        T of its left side. [m]
+    """
 
     first_m: float
     last_m: float
@@ -186,14 +290,34 @@ class Space:
 
     @property
     def t_m(self) -> float:
-        """Of its middle, to the left of the reference line, in metres."""
+        """Position of its middle to the left of the reference line, in metres."""
         return 0.5 * (self.right_m + self.left_m)
 
 
 def read_space(
-    road: Road, spot: Spot, outlines: Sequence[Outline], turn_rad: float
+    road: Road,
+    spot: Spot,
+    outlines: Sequence[Outline],
+    turn_rad: float,
 ) -> Space | None:
-    """One parking space, or a strip of them; None if it has no extent."""
+    """One parking space, or a strip of them; None if it has no extent.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spot : Spot
+        Place of the object.
+    outlines : sequence of Outline
+        Outlines of the object at this place; empty: its sizes count.
+    turn_rad : float
+        Turn of the object against the road, counter-clockwise. [rad]
+
+    Returns
+    -------
+    space : Space or None
+        In stations and offsets of its road.
+    """
     if spot.end is not None:
         if spot.width_m is None:
             return None
@@ -213,13 +337,27 @@ def read_space(
 
 
 def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
-    """Parking lanes of a road: spaces side by side, or one behind the other, as one lane.
+    """Parking lanes of a road: spaces in a row become one lane.
 
-    It is as wide as the spaces are on average, and runs in the direction of traffic on
-    its side.
+    A lane is as wide as its spaces are on average, and runs in the direction of
+    traffic on its side.
+
+    Parameters
+    ----------
+    road : Road
+        The road.
+    spaces : sequence of Space
+        Parking spaces along the road, in any order.
+
+    Yields
+    ------
+    lane : MapLane
+        Of the kind "parking".
     """
+    # Append each space to the row that it continues, or begin a new row.
     rows: list[list[Space]] = []
-    open_rows: list[list[Space]] = []  # those that may still go on
+    # Those that may still go on.
+    open_rows: list[list[Space]] = []
     for space in sorted(spaces, key=lambda space: space.first_m):
         reach_m = space.first_m - _SAME_ROW_GAP_M
         open_rows = [row for row in open_rows if row[-1].last_m >= reach_m]
@@ -230,25 +368,29 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
         else:
             rows.append([space])
             open_rows.append(rows[-1])
+    # One lane along the middles of the spaces of each row.
     for at, row in enumerate(rows, start=1):
         first_m = max(min(space.first_m for space in row), 0.0)
         last_m = min(max(space.last_m for space in row), road.length_m)
         if last_m - first_m < _MIN_SIZE_M:
             continue
         s_m = np.linspace(
-            first_m, last_m, max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1)
+            first_m,
+            last_m,
+            max(2, int(np.ceil((last_m - first_m) / _STEP_M)) + 1),
         )
         middles = np.array([0.5 * (space.first_m + space.last_m) for space in row])
         order = np.argsort(middles)
         t_m = np.interp(
-            s_m, middles[order], np.array([space.t_m for space in row])[order]
+            s_m,
+            middles[order],
+            np.array([space.t_m for space in row])[order],
         )
         points, _ = road.place(s_m, t_m)
         follows = (float(t_m.mean()) < 0.0) != road.keeps_left
         name = f"{road.id}/parking {at}"
-        if follows:
-            line_m = points
-        else:
+        line_m = points
+        if not follows:
             line_m = points[::-1]
         width_m = float(np.mean([space.left_m - space.right_m for space in row]))
         yield MapLane(id=name, kind="parking", width_m=width_m, centreline_m=line_m)
@@ -257,24 +399,51 @@ def build_rows(road: Road, spaces: Sequence[Space]) -> Iterator[MapLane]:
 # ---------- all objects
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Objects along the roads."""
+    """Objects along the roads.
+
+    Attributes
+    ----------
+    things : list of Thing
+        Solids that can hide somebody.
+    poles : list of Pole
+        Poles that could carry sensors.
+    crosswalks_m : list of (2, 2) float
+        Lines on which pedestrians cross. [m]
+    spaces : dict[str, list[Space]]
+        Parking spaces by id of the road.
+    """
 
     things: list[Thing] = field(default_factory=list)
     poles: list[Pole] = field(default_factory=list)
-    crosswalks_m: list[FloatArray] = field(default_factory=list)  # (2, 2) each
-    spaces: dict[str, list[Space]] = field(
-        default_factory=dict
-    )  # parking spaces by id of the road
+    crosswalks_m: list[FloatArray] = field(default_factory=list)
+    spaces: dict[str, list[Space]] = field(default_factory=dict)
 
 
 def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
-    """Objects of all roads; what is left out is noted in `omissions`.
+    """Objects of all roads; what is left out is noted.
 
-    Raises InputError if a number is missing or not finite, or there are too many
-    objects or corners.
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    found : Found
+        In the coordinates of the map.
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite, or there are too many objects or
+        corners.
     """
     found = Found()
-    n_places = n_vertices = n_counted = 0
+    n_places = 0
+    n_vertices = 0
+    n_counted = 0
 
     def refuse_many(n: int, most: int, noun: str, where: str) -> None:
         if n > most:
@@ -288,13 +457,14 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
         n_places += len(places)
         if not places:
             omissions.add(
-                "objects beyond their road's end", one.name, "beyond its road's end"
+                "objects beyond their road's end",
+                one.name,
+                "beyond its road's end",
             )
         refuse_many(n_places, _MAX_PLACES, "objects", one.where)
         for index, spot in enumerate(places):
-            if len(places) == 1:
-                name = one.name
-            else:
+            name = one.name
+            if len(places) > 1:
                 name = f"{one.name}/{index}"
             if not _take(kind, one, spot, name, found):
                 omissions.add(f"objects ({kind}) without size", name, _NO_SIZE)
@@ -307,9 +477,23 @@ def read_objects(roads: Mapping[str, Road], omissions: Omissions) -> Found:
 
 
 def _taken_objects(
-    roads: Mapping[str, Road], omissions: Omissions
+    roads: Mapping[str, Road],
+    omissions: Omissions,
 ) -> Iterator[tuple[str, RoadElement]]:
-    """Objects of a kind that matters; the others are noted."""
+    """Objects of a kind that matters; the others are noted.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Yields
+    ------
+    taken : (str, RoadElement)
+        Kind and object.
+    """
     names: Counter[str] = Counter()
     for road in roads.values():
         for tag, why in load_facts()["not_taken"].items():
@@ -318,7 +502,9 @@ def _taken_objects(
                 omissions.add(f"{tag}s", name, why)
         if road.element.find("railroad/switch") is not None:
             omissions.add(
-                "railroads", f"road {road.id} railroad", "no road users go there"
+                "railroads",
+                f"road {road.id} railroad",
+                "no road users go there",
             )
         for one in road.listed("object", names):
             kind = object_kind(one.element)
@@ -333,16 +519,33 @@ def _taken_objects(
 
 
 def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> bool:
-    """Add an object at one of its places to `found`; False: it has no size."""
+    """Add an object at one of its places; False: it has no size.
+
+    Parameters
+    ----------
+    kind : str
+        See :func:`object_kind`.
+    one : RoadElement
+        The object.
+    spot : Spot
+        Place of the object.
+    name : str
+        Id of the thing, unique in the map.
+    found : Found
+        Objects found so far; extended.
+
+    Returns
+    -------
+    has_size : bool
+        False: nothing was added.
+    """
     if kind in POLE_KINDS:
-        if spot.height_m is None:
-            top_m = 0.0
-        else:
+        top_m = 0.0
+        if spot.height_m is not None:
             top_m = spot.z_m + spot.height_m
+        height_m = None
         if top_m > 0.0:
             height_m = top_m
-        else:
-            height_m = None
         foot_m, _ = place(one.road, spot)
         found.poles.append(
             Pole(id=name, kind=kind, position_m=foot_m, height_m=height_m)
@@ -363,11 +566,15 @@ def _take(kind: str, one: RoadElement, spot: Spot, name: str, found: Found) -> b
             found.spaces.setdefault(one.road.id, []).append(space)
         return space is not None
     try:
-        with np.errstate(
-            divide="ignore", invalid="ignore"
-        ):  # flags that GEOS leaves behind
+        # Flags that GEOS leaves behind.
+        with np.errstate(divide="ignore", invalid="ignore"):
             body = build_body(
-                one.road, kind, spot, outlines, turn_rad=turn_rad, where=one.where
+                one.road,
+                kind,
+                spot,
+                outlines,
+                turn_rad=turn_rad,
+                where=one.where,
             )
     except InputError:  # its outline surrounds nothing
         return False
@@ -386,10 +593,33 @@ def read_signals(
     offset: Offset,
     omissions: Omissions,
 ) -> tuple[list[Pole], list[FloatArray]]:
-    """Poles, one per signal, and crosswalk lines (2, 2) that are written as signals.
+    """Poles of signals, and crosswalks that are written as signals.
 
-    A signal that hangs over a driving lane has no pole there. Raises InputError if a
-    number is missing or not finite.
+    There is one pole for each signal, but none for those that hang over a
+    driving lane.
+
+    Parameters
+    ----------
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    sampled : Mapping[str, Sequence[SampledSection]]
+        Sampled lane sections of each road, by its id.
+    offset : Offset
+        Offset of the file's header.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    poles : list of Pole
+        With the height of the signal's top.
+    crosswalks_m : list of (2, 2) float
+        Lines on which pedestrians cross. [m]
+
+    Raises
+    ------
+    InputError
+        A number is missing or not finite.
     """
     facts = load_facts()["signals"]
     poles: list[Pole] = []
@@ -400,24 +630,26 @@ def read_signals(
         kind = signal_kind(one.element)
         if not is_on(one.road, s_m):
             omissions.add(
-                "signals beyond their road's end", one.name, "beyond its road's end"
+                "signals beyond their road's end",
+                one.name,
+                "beyond its road's end",
             )
         elif kind == "crosswalk":
             line = _painted_line(
-                one, s_m, t_m, _driving_edges(sampled[one.road.id], s_m)
+                one,
+                s_m,
+                t_m,
+                _driving_edges(sampled[one.road.id], s_m),
             )
-            if line is None:
-                crosswalks += []
-            else:
-                crosswalks += [line]
+            if line is not None:
+                crosswalks.append(line)
         elif kind is None:
             omissions.add("painted signals", one.name, _PAINT)
         else:
             foot_m, top_m, at = _find_position(one, s_m, t_m, roads, offset)
             is_light = kind == "traffic light"
-            if at is None:
-                edges = []
-            else:
+            edges = []
+            if at is not None:
                 edges = _driving_edges(sampled[at[0]], at[1])
             if not is_light and top_m < facts["min_sign_top_m"]:
                 omissions.add(f"signals ({kind})", one.name, _PAINT)
@@ -425,11 +657,12 @@ def read_signals(
                 why = "it hangs over a lane: there is no pole below it"
                 omissions.add(f"signals ({kind})", one.name, why)
             else:
-                least_m = facts["min_light_top_m" if is_light else "min_sign_top_m"]
+                least_m = facts["min_sign_top_m"]
+                if is_light:
+                    least_m = facts["min_light_top_m"]
+                height_m = None
                 if top_m >= least_m:
                     height_m = top_m
-                else:
-                    height_m = None
                 poles.append(
                     Pole(id=one.name, kind=kind, position_m=foot_m, height_m=height_m)
                 )
@@ -437,9 +670,29 @@ def read_signals(
 
 
 def _painted_line(
-    one: RoadElement, s_m: float, t_m: float, edges: Sequence[tuple[float, float]]
+    one: RoadElement,
+    s_m: float,
+    t_m: float,
+    edges: Sequence[tuple[float, float]],
 ) -> FloatArray | None:
-    """Line (2, 2) of a crosswalk across the driving lanes, or as wide as it says; None: neither."""
+    """Line of a painted crosswalk; None: its length is not known.
+
+    Parameters
+    ----------
+    one : RoadElement
+        The signal.
+    s_m : float
+        Where it lies along the road. [m]
+    t_m : float
+        To the left of the reference line. [m]
+    edges : Sequence[tuple[float, float]]
+        Edges (right, left) of the driving lanes there. [m]
+
+    Returns
+    -------
+    line_m : (2, 2) float or None
+        As long as the signal says, or across all driving lanes. [m]
+    """
     length_m = take_size(one.element, "width", one.where)
     if not length_m and edges:
         length_m = max(left for _, left in edges) - min(right for right, _ in edges)
@@ -450,15 +703,41 @@ def _painted_line(
     angle = heading[0] + take_number_or(one.element, "hOffset", one.where, 0.0)
     angle += 0.5 * np.pi
     across = np.array([np.cos(angle), np.sin(angle)])
-    return np.asarray(
-        points[0, :2] + 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
-    )
+    half = 0.5 * length_m * np.array([[-1.0], [1.0]]) * across
+    return np.asarray(points[0, :2] + half)
 
 
 def _find_position(
-    one: RoadElement, s_m: float, t_m: float, roads: Mapping[str, Road], offset: Offset
+    one: RoadElement,
+    s_m: float,
+    t_m: float,
+    roads: Mapping[str, Road],
+    offset: Offset,
 ) -> tuple[FloatArray, float, tuple[str, float, float] | None]:
-    """Foot below a signal, its top above that, and road, s and t of its place (None: unknown)."""
+    """Foot below a signal, its top above the foot, and its place.
+
+    Parameters
+    ----------
+    one : RoadElement
+        The signal.
+    s_m : float
+        Where it lies along its road. [m]
+    t_m : float
+        To the left of the reference line. [m]
+    roads : Mapping[str, Road]
+        Roads of the file, by id.
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    foot_m : (3,) float
+        On the road's surface. [m]
+    top_m : float
+        Above the foot. [m]
+    place : (str, float, float) or None
+        Road, s and t; None: the file gives x, y and z instead. [m]
+    """
     height_m = take_size(one.element, "height", one.where) or 0.0
     road = one.road
     z_m = take_number_or(one.element, "zOffset", one.where, 0.0)
@@ -480,9 +759,10 @@ def _find_position(
 
 
 def _driving_edges(
-    sections: Sequence[SampledSection], s_m: float
+    sections: Sequence[SampledSection],
+    s_m: float,
 ) -> list[tuple[float, float]]:
-    """Edges (right, left) of the driving lanes at a station."""
+    """Edges (right, left) of the driving lanes at a station, in metres."""
     index = bisect_left(sections, s_m, key=lambda one: float(one.s_m[-1]))
     section = sections[min(index, len(sections) - 1)]
     edges = []
@@ -498,10 +778,21 @@ def _driving_edges(
 
 # ---------- poles
 def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
-    """Join poles within half a metre of one another.
+    """Poles, where those within half a metre of one another are joined.
 
-    A joined pole is as high as the highest and of the most telling kind; it stands
-    where the file has the pole itself, or else where the first signal hangs.
+    A joined pole is as high as the highest and of the most telling kind; it
+    stands where the file has the pole itself, or else where the first signal
+    hangs.
+
+    Parameters
+    ----------
+    poles : sequence of Pole
+        Poles of signals and objects.
+
+    Returns
+    -------
+    joined : list of Pole
+        In the order of the first pole of each group.
     """
     if len(poles) < 2:
         return list(poles)
@@ -511,15 +802,18 @@ def merge_poles(poles: Sequence[Pole]) -> list[Pole]:
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     tree = cKDTree(positions[first])
     pairs = tree.query_pairs(
-        load_facts()["signals"]["same_pole_m"], output_type="ndarray"
+        load_facts()["signals"]["same_pole_m"],
+        output_type="ndarray",
     )
     links = coo_array(
-        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])),
+        shape=(len(first),) * 2,
     )
     _, labels = connected_components(links, directed=False)
     groups: dict[int, list[Pole]] = {}
     for pole, label in zip(poles, labels[cell.reshape(-1)], strict=True):
         groups.setdefault(int(label), []).append(pole)
+    # One pole of each group stands for all of them.
     joined = []
     for group in groups.values():
         stands = next(

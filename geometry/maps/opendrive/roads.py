@@ -1,4 +1,8 @@
-"""Roads of a file with all that runs along them, the header, and checked attributes of XML."""
+"""OpenDRIVE roads with all that runs along them, and the header.
+
+The file is read through functions that check each attribute, so that
+messages say where a number is wrong.
+"""
 
 import math
 from collections import Counter
@@ -18,35 +22,56 @@ from ...files import load_data
 from ..georeferences import why_no_plane
 from ..source_map import Omissions
 
-MAX_MAGNITUDE = 1.0e12  # beyond it cubes of arc lengths leave what floats can hold
+# Beyond it cubes of arc lengths leave what floats can hold.
+MAX_MAGNITUDE = 1.0e12
 MAX_SIZE_M = 1.0e4
-_UNSET = ("", "none", "undefined", "nan")  # written by exporters for unknown values
+# Written by exporters for unknown values.
+_UNSET = ("", "none", "undefined", "nan")
 # They speak of heights, and name grids that need not be at hand.
 _VERTICAL_PARAMETERS = ("+geoidgrids=", "+vunits=", "+vto_meter=", "+geoid_crs=")
-_ARC_BELOW_RAD = (
-    1.0e-9  # a clothoid that turns by so much more or less than an arc is one
-)
+# A clothoid that turns by so much more or less than an arc is one.
+_ARC_BELOW_RAD = 1.0e-9
 _N_ARC_LENGTH = 2049
 SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
-_CURVES = SHAPES[:3]  # the first two are spirals whose curvature does not change
+# The first two are spirals whose curvature does not change.
+_CURVES = SHAPES[:3]
 MAX_COORDINATE_M = 1.0e8
-_N_CURVATURES = 33  # samples of a polynomial's curvature
+# Samples of a polynomial's curvature.
+_N_CURVATURES = 33
 _ROUNDED_M = 1.0e-6
-_MAX_GAP_M = 1.0  # by which lengths of a file may miss one another
+# By which lengths of a file may miss one another.
+_MAX_GAP_M = 1.0
 NO_JUNCTION = "-1"
 _MAX_LENGTH_M = 100_000.0
 _MAX_SECTION_GAP_M = 1.0e-3
-_MAX_LANES = 200  # on one side of a section
+# On one side of a section.
+_MAX_LANES = 200
 SpeedLimits = tuple[tuple[float, float | None], ...]
-"""Stations from which speed limits hold, ascending, in metres, and these in km/h; None: none."""
+"""Stations [m] from which limits hold, ascending, and these [km/h]; None: none."""
 _KMH = {"m/s": 3.6, "km/h": 1.0, "mph": 1.609344}
 
 
 def take_number(element: Element, key: str, where: str) -> float:
-    """Finite number of an attribute that must be there, at most ``MAX_MAGNITUDE`` in size.
+    """Finite number of an attribute that must be there.
 
-    `where` is file and element, for messages: "Town.xodr: road 5 geometry[2]". Raises
-    InputError if the attribute is missing, no number, or not finite.
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element, for messages: "Town.xodr: road 5 geometry[2]".
+
+    Returns
+    -------
+    value : float
+        At most ``MAX_MAGNITUDE`` in size.
+
+    Raises
+    ------
+    InputError
+        The attribute is missing, no number, or not finite.
     """
     text = element.get(key)
     if text is None:
@@ -62,7 +87,29 @@ def take_number(element: Element, key: str, where: str) -> float:
 
 
 def take_number_or(element: Element, key: str, where: str, default: float) -> float:
-    """Finite number of an attribute, or the default if it is missing or left open."""
+    """Finite number of an attribute, or the default if it is left open.
+
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element at hand, for messages.
+    default : float
+        Value if the attribute is missing, empty or "none".
+
+    Returns
+    -------
+    value : float
+        At most ``MAX_MAGNITUDE`` in size.
+
+    Raises
+    ------
+    InputError
+        The attribute is no number, or not finite.
+    """
     is_open = element.get(key, "").strip().lower() in _UNSET
     if is_open:
         return default
@@ -70,9 +117,26 @@ def take_number_or(element: Element, key: str, where: str, default: float) -> fl
 
 
 def take_size(element: Element, key: str, where: str) -> float | None:
-    """A length, width, height or radius; None if it is missing, left open or not above 0.
+    """Length, width, height or radius; None: not given, or not above 0.
 
-    Raises InputError if it is not finite, or larger than anything beside a road.
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    key : str
+        Name of the attribute.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    size_m : float or None
+        In metres.
+
+    Raises
+    ------
+    InputError
+        It is not finite, or larger than anything beside a road.
     """
     value = take_number_or(element, key, where, 0.0)
     if value > MAX_SIZE_M:
@@ -83,7 +147,25 @@ def take_size(element: Element, key: str, where: str) -> float | None:
 
 
 def take_id(element: Element, where: str) -> str:
-    """Attribute id; raises InputError if it is missing or empty."""
+    """Attribute ``id``, without spaces around it.
+
+    Parameters
+    ----------
+    element : Element
+        Element that has the attribute.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    id : str
+        Not empty.
+
+    Raises
+    ------
+    InputError
+        It is missing or empty.
+    """
     text = element.get("id", "").strip()
     if not text:
         refuse(f"{where}.id", "nothing", "an id")
@@ -91,17 +173,49 @@ def take_id(element: Element, where: str) -> str:
 
 
 def numbered(
-    parent: Element | None, tag: str, where: str
+    parent: Element | None,
+    tag: str,
+    where: str,
 ) -> Iterator[tuple[Element, str]]:
-    """Children with a tag, and their names for messages: "Town.xodr: road 5 geometry[2]"."""
-    for index, child in enumerate([] if parent is None else parent.findall(tag)):
+    """Children with a tag, and their names for messages.
+
+    Parameters
+    ----------
+    parent : Element or None
+        Parent of the children; None: there are none.
+    tag : str
+        Their tag.
+    where : str
+        File and element at hand, for messages.
+
+    Yields
+    ------
+    child : (Element, str)
+        The name is such as "Town.xodr: road 5 geometry[2]".
+    """
+    if parent is None:
+        return
+    for index, child in enumerate(parent.findall(tag)):
         yield child, f"{where} {tag}[{index}]"
 
 
 # ---------- the header
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offset:
-    """Offset from the coordinates of a file to those of its projection; rotation is applied first.
+    """Offset from the coordinates of a file to those of its projection.
+
+    The rotation is applied first.
+
+    Attributes
+    ----------
+    x_m : float
+        Eastwards. [m]
+    y_m : float
+        Northwards. [m]
+    z_m : float
+        Upwards. [m]
+    heading_rad : float
+        Rotation, counter-clockwise. [rad]
 
     References
     ----------
@@ -115,7 +229,7 @@ class Offset:
     heading_rad: float = 0.0
 
     def apply(self, points_m: FloatArray) -> FloatArray:
-        """Points (n, 2) in the projection."""
+        """Points in the projection, (n, 2)."""
         cos = math.cos(self.heading_rad)
         sin = math.sin(self.heading_rad)
         return np.asarray(
@@ -124,7 +238,20 @@ class Offset:
 
 
 def read_offset(root: Element, where: str) -> Offset:
-    """Offset of a document's header; all zero without one."""
+    """Offset of a document's header; all zero without one.
+
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    offset : Offset
+        From the element ``header/offset``.
+    """
     element = root.find("header/offset")
     keys = {"x_m": "x", "y_m": "y", "z_m": "z", "heading_rad": "hdg"}
     if element is None:
@@ -136,16 +263,28 @@ def read_offset(root: Element, where: str) -> Offset:
 
 
 def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
-    """Coordinate reference system of a document: one for pyproj, and the declared one.
+    """Reference system of a document: one for pyproj, and the declared one.
 
-    The first is projected, in metres and without parameters of heights; it is empty if
-    the file names none, or one that does not fit (noted in `omissions`).
+    Parameters
+    ----------
+    root : Element
+        Root element of the document.
+    omissions : Omissions
+        Record of what is left out, and why; entries are added.
+
+    Returns
+    -------
+    crs : str
+        Projected, in metres and without parameters of heights; empty if the
+        file names none, or one that does not fit, which is noted.
+    source : str
+        As the file declares it; empty: it does not.
     """
     element = root.find("header/geoReference")
-    if element is None:
-        source = ""
-    else:
-        source = " ".join("".join(element.itertext()).split())
+    source = ""
+    if element is not None:
+        text = "".join(element.itertext())
+        source = " ".join(text.split())
     if not source:
         return "", ""
     if {word.partition("=")[0] for word in source.split()} == {"+lat_0", "+lon_0"}:
@@ -168,7 +307,10 @@ def read_crs(root: Element, omissions: Omissions) -> tuple[str, str]:
 # ---------- facts of the format
 @cache
 def load_facts() -> dict[str, Any]:
-    """Lane kinds, words, types and assumed numbers from ``geometry/maps/data/opendrive.toml``."""
+    """Lane kinds, words, types and assumed numbers of the format.
+
+    They are those of ``geometry/maps/data/opendrive.toml``.
+    """
     return load_data("geometry.maps", "opendrive.toml")
 
 
@@ -180,24 +322,65 @@ def lane_kinds() -> dict[str, str]:
 
 
 def assumed(key: str) -> float:
-    """A number of the section of assumptions."""
+    """Number that is assumed where a file gives none."""
     return float(load_facts()["assumed"][key])
 
 
 def arc(s_m: FloatArray, curvature: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of circular arcs; curvatures, in 1/m, turn to the left."""
+    """Points and headings of circular arcs that start along x.
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    curvature : (n,) float
+        To the left. [1/m]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the start of the arc. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from x. [rad]
+    """
     half = 0.5 * curvature * s_m
     chord = s_m * np.sinc(half / np.pi)
     return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1), 2.0 * half
 
 
 def spiral(
-    s_m: FloatArray, start_curvature: FloatArray, curvature_slope: FloatArray
+    s_m: FloatArray,
+    start_curvature: FloatArray,
+    curvature_slope: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of clothoids; the slope is the change of curvature per metre.
+    """Points and headings of clothoids that start along x.
 
-    Abramowitz, Stegun, section 7.3: completing the square in the heading k0 s + k' s^2
-    / 2 leaves the Fresnel integrals C and S.
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    start_curvature : (n,) float
+        At the start, to the left. [1/m]
+    curvature_slope : (n,) float
+        Change of the curvature per metre. [1/m^2]
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        From the start of the clothoid. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from x. [rad]
+
+    Notes
+    -----
+    Completing the square in the heading k0 s + k' s^2 / 2 leaves the Fresnel
+    integrals C and S. Clothoids that hardly bend more than an arc are computed
+    as one.
+
+    References
+    ----------
+    .. [1] M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions",
+       section 7.3.
     """
     points, heading = arc(s_m, start_curvature + 0.5 * curvature_slope * s_m)
     bent = np.abs(curvature_slope) * s_m**2 > _ARC_BELOW_RAD
@@ -216,18 +399,56 @@ def spiral(
 
 
 def turned(
-    x: FloatArray, y: FloatArray, angle_rad: Any
+    x: FloatArray,
+    y: FloatArray,
+    angle_rad: Any,
 ) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of vectors that are turned counter-clockwise."""
+    """Coordinates of vectors that are turned counter-clockwise.
+
+    Parameters
+    ----------
+    x : FloatArray
+        First coordinates.
+    y : FloatArray
+        Second coordinates.
+    angle_rad : float or array
+        Angle. [rad]
+
+    Returns
+    -------
+    x : FloatArray
+        First coordinates of the turned vectors.
+    y : FloatArray
+        Their second coordinates.
+    """
     cos = np.cos(angle_rad)
     sin = np.sin(angle_rad)
     return x * cos - y * sin, x * sin + y * cos
 
 
 def polynomial(
-    p: FloatArray, u: FloatArray, v: FloatArray
+    p: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Points (n, 2) and headings (n,) of two cubics with coefficients a, b, c, d in u and v."""
+    """Points and headings of two cubics in u and v.
+
+    Parameters
+    ----------
+    p : (n,) float
+        Parameter of the curve.
+    u : (n, 4) float
+        Coefficients a, b, c, d of u.
+    v : (n, 4) float
+        Coefficients a, b, c, d of v.
+
+    Returns
+    -------
+    points_m : (n, 2) float
+        U and v. [m]
+    heading_rad : (n,) float
+        Counter-clockwise from u. [rad]
+    """
     points = np.stack([evaluate(p, u), evaluate(p, v)], axis=1)
     du = slope(p, u)
     dv = slope(p, v)
@@ -240,7 +461,22 @@ def polynomial(
 
 
 def graph_parameter(s_m: FloatArray, v: FloatArray, length_m: float) -> FloatArray:
-    """The u, (n,), at which a curve v(u) has a given arc length from 0 to `length_m`."""
+    """The u at which a curve v(u) has a given arc length, (n,).
+
+    Parameters
+    ----------
+    s_m : (n,) float
+        Arc lengths. [m]
+    v : (4,) float
+        Coefficients a, b, c, d of v.
+    length_m : float
+        Largest u that is searched. [m]
+
+    Returns
+    -------
+    u : (n,) float
+        By the trapezoidal rule on a fine grid. [m]
+    """
     grid = np.linspace(0.0, length_m, _N_ARC_LENGTH)
     speed = np.hypot(1.0, slope(grid, v))
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
@@ -253,35 +489,66 @@ def evaluate(p: FloatArray, k: FloatArray) -> FloatArray:
 
 
 def slope(p: FloatArray, k: FloatArray) -> FloatArray:
-    """Their first derivatives."""
+    """First derivatives of cubics with coefficients k (..., 4) at p (...)."""
     return k[..., 1] + p * (2.0 * k[..., 2] + 3.0 * p * k[..., 3])
 
 
 # ---------- the reference line
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceLine:
-    """Pieces one after the other.
+    """Reference line of a road: pieces one after the other.
 
-    `parameters` has nine columns: curvature (of a line: 0), or that of the start and
-    its slope; or coefficients a, b, c, d of u and of v, and the factor from arc length
-    to parameter.
+    Attributes
+    ----------
+    starts_m : (n,) float
+        Begin of each piece along the road. [m]
+    lengths_m : (n,) float
+        Length of each piece. [m]
+    origins_m : (n, 2) float
+        First point of each piece. [m]
+    headings_rad : (n,) float
+        Heading at the first point, counter-clockwise from east. [rad]
+    shapes : (n,) int
+        Indices into ``SHAPES``.
+    parameters : (n, 9) float
+        Curvature (of a line: 0), or curvature at the start and its slope; or
+        coefficients a, b, c, d of u and of v, and the factor from arc length to
+        parameter.
+    wheres : tuple of str
+        Where each piece stands in the file, for messages.
     """
 
-    starts_m: FloatArray  # (n,), along the road
-    lengths_m: FloatArray  # (n,)
-    origins_m: FloatArray  # (n, 2), begins of the pieces
-    headings_rad: FloatArray  # (n,)
-    shapes: NDArray[np.int64]  # (n,), indices into SHAPES
-    parameters: FloatArray  # (n, 9)
-    wheres: tuple[str, ...]  # for messages
+    starts_m: FloatArray
+    lengths_m: FloatArray
+    origins_m: FloatArray
+    headings_rad: FloatArray
+    shapes: NDArray[np.int64]
+    parameters: FloatArray
+    wheres: tuple[str, ...]
 
     def at(
-        self, s_m: FloatArray, inside_m: FloatArray | None = None
+        self,
+        s_m: FloatArray,
+        inside_m: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Points (k, 2) and headings (k,) at arc lengths; `inside_m` selects where two meet."""
-        if inside_m is None:
-            lookup = s_m
-        else:
+        """Points and headings at arc lengths.
+
+        Parameters
+        ----------
+        s_m : (k,) float
+            Arc lengths along the road. [m]
+        inside_m : (k,) float, optional
+            Arc lengths that select the piece where two meet. [m]
+
+        Returns
+        -------
+        points_m : (k, 2) float
+            In the coordinates of the map. [m]
+        heading_rad : (k,) float
+            Counter-clockwise from east. [rad]
+        """
+        lookup = s_m
+        if inside_m is not None:
             lookup = inside_m
         piece = np.maximum(np.searchsorted(self.starts_m, lookup, side="right") - 1, 0)
         ds = np.clip(s_m - self.starts_m[piece], 0.0, self.lengths_m[piece])
@@ -291,24 +558,49 @@ class ReferenceLine:
         for wanted in np.unique(shape):
             mask = shape == wanted
             points[mask], turns[mask] = self._local(
-                SHAPES[wanted], piece[mask], ds[mask]
+                SHAPES[wanted],
+                piece[mask],
+                ds[mask],
             )
         heading = self.headings_rad[piece]
         along = np.stack(turned(points[:, 0], points[:, 1], heading), axis=1)
         return self.origins_m[piece] + along, heading + turns
 
     def _local(
-        self, shape: str, piece: NDArray[np.int64], s: FloatArray
+        self,
+        shape: str,
+        piece: NDArray[np.int64],
+        s: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
+        """Points and headings of pieces of one shape, in their own frames.
+
+        Parameters
+        ----------
+        shape : str
+            One of ``SHAPES``.
+        piece : (k,) int
+            Index of the piece of each point.
+        s : (k,) float
+            Arc length from the begin of the piece. [m]
+
+        Returns
+        -------
+        points_m : (k, 2) float
+            From the begin of the piece. [m]
+        heading_rad : (k,) float
+            Against that of the begin. [rad]
+        """
         parameters = self.parameters[piece]
         if shape in _CURVES:
             return spiral(s, parameters[:, 0], parameters[:, 1])
         p = s * parameters[:, 8]
-        for one in np.unique(piece) if shape == "poly3" else ():
-            here = piece == one
-            v = self.parameters[one, 4:8]
-            length_m = float(self.lengths_m[one])
-            p[here] = graph_parameter(s[here], v, length_m)
+        if shape == "poly3":
+            # The parameter of v(u) is u itself: found for each piece from arc length.
+            for one in np.unique(piece):
+                here = piece == one
+                v = self.parameters[one, 4:8]
+                length_m = float(self.lengths_m[one])
+                p[here] = graph_parameter(s[here], v, length_m)
         return polynomial(p, parameters[:, :4], parameters[:, 4:8])
 
     def bends(self) -> FloatArray:
@@ -317,52 +609,98 @@ class ReferenceLine:
         The largest curvature [1/m], its largest change per metre [1/m^2], and the
         largest distance that the line takes per metre of s (1 except for parametric
         polynomials).
+
+        Returns
+        -------
+        bends : (n, 3) float
+            One row for each piece.
         """
         rows = np.ones((len(self.starts_m), 3))
         for index, shape in enumerate(self.shapes):
             length_m = self.lengths_m[index]
             k = self.parameters[index]
             if SHAPES[shape] in _CURVES:
-                rows[index, :2] = max(abs(k[0]), abs(k[0] + k[1] * length_m)), abs(k[1])
+                end_curvature = k[0] + k[1] * length_m
+                rows[index, 0] = max(abs(k[0]), abs(end_curvature))
+                rows[index, 1] = abs(k[1])
             else:
                 rows[index] = _polynomial_bends(k, float(length_m))
         return rows
 
 
 def _polynomial_bends(k: FloatArray, length_m: float) -> tuple[float, float, float]:
+    """Largest curvature, its change and the stride of a polynomial piece.
+
+    Parameters
+    ----------
+    k : (9,) float
+        Parameters of the piece.
+    length_m : float
+        Its length. [m]
+
+    Returns
+    -------
+    bends : (float, float, float)
+        See :meth:`ReferenceLine.bends`.
+    """
     s = np.linspace(0.0, length_m, _N_CURVATURES)
     p = s * k[8]
     du = slope(p, k[:4])
     dv = slope(p, k[4:8])
-    ddu, ddv = (2.0 * k[i + 2] + 6.0 * p * k[i + 3] for i in (0, 4))
+    ddu = 2.0 * k[2] + 6.0 * p * k[3]
+    ddv = 2.0 * k[6] + 6.0 * p * k[7]
     speed = np.maximum(np.hypot(du, dv), 1.0e-6)
     curvature = (du * ddv - dv * ddu) / speed**3
     # A curve that stands still at its start has no curvature there: it is taken next to
     # it.
     curvature[speed <= 1.0e-5] = 0.0
     change = np.abs(np.diff(curvature)) / np.maximum(np.diff(s), 1.0e-9)
-    if k[8] == 0.0:
-        stride = 1.0
-    else:
+    stride = 1.0
+    if k[8] != 0.0:
         stride = float(speed.max() * k[8])
     return float(np.abs(curvature).max()), float(change.max()), stride
 
 
 def read_reference_line(
-    road: Element, where: str, *, length_m: float, offset: Offset
+    road: Element,
+    where: str,
+    *,
+    length_m: float,
+    offset: Offset,
 ) -> ReferenceLine:
     """Read a road's planView.
 
-    Raises InputError if there is no piece of a length above 0, a number is missing or
-    not finite, a piece begins outside the road or far from its begin, or has an unknown
-    shape.
+    Parameters
+    ----------
+    road : Element
+        The <road>.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the road. [m]
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    line : ReferenceLine
+        Pieces ascending along the road.
+
+    Raises
+    ------
+    InputError
+        There is no piece of a length above 0, a number is missing or not
+        finite, a piece begins outside the road or far from its begin, or has an
+        unknown shape.
     """
     rows = []
     for element, here in numbered(road.find("planView"), "geometry", where):
         row = _read_piece(element, here)
         if not -_MAX_GAP_M <= row[0] <= length_m + _MAX_GAP_M:
             raise InputError(
-                f"{here}.s", row[0], f"0 .. {length_m:g}, the road's length"
+                f"{here}.s",
+                row[0],
+                f"0 .. {length_m:g}, the road's length",
             )
         if row[4] > _ROUNDED_M:
             rows.append((row, here))
@@ -373,7 +711,9 @@ def read_reference_line(
     starts_m = table[:, 0].copy()
     if starts_m[0] > _MAX_GAP_M:
         raise InputError(
-            f"{rows[0][1]}.s", float(starts_m[0]), "0: a road begins there"
+            f"{rows[0][1]}.s",
+            float(starts_m[0]),
+            "0: a road begins there",
         )
     starts_m[0] = 0.0
     return ReferenceLine(
@@ -388,7 +728,25 @@ def read_reference_line(
 
 
 def _read_piece(element: Element, where: str) -> tuple[float, ...]:
-    """s, x, y, hdg, length, index of the shape, nine parameters."""
+    """Row of a piece of the reference line.
+
+    Parameters
+    ----------
+    element : Element
+        The <geometry>.
+    where : str
+        File and element at hand, for messages.
+
+    Returns
+    -------
+    row : tuple of float
+        S, x, y, hdg, length, index of the shape, nine parameters.
+
+    Raises
+    ------
+    InputError
+        A number is missing or out of range, or the shape is unknown.
+    """
     keys = ("s", "x", "y", "hdg", "length")
     s, x, y, heading, length_m = (take_number(element, key, where) for key in keys)
     for key, value in (("x", x), ("y", y)):
@@ -405,6 +763,22 @@ def _read_piece(element: Element, where: str) -> tuple[float, ...]:
 
 
 def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...]:
+    """Nine parameters of a shape, see :class:`ReferenceLine`.
+
+    Parameters
+    ----------
+    shape : Element
+        The <line>, <arc>, <spiral>, <poly3> or <paramPoly3>.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the piece. [m]
+
+    Returns
+    -------
+    parameters : tuple of float
+        Nine; unused ones are 0.
+    """
     if shape.tag == "line" or length_m <= _ROUNDED_M:
         return (0.0,) * 9
     if shape.tag == "arc":
@@ -418,28 +792,51 @@ def _read_shape(shape: Element, where: str, length_m: float) -> tuple[float, ...
         v = tuple(take_number(shape, key, where) for key in "abcd")
         return (0.0, 1.0, 0.0, 0.0, *v, 1.0)
     keys = [f"{key}{axis}" for axis in "UV" for key in "abcd"]
-    p_range = shape.get("pRange", "normalized")  # OpenDRIVE 1.4: the default
+    # OpenDRIVE 1.4: the default.
+    p_range = shape.get("pRange", "normalized")
     if p_range not in ("normalized", "arcLength"):
         raise InputError(f"{where}.pRange", p_range, "normalized or arcLength")
+    per_metre = 1.0
     if p_range == "normalized":
         per_metre = 1.0 / length_m
-    else:
-        per_metre = 1.0
-    return (*(take_number(shape, key, where) for key in keys), per_metre)
+    coefficients = [take_number(shape, key, where) for key in keys]
+    return (*coefficients, per_metre)
 
 
 # ---------- cubics along a road
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PiecewiseCubic:
-    """a + b ds + c ds^2 + d ds^3 with ds counted from the start of a piece; 0 before the first."""
+    """Cubics a + b ds + c ds^2 + d ds^3, one for each piece along a road.
 
-    starts_m: FloatArray  # (n,), begins of the pieces, ascending
-    coefficients: FloatArray  # (n, 4): a, b, c, d
+    ds counts from the start of a piece; before the first one the value is 0.
+
+    Attributes
+    ----------
+    starts_m : (n,) float
+        Begins of the pieces, ascending. [m]
+    coefficients : (n, 4) float
+        A, b, c, d.
+    """
+
+    starts_m: FloatArray
+    coefficients: FloatArray
 
     def rebased(self, starts_m: FloatArray, inside_m: FloatArray) -> FloatArray:
-        """Coefficients (k, 4) of the same polynomials counted from other stations (Taylor's shift).
+        """Coefficients of the same cubics counted from other stations (k, 4).
 
-        `inside_m` (k,) are stations that select the piece where two meet.
+        This is Taylor's shift.
+
+        Parameters
+        ----------
+        starts_m : (k,) float
+            Stations to count from. [m]
+        inside_m : (k,) float
+            Stations that select the piece where two meet. [m]
+
+        Returns
+        -------
+        coefficients : (k, 4) float
+            A, b, c, d.
         """
         if not len(self.starts_m):
             return np.zeros((len(starts_m), 4))
@@ -448,12 +845,13 @@ class PiecewiseCubic:
         h = starts_m - self.starts_m[np.maximum(piece, 0)]
         first = b + h * (2.0 * c + 3.0 * h * d)
         shifted = np.stack(
-            [a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d], axis=1
+            [a + h * (b + h * (c + h * d)), first, c + 3.0 * h * d, d],
+            axis=1,
         )
         return np.where((piece >= 0)[:, None], shifted, 0.0)
 
     def at(self, s_m: FloatArray) -> FloatArray:
-        """Values, (k,)."""
+        """Values at stations, (k,)."""
         return self.rebased(s_m, s_m)[:, 0]
 
 
@@ -465,10 +863,27 @@ def read_cubics(
     start_key: str = "s",
     first_m: float = 0.0,
 ) -> PiecewiseCubic:
-    """Read the children of `parent` with a tag and attributes a, b, c, d, sorted by begin.
+    """Read cubics: children with a tag and attributes a, b, c, d.
 
-    `first_m` is the zero of the attribute `start_key`. Of several that begin at one
-    station the last one holds.
+    Of several that begin at one station the last one holds.
+
+    Parameters
+    ----------
+    parent : Element or None
+        Parent of the elements; None: there are none.
+    tag : str
+        Tag of the elements.
+    where : str
+        File and element at hand, for messages.
+    start_key : str
+        Attribute of the begin.
+    first_m : float
+        Station from which that attribute counts. [m]
+
+    Returns
+    -------
+    cubics : PiecewiseCubic
+        Sorted by begin.
     """
     rows = [
         tuple(take_number(element, key, here) for key in (start_key, *"abcd"))
@@ -478,7 +893,7 @@ def read_cubics(
 
 
 def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
-    """From rows of start, a, b, c, d."""
+    """Cubics from rows of start, a, b, c, d."""
     table = np.array(sorted(rows, key=lambda row: row[0]), dtype=np.float64).reshape(
         -1, 5
     )
@@ -489,36 +904,73 @@ def _build_cubics(rows: Sequence[tuple[float, ...]]) -> PiecewiseCubic:
 # ---------- roads
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoadLink:
-    """The road or junction at an end of a road."""
+    """Road or junction at an end of a road.
 
-    kind: str = ""  # "road", "junction"; empty: nothing
+    Attributes
+    ----------
+    kind : str
+        "road", "junction"; empty: nothing.
+    id : str
+        Id of that road or junction.
+    contact : str
+        End of the other road: "start" or "end".
+    """
+
+    kind: str = ""
     id: str = ""
-    contact: str = ""  # end of the other road: "start" or "end"
+    contact: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneRecord:
-    """A lane of one lane section."""
+    """Lane of one lane section.
 
-    number: int  # its id: negative to the right of the reference line, counted outwards
-    type: str  # of the standard: "driving", "sidewalk", ...
-    is_reversed: (
-        bool  # driven against the direction of its side (OpenDRIVE 1.7 and later)
-    )
-    predecessors: tuple[
-        int, ...
-    ]  # numbers in the section before; successors: in the one after
+    Attributes
+    ----------
+    number : int
+        Id of the lane: negative to the right of the reference line, counted
+        outwards.
+    type : str
+        Type of the standard: "driving", "sidewalk", ...
+    is_reversed : bool
+        Driven against the direction of its side (OpenDRIVE 1.7 and later).
+    predecessors : tuple of int
+        Numbers of the lanes before it, in the section before.
+    successors : tuple of int
+        Numbers of the lanes after it, in the section after.
+    width : PiecewiseCubic
+        Width along the road; without pieces: not given.
+    border : PiecewiseCubic
+        Lateral position of its outer edge; without pieces: not given.
+    limits : SpeedLimits
+        Speed limits of the lane's own.
+    """
+
+    number: int
+    type: str
+    is_reversed: bool
+    predecessors: tuple[int, ...]
     successors: tuple[int, ...]
-    width: PiecewiseCubic  # along the road; without pieces: not given
-    border: (
-        PiecewiseCubic  # lateral position of its outer edge; without pieces: not given
-    )
+    width: PiecewiseCubic
+    border: PiecewiseCubic
     limits: SpeedLimits = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSection:
-    """A stretch of a road with the same lanes, listed from the reference line outwards."""
+    """Stretch of a road with the same lanes.
+
+    Attributes
+    ----------
+    start_m : float
+        First station. [m]
+    end_m : float
+        Last station. [m]
+    left : tuple of LaneRecord
+        Lanes to the left, listed from the reference line outwards.
+    right : tuple of LaneRecord
+        Lanes to the right, listed from the reference line outwards.
+    """
 
     start_m: float
     end_m: float
@@ -528,28 +980,64 @@ class LaneSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
-    """One road."""
+    """One road with its lanes and links.
+
+    Attributes
+    ----------
+    id : str
+        Id in the file.
+    name : str
+        Name in the file; may be empty.
+    where : str
+        File and road, for messages.
+    junction : str
+        Junction of which it is a connecting road; NO_JUNCTION: none.
+    length_m : float
+        Length along the reference line. [m]
+    keeps_left : bool
+        Traffic keeps left.
+    line : ReferenceLine
+        Reference line.
+    elevation : PiecewiseCubic
+        Height of the reference line, without the header's offset.
+    base_m : float
+        The header's offset in height. [m]
+    offset : PiecewiseCubic
+        Shift of the lanes to the left of the reference line.
+    sections : tuple of LaneSection
+        Lane sections, one after the other.
+    before : RoadLink
+        Link at its start.
+    after : RoadLink
+        Link at its end.
+    bank : PiecewiseCubic
+        Roll around the reference line, its left side upwards. [rad]
+    element : Element
+        XML element, for objects and signals.
+    limits : SpeedLimits
+        Speed limits of the road.
+    """
 
     id: str
     name: str
-    where: str  # for messages
-    junction: str  # of which it is a connecting road; NO_JUNCTION: none
+    where: str
+    junction: str
     length_m: float
     keeps_left: bool
     line: ReferenceLine
-    elevation: PiecewiseCubic  # of the reference line, without the header's offset
-    base_m: float  # the header's offset in height
-    offset: PiecewiseCubic  # of the lanes to the left of the reference line
+    elevation: PiecewiseCubic
+    base_m: float
+    offset: PiecewiseCubic
     sections: tuple[LaneSection, ...]
-    before: RoadLink  # at its start
-    after: RoadLink  # at its end
-    bank: PiecewiseCubic  # roll around the reference line, its left side upwards. [rad]
-    element: Element  # for objects and signals
+    before: RoadLink
+    after: RoadLink
+    bank: PiecewiseCubic
+    element: Element
     limits: SpeedLimits = ()
 
     @property
     def is_motorway(self) -> bool:
-        """True if it says so all along, and has no sidewalk."""
+        """True if the road says so all along, and has no sidewalk."""
         types = [element.get("type", "") for element in self.element.findall("type")]
         lanes = [lane for one in self.sections for lane in (*one.left, *one.right)]
         has_walkers = any(
@@ -562,7 +1050,22 @@ class Road:
         )
 
     def speed_limit_kmh(self, s_m: float, lane: LaneRecord) -> float | None:
-        """Limit of a lane at a station in km/h, the lane's own or else the road's; None: none."""
+        """Speed limit of a lane at a station in km/h; None: there is none.
+
+        The lane's own limit counts first, then the road's.
+
+        Parameters
+        ----------
+        s_m : float
+            Station. [m]
+        lane : LaneRecord
+            The lane.
+
+        Returns
+        -------
+        limit_kmh : float or None
+            Of the last limit that begins at or before the station.
+        """
         for limits in (lane.limits, self.limits):
             here = [limit_kmh for start_m, limit_kmh in limits if start_m <= s_m + 1e-6]
             if here:
@@ -570,7 +1073,22 @@ class Road:
         return None
 
     def place(self, s_m: FloatArray, t_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 3) on the road's surface, and headings (n,) of its reference line there."""
+        """Points on the road's surface, and headings of its reference line.
+
+        Parameters
+        ----------
+        s_m : (n,) float
+            Stations; clipped to the road. [m]
+        t_m : (n,) float
+            To the left of the reference line. [m]
+
+        Returns
+        -------
+        points_m : (n, 3) float
+            In the coordinates of the map. [m]
+        heading_rad : (n,) float
+            Counter-clockwise from east. [rad]
+        """
         s_m = np.clip(s_m, 0.0, self.length_m)
         points, heading = self.line.at(s_m)
         left = np.stack([-np.sin(heading), np.cos(heading)], axis=1)
@@ -579,39 +1097,86 @@ class Road:
         return np.column_stack([points + t_m[:, None] * left, height_m]), heading
 
     def listed(self, tag: str, names: Counter[str]) -> Iterator["RoadElement"]:
-        """Its objects or signals; `names` counts names over all roads, to make them unique."""
+        """Objects or signals of the road.
+
+        Parameters
+        ----------
+        tag : {"object", "signal"}
+            Tag of the elements.
+        names : Counter[str]
+            Counts of names over all roads, to make them unique; extended.
+
+        Yields
+        ------
+        element : RoadElement
+            In the order of the file.
+        """
         parent = self.element.find(f"{tag}s")
         for index, (element, _) in enumerate(numbered(parent, tag, self.where)):
             label = f"{tag} {element.get('id', f'[{index}]')[:60]}"
             name = f"road {self.id} {label}"
-            names[name] += 1  # ids are not unique in some files
+            # Ids are not unique in some files.
+            names[name] += 1
             where = f"{self.where} {label}"
             number = names[name]
-            if number == 1:
-                unique = name
-            else:
+            unique = name
+            if number > 1:
                 unique = f"{name} #{number}"
             yield RoadElement(element=element, road=self, name=unique, where=where)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RoadElement:
-    """An object or signal of a road."""
+    """Object or signal of a road.
+
+    Attributes
+    ----------
+    element : Element
+        XML element.
+    road : Road
+        Road that it belongs to.
+    name : str
+        Unique in the file.
+    where : str
+        For messages.
+    """
 
     element: Element
     road: Road
-    name: str  # unique in the file
-    where: str  # for messages
+    name: str
+    where: str
 
 
 def read_road(element: Element, where: str, offset: Offset) -> Road:
-    """Read a road element; raises InputError if a necessary value is missing or out of range."""
+    """Read a road element.
+
+    Parameters
+    ----------
+    element : Element
+        The <road>.
+    where : str
+        File and element at hand, for messages.
+    offset : Offset
+        Offset of the file's header.
+
+    Returns
+    -------
+    road : Road
+        With its line, lanes and links.
+
+    Raises
+    ------
+    InputError
+        A necessary value is missing or out of range.
+    """
     road_id = take_id(element, f"{where}: road")
     where = f"{where}: road {road_id}"
     length_m = take_number(element, "length", where)
     if not 0.0 < length_m <= _MAX_LENGTH_M:
         raise InputError(
-            f"{where}.length", length_m, f"metres, > 0, at most {_MAX_LENGTH_M:g}"
+            f"{where}.length",
+            length_m,
+            f"metres, > 0, at most {_MAX_LENGTH_M:g}",
         )
     rule = element.get("rule", "RHT").upper()
     if rule not in ("RHT", "LHT"):
@@ -645,12 +1210,36 @@ def _read_limits(
     start_key: str = "s",
     first_m: float = 0.0,
 ) -> SpeedLimits:
-    """Speed limits of a road's types, or of a lane; those that are no numbers are none."""
+    """Speed limits of a road's types, or of a lane.
+
+    Limits that are no numbers are none.
+
+    Parameters
+    ----------
+    elements : sequence of Element
+        Elements with a speed, or that are one.
+    where : str
+        File and element at hand, for messages.
+    start_key : str
+        Attribute of the begin.
+    first_m : float
+        Station from which that attribute counts. [m]
+
+    Returns
+    -------
+    limits : SpeedLimits
+        Ascending by station.
+    """
     limits = []
     for element in elements:
         start_m = first_m + take_number_or(element, start_key, where, 0.0)
-        speed = element if element.tag == "speed" else element.find("speed")
-        limits.append((start_m, None if speed is None else _speed_kmh(speed)))
+        speed: Element | None = element
+        if element.tag != "speed":
+            speed = element.find("speed")
+        limit_kmh = None
+        if speed is not None:
+            limit_kmh = _speed_kmh(speed)
+        limits.append((start_m, limit_kmh))
     return tuple(sorted(limits, key=lambda limit: limit[0]))
 
 
@@ -670,25 +1259,50 @@ def read_links(road: Element) -> tuple[RoadLink, RoadLink]:
     keys = {"kind": "elementType", "id": "elementId", "contact": "contactPoint"}
 
     def link(side: str) -> RoadLink:
+        """Link of one side; empty if the road has none."""
         words = road.find(f"link/{side}")
         if words is None:
-            found = {}
-        else:
-            found = {k: words.get(v, "").strip() for k, v in keys.items()}
+            return RoadLink()
+        found = {name: words.get(key, "").strip() for name, key in keys.items()}
         return RoadLink(**found)
 
     return link("predecessor"), link("successor")
 
 
 def _read_sections(
-    lanes: Element | None, where: str, length_m: float
+    lanes: Element | None,
+    where: str,
+    length_m: float,
 ) -> tuple[LaneSection, ...]:
+    """Lane sections of a road, each ending where the next one begins.
+
+    Parameters
+    ----------
+    lanes : Element or None
+        The <lanes>; None: the road has none.
+    where : str
+        File and element at hand, for messages.
+    length_m : float
+        Length of the road. [m]
+
+    Returns
+    -------
+    sections : tuple of LaneSection
+        Ascending along the road.
+
+    Raises
+    ------
+    InputError
+        There is no section, or one begins outside the road or has no lane 0.
+    """
     found = []
     for element, here in numbered(lanes, "laneSection", where):
         start_m = take_number(element, "s", here)
         if not -_MAX_SECTION_GAP_M <= start_m <= length_m + _MAX_SECTION_GAP_M:
             raise InputError(
-                f"{here}.s", start_m, f"0 .. {length_m:g}, the road's length"
+                f"{here}.s",
+                start_m,
+                f"0 .. {length_m:g}, the road's length",
             )
         if element.find("center/lane") is None:
             refuse(f"{here} center", "no lane", "a lane section's lane 0")
@@ -698,14 +1312,12 @@ def _read_sections(
     found.sort(key=lambda item: item[0])
     sections = []
     for at, (start_m, element, here) in enumerate(found):
-        left, right = (
-            _read_side(element, side, here, start_m) for side in ("left", "right")
-        )
+        left = _read_side(element, "left", here, start_m)
+        right = _read_side(element, "right", here, start_m)
         begin_m = min(max(start_m, 0.0), length_m)
+        end_m = length_m
         if at + 1 < len(found):
             end_m = found[at + 1][0]
-        else:
-            end_m = length_m
         sections.append(
             LaneSection(start_m=begin_m, end_m=end_m, left=left, right=right)
         )
@@ -719,12 +1331,37 @@ def _read_sections(
 
 
 def _read_side(
-    section: Element, side: str, where: str, start_m: float
+    section: Element,
+    side: str,
+    where: str,
+    start_m: float,
 ) -> tuple[LaneRecord, ...]:
+    """Lanes of one side of a section, from the reference line outwards.
+
+    Parameters
+    ----------
+    section : Element
+        The <laneSection>.
+    side : {"left", "right"}
+        Side of the reference line.
+    where : str
+        File and element at hand, for messages.
+    start_m : float
+        Where the section begins. [m]
+
+    Returns
+    -------
+    lanes : tuple of LaneRecord
+        Numbered outwards.
+
+    Raises
+    ------
+    InputError
+        A number is missing, comes twice or has the wrong sign.
+    """
+    sign = -1
     if side == "left":
         sign = 1
-    else:
-        sign = -1
     from_here: Any = {"start_key": "sOffset", "first_m": start_m}
     records: dict[int, LaneRecord] = {}
     for element, here in numbered(section.find(side), "lane", f"{where} {side}"):
@@ -754,7 +1391,10 @@ def _read_side(
 
 
 def _linked_lanes(lane: Element, side: str) -> tuple[int, ...]:
-    """Numbers of the lanes that continue this one; a link that is no number is ignored."""
+    """Numbers of the lanes that continue this one.
+
+    A link that is no number is ignored.
+    """
     ids = [link.get("id", "").strip() for link in lane.findall(f"link/{side}")]
     return tuple(
         int(text) for text in ids if text.lstrip("+-").isdecimal() and len(text) < 10

@@ -1,4 +1,4 @@
-"""Maps from OpenStreetMap: a file of its data in, lanes, junctions, buildings and poles out."""
+"""Maps from OpenStreetMap: lanes, junctions, buildings, poles and more."""
 
 from collections import Counter
 from dataclasses import replace
@@ -29,12 +29,29 @@ from .things import (
 )
 
 __all__ = ["fetch_openstreetmap", "read_openstreetmap"]
-_CLEAR = 0.8  # of all that shows a side
-_CARRIAGEWAYS_M = (3.0, 30.0)  # apart
+# Of all that shows a side.
+_CLEAR = 0.8
+# Apart.
+_CARRIAGEWAYS_M = (3.0, 30.0)
 
 
 def find_driving_side(elements: Elements) -> tuple[bool, str]:
-    """True if traffic keeps left, and what shows it; empty: nothing, it is assumed."""
+    """True if traffic keeps left, and what in the file shows it.
+
+    A tag counts first, then roundabouts, then carriageways side by side.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    keeps_left : bool
+        False if nothing shows the side.
+    how : str
+        What shows it; empty: nothing, the side is assumed.
+    """
     ways = [way for way in elements.ways if is_for_cars(way.tags)]
     sides = Counter(way.tags.get("driving_side") for way in ways)
     if sides["left"] or sides["right"]:
@@ -48,20 +65,36 @@ def find_driving_side(elements: Elements) -> tuple[bool, str]:
 
 
 def _points(way: Way, elements: Elements) -> list[FloatArray]:
+    """Lines of a way in driving direction, (n, 2) each."""
+    step = 1
     if runs_backward(way.tags):
         step = -1
-    else:
-        step = 1
     return [line_m[::step] for line_m in lines_of(way, elements)]
 
 
 def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
-    """Votes of roundabouts: driven clockwise if traffic keeps left; parts of a ring count too."""
+    """Votes of roundabouts: driven clockwise if traffic keeps left.
+
+    Parts of a ring count, too.
+
+    Parameters
+    ----------
+    ways : list of Way
+        Roads for cars.
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    votes : Counter of bool
+        True: traffic keeps left.
+    """
     votes: Counter[bool] = Counter()
     for way in ways:
         if way.tags.get("junction") not in ("roundabout", "circular"):
             continue
         for points in _points(way, elements):
+            # The sum of the turns between segments tells left from right.
             if len(points) >= 3:
                 steps = np.diff(points, axis=0)
                 bend = steps[:-1, 0] * steps[1:, 1] - steps[:-1, 1] * steps[1:, 0]
@@ -71,7 +104,22 @@ def _roundabouts(ways: list[Way], elements: Elements) -> Counter[bool]:
 
 
 def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
-    """Votes of streets: the other carriageway lies on the right if traffic keeps left."""
+    """Votes of streets with two carriageways side by side.
+
+    The other carriageway lies on the right if traffic keeps left.
+
+    Parameters
+    ----------
+    ways : list of Way
+        Roads for cars.
+    elements : Elements
+        Elements of the file.
+
+    Returns
+    -------
+    votes : Counter of bool
+        True: traffic keeps left.
+    """
     votes: Counter[bool] = Counter()
     segments_m: list[FloatArray] = []
     names: list[str] = []
@@ -83,6 +131,7 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
                 names += [name] * (len(points) - 1)
     if not names:
         return votes
+    # Pairs of segments that run against each other, side by side.
     lines = np.concatenate(segments_m)
     begin = lines[:, 0]
     end = lines[:, 1]
@@ -92,13 +141,16 @@ def _carriageways(ways: list[Way], elements: Elements) -> Counter[bool]:
     tree = shapely.STRtree(shapely.linestrings(lines))
     low_m, high_m = _CARRIAGEWAYS_M
     one, other = tree.query(
-        shapely.points(middle), predicate="dwithin", distance=high_m
+        shapely.points(middle),
+        predicate="dwithin",
+        distance=high_m,
     )
     is_opposite = np.einsum("ij,ij->i", step[one], step[other]) < -0.95
     one = one[is_opposite]
     other = other[is_opposite]
     apart = middle[other] - middle[one]
-    across = step[one, 0] * apart[:, 1] - step[one, 1] * apart[:, 0]  # > 0: on the left
+    # > 0: on the left.
+    across = step[one, 0] * apart[:, 1] - step[one, 1] * apart[:, 0]
     is_beside = (np.abs(across) >= low_m) & (np.abs(across) <= high_m)
     for index in np.flatnonzero(is_beside):
         if names[one[index]] == names[other[index]]:
@@ -114,28 +166,47 @@ def read_openstreetmap(
     staggered_m: float = 0.0,
     progress: Progress = silent,
 ) -> SourceMap:
-    """Read a file of OpenStreetMap data: XML (.osm, .osm.gz, .osm.bz2) or PBF (.osm.pbf).
+    """Read a file of OpenStreetMap data, XML or PBF.
 
-    Coordinates are metres around the middle of the roads, heights are above the ground.
-    `keeps_left`: by default what the file shows. Two side roads that meet a road from
-    either side no farther apart than `staggered_m` are one junction, as are any roads
-    within 25 m. Raises InputError: it is damaged or too large, or has no road.
+    Suffixes are .osm, .osm.gz, .osm.bz2 and .osm.pbf. Coordinates are metres
+    around the middle of the roads, heights are above the ground.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    keeps_left : bool or None
+        Traffic keeps left; None: what the file shows.
+    staggered_m : float
+        Two side roads that meet a road from either side no farther apart than
+        this are one junction, as are any roads within 25 m. [m]
+    progress : Progress
+        Called with what is being done, and how far it is.
+
+    Returns
+    -------
+    source : SourceMap
+        Lanes, junctions, things, poles and crosswalks.
+
+    Raises
+    ------
+    InputError
+        The file is damaged or too large, or has no road.
     """
     elements = read_elements(path)
     roads = [way for way in elements.ways if is_for_cars(way.tags)]
+    rows = np.empty(0, int)
     if roads:
         rows = np.unique(np.concatenate([way.rows for way in roads]))
-    else:
-        rows = np.empty(0, int)
     rows = rows[rows >= 0]
     if not len(rows):
+        found = "no nodes"
         if len(elements.node_ids):
             found = "no road for cars"
-        else:
-            found = "no nodes"
         refuse(str(path), found, "a map with roads")
     progress(Phrase("read streets"), 0, 0)
     elements, crs = _placed(elements, rows, path)
+    # The side of traffic decides where lanes lie, so it comes before the network.
     side = "given"
     if keeps_left is None:
         keeps_left, side = find_driving_side(elements)
@@ -176,18 +247,42 @@ def read_openstreetmap(
 
 
 def _heights(elements: Elements, rows: np.ndarray) -> FloatArray:
-    """Nodes of roads that say how high above the sea they lie, (n, 3), in metres."""
-    found = [
-        (*elements.positions_m[row], height_m)
-        for row in rows.tolist()
-        if (height_m := parse_length_m(elements.node_tags.get(row, {}).get("ele", "")))
-        is not None
-    ]
+    """Nodes of roads that say how high they lie, (n, 3), in metres."""
+    found = []
+    for row in rows.tolist():
+        tags = elements.node_tags.get(row, {})
+        height_m = parse_length_m(tags.get("ele", ""))
+        if height_m is not None:
+            found.append((*elements.positions_m[row], height_m))
     return np.array(found).reshape(-1, 3)
 
 
 def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements, str]:
-    """Elements in metres around the middle of the roads but those far off; and their CRS."""
+    """Elements in metres around the middle of the roads, and their CRS.
+
+    Elements far from the roads are taken for missing ones.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    rows : np.ndarray
+        Rows of the nodes of roads.
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    elements : Elements
+        With positions; infinite for nodes far off.
+    crs : str
+        Transverse Mercator around the middle of the roads.
+
+    Raises
+    ------
+    InputError
+        The roads span more than a place does.
+    """
     lon_lat = elements.lon_lat_deg[rows]
     low = lon_lat.min(axis=0)
     high = lon_lat.max(axis=0)
@@ -208,9 +303,8 @@ def _placed(elements: Elements, rows: np.ndarray, path: Path) -> tuple[Elements,
     positions = np.full((len(is_near), 2), np.inf)
     positions[is_near] = transform(elements.lon_lat_deg[is_near], WGS84, crs)
     elements = replace(elements, positions_m=positions)
-    is_there = np.append(
-        np.isfinite(positions).all(axis=1), False
-    )  # row -1: not in the file
+    # Row -1: not in the file.
+    is_there = np.append(np.isfinite(positions).all(axis=1), False)
     if is_there[:-1].all():
         return elements, crs
     tags = {row: tags for row, tags in elements.node_tags.items() if is_there[row]}
@@ -242,13 +336,14 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
     west, south, east, north = box = float_array(bbox, (4,), "bbox")
     online = DEFAULTS["online"]
     size_deg = np.array([east - west, north - south])
-    if not (
-        (size_deg > 0.0).all() and (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()
-    ):
+    is_on_earth = (np.abs(box) <= [180.0, 90.0, 180.0, 90.0]).all()
+    if not ((size_deg > 0.0).all() and is_on_earth):
         raise InputError("bbox", box.tolist(), "west, south, east, north in degrees")
     if size_deg.max() > online["max_size_deg"]:
         raise InputError(
-            "bbox", box.tolist(), f"at most {online['max_size_deg']} degrees wide"
+            "bbox",
+            box.tolist(),
+            f"at most {online['max_size_deg']} degrees wide",
         )
     try:
         import requests
@@ -258,16 +353,16 @@ def fetch_openstreetmap(bbox: ArrayLike, path: Path) -> None:
             "(in a checkout: uv run --extra online place-rsus ..)"
         ) from None
     timeout_s = online["timeout_s"]
-    query = (
-        f"[out:xml][timeout:{timeout_s}];nwr({south:.7f},{west:.7f},{north:.7f},{east:.7f});(._;>;);out"
-        " body;"
-    )
+    corners = f"{south:.7f},{west:.7f},{north:.7f},{east:.7f}"
+    query = f"[out:xml][timeout:{timeout_s}];nwr({corners});(._;>;);out body;"
     try:
         answer = requests.post(online["url"], data={"data": query}, timeout=timeout_s)
         answer.raise_for_status()
     except requests.RequestException as error:
         raise InputError(
-            online["url"], Unquoted(error), "a server that answers"
+            online["url"],
+            Unquoted(error),
+            "a server that answers",
         ) from None
     if b"<osm" not in answer.content[:1000]:
         refuse(online["url"], "no map", "OpenStreetMap data as XML")

@@ -25,10 +25,10 @@ DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")
 """Sizes where a tag is missing or makes no sense, each with its source in the file."""
 WORDS: dict[str, Any] = DEFAULTS["words"]
 Tags = dict[str, str]
-TagNote = Callable[
-    [str], None
-]  # says that a tag of the way at hand is not followed, and why
-_BOX_MARGIN_DEG = 1.0  # ways run out of a cut-out
+# Says that a tag of the way at hand is not followed, and why.
+TagNote = Callable[[str], None]
+# Ways run out of a cut-out.
+_BOX_MARGIN_DEG = 1.0
 _EXPECTED = "OpenStreetMap data, XML or PBF"
 _BROKEN = "its outline is not closed, or misses nodes"
 OPPOSITE = {
@@ -41,21 +41,41 @@ OPPOSITE = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Way:
-    """A line."""
+    """Line of nodes.
+
+    Attributes
+    ----------
+    id : int
+        Id in OpenStreetMap.
+    rows : (n,) int
+        Its nodes as rows of Elements; -1: not in the file.
+    tags : Tags
+        Tags, by key.
+    """
 
     id: int
-    rows: IntArray  # (n,), its nodes as rows of Elements; -1: not in the file
+    rows: IntArray
     tags: Tags
 
     @property
     def is_closed(self) -> bool:
-        """It ends where it begins, and surrounds something."""
+        """True if it ends where it begins, and surrounds something."""
         return len(self.rows) >= 4 and self.rows[0] == self.rows[-1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relation:
-    """Ways that belong together: ids and roles of its member ways, and its tags."""
+    """Ways that belong together.
+
+    Attributes
+    ----------
+    id : int
+        Id in OpenStreetMap.
+    members : tuple of (int, str)
+        Ids and roles of the member ways.
+    tags : Tags
+        Tags, by key.
+    """
 
     id: int
     members: tuple[tuple[int, str], ...]
@@ -64,32 +84,82 @@ class Relation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """The elements of a file, where its nodes lie, and what is left out of them."""
+    """Elements of a file, where its nodes lie, and what is left out.
 
-    node_ids: IntArray  # (n,), ascending
-    lon_lat_deg: FloatArray  # (n, 2), WGS 84
-    node_tags: dict[int, Tags]  # by row, for nodes with tags
+    Attributes
+    ----------
+    node_ids : (n,) int
+        Ascending.
+    lon_lat_deg : (n, 2) float
+        WGS 84. [deg]
+    node_tags : dict[int, Tags]
+        By row, for nodes with tags.
+    ways : tuple of Way
+        Ways, in the order of the file.
+    relations : tuple of Relation
+        Relations, in the order of the file.
+    positions_m : (n, 2) float
+        Of the nodes, around the middle of the roads. [m]
+    omissions : Omissions
+        Record of what is left out.
+    """
+
+    node_ids: IntArray
+    lon_lat_deg: FloatArray
+    node_tags: dict[int, Tags]
     ways: tuple[Way, ...]
     relations: tuple[Relation, ...]
-    # (n, 2), of the nodes, around the middle of the roads
     positions_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     omissions: Omissions = field(default_factory=Omissions)
 
 
 def read_elements(path: Path) -> Elements:
-    """Read a file of OpenStreetMap data: XML, packed with gzip or bzip2 or not, or PBF.
+    """Read a file of OpenStreetMap data: XML, packed or not, or PBF.
 
-    The first bytes show the format. Deleted elements are left out; of several versions
-    the last one counts. Raises InputError if the file cannot be read, has another
-    format, is damaged or too large, or a node lies nowhere on earth.
+    Archives are those of gzip and bzip2.
+
+    The first bytes show the format. Deleted elements are left out; of several
+    versions the last one counts.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    elements : Elements
+        Positions in metres are not set yet.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another format, is damaged or too large, or
+        a node lies nowhere on earth.
     """
     with reading(
-        path, _EXPECTED, RuntimeError, ValueError, osmium.InvalidLocationError
+        path,
+        _EXPECTED,
+        RuntimeError,
+        ValueError,
+        osmium.InvalidLocationError,
     ):
         return _collect(path, _file_format(path))
 
 
 def _file_format(path: Path) -> str:
+    """Format of a file by its first bytes, as osmium names it.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+
+    Returns
+    -------
+    name : {"osm", "osm.gz", "osm.bz2", "pbf"}
+        Archives and PBF files are checked for their unpacked size.
+    """
     with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
         begin = file.read(64)
     for magic, unpack, name in (
@@ -111,7 +181,10 @@ def _file_format(path: Path) -> str:
 
 
 def _check_unpacked_size(path: Path, unpack: Any) -> None:
-    """Refuse what unpacks to too much; a second reading, but without keeping anything."""
+    """Refuse a file that unpacks to too much.
+
+    This reads the file a second time, but keeps nothing of it.
+    """
     limit = int(DEFAULTS["reading"]["max_unpacked_bytes"])
     n_bytes = 0
     with (
@@ -127,6 +200,25 @@ def _check_unpacked_size(path: Path, unpack: Any) -> None:
 
 
 def _collect(path: Path, file_format: str) -> Elements:
+    """Read nodes, ways and relations of a file with osmium.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    file_format : str
+        As :func:`_file_format` returns it.
+
+    Returns
+    -------
+    elements : Elements
+        The last of several versions of an element counts.
+
+    Raises
+    ------
+    InputError
+        A node lies nowhere on earth, or there are too many elements.
+    """
     ids = array("q")
     places = array("d")
     tags_by_id: dict[int, Tags] = {}
@@ -140,10 +232,9 @@ def _collect(path: Path, file_format: str) -> Elements:
         element: Any = item
         if element.deleted:
             continue
+        tags: Tags = {}
         if len(element.tags):
             tags = {tag.k: tag.v for tag in element.tags}
-        else:
-            tags = {}
         n_left -= 1
         if element.is_node():
             location = element.location
@@ -152,9 +243,8 @@ def _collect(path: Path, file_format: str) -> Elements:
             lat_deg = location.lat_without_check()
             places.extend((lon_deg, lat_deg))
             if not location.valid():
-                is_missing = (
-                    max(abs(lat_deg), abs(lon_deg)) > 214.0
-                )  # osmium's value for it
+                # osmium's value for it.
+                is_missing = max(abs(lat_deg), abs(lon_deg)) > 214.0
                 if is_missing:
                     got = "no coordinates"
                 else:
@@ -170,6 +260,7 @@ def _collect(path: Path, file_format: str) -> Elements:
             members = tuple(
                 (one.ref, one.role) for one in element.members if one.type == "w"
             )
+            # Long ways and large relations count for more than one element.
             relations[element.id] = Relation(id=element.id, members=members, tags=tags)
             n_left -= len(members) // 10
         if n_left < 0:
@@ -184,16 +275,19 @@ def _collect(path: Path, file_format: str) -> Elements:
 
 
 def _check_order(path: Path, lon_lat_deg: FloatArray, box_deg: FloatArray) -> None:
-    """Refuse coordinates that lie within the file's own bounds only when exchanged."""
+    """Refuse coordinates that fit the file's bounds only when swapped."""
     if not len(lon_lat_deg):
         return
     middle = np.median(lon_lat_deg, axis=0)
     low = box_deg[0] - _BOX_MARGIN_DEG
     high = box_deg[1] + _BOX_MARGIN_DEG
-    is_inside, is_inside_exchanged = (
-        bool(((point >= low) & (point <= high)).all())
-        for point in (middle, middle[::-1])
-    )
+
+    def lies_within(point: FloatArray) -> bool:
+        """True if a point lies in the file's bounds, or near them."""
+        return bool(((point >= low) & (point <= high)).all())
+
+    is_inside = lies_within(middle)
+    is_inside_exchanged = lies_within(middle[::-1])
     if is_inside_exchanged and not is_inside:
         expected = (
             "nodes within the file's bounds: latitude and longitude are exchanged"
@@ -212,12 +306,33 @@ def _assemble(
     ways: dict[int, tuple[list[int], Tags]],
     relations: Iterable[Relation],
 ) -> Elements:
+    """Elements from what was collected, with nodes sorted by their ids.
+
+    Parameters
+    ----------
+    ids : sequence of int
+        Ids of nodes, in the order of the file.
+    places : sequence of float
+        Longitude and latitude of each node, one after the other. [deg]
+    tags_by_id : dict[int, Tags]
+        Tags of the nodes that have some.
+    ways : dict[int, tuple[list[int], Tags]]
+        Nodes and tags of ways, by their ids.
+    relations : iterable of Relation
+        Relations.
+
+    Returns
+    -------
+    elements : Elements
+        Ways refer to nodes by row.
+    """
     all_ids = np.array(ids, dtype=np.int64)
     # Of a node that comes twice the last one counts.
     node_ids, last = np.unique(all_ids[::-1], return_index=True)
     lon_lat_deg = np.array(places, dtype=np.float64).reshape(-1, 2)[::-1][last]
     references = np.fromiter(
-        (one for nodes, _ in ways.values() for one in nodes), dtype=np.int64
+        (one for nodes, _ in ways.values() for one in nodes),
+        dtype=np.int64,
     )
     ends = np.cumsum([len(nodes) for nodes, _ in ways.values()], dtype=np.int64)
     rows = np.split(_rows(node_ids, references), ends)[:-1]
@@ -237,6 +352,7 @@ def _assemble(
 
 
 def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
+    """Rows of nodes by their ids, -1 where there is none, (n,)."""
     if not len(node_ids):
         return np.full(len(wanted), -1, dtype=np.int64)
     found = np.minimum(np.searchsorted(node_ids, wanted), len(node_ids) - 1)
@@ -246,19 +362,45 @@ def _rows(node_ids: IntArray, wanted: IntArray) -> IntArray:
 # ---------- areas
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Area:
-    """An area with its courtyards."""
+    """Area with its courtyards.
 
-    id: str  # "w5", or of a multipolygon's second ring "r7.1"
+    Attributes
+    ----------
+    id : str
+        "w5", or of a multipolygon's second ring "r7.1".
+    tags : Tags
+        Tags of the way or relation.
+    polygon : Polygon
+        May be invalid.
+    """
+
+    id: str
     tags: Tags
-    polygon: Polygon  # may be invalid
+    polygon: Polygon
 
 
 def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
-    """Closed ways and rings of multipolygons with one of the tags `keys`; broken ones are noted."""
+    """Closed ways and rings of multipolygons that have one of some tags.
+
+    Broken outlines are noted.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    keys : sequence of str
+        Keys of the tags, one of which an area must have.
+
+    Yields
+    ------
+    area : Area
+        First those of relations, then those of ways.
+    """
     by_id = {way.id: way for way in elements.ways}
     used: set[int] = set()
 
     def is_meant(tags: Tags) -> bool:
+        """True if the tags have one of the keys."""
         return any(key in tags for key in keys)
 
     for relation in elements.relations:
@@ -270,7 +412,8 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
             if role != "inner" and ref in by_id
         ]
         tags = relation.tags
-        if not is_meant(tags):  # as it used to be: the outer way has the tags
+        # As it used to be: the outer way has the tags.
+        if not is_meant(tags):
             tags = next((way.tags for way in outers if is_meant(way.tags)), {})
         if tags:
             used.update(way.id for way in outers if is_meant(way.tags))
@@ -289,8 +432,29 @@ def find_areas(elements: Elements, keys: Sequence[str]) -> Iterator[Area]:
 
 
 def _multipolygon(
-    elements: Elements, relation: Relation, tags: Tags, by_id: Mapping[int, Way]
+    elements: Elements,
+    relation: Relation,
+    tags: Tags,
+    by_id: Mapping[int, Way],
 ) -> Iterator[Area]:
+    """Areas of a multipolygon, one for each outer ring.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    relation : Relation
+        The multipolygon.
+    tags : Tags
+        Tags of the element, by key.
+    by_id : Mapping[int, Way]
+        Ways by their ids.
+
+    Yields
+    ------
+    area : Area
+        With the inner rings that lie in it as holes.
+    """
     rings: dict[bool, list[FloatArray]] = {}
     for is_inner in (False, True):
         refs = [ref for ref, role in relation.members if (role == "inner") == is_inner]
@@ -305,7 +469,8 @@ def _multipolygon(
         tree = STRtree(outers)
         for ring in rings[True]:
             inside = tree.query(
-                Polygon(ring).representative_point(), predicate="within"
+                Polygon(ring).representative_point(),
+                predicate="within",
             )
             if len(inside):
                 holes[int(inside[0])].append(ring)
@@ -322,11 +487,25 @@ def numbered(name: str, number: int, between: str = ".") -> str:
 
 
 def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
-    """Closed rings of node rows from ways in any order, and whether every way is part of one."""
+    """Closed rings of ways in any order, and whether all ways are used.
+
+    Parameters
+    ----------
+    ways : sequence of Way
+        Pieces of rings, in any order and direction.
+
+    Returns
+    -------
+    rings : list of (n,) int
+        Rows of nodes; the first comes again as the last.
+    is_whole : bool
+        Every way is part of a ring.
+    """
     rings = []
     is_whole = True
     open_ways: dict[int, Way] = {}
     at_end: dict[int, list[int]] = defaultdict(list)
+    # Closed ways are rings already; the others are found by the nodes at their ends.
     for number, way in enumerate(ways):
         if len(way.rows) < 2 or (way.rows < 0).any():
             is_whole = False
@@ -336,6 +515,7 @@ def join_rings(ways: Sequence[Way]) -> tuple[list[np.ndarray], bool]:
             open_ways[number] = way
             at_end[int(way.rows[0])].append(number)
             at_end[int(way.rows[-1])].append(number)
+    # Follow open ways from end to end until they come back to where they began.
     while open_ways:
         _, way = open_ways.popitem()
         parts = [way.rows]
@@ -366,8 +546,29 @@ def tagged_length_m(
     note: TagNote,
     instead: str = "the usual one",
 ) -> float | None:
-    """First length of some tags within bounds; the others are noted."""
-    for key in (key for key in keys if key in tags):
+    """First length of some tags within bounds; the others are noted.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    keys : iterable of str
+        Keys, the most telling first.
+    bounds_m : (float, float)
+        Smallest and largest length that makes sense. [m]
+    note : TagNote
+        Called with the reason where a tag is not followed.
+    instead : str
+        What is taken instead of a senseless one, in words.
+
+    Returns
+    -------
+    length_m : float or None
+        None: no tag has a length that makes sense. [m]
+    """
+    for key in keys:
+        if key not in tags:
+            continue
         length_m = parse_length_m(tags[key])
         if length_m is not None and bounds_m[0] <= length_m <= bounds_m[1]:
             return length_m
@@ -395,14 +596,11 @@ def parse_number(text: str, *, highest: float) -> float | None:
 
 
 def is_yes(text: str | None) -> bool:
-    """A tag that is there and does not say no."""
-    return text is not None and text.strip().lower() not in (
-        "",
-        "no",
-        "0",
-        "false",
-        "none",
-    )
+    """True if a tag is there and does not say no."""
+    if text is None:
+        return False
+    word = text.strip().lower()
+    return word not in ("", "no", "0", "false", "none")
 
 
 def side_value(tags: Tags, key: str, side: str) -> str | None:
@@ -416,9 +614,11 @@ def reversed_tags(tags: Tags) -> Tags:
     >>> reversed_tags({"sidewalk": "left", "lanes:forward": "2"})
     {'sidewalk': 'right', 'lanes:backward': '2'}
     """
-    return {
-        ":".join(OPPOSITE.get(word, word) for word in key.split(":")): (
-            OPPOSITE.get(value, value) if key == "sidewalk" else value
-        )
-        for key, value in tags.items()
-    }
+    turned: Tags = {}
+    for key, value in tags.items():
+        words = [OPPOSITE.get(word, word) for word in key.split(":")]
+        # The plain tag names the side in its value.
+        if key == "sidewalk":
+            value = OPPOSITE.get(value, value)
+        turned[":".join(words)] = value
+    return turned

@@ -1,4 +1,10 @@
-"""Lines of lanes: cross-sections laid along the streets."""
+"""Lines of lanes: cross-sections laid along the streets.
+
+A street is cut at the breaks between its edges. Each strip of a
+cross-section becomes a part on each stretch, and parts that continue each
+other become one lane. Where carriageways part or merge, the ends of their
+lanes are bent towards each other.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence, Set
@@ -16,38 +22,67 @@ from .elements import DEFAULTS
 from .junctions import Reach
 from .network import Strip, axis_points, has_no_knot, speed_limit_kmh, stations_between
 
-_BESIDE_END_M = 12.0  # between the end of one carriageway and the lane it leads into
+# Between the end of one carriageway and the lane it leads into.
+_BESIDE_END_M = 12.0
 _MIN_LENGTH_M = 0.5
-_SAME_POINT_M = (
-    0.5  # pieces of a lane whose ends are as near as this are one after the other
-)
-_SAME_WAY = 0.5  # cosine of the angle between them
+# Pieces of a lane whose ends are as near as this are one after the other.
+_SAME_POINT_M = 0.5
+# Cosine of the angle between them.
+_SAME_WAY = 0.5
 _BEND_M = 15.0
-_Group = tuple[
-    str, bool
-]  # lanes side by side by their common name, and whether their starts
+# Lanes side by side by their common name, and whether their starts.
+_Group = tuple[str, bool]
 
 
 class _Part(NamedTuple):
-    """A lane on one part of a street."""
+    """A lane on one part of a street.
+
+    Attributes
+    ----------
+    strip : Strip
+        Strip of the cross-section that the lane follows.
+    span_m : (float, float)
+        Begin and end of the part along the street. [m]
+    ends_left_m : (float, float)
+        The lane's middle at both ends, to the left of the street. [m]
+    level : int
+        Layer of the edge; 0: on the ground.
+    limit_kmh : float or None
+        Speed limit; None: the tags give none. [km/h]
+    is_two_way : bool
+        Cars drive in both directions here.
+    road_class : str
+        Value of the tag ``highway``.
+    """
 
     strip: Strip
-    span_m: tuple[float, float]  # its stations
-    ends_left_m: tuple[float, float]  # its middle, left of the street, at both ends
+    span_m: tuple[float, float]
+    ends_left_m: tuple[float, float]
     level: int
     limit_kmh: float | None
     is_two_way: bool
     road_class: str
 
 
-_Piece = tuple[str, list[_Part]]  # id of a lane, and its parts one after the other
+# Id of a lane, and its parts one after the other.
+_Piece = tuple[str, list[_Part]]
 
 
 def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
-    """One lane per strip of each street and stretch between junctions.
+    """Lanes of all streets outside junctions, one for each strip.
 
-    If the number of lanes of a direction changes, all of them end, and the following
-    ones begin at the same points.
+    If the number of lanes of a direction changes, all of them end, and the
+    following ones begin at the same points.
+
+    Parameters
+    ----------
+    reaches : sequence of Reach
+        Parts of streets that have lanes.
+
+    Returns
+    -------
+    lanes : tuple of MapLane
+        Centrelines run in driving direction.
     """
     found = [lane for reach in reaches for lane in _street_lanes(reach)]
     two_way = {lane.id for lane, is_two_way in found if is_two_way}
@@ -55,43 +90,68 @@ def build_lanes(reaches: Sequence[Reach]) -> tuple[MapLane, ...]:
 
 
 def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
+    """Lanes of one street, and whether cars drive both ways at their end.
+
+    Walks along the parts of the street. A lane stays open as long as the next
+    part has the same strip and the same number of lanes; otherwise it ends and
+    a new one begins.
+
+    Parameters
+    ----------
+    reach : Reach
+        Part of the street that has lanes.
+
+    Yields
+    ------
+    lane : (MapLane, bool)
+        A lane, and whether the street is two-way at its last part.
+    """
     street = reach.street
     breaks = pairwise(street.breaks_m)
     spans = [(max(low, reach.begin_m), min(high, reach.end_m)) for low, high in breaks]
     parts = [index for index, (low, high) in enumerate(spans) if high - low > 1e-3]
     parts, spans = _without_stubs(parts, spans, reach)
+    # Lanes that the next part may continue, and those that have ended.
     open_pieces: dict[tuple[str, str, int], _Piece] = {}
     done: list[_Piece] = []
     for at, index in enumerate(parts):
-        (edge, is_along), section = street.parts[index], street.sections[index]
+        edge, is_along = street.parts[index]
+        section = street.sections[index]
+        is_two_way = len(section.directions) > 1
+        before: tuple[Strip, ...] = ()
         if at:
             before = street.sections[parts[at - 1]].strips
-        else:
-            before = ()
+        after: tuple[Strip, ...] = ()
         if at + 1 < len(parts):
             after = street.sections[parts[at + 1]].strips
-        else:
-            after = ()
+        # One part of a lane for each strip across this part of the street.
         following: dict[tuple[str, str, int], _Piece] = {}
         for strip in section.strips:
             begin_m, is_continued = _at_break(strip, section.strips, before)
             end_m, _ = _at_break(strip, section.strips, after)
             key = strip.kind, strip.place, strip.number
             limit_kmh = speed_limit_kmh(
-                edge.tags, is_forward=strip.is_forward == is_along
+                edge.tags,
+                is_forward=strip.is_forward == is_along,
             )
-            is_two_way = len(section.directions) > 1
-            means = edge.level, limit_kmh, is_two_way, edge.tags["highway"]
-            part = _Part(strip, spans[index], (begin_m, end_m), *means)
+            part = _Part(
+                strip=strip,
+                span_m=spans[index],
+                ends_left_m=(begin_m, end_m),
+                level=edge.level,
+                limit_kmh=limit_kmh,
+                is_two_way=is_two_way,
+                road_class=edge.tags["highway"],
+            )
+            piece: _Piece | None = None
             if is_continued:
                 piece = open_pieces.pop(key, None)
-            else:
-                piece = None
-            following[key] = piece or (
-                f"{edge.id} {strip.kind} {strip.place} {strip.number}",
-                [],
-            )
-            following[key][1].append(part)
+            if piece is None:
+                lane_id = f"{edge.id} {strip.kind} {strip.place} {strip.number}"
+                piece = (lane_id, [])
+            _, own_parts = piece
+            own_parts.append(part)
+            following[key] = piece
         done += open_pieces.values()
         open_pieces = following
     done += open_pieces.values()
@@ -102,13 +162,32 @@ def _street_lanes(reach: Reach) -> Iterator[tuple[MapLane, bool]]:
 
 
 def _without_stubs(
-    parts: Sequence[int], spans: Sequence[tuple[float, float]], reach: Reach
+    parts: Sequence[int],
+    spans: Sequence[tuple[float, float]],
+    reach: Reach,
 ) -> tuple[list[int], list[tuple[float, float]]]:
     """Parts of a street that have lanes of their own, and their stations.
 
-    A way that is cut in two just outside a junction, as at a crosswalk, leaves a stub
-    there: the lanes of the part beyond it run on to the junction, unless that is driven
-    in other directions.
+    A way that is cut in two just outside a junction, as at a crosswalk, leaves
+    a stub there: the lanes of the part beyond it run on to the junction, unless
+    that is driven in other directions.
+
+    Parameters
+    ----------
+    parts : sequence of int
+        Indices of the street's parts, ascending.
+    spans : Sequence[tuple[float, float]]
+        Begin and end of every part along the street. [m]
+    reach : Reach
+        The street's part with lanes.
+
+    Returns
+    -------
+    kept : list of int
+        Indices of the parts that stay.
+    whole : list of (float, float)
+        Begin and end of every part, where parts that stay include the stubs
+        next to them. [m]
     """
     least_m = DEFAULTS["cross_section"]["stub_m"]
     kept = list(parts)
@@ -116,98 +195,141 @@ def _without_stubs(
     sections = reach.street.sections
 
     def is_stub(near: int, beyond: int) -> bool:
-        is_short = np.ptp(whole[near]) < least_m
-        return (
-            bool(is_short) and sections[near].directions == sections[beyond].directions
-        )
+        is_short = bool(np.ptp(whole[near]) < least_m)
+        is_alike = sections[near].directions == sections[beyond].directions
+        return is_short and is_alike
 
+    # Merge stubs at the begin, then those at the end, into the part beyond them.
     for junction, tip, beyond in (
         (reach.from_junction, 0, 1),
         (reach.to_junction, -1, -2),
     ):
         while junction and len(kept) > 1 and is_stub(kept[tip], kept[beyond]):
-            pair = [whole[kept.pop(tip)], whole[kept[tip]]]
-            whole[kept[tip]] = (
-                min(low for low, _ in pair),
-                max(high for _, high in pair),
-            )
+            stub_low, stub_high = whole[kept.pop(tip)]
+            low, high = whole[kept[tip]]
+            whole[kept[tip]] = (min(stub_low, low), max(stub_high, high))
     return kept, whole
 
 
 def _at_break(
-    strip: Strip, own: Sequence[Strip], others: Sequence[Strip]
+    strip: Strip,
+    own: Sequence[Strip],
+    others: Sequence[Strip],
 ) -> tuple[float, bool]:
-    """Middle of a lane at a break, left of the street, and whether it simply continues."""
-    kind = strip.kind, strip.place
-    alike = (
-        [one for one in side if (one.kind, one.place) == kind] for side in (own, others)
-    )
-    here, there = (sorted(found, key=lambda one: one.number) for found in alike)
+    """Middle of a lane at a break, and whether the lane simply continues.
+
+    Parameters
+    ----------
+    strip : Strip
+        The lane.
+    own : sequence of Strip
+        Strips on its side of the break.
+    others : sequence of Strip
+        Strips on the other side; empty: the street ends.
+
+    Returns
+    -------
+    left_m : float
+        Middle at the break, to the left of the street. [m]
+    is_continued : bool
+        The other side has the same lane.
+    """
+
+    def alike(side: Sequence[Strip]) -> list[Strip]:
+        """Strips of the lane's kind and place, from the kerb."""
+        kind = (strip.kind, strip.place)
+        found = [one for one in side if (one.kind, one.place) == kind]
+        return sorted(found, key=lambda one: one.number)
+
+    here = alike(own)
+    there = alike(others)
     if not there:
         return strip.left_m, False
     if strip.kind != "driving":
         match = [one for one in there if one.number == strip.number]
+        same_left_m = strip.left_m
         if match:
-            same = match[0].left_m
-        else:
-            same = strip.left_m
-        return 0.5 * (strip.left_m + same), bool(match)
+            same_left_m = match[0].left_m
+        return 0.5 * (strip.left_m + same_left_m), bool(match)
+    # With fewer lanes on the other side, the last ones meet the last one there.
     number = min(strip.number, len(here) - 1, len(there) - 1)
-    return 0.5 * (here[number].left_m + there[number].left_m), len(here) == len(there)
+    middle_left_m = 0.5 * (here[number].left_m + there[number].left_m)
+    return middle_left_m, len(here) == len(there)
 
 
 def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
+    """Lane along parts of a street, or None if it is too short to be one.
+
+    Each part runs straight between short tapers towards the middles at both of
+    its ends.
+
+    Parameters
+    ----------
+    name : str
+        Id of the lane.
+    parts : sequence of _Part
+        Its parts, one after the other.
+    reach : Reach
+        The street's part with lanes.
+
+    Returns
+    -------
+    lane : MapLane or None
+        The lane, in driving direction.
+    """
     taper = DEFAULTS["cross_section"]["taper"]
-    points_of_lefts: list[
-        tuple[float, float]
-    ] = []  # stations, and how far left of the street
-    for strip, (low, high), ends_left, *_ in parts:
+    # Stations, and how far left of the street.
+    points_of_lefts: list[tuple[float, float]] = []
+    for part in parts:
+        low, high = part.span_m
+        begin_left, end_left = part.ends_left_m
+        own_left = part.strip.left_m
         half = 0.5 * (high - low)
-        (begin_left, end_left) = ends_left
-        first, last = (
-            min(max(taper * abs(m - strip.left_m), 1.0), half) for m in ends_left
-        )
-        points_of_lefts += [(low, begin_left), (low + first, strip.left_m)]
-        points_of_lefts += [(high - last, strip.left_m), (high, end_left)]
+        first = min(max(taper * abs(begin_left - own_left), 1.0), half)
+        last = min(max(taper * abs(end_left - own_left), 1.0), half)
+        points_of_lefts += [
+            (low, begin_left),
+            (low + first, own_left),
+            (high - last, own_left),
+            (high, end_left),
+        ]
     stations, lefts = zip(*points_of_lefts, strict=True)
     begin_m = parts[0].span_m[0]
     end_m = parts[-1].span_m[1]
     if end_m - begin_m < _MIN_LENGTH_M:
         return None
     heights = _heights(parts)
-    if np.ptp(lefts) < 1e-9:
-        extra = []
-    else:
+    # Points are needed at tapers and ramps, besides the bends of the street.
+    extra: list[float] = []
+    if not np.ptp(lefts) < 1e-9:
         extra = list(stations)
     if any(part.level for part in parts):
         extra += [station for station, _ in heights]
-    else:
-        extra += []
     at = stations_between(reach.street, begin_m, end_m, extra)
     middle, across = axis_points(reach.street, at)
-    line = middle + np.interp(at, stations, lefts)[:, None] * across
+    left_m = np.interp(at, stations, lefts)
+    line = middle + left_m[:, None] * across
     is_kept = has_no_knot(line, middle)
     at = at[is_kept]
     line = line[is_kept]
     if len(line) < 2 or np.hypot(*(line[-1] - line[0])) < 1e-3:
         return None
     lengths = [part.span_m[1] - part.span_m[0] for part in parts]
-    points = np.column_stack([line, np.interp(at, *np.transpose(heights))])
+    height_stations, height_m = np.transpose(heights)
+    points = np.column_stack([line, np.interp(at, height_stations, height_m)])
+    # Only a lane that reaches the end of the street's reach touches the junction.
+    from_junction = ""
     if begin_m <= reach.begin_m + 1e-6:
         from_junction = reach.from_junction
-    else:
-        from_junction = ""
+    to_junction = ""
     if end_m >= reach.end_m - 1e-6:
         to_junction = reach.to_junction
-    else:
-        to_junction = ""
     is_forward = parts[0].strip.is_forward
     if not is_forward:
         points = points[::-1]
         from_junction, to_junction = to_junction, from_junction
-    last_part = parts[
-        -1 if is_forward == bool(to_junction) else 0
-    ]  # as of `speed_limit_kmh`
+    # As of `speed_limit_kmh`.
+    last_part = parts[-1 if is_forward == bool(to_junction) else 0]
     return MapLane(
         id=name,
         kind=parts[0].strip.kind,
@@ -224,13 +346,28 @@ def _lane(name: str, parts: Sequence[_Part], reach: Reach) -> MapLane | None:
 
 
 def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
-    """Stations and heights: bridges and tunnels are as high as their layer, with short ramps."""
+    """Stations and heights of a lane: bridges and tunnels with short ramps.
+
+    Parameters
+    ----------
+    parts : sequence of _Part
+        The lane's parts, one after the other.
+
+    Returns
+    -------
+    heights : list of (float, float)
+        Station and height, ascending by station. [m]
+    """
     heights: list[tuple[float, float]] = []
     step_m = DEFAULTS["cross_section"]["level_m"]
     for before, part, after in zip(
-        [parts[0], *parts], parts, [*parts[1:], parts[-1]], strict=False
+        [parts[0], *parts],
+        parts,
+        [*parts[1:], parts[-1]],
+        strict=False,
     ):
-        (low, high), level = part.span_m, part.level
+        low, high = part.span_m
+        level = part.level
         run = min(10.0, 0.5 * (high - low))
         heights += [
             (low, 0.5 * step_m * (before.level + level)),
@@ -244,8 +381,23 @@ def _heights(parts: Sequence[_Part]) -> list[tuple[float, float]]:
 
 
 def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
-    """Let lanes of carriageways that part or merge begin where those before them end."""
+    """Lanes whose ends meet where carriageways part or merge.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Lanes of all streets.
+    two_way : Set[str]
+        Ids of the lanes of two-way streets: their ends stay, and those of
+        one-way carriageways move.
+
+    Returns
+    -------
+    led : list of MapLane
+        The same lanes, in order.
+    """
     led = list(lanes)
+    # Group the open ends of lanes side by side, from the kerb.
     groups: dict[_Group, list[int]] = defaultdict(list)
     for index, lane in enumerate(lanes):
         if lane.kind == "driving":
@@ -265,12 +417,17 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
         known = moved.get((index, False), moved.get((other, True)))
         if known is not None:
             return known
-        tips = _tip(lanes[index], is_begin=False), _tip(lanes[other], is_begin=True)
-        is_kept = lanes[index].id in two_way, lanes[other].id in two_way
-        if is_kept[0] == is_kept[1]:
-            return 0.5 * (tips[0] + tips[1])
-        return tips[is_kept[1]]
+        own_tip = _tip(lanes[index], is_begin=False)
+        other_tip = _tip(lanes[other], is_begin=True)
+        own_stays = lanes[index].id in two_way
+        other_stays = lanes[other].id in two_way
+        if own_stays == other_stays:
+            return 0.5 * (own_tip + other_tip)
+        if other_stays:
+            return other_tip
+        return own_tip
 
+    # Choose the meeting points, the nearest groups first.
     for ends, begins in _meeting_groups(lanes, groups):
         for number in range(max(len(ends), len(begins))):
             one = ends[min(number, len(ends) - 1)]
@@ -278,17 +435,39 @@ def _lead_on(lanes: Sequence[MapLane], two_way: Set[str]) -> list[MapLane]:
             point = place(one, other)
             moved.setdefault((one, False), point)
             moved.setdefault((other, True), point)
+    # Bend the lanes towards them.
     for (index, is_begin), point in moved.items():
         points = led[index].centreline_m
-        line = _bent(points if is_begin else points[::-1], point)
-        led[index] = replace(led[index], centreline_m=line if is_begin else line[::-1])
+        if is_begin:
+            line = _bent(points, point)
+        else:
+            line = _bent(points[::-1], point)[::-1]
+        led[index] = replace(led[index], centreline_m=line)
     return led
 
 
 def _meeting_groups(
-    lanes: Sequence[MapLane], groups: Mapping[_Group, Sequence[int]]
+    lanes: Sequence[MapLane],
+    groups: Mapping[_Group, Sequence[int]],
 ) -> Iterator[tuple[Sequence[int], Sequence[int]]]:
-    """Ends and begins of lanes side by side that go on ahead into each other, nearest first."""
+    """Ends and begins of groups of lanes that go on into each other.
+
+    A group is the set of lanes side by side. Each group is linked to the
+    nearest one that lies ahead; groups that meet already are left out.
+
+    Parameters
+    ----------
+    lanes : sequence of MapLane
+        Lanes of all streets.
+    groups : Mapping[_Group, Sequence[int]]
+        Indices of lanes side by side, from the kerb, by their common name and
+        whether their starts are meant.
+
+    Yields
+    ------
+    pair : (sequence of int, sequence of int)
+        Lanes that end, and lanes that begin there, the nearest first.
+    """
     keys = list(groups)
     tips = [
         np.array([_tip(lanes[index], is_begin=key[1]) for index in groups[key]])
@@ -300,6 +479,7 @@ def _meeting_groups(
     tree = cKDTree(np.concatenate(tips))
     links: dict[tuple[int, int], float] = {}
     for one, key in enumerate(keys):
+        # Groups of the other kind whose tips are near, with the smallest gap.
         found: dict[int, float] = {}
         for tip in tips[one]:
             for at in tree.query_ball_point(tip, _BESIDE_END_M):
@@ -307,18 +487,21 @@ def _meeting_groups(
                 if keys[other][1] != key[1] and keys[other][0] != key[0]:
                     gap_m = float(np.hypot(*(tree.data[at] - tip)[:2]))
                     found[other] = min(gap_m, found.get(other, np.inf))
+        # Of those that lead the same way, the nearest one is linked.
         own = _ahead(lanes[groups[key][0]], key[1])
-        ways = {
-            other: _ahead(lanes[groups[keys[other]][0]], not key[1]) for other in found
-        }
-        ahead = {
-            other: gap_m
-            for other, gap_m in found.items()
-            if own @ ways[other] > _SAME_WAY
-        }
+        ahead: dict[int, float] = {}
+        for other, gap_m in found.items():
+            first_lane = lanes[groups[keys[other]][0]]
+            way = _ahead(first_lane, not key[1])
+            if own @ way > _SAME_WAY:
+                ahead[other] = gap_m
         if ahead:
             other = min(ahead, key=ahead.__getitem__)
-            links[(other, one) if key[1] else (one, other)] = ahead[other]
+            if key[1]:
+                link = (other, one)
+            else:
+                link = (one, other)
+            links[link] = ahead[other]
     for (end, begin), _ in sorted(links.items(), key=lambda item: item[1]):
         is_met = [
             bool((np.hypot(*(others - tip)[:, :2].T) <= _SAME_POINT_M).any())
@@ -330,19 +513,38 @@ def _meeting_groups(
 
 
 def _tip(lane: MapLane, *, is_begin: bool) -> FloatArray:
-    return np.asarray(lane.centreline_m[0 if is_begin else -1])
+    """First or last point of a lane, (3,)."""
+    if is_begin:
+        return np.asarray(lane.centreline_m[0])
+    return np.asarray(lane.centreline_m[-1])
 
 
 def _ahead(lane: MapLane, is_begin: bool) -> FloatArray:
     """Unit vector in driving direction at an end of a lane, (2,)."""
     points = lane.centreline_m[:, :2]
-    return unit(points[1] - points[0] if is_begin else points[-1] - points[-2])
+    if is_begin:
+        return unit(points[1] - points[0])
+    return unit(points[-1] - points[-2])
 
 
 def _bent(points_m: FloatArray, begin_m: FloatArray) -> FloatArray:
-    """A line that begins at another point and leads straight to itself, some metres on."""
+    """Line that begins at another point and soon joins the old one.
+
+    Parameters
+    ----------
+    points_m : (n, 3) float
+        The line. [m]
+    begin_m : (3,) float
+        The new first point. [m]
+
+    Returns
+    -------
+    line_m : (k, 3) float
+        It runs straight to a point 15 m along the old line, then follows that.
+        [m]
+    """
     along = along_m(points_m)
     run = np.minimum(_BEND_M, along[-1])
-    return np.vstack(
-        [begin_m, points_at(points_m, run), points_m[along > run + _SAME_POINT_M]]
-    )
+    joint_m = points_at(points_m, run)
+    rest_m = points_m[along > run + _SAME_POINT_M]
+    return np.vstack([begin_m, joint_m, rest_m])

@@ -1,4 +1,8 @@
-"""The roads of a map: cross-sections from their tags, a graph of edges, and streets along them."""
+"""Roads of a map: cross-sections from tags, edges, and streets along them.
+
+An edge is the part of a way between two nodes where ways begin, end or
+meet. A street is a chain of edges along which a road goes straight on.
+"""
 
 import re
 from collections import Counter, defaultdict
@@ -33,35 +37,53 @@ from .elements import (
     tagged_length_m,
 )
 
-Part = tuple[str, float, bool]  # kind, width [m], whether it runs as the way does
+# Kind, width [m], whether it runs as the way does.
+Part = tuple[str, float, bool]
 # Strips next to the driving lanes, outwards: on the carriageway, and behind the kerb.
 Roadside = tuple[list[Part], list[Part]]
 _ZONE = re.compile(r"[a-z]{2}:(?:zone:?)?(\d{1,3})")
-_Widths = tuple[
-    Sequence[float], Sequence[float]
-]  # [m] forward, backward; from left to right there
-_MAX_STRAIGHT_ON_DEG = 60.0  # a road goes on into another one that turns off by less
-End = tuple[int, bool]  # an edge and whether its first node is meant
-_MAX_MITRE = 2.0  # at sharp bends lines next to a street are cut off
+# [m] forward, backward; from left to right there.
+_Widths = tuple[Sequence[float], Sequence[float]]
+# A road goes on into another one that turns off by less.
+_MAX_STRAIGHT_ON_DEG = 60.0
+# An edge and whether its first node is meant.
+End = tuple[int, bool]
+# At sharp bends lines next to a street are cut off.
+_MAX_MITRE = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneCounts:
-    """Lanes of a road in each direction, as the way's nodes run and against them."""
+    """Numbers of lanes in each direction of a road.
+
+    Attributes
+    ----------
+    n_forward : int
+        Lanes along the nodes of the way.
+    n_backward : int
+        Lanes against them.
+    is_shared : bool
+        The only lane serves both directions; both counts are 1.
+    has_centre : bool
+        A lane in the middle is for turning from both directions.
+    is_counted : bool
+        Tags give the number of lanes.
+    """
 
     n_forward: int
     n_backward: int
-    is_shared: bool = False  # the only lane serves both directions; both counts are 1
-    has_centre: bool = False  # a lane in the middle is for turning from both directions
-    is_counted: bool = False  # tags give the number of lanes
+    is_shared: bool = False
+    has_centre: bool = False
+    is_counted: bool = False
 
 
 def is_oneway(tags: Tags) -> bool:
-    """A road on which cars drive one way only, in the order of its nodes or against it."""
+    """True if cars drive one way only, along the nodes or against them."""
     text = tags.get("oneway", "").strip().lower()
     if text in ("yes", "true", "1", "-1", "reverse"):
         return True
-    if text:  # no, alternating, reversible
+    # No, alternating, reversible.
+    if text:
         return False
     return (
         tags.get("junction") in ("roundabout", "circular")
@@ -70,20 +92,33 @@ def is_oneway(tags: Tags) -> bool:
 
 
 def runs_backward(tags: Tags) -> bool:
-    """A one-way road on which cars drive against the order of its nodes."""
+    """True if a one-way road is driven against the order of its nodes."""
     return tags.get("oneway", "").strip().lower() in ("-1", "reverse")
 
 
 def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
-    """Lanes of a road in each direction; senseless tags are noted.
+    """Numbers of lanes of a road; senseless tags are noted.
 
-    If it is a one-way road, its tags must be turned so that cars drive in the order of
-    its nodes.
+    If it is a one-way road, its tags must be turned so that cars drive in the
+    order of its nodes.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    note : TagNote
+        Called with the reason where a tag is not followed.
+
+    Returns
+    -------
+    counts : LaneCounts
+        From tags, or the usual numbers of the road's class.
     """
     highest = int(DEFAULTS["cross_section"]["max_lanes"])
     usual = DEFAULTS["roads"][tags["highway"]]
 
     def number(key: str, at_most: int = highest) -> int | None:
+        """Number in a tag; None if it is missing or makes no sense."""
         if key not in tags:
             return None
         count = parse_count(tags[key], highest=at_most)
@@ -92,7 +127,9 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
         return count
 
     def listed(key: str) -> int | None:
+        """Number of lanes in a list such as "left|through"; None: no list."""
         text = tags.get(key)
+
         if text and "|" in text:
             return min(text.count("|") + 1, highest)
         return None
@@ -102,8 +139,11 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
         count = total or listed("turn:lanes") or listed("turn:lanes:forward")
         n_forward = min(count or usual["oneway_lanes"], highest)
         return LaneCounts(
-            n_forward=n_forward, n_backward=0, is_counted=count is not None
+            n_forward=n_forward,
+            n_backward=0,
+            is_counted=count is not None,
         )
+    # Both directions: take the lane in the middle off the total first.
     has_centre = is_yes(tags.get("lanes:both_ways")) or "turn:lanes:both_ways" in tags
     if has_centre and total is not None:
         total = max(total - 1, 0) or None
@@ -134,17 +174,43 @@ def count_lanes(tags: Tags, note: TagNote) -> LaneCounts:
 
 # ---------- strips next to the driving lanes
 def roadside_strips(
-    tags: Tags, note: TagNote, *, side: str, keeps_left: bool
+    tags: Tags,
+    note: TagNote,
+    *,
+    side: str,
+    keeps_left: bool,
 ) -> Roadside:
-    """Parked cars, cyclists and pedestrians on a side of a road, "left" or "right"."""
-    is_near = side == (
-        "left" if keeps_left else "right"
-    )  # the side of traffic along the way
+    """Parked cars, cyclists and pedestrians on one side of a road.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    note : TagNote
+        Called with the reason where a tag is not followed.
+    side : {"left", "right"}
+        Side along the way.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Returns
+    -------
+    inner : list of Part
+        On the carriageway, outwards.
+    outer : list of Part
+        Behind the kerb, outwards.
+    """
+    # The side of traffic along the way.
+    near_side = "right"
+    if keeps_left:
+        near_side = "left"
+    is_near = side == near_side
     is_forward = is_near or is_oneway(tags)
     inner: list[Part] = []
     outer: list[Part] = []
 
     def width(key: str, usual_m: float) -> float:
+        """Tagged width of a strip in metres, or the usual one."""
         keys = (f"{key}:{side}:width", f"{key}:both:width", f"{key}:width")
         width_m = tagged_length_m(tags, keys, (0.5, 15.0), note)
         if width_m is None:
@@ -154,11 +220,11 @@ def roadside_strips(
     usual = DEFAULTS["cross_section"]
     plain = tags.get("cycleway", "")
     if is_oneway(tags) and plain.startswith("opposite") == is_near:
-        plain = ""  # of a one-way road the plain tag means the side of its traffic
-    if (named := side_value(tags, "cycleway", side)) is None:
+        # Of a one-way road the plain tag means the side of its traffic.
+        plain = ""
+    cycleway = side_value(tags, "cycleway", side)
+    if cycleway is None:
         cycleway = plain
-    else:
-        cycleway = named
     is_against = cycleway in ("opposite_lane", "opposite_track") or (
         tags.get(f"cycleway:{side}:oneway") == "-1"
     )
@@ -173,29 +239,49 @@ def roadside_strips(
             f"{orientation}_parking_width_m", usual["parallel_parking_width_m"]
         )
         part = ("parking", width("parking", usual_m), is_forward)
-        (inner if position in WORDS["on_carriageway"] else outer).append(part)
+        if position in WORDS["on_carriageway"]:
+            inner.append(part)
+        else:
+            outer.append(part)
     if cycleway in WORDS["cycle_tracks"]:
         outer.append(
             ("cycling", width("cycleway", usual["cycle_track_width_m"]), cycles_forward)
         )
     sidewalk = side_value(tags, "sidewalk", side)
-    if sidewalk == "yes" or (
-        sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)
-    ):
-        outer.append(
-            ("walking", width("sidewalk", usual["sidewalk_width_m"]), is_forward)
-        )
+    is_plain = sidewalk is None and tags.get("sidewalk") in ("both", "yes", side)
+    if sidewalk == "yes" or is_plain:
+        sidewalk_m = width("sidewalk", usual["sidewalk_width_m"])
+        outer.append(("walking", sidewalk_m, is_forward))
     return inner, outer
 
 
 def _parking(tags: Tags, side: str) -> tuple[str, str]:
-    """Position and orientation of parked cars on a side."""
+    """Position and orientation of parked cars on a side.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    side : {"left", "right"}
+        Side along the way.
+
+    Returns
+    -------
+    position : str
+        Where cars stand, as OpenStreetMap says it; "no": nowhere.
+    orientation : str
+        "parallel", "diagonal" or "perpendicular"; empty: no cars.
+    """
     position = side_value(tags, "parking", side)
     if position is not None:
-        restriction, orientation = (
-            tags.get(f"parking:{side}:{key}", tags.get(f"parking:both:{key}", default))
-            for key, default in (("restriction", ""), ("orientation", "parallel"))
-        )
+
+        def detail(key: str, otherwise: str) -> str:
+            """Value for this side, or else for both sides."""
+            both = tags.get(f"parking:both:{key}", otherwise)
+            return tags.get(f"parking:{side}:{key}", both)
+
+        restriction = detail("restriction", "")
+        orientation = detail("orientation", "parallel")
         if restriction in ("no_stopping", "no_parking", "no_standing"):
             return "no", ""
         return position, orientation
@@ -211,27 +297,50 @@ def _parking(tags: Tags, side: str) -> tuple[str, str]:
 # ---------- cross-sections
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Strip:
-    """One lane in a cross-section."""
+    """One lane in a cross-section.
 
-    kind: str  # one of geometry.maps.source_map.LANE_KINDS
-    place: (
-        str  # "forward" or "backward" for driving lanes, "left" or "right" for others
-    )
-    number: int  # among those of its kind and place; 0: next to the kerb
+    Attributes
+    ----------
+    kind : str
+        One of geometry.maps.source_map.LANE_KINDS.
+    place : str
+        "forward" or "backward" for driving lanes, "left" or "right" for others.
+    number : int
+        Among those of its kind and place; 0: next to the kerb.
+    width_m : float
+        Full width. [m]
+    left_m : float
+        Of its middle, to the left of the way. [m]
+    is_forward : bool
+        Traffic runs in the direction of the way.
+    turns : tuple of Turn
+        By its markings; empty: it bears none.
+    """
+
+    kind: str
+    place: str
+    number: int
     width_m: float
-    left_m: float  # of its middle, to the left of the way
-    is_forward: bool  # traffic runs in the direction of the way
-    turns: tuple[Turn, ...] = ()  # by its markings; empty: it bears none
+    left_m: float
+    is_forward: bool
+    turns: tuple[Turn, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossSection:
-    """Strips side by side along a way, which runs in the middle of the carriageway."""
+    """Strips side by side along a way in the middle of the carriageway.
 
-    strips: tuple[Strip, ...]  # from left to right
-    width_m: (
-        float  # from kerb to kerb, with parked cars and cycle lanes on the carriageway
-    )
+    Attributes
+    ----------
+    strips : tuple of Strip
+        From left to right.
+    width_m : float
+        From kerb to kerb, with parked cars and cycle lanes on the carriageway.
+        [m]
+    """
+
+    strips: tuple[Strip, ...]
+    width_m: float
 
     def lanes(self, *, is_forward: bool) -> tuple[Strip, ...]:
         """Driving lanes of one direction, from the kerb to the axis."""
@@ -254,14 +363,35 @@ class CrossSection:
             place = OPPOSITE[strip.place]
             left_m = -strip.left_m
             return replace(
-                strip, place=place, left_m=left_m, is_forward=not strip.is_forward
+                strip,
+                place=place,
+                left_m=left_m,
+                is_forward=not strip.is_forward,
             )
 
-        return replace(self, strips=tuple(map(turned, self.strips[::-1])))
+        strips = [turned(strip) for strip in self.strips[::-1]]
+        return replace(self, strips=tuple(strips))
 
 
 def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> CrossSection:
-    """Strips side by side along a road, a one-way one along its nodes; senseless tags are noted."""
+    """Cross-section of a road from its tags; senseless ones are noted.
+
+    A one-way road must have its tags turned so that cars drive along its nodes.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    note : TagNote
+        Called with the reason where a tag is not followed.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Returns
+    -------
+    section : CrossSection
+        Strips from left to right.
+    """
     left = roadside_strips(tags, note, side="left", keeps_left=keeps_left)
     right = roadside_strips(tags, note, side="right", keeps_left=keeps_left)
     counts = count_lanes(tags, note)
@@ -270,6 +400,7 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
     driving = _driving(widths, counts, keeps_left=keeps_left)
     carriageway_m = sum(width for _, _, width in driving) + beside_m
     strips: list[Strip] = []
+    # Strips beside the driving lanes, on the left and then on the right.
     for side, sign, (inner, outer) in (("left", 1.0, left), ("right", -1.0, right)):
         numbers: Counter[str] = Counter()
         # From the kerb inwards, then from the kerb outwards.
@@ -290,7 +421,12 @@ def build_cross_section(tags: Tags, note: TagNote, *, keeps_left: bool) -> Cross
                 edge_m += step * width_m
     left_m = 0.5 * carriageway_m - sum(width for _, width, _ in left[0])
     strips += _driving_strips(
-        tags, driving, counts, left_m, note, keeps_left=keeps_left
+        tags,
+        driving,
+        counts,
+        left_m,
+        note,
+        keeps_left=keeps_left,
     )
     strips.sort(key=lambda strip: -strip.left_m)
     return CrossSection(strips=tuple(strips), width_m=carriageway_m)
@@ -305,22 +441,54 @@ def _driving_strips(
     *,
     keeps_left: bool,
 ) -> Iterator[Strip]:
-    """Driving lanes from left to right, from their left edge on; the centre lane is none."""
+    """Driving lanes from left to right; the centre lane is left out.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    driving : Sequence[tuple[str, int, float]]
+        Direction, number from the kerb and width of each lane. [m]
+    counts : LaneCounts
+        Numbers of lanes.
+    left_m : float
+        Left edge of the leftmost lane, to the left of the way. [m]
+    note : TagNote
+        Called with the reason where a tag is not followed.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Yields
+    ------
+    strip : Strip
+        A shared lane yields one for each direction.
+    """
     limits = DEFAULTS["cross_section"]
     turns = {
         "forward": _listed_turns(
-            tags, "forward", counts.n_forward, note, is_alone=is_oneway(tags)
+            tags,
+            "forward",
+            counts.n_forward,
+            note,
+            is_alone=is_oneway(tags),
         ),
         "backward": _listed_turns(
-            tags, "backward", counts.n_backward, note, is_alone=False
+            tags,
+            "backward",
+            counts.n_backward,
+            note,
+            is_alone=False,
         ),
     }
     for place, number, width_m in driving:
         middle_m = left_m - 0.5 * width_m
         left_m -= width_m
-        for direction in {"both": ("forward", "backward"), "centre": ()}.get(
-            place, (place,)
-        ):
+        directions: tuple[str, ...] = (place,)
+        if place == "both":
+            directions = ("forward", "backward")
+        elif place == "centre":
+            directions = ()
+        for direction in directions:
             is_forward = direction == "forward"
             aside_m = 0.0
             free_m = width_m
@@ -329,53 +497,109 @@ def _driving_strips(
                 # lanes differ.
                 aside_m = 0.5 * limits["shared_apart_m"]
                 free_m = max(width_m - 2.0 * aside_m, limits["min_lane_width_m"])
+            if is_forward != keeps_left:
+                aside_m = -aside_m
+            # Turns are listed from left to right, lanes are counted from the kerb.
+            place_in_list = -1 - number
+            if keeps_left:
+                place_in_list = number
             yield Strip(
                 kind="driving",
                 place=direction,
                 number=number,
                 width_m=free_m,
-                left_m=middle_m + (aside_m if is_forward == keeps_left else -aside_m),
+                left_m=middle_m + aside_m,
                 is_forward=is_forward,
-                turns=turns[direction][number if keeps_left else -1 - number],
+                turns=turns[direction][place_in_list],
             )
 
 
 def _driving(
-    widths: _Widths, counts: LaneCounts, *, keeps_left: bool
+    widths: _Widths,
+    counts: LaneCounts,
+    *,
+    keeps_left: bool,
 ) -> list[tuple[str, int, float]]:
-    """Driving lanes from left to right: direction, number from the kerb, width."""
+    """Driving lanes from left to right.
+
+    Parameters
+    ----------
+    widths : _Widths
+        Widths in each direction. [m]
+    counts : LaneCounts
+        Numbers of lanes.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Returns
+    -------
+    lanes : list of (str, int, float)
+        Direction ("both": shared, "centre": for turning), number from the kerb,
+        width. [m]
+    """
     if counts.is_shared:
         return [("both", 0, widths[0][0])]
-    forward, backward = (
-        [
-            (place, n if keeps_left else len(lanes) - 1 - n, lane_m)
-            for n, lane_m in enumerate(lanes)
-        ]
-        for place, lanes in (("forward", widths[0]), ("backward", widths[1]))
-    )
-    centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
+
+    def listed(place: str, lanes: Sequence[float]) -> list[tuple[str, int, float]]:
+        """Lanes of one direction from left to right, numbered from the kerb."""
+        numbers = range(len(lanes))
+        if not keeps_left:
+            numbers = numbers[::-1]
+        every = zip(numbers, lanes, strict=True)
+        return [(place, number, lane_m) for number, lane_m in every]
+
+    forward = listed("forward", widths[0])
+    backward = listed("backward", widths[1])
+    centre: list[tuple[str, int, float]] = []
     if counts.has_centre:
+        centre_m = DEFAULTS["cross_section"]["centre_lane_width_m"]
         centre = [("centre", 0, centre_m)]
-    else:
-        centre = []
     if keeps_left:
         return [*forward, *centre, *backward[::-1]]
     return [*backward[::-1], *centre, *forward]
 
 
 def _lane_widths(
-    tags: Tags, counts: LaneCounts, beside_m: float, note: TagNote
+    tags: Tags,
+    counts: LaneCounts,
+    beside_m: float,
+    note: TagNote,
 ) -> tuple[_Widths, LaneCounts]:
+    """Widths of the lanes in each direction, and the counts that fit.
+
+    Listed widths of lanes count first, then the width of the carriageway, then
+    usual widths.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    counts : LaneCounts
+        Numbers of lanes.
+    beside_m : float
+        Width of parked cars and cycle lanes on the carriageway. [m]
+    note : TagNote
+        Called with the reason where a tag is not followed.
+
+    Returns
+    -------
+    widths : (sequence of float, sequence of float)
+        Forward and backward, from left to right there. [m]
+    counts : LaneCounts
+        Shared if the road is too narrow for two lanes.
+    """
     limits = DEFAULTS["cross_section"]
     narrow_m = limits["min_lane_width_m"]
     wide_m = limits["max_lane_width_m"]
     usual_m = DEFAULTS["roads"][tags["highway"]]["lane_width_m"]
+    centre_m = 0.0
     if counts.has_centre:
         centre_m = limits["centre_lane_width_m"]
-    else:
-        centre_m = 0.0
     forward = _listed_widths(
-        tags, "forward", counts.n_forward, is_alone=not counts.n_backward
+        tags,
+        "forward",
+        counts.n_forward,
+        is_alone=not counts.n_backward,
     )
     backward = _listed_widths(tags, "backward", counts.n_backward, is_alone=False)
     if not counts.is_shared and forward is not None and backward is not None:
@@ -388,10 +612,9 @@ def _lane_widths(
         if not counts.is_counted and counts.n_forward == counts.n_backward == 1:
             # Nothing says how many lanes there are: one where two cars could not pass.
             fitting = replace(counts, is_shared=free_m < 2.0 * narrow_m)
+        n_lanes = counts.n_forward + counts.n_backward
         if fitting.is_shared:
             n_lanes = 1
-        else:
-            n_lanes = counts.n_forward + counts.n_backward
         if narrow_m <= free_m / n_lanes <= wide_m:
             usual_m = free_m / n_lanes
             counts = fitting
@@ -401,14 +624,35 @@ def _lane_widths(
 
 
 def _listed_widths(
-    tags: Tags, direction: str, count: int, *, is_alone: bool
+    tags: Tags,
+    direction: str,
+    count: int,
+    *,
+    is_alone: bool,
 ) -> list[float] | None:
-    """Widths of each lane in metres, if they are listed for the right number of lanes."""
+    """Listed widths of lanes in metres; None: they do not fit the count.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    direction : {"forward", "backward"}
+        Along the way or against it.
+    count : int
+        Number of lanes in that direction.
+    is_alone : bool
+        The other direction has no lanes: the plain tag counts, too.
+
+    Returns
+    -------
+    widths : list of float or None
+        From left to right. [m]
+    """
     if not count:
         return []
-    text = tags.get(f"width:lanes:{direction}") or (
-        tags.get("width:lanes") if is_alone else None
-    )
+    text = tags.get(f"width:lanes:{direction}")
+    if not text and is_alone:
+        text = tags.get("width:lanes")
     widths = [parse_length_m(part) for part in (text or "").split("|")]
     limits = DEFAULTS["cross_section"]
     low_m = limits["min_lane_width_m"]
@@ -420,18 +664,45 @@ def _listed_widths(
 
 
 def _listed_turns(
-    tags: Tags, direction: str, count: int, note: TagNote, *, is_alone: bool
+    tags: Tags,
+    direction: str,
+    count: int,
+    note: TagNote,
+    *,
+    is_alone: bool,
 ) -> list[tuple[Turn, ...]]:
-    """Where cars may drive from each lane by its markings, from left to right."""
-    text = tags.get(f"turn:lanes:{direction}") or (
-        tags.get("turn:lanes") if is_alone else None
-    )
+    """Where cars may drive from each lane by its markings.
+
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    direction : {"forward", "backward"}
+        Along the way or against it.
+    count : int
+        Number of lanes in that direction.
+    note : TagNote
+        Called with the reason where a tag is not followed.
+    is_alone : bool
+        The other direction has no lanes: the plain tag counts, too.
+
+    Returns
+    -------
+    turns : list of tuple of Turn
+        From left to right; empty tuples where the lane bears no markings.
+    """
+    text = tags.get(f"turn:lanes:{direction}") or None
+    if text is None and is_alone:
+        text = tags.get("turn:lanes")
+    lanes: list[str] = []
+    if text is not None:
+        lanes = text.split("|")
     words = DEFAULTS["turns"]
     listed: list[tuple[Turn, ...]] = []
-    for lane in [] if text is None else text.split("|"):
-        turns = [
-            turn for word in lane.split(";") for turn in words.get(word.strip(), ())
-        ]
+    for lane in lanes:
+        turns: list[Turn] = []
+        for word in lane.split(";"):
+            turns += words.get(word.strip(), ())
         listed.append(tuple(dict.fromkeys(turns)))
     if len(listed) == count:
         return listed
@@ -442,19 +713,35 @@ def _listed_turns(
 
 # ---------- speed limits
 def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
-    """Speed limit of a direction of a road in km/h; None: the tags give none, or no number.
+    """Speed limit of one direction of a road in km/h.
+
+    Limits that hold only at times, for some vehicles or for some lanes are
+    ignored.
 
     Limits that hold at times, for some vehicles or lanes are not looked at.
 
-    >>> [speed_limit_kmh({"maxspeed": text}, is_forward=True) for text in ("50", "30 mph", "none")]
+    Parameters
+    ----------
+    tags : Tags
+        Tags of the element, by key.
+    is_forward : bool
+        Along the nodes of the way.
+
+    Returns
+    -------
+    limit_kmh : float or None
+        None: the tags give none, or no number.
+
+    >>> texts = ("50", "30 mph", "none")
+    >>> [speed_limit_kmh({"maxspeed": text}, is_forward=True) for text in texts]
     [50.0, 48.3, None]
-    >>> speed_limit_kmh({"maxspeed": "50", "maxspeed:backward": "FR:zone30"}, is_forward=False)
+    >>> tags = {"maxspeed": "50", "maxspeed:backward": "FR:zone30"}
+    >>> speed_limit_kmh(tags, is_forward=False)
     30.0
     """
+    side = "backward"
     if is_forward:
         side = "forward"
-    else:
-        side = "backward"
     for key in (f"maxspeed:{side}", "maxspeed", *DEFAULTS["speed_limits"]["type_keys"]):
         text = tags.get(key, "").strip().lower()
         speed_kmh = _speed_kmh(text)
@@ -464,11 +751,14 @@ def speed_limit_kmh(tags: Tags, *, is_forward: bool) -> float | None:
 
 
 def _speed_kmh(text: str) -> float | None:
+    """Speed that a text states in km/h, such as "50" or "FR:zone30"."""
     words: dict[str, float] = DEFAULTS["speed_limits"]["words_kmh"]
     if text in words:
         return words[text]
     zone = _ZONE.fullmatch(text)
-    speed_kmh = parse_speed_kmh(zone[1] if zone else text)
+    if zone:
+        text = zone[1]
+    speed_kmh = parse_speed_kmh(text)
     if speed_kmh:
         return round(speed_kmh, 1)
     return None
@@ -476,33 +766,49 @@ def _speed_kmh(text: str) -> float | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edge:
-    """Part of a way for cars between two nodes where ways begin, end or meet."""
+    """Part of a way for cars between two nodes where ways begin, end or meet.
 
-    id: str  # way and part: "w5", "w5.1"
+    Attributes
+    ----------
+    id : str
+        Way and part: "w5", "w5.1".
+    way_id : int
+        Id of the way.
+    rows : (n,) int
+        Nodes; in a one-way road cars drive in their order.
+    points_m : (n, 2) float
+        Positions of the nodes. [m]
+    tags : Tags
+        Of the way, in the order of nodes here.
+    section : CrossSection
+        Lanes across it, in the order of nodes here.
+    """
+
+    id: str
     way_id: int
-    rows: IntArray  # (n,), nodes; in a one-way road cars drive in their order
-    points_m: FloatArray  # (n, 2), positions of the nodes
-    tags: Tags  # of the way, in the order of nodes here
+    rows: IntArray
+    points_m: FloatArray
+    tags: Tags
     section: CrossSection
 
     @property
     def is_service(self) -> bool:
-        """A road to a yard, not one of the network."""
+        """True if it leads to a yard and is no road of the network."""
         return self.tags["highway"] == "service"
 
     @property
     def is_oneway(self) -> bool:
-        """Cars drive it one way only."""
+        """True if cars drive it one way only."""
         return is_oneway(self.tags)
 
     @property
     def is_roundabout(self) -> bool:
-        """Part of a roundabout's ring."""
+        """True if it is part of a roundabout's ring."""
         return self.tags.get("junction") in ("roundabout", "circular")
 
     @property
     def name(self) -> str:
-        """Of its street; empty: none."""
+        """Name or number of its street; empty: none."""
         return self.tags.get("name") or self.tags.get("ref", "")
 
     @property
@@ -512,7 +818,11 @@ class Edge:
 
 
 def level(tags: Tags) -> int:
-    """Layer of a way; bridges and tunnels that name none lie one above and below the ground."""
+    """Layer of a way; 0: on the ground.
+
+    Bridges and tunnels that name no layer lie one above and one below the
+    ground.
+    """
     try:
         layer = int(tags.get("layer", "0"))
     except ValueError:
@@ -529,7 +839,19 @@ def level(tags: Tags) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network:
-    """Edges, and their ends by node row."""
+    """Edges, and the ends of edges that meet at each node.
+
+    Attributes
+    ----------
+    edges : tuple of Edge
+        Roads for cars, cut where ways begin, end or meet.
+    ends : dict of int to tuple of End
+        Ends of edges, by row of the node.
+    elements : Elements
+        Elements of the file.
+    keeps_left : bool
+        Traffic keeps left.
+    """
 
     edges: tuple[Edge, ...]
     ends: Mapping[int, tuple[End, ...]]
@@ -537,7 +859,18 @@ class Network:
     keeps_left: bool
 
     def bearing_deg(self, end: End) -> float:
-        """Direction in which an edge leaves its node, over its first ten metres."""
+        """Direction in which an edge leaves its node, over its first ten metres.
+
+        Parameters
+        ----------
+        end : End
+            An edge, and whether its first node is meant.
+
+        Returns
+        -------
+        bearing_deg : float
+            Counter-clockwise from east. [deg]
+        """
         points = self.points_from(end)
         east, north = points_at(points, np.array(10.0)) - points[0]
         return float(np.degrees(np.arctan2(north, east)))
@@ -551,18 +884,34 @@ class Network:
 
 
 def is_for_cars(tags: Tags) -> bool:
-    """A way that cars drive on as part of the network of roads, or to a yard."""
-    return (
-        tags.get("highway") in DEFAULTS["roads"]
-        and tags.get("area") != "yes"
-        and next((tags[key] for key in WORDS["access"] if key in tags), "yes") != "no"
-        and tags.get("service")
-        not in ("parking_aisle", "driveway", "drive-through", "slipway")
-    )
+    """True if cars drive on a way: a road of the network, or to a yard."""
+    if tags.get("highway") not in DEFAULTS["roads"] or tags.get("area") == "yes":
+        return False
+    # The most telling of the tags on access counts.
+    access = next((tags[key] for key in WORDS["access"] if key in tags), "yes")
+    if access == "no":
+        return False
+    no_roads = ("parking_aisle", "driveway", "drive-through", "slipway")
+    return tags.get("service") not in no_roads
 
 
 def build_network(elements: Elements, *, keeps_left: bool) -> Network:
-    """The roads for cars; ways with missing nodes and senseless tags are noted."""
+    """Network of the roads for cars.
+
+    Ways with missing nodes and senseless tags are noted.
+
+    Parameters
+    ----------
+    elements : Elements
+        Elements of the file.
+    keeps_left : bool
+        Traffic keeps left.
+
+    Returns
+    -------
+    network : Network
+        Edges end where ways begin, end or meet.
+    """
     runs: list[tuple[Way, list[IntArray]]] = []
     for way in elements.ways:
         if is_for_cars(way.tags):
@@ -573,10 +922,12 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
                     " a cut-out"
                 )
                 elements.omissions.add("roads", f"way {way.id}", why)
+    # Count how often ways pass each node: edges are cut where it is more than once.
     n_uses = np.zeros(len(elements.positions_m), dtype=np.int64)
     for rows in chain.from_iterable(found for _, found in runs):
         np.add.at(n_uses, rows[1:-1], 1)
-        np.add.at(n_uses, rows[[0, -1]], 2)  # edges end where ways do
+        # Edges end where ways do.
+        np.add.at(n_uses, rows[[0, -1]], 2)
     edges: list[Edge] = []
     for way, found in runs:
         if not found:
@@ -588,11 +939,11 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
             step = -1
         note = partial(elements.omissions.add, "ways", f"way {way.id}")
         section = build_cross_section(tags, note, keeps_left=keeps_left)
-        parts = (
-            rows[begin : end + 1]
-            for rows in (run[::step] for run in found)
-            for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1))
-        )
+        parts = []
+        for run in found:
+            rows = run[::step]
+            for begin, end in pairwise(np.flatnonzero(n_uses[rows] > 1)):
+                parts.append(rows[begin : end + 1])
         edges += [
             Edge(
                 id=numbered(f"w{way.id}", number),
@@ -609,12 +960,30 @@ def build_network(elements: Elements, *, keeps_left: bool) -> Network:
         ends[int(edge.rows[0])] += ((index, True),)
         ends[int(edge.rows[-1])] += ((index, False),)
     return Network(
-        edges=tuple(edges), ends=dict(ends), elements=elements, keeps_left=keeps_left
+        edges=tuple(edges),
+        ends=dict(ends),
+        elements=elements,
+        keeps_left=keeps_left,
     )
 
 
 def known_runs(way: Way, elements: Elements) -> Iterator[IntArray]:
-    """Parts of a way whose nodes the file has, without nodes that lie where the last one did."""
+    """Parts of a way whose nodes the file has.
+
+    Nodes that lie where the last one did are left out.
+
+    Parameters
+    ----------
+    way : Way
+        The way.
+    elements : Elements
+        Elements of the file.
+
+    Yields
+    ------
+    rows : (n,) int
+        At least two rows of `elements`.
+    """
     for begin, end in true_runs(way.rows >= 0):
         part = way.rows[begin:end]
         part = part[np.append(True, steps_m(elements.positions_m[part]) > 0.01)]
@@ -623,37 +992,49 @@ def known_runs(way: Way, elements: Elements) -> Iterator[IntArray]:
 
 
 def lines_of(way: Way, elements: Elements) -> Iterator[FloatArray]:
-    """Lines (n, 2) of the parts of a way whose nodes the file has."""
+    """Lines of the parts of a way whose nodes the file has, (n, 2) each."""
     for rows in known_runs(way, elements):
         yield elements.positions_m[rows]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Street:
-    """Edges one after the other, between two nodes where they stop."""
+    """Edges one after the other, between two nodes where they stop.
 
-    # edges, and whether they are followed in the order of their nodes
+    Attributes
+    ----------
+    parts : tuple[tuple[Edge, bool], ...]
+        Edges, and whether they are followed in the order of their nodes.
+    points_m : (n, 2) float
+        Points of the axis. [m]
+    rows : (n,) int
+        Rows of the nodes.
+    stations_m : (n,) float
+        Distance of each point along the street. [m]
+    normals : (n - 1, 2) float
+        Unit vectors to the left between points.
+    breaks_m : (n_parts + 1,) float
+        Begins and ends of the parts along the street. [m]
+    sections : tuple of CrossSection
+        Cross-section of each part, in the direction of the street.
+    """
+
     parts: tuple[tuple[Edge, bool], ...]
-    points_m: FloatArray = field(init=False)  # (n, 2)
-    rows: IntArray = field(init=False)  # (n,), nodes
-    stations_m: FloatArray = field(
-        init=False
-    )  # (n,), distance of each point along the street
-    normals: FloatArray = field(
-        init=False
-    )  # (n - 1, 2), unit vectors to the left between points
-    breaks_m: FloatArray = field(init=False)  # (n_parts + 1,), begins and ends of parts
-    # of each part, in the direction of the street
+    points_m: FloatArray = field(init=False)
+    rows: IntArray = field(init=False)
+    stations_m: FloatArray = field(init=False)
+    normals: FloatArray = field(init=False)
+    breaks_m: FloatArray = field(init=False)
     sections: tuple[CrossSection, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         points: list[FloatArray] = []
         rows: list[IntArray] = []
         for at, (edge, is_along) in enumerate(self.parts):
+            step = -1
             if is_along:
                 step = 1
-            else:
-                step = -1
+            # The first node of an edge is the last one of the edge before.
             skip = min(at, 1)
             points.append(edge.points_m[::step][skip:])
             rows.append(edge.rows[::step][skip:])
@@ -681,7 +1062,7 @@ class Street:
 
     @property
     def length_m(self) -> float:
-        """From end to end."""
+        """Length from end to end, in metres."""
         return float(self.stations_m[-1])
 
     def reversed(self) -> "Street":
@@ -702,10 +1083,22 @@ class Street:
 
 
 def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street]:
-    """Follow roads from node to node until `stops(row)`; every edge is part of exactly one street.
+    """Streets along the roads; every edge is part of exactly one.
 
-    At other nodes a road goes straight on if it can, and roads that join from the side
-    end there.
+    At other nodes a road goes straight on if it can, and roads that join from
+    the side end there.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    stops : Callable[[int], bool]
+        True for the row of a node where every street ends.
+
+    Returns
+    -------
+    streets : list of Street
+        Rings without an end come last.
     """
     partner: dict[End, End] = {}
     for row, ends in network.ends.items():
@@ -713,14 +1106,14 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
             for one, other in pair_ends(network, ends):
                 partner[one] = other
                 partner[other] = one
+    # Start where nothing leads on, and then on what is left.
     is_done = np.zeros(len(network.edges), dtype=bool)
     streets = []
     starts = [
         end for ends in network.ends.values() for end in ends if end not in partner
     ]
-    rest = [
-        (index, True) for index in range(len(network.edges))
-    ]  # rings without an end
+    # Rings without an end.
+    rest = [(index, True) for index in range(len(network.edges))]
     for begin in starts + rest:
         if is_done[begin[0]]:
             continue
@@ -736,12 +1129,26 @@ def trace_streets(network: Network, stops: Callable[[int], bool]) -> list[Street
 
 
 def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, End]]:
-    """Pairs of roads that continue each other at a node that is no junction."""
+    """Pairs of roads that continue each other at a node without a junction.
+
+    Parameters
+    ----------
+    network : Network
+        Roads for cars.
+    ends : tuple of End
+        Ends of the edges that meet at the node.
+
+    Yields
+    ------
+    pair : (End, End)
+        The straightest ones first; each end is in one pair at most.
+    """
     if len(ends) == 2:
         yield ends[0], ends[1]
         return
     edges = network.edges
     bearings = {end: network.bearing_deg(end) for end in ends}
+    # Every pair that may go on: no yards first, no ramps first, the straightest first.
     choices = []
     for index, one in enumerate(ends):
         for other in ends[:index]:
@@ -767,7 +1174,25 @@ def pair_ends(network: Network, ends: tuple[End, ...]) -> Iterator[tuple[End, En
 
 # ---------- lines and areas next to a street
 def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Points of a street's axis, and the step for each metre to the left; (n, 2)."""
+    """Points of a street's axis, and the step for each metre to the left.
+
+    At bends the step is longer than 1, so that offset lines stay parallel to
+    both sides, but at most twice as long.
+
+    Parameters
+    ----------
+    street : Street
+        The street.
+    stations_m : (n,) float
+        Distances along the street. [m]
+
+    Returns
+    -------
+    middle : (n, 2) float
+        Points of the axis. [m]
+    across : (n, 2) float
+        Step to the left per metre of offset.
+    """
     stations = np.asarray(stations_m, dtype=np.float64)
     stations = np.minimum(np.maximum(stations, 0.0), street.length_m)
     points = street.points_m
@@ -776,12 +1201,12 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
     last = len(normals) - 1
     before = np.searchsorted(along, stations - 1e-6, side="right") - 1
     after = np.searchsorted(along, stations + 1e-6, side="right") - 1
-    before, after = (np.minimum(np.maximum(one, 0), last) for one in (before, after))
+    before = np.minimum(np.maximum(before, 0), last)
+    after = np.minimum(np.maximum(after, 0), last)
     normal = normals[before] + normals[after]
     squared = np.maximum((normal * normal).sum(axis=1), 1e-9)
-    across = (
-        normal * (2.0 / squared)[:, None]
-    )  # as long as the offsets of both sides need
+    # As long as the offsets of both sides need.
+    across = normal * (2.0 / squared)[:, None]
     length = 2.0 / np.sqrt(squared)
     across *= np.minimum(1.0, _MAX_MITRE / length)[:, None]
     # Left of a segment is its normal: the segment itself is the normal turned back.
@@ -791,16 +1216,29 @@ def axis_points(street: Street, stations_m: ArrayLike) -> tuple[FloatArray, Floa
 
 
 def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
-    """Which points of a line beside a street to keep, so that it runs as the street does, (n,).
+    """Points of a line beside a street that run as the street does.
 
-    At sharp bends a line on the inner side would run backwards for a while; `middle`
-    are the points of the street's axis beside those of the line.
+    At sharp bends a line on the inner side would run backwards for a while;
+    `middle` are the points of the street's axis beside those of the line.
+
+    Parameters
+    ----------
+    line_m : (n, 2) float
+        The line. [m]
+    middle : (n, 2) float
+        Points of the axis beside it. [m]
+
+    Returns
+    -------
+    is_kept : (n,) bool
+        False for points to leave out.
     """
     is_kept = np.ones(len(line_m), dtype=bool)
     steps = np.einsum("ij,ij->i", np.diff(line_m, axis=0), np.diff(middle, axis=0))
     if (steps > 0.0).all():
         return is_kept
     last = 0
+    # Drop points that do not lead on from the last one kept; the end always stays.
     for index in range(1, len(line_m)):
         step = line_m[index] - line_m[last]
         along = middle[index] - middle[last]
@@ -814,16 +1252,51 @@ def has_no_knot(line_m: FloatArray, middle: FloatArray) -> BoolArray:
 
 
 def stations_between(
-    street: Street, begin_m: float, end_m: float, extra: Sequence[float] = ()
+    street: Street,
+    begin_m: float,
+    end_m: float,
+    extra: Sequence[float] = (),
 ) -> FloatArray:
-    """Stations where a line next to a street needs points: begin, end, bends, and `extra` ones."""
+    """Stations where a line next to a street needs points.
+
+    Parameters
+    ----------
+    street : Street
+        The street.
+    begin_m : float
+        First station. [m]
+    end_m : float
+        Last station. [m]
+    extra : sequence of float
+        Further stations, kept if they lie between. [m]
+
+    Returns
+    -------
+    stations_m : (n,) float
+        Begin, bends and extra ones, end. [m]
+    """
     every = np.concatenate([street.stations_m, np.asarray(extra, dtype=np.float64)])
     inside = np.unique(every[(every > begin_m + 0.05) & (every < end_m - 0.05)])
     return np.concatenate([[begin_m], inside, [end_m]])
 
 
 def surface(street: Street, begin_m: float, end_m: float) -> BaseGeometry:
-    """Carriageway of a street between two stations, from kerb to kerb."""
+    """Carriageway of a street between two stations, from kerb to kerb.
+
+    Parameters
+    ----------
+    street : Street
+        The street.
+    begin_m : float
+        First station. [m]
+    end_m : float
+        Last station. [m]
+
+    Returns
+    -------
+    area : BaseGeometry
+        In metres; empty if the stations are not apart.
+    """
     pieces: list[BaseGeometry] = []
     for index, section in enumerate(street.sections):
         low = max(begin_m, float(street.breaks_m[index]))
