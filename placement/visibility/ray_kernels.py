@@ -30,48 +30,94 @@ _BLOCK = 8  # cells along either side of a block whose nearest thing is looked a
 
 
 class Views(NamedTuple):
-    """Bodies to be looked at; one view is one body at one place."""
+    """Bodies to be looked at; one view is one body at one place.
 
-    points: (
-        Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
-    )
-    middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
-    radius: FloatArray  # (n_views,): of that sphere. [m]
+    Attributes
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points spread over each body. [m]
+    middle : (n_views, 3) float
+        Centre of a sphere around the points. [m]
+    radius : (n_views,) float
+        Radius of that sphere. [m]
+    """
+
+    points: Array
+    middle: FloatArray
+    radius: FloatArray
 
 
 class Occluders(NamedTuple):
-    """Bodies that stand or drive in the way, in groups; each has a frame of its own."""
+    """Bodies that may occlude a view, in groups; each has its own frame.
 
-    members: IntArray  # (m,): bodies, group by group
-    first: IntArray  # (n_groups + 1,): where each group begins in `members`
-    position: FloatArray  # (n_bodies, 3): of each. [m]
-    rotation: FloatArray  # (n_bodies, 3, 3): from its frame into the world's
-    boxes: (
-        FloatArray  # (n_bodies, 2, 3): lowest and highest coordinates in its frame. [m]
-    )
+    Attributes
+    ----------
+    members : (m,) int
+        Bodies, one group after the other.
+    first : (n_groups + 1,) int
+        Where each group begins in `members`.
+    position : (n_bodies, 3) float
+        Origin of each body's frame. [m]
+    rotation : (n_bodies, 3, 3) float
+        From the frame of each body to the world's.
+    boxes : (n_bodies, 2, 3) float
+        Lowest and highest coordinates in the body's frame. [m]
+    """
+
+    members: IntArray
+    first: IntArray
+    position: FloatArray
+    rotation: FloatArray
+    boxes: FloatArray
 
 
 class OneKind(NamedTuple):
-    """Bodies of one shape, a row for each view that one of them may hide."""
+    """Bodies of one shape, a row for each view that one may occlude.
 
-    position: FloatArray  # (n, 3). [m]
-    rotation: FloatArray  # (n, 3, 3): from the body's frame into the world's
-    lowest: FloatArray  # (3,): of the box around the shape, in its frame. [m]
-    highest: FloatArray  # (3,). [m]
+    Attributes
+    ----------
+    position : (n, 3) float
+        Origin of each body's frame. [m]
+    rotation : (n, 3, 3) float
+        From the frame of each body to the world's.
+    lowest, highest : (3,) float
+        Corners of the box around the shape, in its frame. [m]
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
 
 
 class Rays(NamedTuple):
-    """Rays to points of bodies, and room for them."""
+    """Rays to points of bodies, and the arrays that they are written to.
 
-    near_m: float  # from the eye to where they start
-    off_surface_m: float  # before the point, where they end
-    starts: Array  # (n, 3), single precision. [m]
-    vectors: Array  # (n, 3): from start to end, single precision. [m]
+    Attributes
+    ----------
+    near_m : float
+        Distance from the eye to the start of every ray. [m]
+    off_surface_m : float
+        Distance from the end of every ray to its point. [m]
+    starts : (n, 3) float32
+        Where each ray starts. [m]
+    vectors : (n, 3) float32
+        From the start of each ray to its end. [m]
+    """
+
+    near_m: float
+    off_surface_m: float
+    starts: Array
+    vectors: Array
 
 
 @kernel
 def _diamond(x: float, y: float) -> float:
-    """Azimuth as a number from 0 to 4 that grows with the angle."""
+    """Diamond angle of a direction: 0 to 4, growing with the azimuth.
+
+    The position along the square |x| + |y| = 1, which orders directions as the
+    azimuth does and needs no trigonometric function. 0 where x = y = 0.
+    """
     size = abs(x) + abs(y)
     if size == 0.0:
         return 0.0
@@ -85,13 +131,29 @@ def _diamond(x: float, y: float) -> float:
 
 @kernel
 def cell_around(x: float, y: float, n_around: int) -> int:
-    """Column of cells of an azimuth."""
+    """Column of cells that holds an azimuth.
+
+    Parameters
+    ----------
+    x, y : float
+        Horizontal direction, of any length.
+    n_around : int
+        Number of columns.
+    """
     return min(int(_diamond(x, y) * (0.25 * n_around)), n_around - 1)
 
 
 @kernel
 def cell_up(sine: float, n_up: int) -> int:
-    """Row of cells of an elevation."""
+    """Row of cells that holds an elevation.
+
+    Parameters
+    ----------
+    sine : float
+        Sine of the elevation, -1 to 1.
+    n_up : int
+        Number of rows; the first one looks straight down.
+    """
     return max(0, min(int((sine + 1.0) * (0.5 * n_up)), n_up - 1))
 
 
@@ -99,7 +161,28 @@ def cell_up(sine: float, n_up: int) -> int:
 def _window(
     x: float, y: float, z: float, radius: float, shape: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Cells that a sphere touches, the eye outside of it: rows, columns; the end may be > N."""
+    """Window of cells that a sphere around a point touches.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Middle of the sphere, from the eye. [m]
+    radius : float
+        Its radius; the eye is outside. [m]
+    shape : (n_up, n_around)
+        Number of rows and columns of cells.
+
+    Returns
+    -------
+    low, high, first, last : int
+        First and last row, first and last column, all inclusive. `last` may exceed
+        the number of columns: the window then wraps round.
+
+    Notes
+    -----
+    A sphere of sine s = radius / distance reaches from the sine of (elevation -
+    asin s) to that of (elevation + asin s): sin(a -+ b) = sin a cos b -+ cos a sin b.
+    """
     n_up, n_around = shape
     level = np.sqrt(x * x + y * y)
     distance = np.sqrt(x * x + y * y + z * z)
@@ -128,12 +211,30 @@ def _window(
 def _piece_window(
     corners: Any, x: float, y: float, sine: float, shape: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
+    """Window of cells that a triangle touches, in the form of `_window`.
 
-    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares
-    t of the corners c, height / |p| is at most the greatest such ratio of a corner
-    times sum t |c| / |p|, which is 1 .. 1 / cos(the triangle's angle); and at least the
-    least one likewise.
+    Parameters
+    ----------
+    corners : 3 tuples of 3 floats
+        Corners of the triangle, from the eye. [m]
+    x, y : float
+        Its middle. [m]
+    sine : float
+        At least the sine of the triangle's half angle, seen from the eye.
+    shape : (n_up, n_around)
+        Number of rows and columns of cells.
+
+    Returns
+    -------
+    low, high, first, last : int
+        As `_window` returns them.
+
+    Notes
+    -----
+    The azimuth on a triangle lies between those of its corners. Let p be the sum of
+    shares t of the corners c. The ratio height / |p| is at most the greatest such
+    ratio of a corner times sum t |c| / |p|, which lies between 1 and 1 / cos(the
+    triangle's angle); and it is at least the least ratio likewise.
     """
     middle = _diamond(x, y)
     left = right = 0.0
@@ -176,10 +277,27 @@ def mark_nearest(
     low_m: float,
     high_m: float,
 ) -> None:
-    """Enter triangles (n, 3, 3) into cells (n_up, n_around) of distances from the eye.
+    """Enter triangles into cells that hold the nearest distance from the eye.
 
-    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from
-    the eye to a point whose height is `low_m` .. `high_m` can meet.
+    Parameters
+    ----------
+    nearest : (n_up, n_around) float32
+        Distance of the nearest thing in each cell; lowered in place. [m]
+    triangles : (n, 3, 3) float
+        Corners of the scene's triangles. [m]
+    eye : (3,) float
+        Where they are seen from. [m]
+    near_m, far_m : float
+        Triangles nearer or farther than these are left out. [m]
+    low_m, high_m : float
+        Lowest and highest point that is looked at. Triangles that no way from the
+        eye to such a height can meet are left out. [m]
+
+    Notes
+    -----
+    Triangles are cut in two across their longest side until each piece is small as
+    seen from the eye. Pieces that are still to be handled lie on a stack, nine
+    coordinates each.
     """
     floor = min(eye[2], low_m)
     ceiling = max(eye[2], high_m)
@@ -281,7 +399,19 @@ def mark_nearest(
 def _is_clear(
     nearest: Array, size: int, window: tuple[int, int, int, int], far: Any
 ) -> bool:
-    """True if no block of `size` x `size` cells in a window knows of anything as near as `far`."""
+    """True if nothing in a window of blocks is as near as `far`.
+
+    Parameters
+    ----------
+    nearest : (n_rows, n_columns) float32
+        Distance of the nearest thing in each block of cells. [m]
+    size : int
+        Cells along one side of a block.
+    window : tuple of 4 int
+        Cells, as :func:`_window` returns them.
+    far : float32
+        Distance up to which things count. [m]
+    """
     low, high, begin, end = window
     for up in range(low // size, high // size + 1):
         for around in range(begin // size, end // size + 1):
@@ -302,10 +432,20 @@ def find_unclear_points(
     view_index: IntArray,
     unclear: BoolArray,
 ) -> None:
-    """Set `unclear` (n, n_points) where something may stand before a point of a view.
+    """Mark the points of views that something may occlude.
 
-    `nearest` (n_up, n_around) are cells of :func:`mark_nearest`, `eye` (3,) is where
-    they are seen from; `view_index` (n,): which views are asked for.
+    Parameters
+    ----------
+    nearest : (n_up, n_around) float32
+        Cells filled by :func:`mark_nearest`. [m]
+    views : Views
+        All bodies.
+    eye : (3,) float
+        Where they are seen from; the same as for `nearest`. [m]
+    view_index : (n,) int
+        Views that are asked for.
+    unclear : (n, n_points) bool
+        Set to True where something may stand in front of a point.
     """
     points = views.points
     middle = views.middle
@@ -349,7 +489,21 @@ def find_unclear_points(
 
 @kernel
 def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
-    """True if the way from one place to another passes a box along the axes."""
+    """True if the way from one place to another passes a box along the axes.
+
+    Clips the way to the three pairs of planes of the box, one axis after another.
+
+    Parameters
+    ----------
+    eye, target : tuple of 3 floats
+        Both ends of the way. [m]
+    low, high : tuple of 3 floats
+        Lowest and highest corner of the box. [m]
+
+    References
+    ----------
+    T. Kay, J. Kajiya, "Ray tracing complex scenes", SIGGRAPH 1986 (slabs).
+    """
     first = 0.0
     last = 1.0
     for axis in range(3):
@@ -380,7 +534,21 @@ def shorten(
     start: Array,
     vector: Array,
 ) -> None:
-    """The ray along the way from the eye to a point: it starts `near` and is `cut` shorter."""
+    """Write the ray from an eye to a point, shortened at both ends.
+
+    Parameters
+    ----------
+    eye : tuple of 3 float32
+        Where the way begins. [m]
+    way : tuple of 3 float32
+        From the eye to the point. [m]
+    near : float32
+        How far from the eye the ray starts. [m]
+    cut : float32
+        How much shorter than the way the ray is. [m]
+    start, vector : (3,) float32
+        Written: start of the ray, and the vector from there to its end. [m]
+    """
     x, y, z = way
     one = np.float32(1.0)
     per_length = one / np.sqrt(x * x + y * y + z * z)
@@ -398,9 +566,20 @@ def shorten(
 def fill_rays(
     points: Array, view_index: IntArray, asked: BoolArray, eye: FloatArray, rays: Rays
 ) -> None:
-    """Fill in rays from the eye (3,) to the points asked for (n, n_points), row by row.
+    """Write the rays from an eye to the points that are asked for.
 
-    Row n is about view `view_index[n]` of `points` (n_views, 3, n_points).
+    Parameters
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points of all bodies. [m]
+    view_index : (n,) int
+        View of each row of `asked`.
+    asked : (n, n_points) bool
+        Points that get a ray, row by row.
+    eye : (3,) float
+        Where all rays come from. [m]
+    rays : Rays
+        Written to; it has room for all points that are asked for.
     """
     near = np.float32(rays.near_m)
     cut = np.float32(rays.near_m + rays.off_surface_m)
@@ -433,11 +612,33 @@ def find_bodies_between(
     bodies: Occluders,
     pairs: Array,
 ) -> int:
-    """Pairs (row, body) of views and bodies that may hide something of them; their number.
+    """Find the pairs of views and bodies that may occlude part of them.
 
-    Row n is view `view_index[n]`; in it there are the bodies of group `group_index[n]`.
-    Pairs go to `pairs` (n_pairs, 2). The way to the middle of the view passes all other
-    bodies at a greater distance than any way to a point has from it.
+    Parameters
+    ----------
+    views : Views
+        All bodies to be looked at.
+    eye : (3,) float
+        Where they are seen from. [m]
+    view_index : (n,) int
+        View of each row.
+    group_index : (n,) int
+        Group of bodies that are there in each row.
+    bodies : Occluders
+        All bodies that may be in the way.
+    pairs : (n_pairs, 2) int
+        Written: row and body of each pair.
+
+    Returns
+    -------
+    n_pairs : int
+        Number of pairs written.
+
+    Notes
+    -----
+    All other bodies are farther from the way to the middle of the view than any way
+    to one of its points is. Two tests say so, the cheaper first: the sphere around
+    the body's box, then the box itself, widened by the radius of the view.
     """
     position = bodies.position
     n_bodies = len(bodies.boxes)
@@ -500,7 +701,7 @@ def find_bodies_between(
 
 @kernel
 def _into_body(rotation: Array, x: float, y: float, z: float) -> Point:
-    """A way in the world's axes, in a body's."""
+    """A vector of the world's axes in those of a body, by R transposed."""
     r = rotation
     return (
         r[0, 0] * x + r[1, 0] * y + r[2, 0] * z,
@@ -519,12 +720,29 @@ def find_rays_at_body(
     rays: Rays,
     asked: BoolArray,
 ) -> int:
-    """Rays to points of some views that meet the box around a body, in the body's frame.
+    """Write the rays that meet the box around a body, in the body's frame.
 
-    Row n asks for the points of view `view_index[n]`, of `points` (n_views, 3,
-    n_points), that are not `hidden[n]`, while a body is at `bodies.position[n]`. Sets
-    `asked` (n, n_points) and returns the number of rays; there must be room for all
-    points of all rows.
+    Parameters
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points of all views. [m]
+    view_index : (n,) int
+        View of each row.
+    hidden : (n, n_points) bool
+        Points that need no ray: something else occludes them.
+    eye : (3,) float
+        Where all rays come from, world frame. [m]
+    bodies : OneKind
+        The body in the way of each row.
+    rays : Rays
+        Written to; it has room for all points of all rows.
+    asked : (n, n_points) bool
+        Set to True for the points that get a ray.
+
+    Returns
+    -------
+    n_rays : int
+        Number of rays written.
     """
     near = np.float32(rays.near_m)
     cut = np.float32(rays.near_m + rays.off_surface_m)

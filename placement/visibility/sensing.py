@@ -1,4 +1,4 @@
-"""Detections of the sensors of one mount position, from the points that the rays reach."""
+"""Detections of the sensors at one mount, from the points that rays reach."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -37,27 +37,55 @@ _PAIRS = 1 << 21  # of sensors and entries that are looked at together
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sensing:
-    """One mount position and all that is seen from it, whatever is mounted there."""
+    """One mount position and all that is seen from it, for any sensor there.
 
-    world: World  # what is looked at
-    sight: Sight  # which points the rays reach
-    detector: PlanningDetector  # of cameras
-    eye_m: FloatArray  # (3,): the mount, relative to the origin of `world`. [m]
-    # middle_m, distance_m: (n, 3), (n,): mean of each entry's points, from the mount,
-    # and how far it is. [m]
+    Attributes
+    ----------
+    world : World
+        What is looked at.
+    sight : Sight
+        Which points the rays reach. Its entries are the n below.
+    detector : PlanningDetector
+        Detector of the cameras.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    middle_m : (n, 3) float
+        Mean of the points of each entry, from the mount. [m]
+    distance_m : (n,) float
+        Length of `middle_m`. [m]
+    half_angle_rad : (n,) float
+        Angle around its middle within which each body lies. [rad]
+    contrast : (n_weathers, n) float
+        Contrast of the VRU in each weather.
+    vru_class : (n,) int
+        Into ``VRU_CLASSES``.
+    aspect_deg : (n,) float
+        Angle between line of sight and heading. [deg]
+    """
+
+    world: World
+    sight: Sight
+    detector: PlanningDetector
+    eye_m: FloatArray
     middle_m: FloatArray
     distance_m: FloatArray
-    half_angle_rad: (
-        FloatArray  # (n,): within which the body lies around its middle. [rad]
-    )
-    contrast: FloatArray  # (n_weathers, n): of the VRU in each weather
-    vru_class: IntArray  # (n,): into ``VRU_CLASSES``
-    aspect_deg: FloatArray  # (n,): between line of sight and heading. [deg]
+    half_angle_rad: FloatArray
+    contrast: FloatArray
+    vru_class: IntArray
+    aspect_deg: FloatArray
 
     def detected(self, candidates: Sequence[CandidatePose]) -> BoolArray:
-        """Entries that each sensor detects in each weather, (n_sensors, n_weathers, n).
+        """Entries that each sensor detects in each weather.
 
-        The sight must have been cast for LiDARs if one is among the sensors.
+        Parameters
+        ----------
+        candidates : sequence of CandidatePose
+            Sensors at this mount. If one is a LiDAR, the sight must have been cast for
+            LiDARs.
+
+        Returns
+        -------
+        detected : (n_sensors, n_weathers, n) bool
         """
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
         lidars: dict[LidarModel, list[int]] = {}  # rows by model
@@ -84,9 +112,12 @@ class Sensing:
         return detected
 
     def packed(self, candidates: Sequence[CandidatePose]) -> NDArray[np.uint8]:
-        """Frames of the frame axis that show a detected VRU, (n_sensors, ceil(n_frames / 8)).
+        """Frames in which each sensor detects a VRU, as bits.
 
-        As bits, the first frame in the lowest.
+        Returns
+        -------
+        packed : (n_sensors, ceil(n_frames / 8)) uint8
+            Frames of the frame axis, the first one in the lowest bit.
         """
         # One entry more, of which nothing is seen: that of frames whose entry is -1.
         detected = np.pad(self.detected(candidates), ((0, 0), (0, 0), (0, 1)))
@@ -100,16 +131,24 @@ class Sensing:
     ) -> Iterator[tuple[IntArray, Evidence]]:
         """Evidence of all cameras that see enough of an entry, at full contrast.
 
-        That is a box as high as the detector asks for. In parts: the index of each
-        row's candidate, and the evidence, whose `draw_index` is the entry. LiDARs are
-        left out.
+        Enough is a box as high as the detector asks for. LiDARs are left out.
+
+        Yields
+        ------
+        rows : (m,) int
+            Index of each row's candidate.
+        evidence : Evidence
+            Its `draw_index` is the entry.
         """
         for boxes in self._boxes(candidates):
             for is_plain in (True, False):
                 yield _evidence(self, boxes, is_plain=is_plain)
 
     def _boxes(self, candidates: Sequence[CandidatePose]) -> Iterator["_Boxes"]:
-        """Boxes in the cameras among the candidates, some of these at a time."""
+        """Boxes in the cameras among the candidates, some of these at a time.
+
+        Pinholes come first, then lenses that distort: each has its own kernels.
+        """
         cameras = [
             i for i, c in enumerate(candidates) if not isinstance(c.sensor, LidarModel)
         ]
@@ -127,9 +166,12 @@ class Sensing:
                 )
 
     def _least_height_px(self) -> FloatArray:
-        """Height of the box of each entry from which on it is detected, if nothing hides any of it.
+        """Height from which on an entry's box is detected if nothing hides it.
 
-        In each weather, (n_weathers, n).
+        Returns
+        -------
+        least_px : (n_weathers, n) float
+            [px]
         """
         nothing = np.empty((len(self.distance_m), 0))
         whole = Evidence(
@@ -153,7 +195,23 @@ def _in_cone(
     distance_m: FloatArray,
     spread_rad: FloatArray,
 ) -> BoolArray:
-    """Bodies (n,) of which a part, so far off their middle, may be in a sensor's field of view."""
+    """Mask of bodies of which a part may be in a sensor's field of view.
+
+    Parameters
+    ----------
+    candidate : CandidatePose
+        The sensor; its field of view counts as a cone around its axis.
+    middle_m : (n, 3) float
+        Middle of each body, from the mount. [m]
+    distance_m : (n,) float
+        Length of `middle_m`. [m]
+    spread_rad : (n,) float
+        Angle around its middle within which each body lies. [rad]
+
+    Returns
+    -------
+    is_in : (n,) bool
+    """
     ahead = body_rotation(candidate.pose.yaw_deg, candidate.pose.pitch_deg)[:, 0]
     half_rad = np.radians(0.5 * candidate.sensor.diagonal_fov_deg) + spread_rad
     along = middle_m @ ahead + _SLACK * distance_m
@@ -164,7 +222,19 @@ def _in_cone(
 def build_sensing(
     world: World, sight: Sight, position_m: FloatArray, detector: PlanningDetector
 ) -> Sensing:
-    """All that does not depend on where a sensor at a mount looks."""
+    """Compute all that does not depend on where a sensor at a mount looks.
+
+    Parameters
+    ----------
+    world : World
+        What is looked at.
+    sight : Sight
+        What rays from this mount reach; see :func:`cast_for`.
+    position_m : (3,) float
+        The mount, world frame. [m]
+    detector : PlanningDetector
+        Detector of the cameras.
+    """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     middle = views.middle_m[sight.view_index] - eye
@@ -192,7 +262,22 @@ def cast_for(
     position_m: FloatArray,
     looks: Sequence[tuple[CandidatePose, PlanningDetector]],
 ) -> Sight:
-    """Sight of all that any sensor at one mount may detect, each with its detector."""
+    """Sight of all that any sensor at one mount may detect.
+
+    Parameters
+    ----------
+    world : World
+        What rays are cast against.
+    position_m : (3,) float
+        The mount, world frame. [m]
+    looks : sequence of (CandidatePose, PlanningDetector)
+        Sensors at the mount, each with its detector; all have the same near limit.
+
+    Returns
+    -------
+    sight : Sight
+        Cast for LiDARs if one is among the sensors.
+    """
     return cast_sight(
         world,
         position_m,
@@ -216,7 +301,19 @@ def _may_detect(
     *,
     turned_rad: float = 0.0,
 ) -> BoolArray:
-    """Views that sensors at one mount may detect, (n_views,), maybe turned a little either way."""
+    """Mask of views that sensors at one mount may detect.
+
+    Parameters
+    ----------
+    world, position_m, looks
+        As in :func:`cast_for`.
+    turned_rad : float
+        The sensors may be turned by so much either way. [rad]
+
+    Returns
+    -------
+    may_detect : (n_views,) bool
+    """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     may_detect = np.zeros(len(views.yaw_deg), dtype=bool)
@@ -255,7 +352,25 @@ def _may_show(
     height_px: float,
     turned_rad: float,
 ) -> BoolArray:
-    """Views (n_views,) whose body may be so high through a lens, maybe turned a little."""
+    """Mask of views whose body may be high enough through a lens.
+
+    Parameters
+    ----------
+    world : World
+        What is looked at.
+    eye : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    candidate : CandidatePose
+        A camera.
+    height_px : float
+        Least height of a box that counts. [px]
+    turned_rad : float
+        The camera may be turned by so much either way. [rad]
+
+    Returns
+    -------
+    may_show : (n_views,) bool
+    """
     views = world.views
     camera = candidate.sensor
     assert isinstance(camera, CameraModel)
@@ -272,13 +387,26 @@ def _may_show(
 
 
 def _has_lens(candidate: CandidatePose) -> bool:
+    """True if a candidate is a camera whose lens distorts."""
     return isinstance(candidate.sensor, CameraModel) and not candidate.sensor.is_pinhole
 
 
 def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
-    """Distance from a mount beyond which a sensor detects no VRU, however its lens is set, in m.
+    """Distance beyond which a sensor detects no VRU.
 
-    To the middle of the footprint; may be infinite.
+    Parameters
+    ----------
+    sensor : CameraModel or LidarModel
+        Of a camera, the field of view that reaches farthest counts.
+    detector : PlanningDetector
+        Detector of cameras.
+    world : World
+        Gives the extent of the VRUs.
+
+    Returns
+    -------
+    reach_m : float
+        From the mount to the middle of the VRU's footprint; may be infinite. [m]
     """
     extent_m = 2.0 * world.radius_m  # to the nearest point it is at most this much less
     if isinstance(sensor, LidarModel):
@@ -299,12 +427,28 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
 def max_distance_m(
     camera: CameraModel, detector: PlanningDetector, *, vru_height_m: float
 ) -> float:
-    """Distance beyond which no VRU is high enough in the image to be detected, in m.
+    """Distance beyond which no VRU is high enough in the image.
 
-    A body of extent h whose nearest point is at distance d from the lens spans at most
-    h / d * f / cos^2(e) pixels, where e is the largest angle off the optical axis;
-    through a lens h / d times the most pixels that a radian takes up. Infinite if the
-    detector takes boxes of any height.
+    Parameters
+    ----------
+    camera : CameraModel
+        With or without a lens that distorts.
+    detector : PlanningDetector
+        Says how high a box must be.
+    vru_height_m : float
+        Extent of the VRU. [m]
+
+    Returns
+    -------
+    distance_m : float
+        Infinite if the detector takes boxes of any height. [m]
+
+    Notes
+    -----
+    A body of extent h whose nearest point is at distance d from the lens spans at
+    most h / d * f / cos^2(e) pixels, where e is the largest angle off the optical
+    axis; through a lens that distorts, h / d times the most pixels that a radian
+    takes up.
     """
     if detector.min_box_height_px == 0.0:
         return np.inf
@@ -318,15 +462,29 @@ def max_distance_m(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Boxes:
-    """Boxes in cameras, as ``point_kernels.box_bodies`` finds them."""
+    """Boxes in cameras, as ``point_kernels.box_bodies`` finds them.
 
-    # plain, part: (n, 2): the camera's index among the candidates, and the entry
+    Attributes
+    ----------
+    plain, part : (n, 2) int
+        Index of the camera among the candidates, and the entry: of bodies that are
+        whole and inside the image, and of all others.
+    plain_px : (n_plain, 4) float
+        Boxes of whole bodies inside the image. [px]
+    visible_px : (n_part, 4) float
+        Boxes of the visible points of other bodies. [px]
+    amodal_px : (n_part, 4) float
+        Boxes of all of their points. [px]
+    inside_share : (n_part,) float
+        How much of their boxes is inside the image.
+    """
+
     plain: IntArray
     part: IntArray
-    plain_px: FloatArray  # (n, 4): of a whole body inside the image. [px]
-    visible_px: FloatArray  # (n, 4): of the visible points of other bodies. [px]
-    amodal_px: FloatArray  # (n, 4): of all of their points. [px]
-    inside_share: FloatArray  # (n,): how much of their boxes is inside the image
+    plain_px: FloatArray
+    visible_px: FloatArray
+    amodal_px: FloatArray
+    inside_share: FloatArray
 
 
 def _box(
@@ -335,7 +493,20 @@ def _box(
     rows: IntArray,
     through_lenses: bool,
 ) -> _Boxes:
-    """Boxes in some of the candidates, all of them cameras, and all with a lens or all without."""
+    """Boxes of all entries in some cameras, with the kernels for their lenses.
+
+    Parameters
+    ----------
+    sensing : Sensing
+        What is seen from the mount.
+    candidates : sequence of CandidatePose
+        All candidates at the mount.
+    rows : (k,) int
+        Those to look at: all cameras, and all with or all without a lens that
+        distorts.
+    through_lenses : bool
+        They have a lens that distorts.
+    """
     views = sensing.world.views
     sight = sensing.sight
     chosen = [candidates[row] for row in rows.tolist()]
@@ -388,7 +559,11 @@ def _with_rows(pairs: IntArray, rows: IntArray) -> IntArray:
 def _lenses(
     candidates: Sequence[CandidatePose], *, turned_rad: float = 0.0
 ) -> NDArray[np.void]:
-    """Cameras for ``point_kernels.box_bodies``, with images as large as if turned a little, too."""
+    """Pinhole cameras in the form that ``point_kernels.box_bodies`` takes.
+
+    With `turned_rad`, images are as large as needed if each camera may be turned by
+    so much either way. [rad]
+    """
     from .point_kernels import pack_lenses
 
     cameras = [c.sensor for c in candidates if isinstance(c.sensor, CameraModel)]
@@ -410,7 +585,24 @@ def _lenses(
 def _evidence(
     sensing: Sensing, boxes: _Boxes, *, is_plain: bool
 ) -> tuple[IntArray, Evidence]:
-    """Index of the candidate, and the evidence, of one kind of boxes."""
+    """Candidates and evidence of one kind of boxes.
+
+    Parameters
+    ----------
+    sensing : Sensing
+        What is seen from the mount.
+    boxes : _Boxes
+        Boxes in its cameras.
+    is_plain : bool
+        Take the whole bodies inside the image, not the others.
+
+    Returns
+    -------
+    rows : (n,) int
+        Index of the candidate.
+    evidence : Evidence
+        Its `draw_index` is the entry.
+    """
     rows, entries = (boxes.plain if is_plain else boxes.part).T
     return rows, Evidence(
         visible_px=boxes.plain_px if is_plain else boxes.visible_px,
@@ -430,11 +622,26 @@ _SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view coun
 def _detect_echoes(
     sensing: Sensing, lidar: LidarModel, candidates: Sequence[CandidatePose]
 ) -> BoolArray:
-    """Entries on which LiDARs of one model have enough points, (n, n_weathers, n_entries).
+    """Entries on which LiDARs of one model have enough points.
 
-    Each visible point stands for the part of the surface around it: its solid angle,
-    seen from the LiDAR, times the density of beams in that direction is the number of
-    beams that hit it.
+    Parameters
+    ----------
+    sensing : Sensing
+        What is seen from the mount.
+    lidar : LidarModel
+        The model of all candidates.
+    candidates : sequence of CandidatePose
+        n LiDARs.
+
+    Returns
+    -------
+    found : (n, n_weathers, n_entries) bool
+
+    Notes
+    -----
+    Each visible point stands for the part of the surface around it. The solid angle
+    of that part, seen from the LiDAR, times the density of beams in its direction is
+    the number of beams that hit it.
     """
     from .point_kernels import Echoes, LidarView, count_echoes
 
