@@ -40,13 +40,31 @@ from .evidence import (
 # ---------- by boxes alone
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
-    """Detects by boxes alone: the same evidence always gives the same answer."""
+    """Detects by boxes alone: the same evidence always gives the same answer.
 
-    # the box of the visible part must overlap that of the whole VRU (amodal) by more
-    # than this
+    Attributes
+    ----------
+    min_iou : float
+        The box of the visible part must overlap that of the whole VRU (amodal) by more
+        than this.
+    min_box_height_px : float
+        Least height of the visible box. [px]
+    min_contrast : float
+        Least contrast of the VRU.
+    name : str
+        In reports.
+    lidar : LidarTable, optional
+        What LiDARs find.
+
+    Raises
+    ------
+    InputError
+        A limit is out of range.
+    """
+
     min_iou: float
-    min_box_height_px: float  # the visible box must be at least this high. [px]
-    min_contrast: float = 0.0  # the VRU must stand out by at least this much
+    min_box_height_px: float
+    min_contrast: float = 0.0
     name: str = "geometric"
     lidar: LidarTable | None = None
 
@@ -66,7 +84,7 @@ class GeometricDetector:
 
     @property
     def description(self) -> str:
-        """When it detects."""
+        """Sentence that says when it detects."""
         return (
             "A road user counts as detected in a frame if the box around its visible"
             " part overlaps "
@@ -79,7 +97,7 @@ class GeometricDetector:
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows that it detects, (n,)."""
+        """Mask of rows that it detects, (n,)."""
         return (
             (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
             & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
@@ -87,14 +105,14 @@ class GeometricDetector:
         )
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
-        """The least height where the contrast is enough, infinite elsewhere, (n,)."""
+        """Least height where the contrast is enough, infinite elsewhere, (n,)."""
         is_clear = np.broadcast_to(
             evidence.contrast >= self.min_contrast, len(evidence)
         )
         return np.where(is_clear, self.min_box_height_px, np.inf)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """The visible boxes of what it detects; `rng` is not used."""
+        """Visible boxes of the rows that it detects; `rng` is not used."""
         rows = np.flatnonzero(self.is_expected(evidence))
         return Detections(
             row_index=rows,
@@ -103,7 +121,7 @@ class GeometricDetector:
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """Everything that it depends on."""
+        """Values that it depends on."""
         numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
         return ("geometric", *numbers, *([self.lidar] if self.lidar else []))
 
@@ -124,28 +142,46 @@ _PROBABILITIES = (
     "plan_probability",
 )
 _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
-"""What can be measured; from which probability on a plan counts on a frame is chosen."""
+"""What can be measured; the probability from which a plan counts is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LastingNoise:
-    """What decides a frame, as far as it is the same in all frames of a run; all noise has 1."""
+    """Noise that stays the same in all frames of a run.
 
-    person: (
-        FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
-    )
-    person_share: float  # variance of it
-    unit_person_share: float  # variance of what one unit and one person have in common
+    The variances of all parts of the noise that decides a frame sum up to 1.
+
+    Attributes
+    ----------
+    person : (n,) float
+        Noise of whoever is there, for all units, by `draw_index`.
+    person_share : float
+        Its variance.
+    unit_person_share : float
+        Variance of what one unit and one person have in common.
+    """
+
+    person: FloatArray
+    person_share: float
+    unit_person_share: float
 
     @property
     def frame_share(self) -> float:
-        """Variance of what changes from frame to frame, 0 .. 1."""
+        """Variance of the noise that changes from frame to frame, 0 to 1."""
         return 1.0 - self.person_share - self.unit_person_share
 
     def frame_correlation(self, correlation: float) -> float:
-        """Correlation of what changes that leaves all noise with one of consecutive frames.
+        """Correlation between consecutive frames of the noise that changes.
 
-        0 where what lasts alone makes them more alike than that.
+        Parameters
+        ----------
+        correlation : float
+            That of all noise, which must come out.
+
+        Returns
+        -------
+        correlation : float
+            0 where what lasts alone makes frames more alike than that.
         """
         lasting = self.person_share + self.unit_person_share
         if lasting < 1.0:
@@ -155,47 +191,72 @@ class LastingNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
-    """Detects with a probability; each frame is drawn at random."""
+    """Detects with a probability; each frame is drawn at random.
 
-    name: str  # "response", or the file that it comes from
-    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1,
-    # and the probability of a correct detection there; linear between
+    Attributes
+    ----------
+    name : str
+        "response", or the file that it comes from.
+    seen_share, recall : (n,) float
+        Share of the VRU that is seen, ascending from 0 to 1, and the probability of a
+        correct detection there; linear between.
+    height_half_px, height_steepness : float
+        Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
+    min_box_height_px : float
+        Smaller boxes are never detected. [px]
+    class_factor : (n_classes,) float
+        In the order of ``VRU_CLASSES``.
+    cyclist_end_on : float
+        Factor of a cyclist seen from straight behind or ahead; 1 from the side.
+    contrast_half, contrast_steepness : float
+        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
+    box_noise_share : float
+        Standard deviation of each side, as a share of the box's width or height.
+    frame_correlation : float
+        Between the random draws of consecutive frames.
+    plan_probability : float
+        A plan counts on a detection from this probability on.
+    assumed : tuple of str
+        Classes of which nothing is measured.
+    assumed_figures : tuple of str, optional
+        Further figures that are assumed, by their keys; None: the file does not say.
+    false_tracks_per_hour : Interval, optional
+        Tracks of nothing that a unit confirms in an hour; None: unknown.
+    lasting : LastingNoise, optional
+        In a sampled world; None: all noise is that of frames.
+    lidar : LidarTable, optional
+        What LiDARs find.
+
+    Raises
+    ------
+    InputError
+        A figure is out of range, or the shares do not ascend from 0 to 1.
+    """
+
+    name: str
     seen_share: FloatArray
     recall: FloatArray
-    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of
-    # the visible box. [px]
     height_half_px: float
     height_steepness: float
-    min_box_height_px: float  # smaller boxes are never detected. [px]
-    class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
-    cyclist_end_on: (
-        float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
-    )
-    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness),
-    # relative to that at full contrast
+    min_box_height_px: float
+    class_factor: FloatArray
+    cyclist_end_on: float
     contrast_half: float
     contrast_steepness: float
-    box_noise_share: (
-        float  # standard deviation of each side, as share of the box's width or height
-    )
-    frame_correlation: float  # between the random draws of consecutive frames
-    plan_probability: float  # a plan counts on a detection from this probability on
-    assumed: tuple[str, ...] = ()  # classes of which nothing is measured
-    # further figures that are assumed, by their keys; None: the file does not say
+    box_noise_share: float
+    frame_correlation: float
+    plan_probability: float
+    assumed: tuple[str, ...] = ()
     assumed_figures: tuple[str, ...] | None = None
-    # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None:
-    # unknown.
     false_tracks_per_hour: Interval | None = None
-    lasting: LastingNoise | None = (
-        None  # in a sampled world; None: all noise is that of frames
-    )
+    lasting: LastingNoise | None = None
     lidar: LidarTable | None = None
 
     needs_pictures = False
 
     @property
     def description(self) -> str:
-        """When it detects."""
+        """Sentences that say when it detects."""
         return (
             "Whether a road user is detected in a frame is drawn by the response model "
             f"{self.name}: the probability depends on its height in pixels, the share"
@@ -208,7 +269,7 @@ class ResponseDetector:
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
-        """That nothing is measured of some of `classes`; empty where something is of all."""
+        """Sentence that nothing is measured of some classes; empty if all are."""
         names = [name for name in self.assumed if name in classes]
         if not names:
             return ""
@@ -218,7 +279,7 @@ class ResponseDetector:
 
     @property
     def figures_words(self) -> str:
-        """How many of its figures are measured, and which are assumed."""
+        """Sentence on how many figures are measured, and which are assumed."""
         if self.assumed_figures is None:
             return f"{self.name} does not say which of its figures are measured."
         names = [
@@ -236,7 +297,10 @@ class ResponseDetector:
 
     @property
     def alarm_words(self) -> str:
-        """How often something is confirmed where nothing is; empty where that is unknown."""
+        """Sentence on how often nothing is confirmed as something.
+
+        Empty where that is unknown.
+        """
         rate = self.false_tracks_per_hour
         if rate is None:
             return ""
@@ -278,7 +342,7 @@ class ResponseDetector:
         return np.where(height >= max(self.min_box_height_px, 1.0e-9), probability, 0.0)
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows that are detected with at least `plan_probability`, (n,)."""
+        """Mask of rows that are detected with at least `plan_probability`, (n,)."""
         return self.probability(evidence) >= self.plan_probability
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
@@ -297,7 +361,10 @@ class ResponseDetector:
         return np.maximum(height, least)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Draw which rows are detected, and the errors of their boxes."""
+        """Draw which rows are detected, and the errors of their boxes.
+
+        Rows with the same `draw_index` share their draw.
+        """
         from scipy.special import ndtr
 
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
@@ -314,7 +381,7 @@ class ResponseDetector:
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """Everything that `is_expected` depends on."""
+        """Values that `is_expected` depends on."""
         return (
             "response",
             *(
@@ -329,7 +396,16 @@ class ResponseDetector:
         )
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
-        """Standard normal numbers of frames in ascending order, (n,)."""
+        """Standard normal numbers of frames in ascending order, (n,).
+
+        Parameters
+        ----------
+        draws : (n,) int
+            Distinct numbers of frames; consecutive ones are consecutive frames of a
+            run.
+        rng : Generator
+            Of the numbers.
+        """
         lasting = self.lasting
         if lasting is None:
             return linked_noise(draws, self.frame_correlation, rng)
@@ -344,7 +420,10 @@ class ResponseDetector:
         )
 
     def _most(self, evidence: Evidence) -> FloatArray:
-        """Probability of a correct detection of a box of any height, (n,)."""
+        """Probability of a correct detection of a box of any height, (n,).
+
+        The product of recall and the factors of class, aspect and contrast.
+        """
         seen = evidence.visible_share * evidence.inside_share
         return (
             np.interp(seen, self.seen_share, self.recall)
@@ -354,6 +433,7 @@ class ResponseDetector:
         )
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
+        """Factor for the side that is seen, (n,); 1 but for cyclists."""
         factor = np.ones(len(aspect_deg))
         is_cyclist = vru_class == VRU_CLASSES.index("cyclist")
         end_on = np.cos(np.radians(aspect_deg[is_cyclist])) ** 2
@@ -361,6 +441,7 @@ class ResponseDetector:
         return factor
 
     def _contrast_factor(self, contrast: FloatArray) -> FloatArray:
+        """Factor for the contrast, (n,); 1 at full contrast."""
         half = self.contrast_half
         steepness = self.contrast_steepness
         full = _rising(np.ones(1), half=half, steepness=steepness)
@@ -374,10 +455,22 @@ def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
 
 
 def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
-    """Boxes (n, 4) whose sides are off by shares (n, 4) of their sizes, as far as they are correct.
+    """Boxes whose sides are off by shares of their sizes, as far as correct.
 
     The probability is that of a correct detection: an error that would make the box
     miss the road user is halved until it does not.
+
+    Parameters
+    ----------
+    boxes_px : (n, 4) float
+        Boxes without error. [px]
+    error : (n, 4) float
+        Of each side, as a share of width or height.
+
+    Returns
+    -------
+    boxes_px : (n, 4) float
+        [px]
     """
     off = np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2) * error
     for _ in range(_HALVINGS):
@@ -404,13 +497,24 @@ _TABLE_FILES = {
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
-    """Detector by name or file; `where` names it in messages.
+    """Load a detector by name or file.
 
-    Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table
-    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES``
-    behind a plus sign says what LiDARs find; alone, cameras go by the first of
-    ``DETECTOR_NAMES``. Raises InputError if the name is unknown or the file cannot be
-    used, MissingExtraError for "cnn" or an ONNX file without onnxruntime.
+    Parameters
+    ----------
+    name : str
+        One of ``DETECTOR_NAMES``; a ``.toml`` file with a table ``[response]`` as in
+        ``data/detectors.toml``; or an ``.onnx`` file. One of ``LIDAR_NAMES`` behind a
+        plus sign says what LiDARs find; alone, cameras go by the first of
+        ``DETECTOR_NAMES``.
+    where : str
+        Names the option in messages.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the file cannot be used.
+    MissingExtraError
+        "cnn" or an ONNX file without onnxruntime.
     """
     cameras, _, lidars = name.rpartition("+")
     if lidars in LIDAR_NAMES:
@@ -436,8 +540,15 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
 
 
 def is_drawn(name: str) -> bool:
-    """True if a detector of this name finds people with a probability, not by a rule.
+    """True if a detector finds people with a probability, not by a rule.
 
+    Parameters
+    ----------
+    name : str
+        As :func:`load_detector` takes it.
+
+    Examples
+    --------
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """
@@ -447,7 +558,7 @@ def is_drawn(name: str) -> bool:
 
 @cache
 def _load_lidar_table(name: str) -> LidarTable:
-    """A built-in table of what LiDARs find."""
+    """Built-in table of what LiDARs find."""
     document = load_data(__package__, f"{name}.toml")
     of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
     return LidarTable(
@@ -461,7 +572,7 @@ def _load_lidar_table(name: str) -> LidarTable:
 
 @cache
 def _load_shipped_network() -> Detector:
-    """The network that is shipped."""
+    """Network that is shipped, for crops."""
     words = _load_table("cnn-table").alarm_words
     how = {"looks_at_crops": True, "plans_with": "cnn-table", "alarm_words": words}
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
@@ -478,20 +589,20 @@ def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
 
 
 def built_in_response() -> ResponseDetector:
-    """The built-in table "response"."""
+    """Built-in table "response"."""
     return _load_table("response")
 
 
 @cache
 def _load_table(name: str) -> ResponseDetector:
-    """A built-in response table."""
+    """Built-in response table of a name."""
     source = files(__package__) / "data" / _TABLE_FILES[name]
     return _read_response(source, load_toml(source), name=name)
 
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """One of the built-in detectors but "cnn"."""
+    """Built-in detector of any name but "cnn"."""
     if name in _TABLE_FILES:
         return _load_table(name)
     return GeometricDetector(min_iou=load_min_iou(), **_limits(name))
@@ -499,6 +610,7 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
 
 @cache
 def _defaults() -> dict[str, Any]:
+    """Document ``data/detectors.toml``."""
     return load_data(__package__, _FILE)
 
 
@@ -512,7 +624,22 @@ def _limits(section: str) -> dict[str, Any]:
 def _read_response(
     source: Path | Traversable, document: Table, *, name: str
 ) -> ResponseDetector:
-    """Response table of a document; errors name the file and the line."""
+    """Response table of a document.
+
+    Parameters
+    ----------
+    source : Path or Traversable
+        The file, for messages.
+    document : Table
+        What it holds.
+    name : str
+        Of the detector.
+
+    Raises
+    ------
+    InputError
+        A figure is missing or out of range; the message names the file and the line.
+    """
     table = document.get("response")
     if not isinstance(table, dict):
         refuse(str(source), "no table [response]", "a table [response]")
@@ -548,8 +675,8 @@ def _read_response(
 def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     """Factor by class, and the classes of which nothing is measured.
 
-    A file need not know the classes that the built-in table assumes: there it has the
-    same factor.
+    A file need not know the classes that the built-in table assumes: there it has
+    the same factor.
     """
     given = _defaults()["response"]
     named = _read_names(table, "assumed", VRU_CLASSES) or ()
@@ -560,7 +687,7 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
 
 
 def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...] | None:
-    """Names of a list; None where there is none."""
+    """Names of a list, each one of `known`; None where there is no list."""
     names = take_list({key: [], **table}, key, "response")
     for name in names:
         check_one_of(key, name, known)
@@ -570,7 +697,10 @@ def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...]
 
 
 def _read_alarms(document: Table) -> Interval | None:
-    """Rate of false tracks, of the table ``[false_tracks_per_hour]``, if there is one."""
+    """Rate of false tracks, from the table ``[false_tracks_per_hour]``.
+
+    None if there is no such table.
+    """
     where = "false_tracks_per_hour"
     if where not in document:
         return None
@@ -582,7 +712,10 @@ def _read_alarms(document: Table) -> Interval | None:
 
 
 def _line(source: Path | Traversable, key: str) -> int:
-    """Line of a key in the table ``[response]``; that of the table if the key is missing."""
+    """Line of a key in the table ``[response]``.
+
+    That of the table if the key is missing.
+    """
     lines = source.read_text(encoding="utf-8").splitlines()
     header = next(
         (

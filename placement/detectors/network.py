@@ -1,4 +1,4 @@
-"""Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures.
+"""Exported neural networks (ONNX) as detectors of road users in pictures.
 
 Every family of networks lays its outputs out in its own way, and the file does not say
 which it is. So the outputs of one trial run are looked at, and an :class:`Export` says
@@ -61,23 +61,45 @@ _QUERY_NAMES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Export:
-    """How a network's outputs are read, and what it needs to be shown."""
+    """How a network's outputs are read, and what it needs to be shown.
 
-    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
-    read: Callable[
-        [Outputs], Found
-    ]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
-    stride_px: int = 1  # images of free size are padded to its multiples
-    is_suppressed: bool = True  # overlapping boxes of one class have been removed
-    is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread
-    is_relative: bool = (
-        False  # boxes are shares of the image's width and height, not pixels
-    )
+    Attributes
+    ----------
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    read : callable
+        Outputs to boxes (n, 4), classes (n,), confidence (n,).
+    stride_px : int
+        Images of free size are padded to multiples of this. [px]
+    is_suppressed : bool
+        Overlapping boxes of one class have been removed.
+    is_imagenet : bool
+        Images are normalised by ImageNet's mean and spread.
+    is_relative : bool
+        Boxes are shares of the image's width and height, not pixels.
+    """
+
+    kinds: Mapping[int, str]
+    read: Callable[[Outputs], Found]
+    stride_px: int = 1
+    is_suppressed: bool = True
+    is_imagenet: bool = False
+    is_relative: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Numbering:
-    """Classes by number, as a file may use them."""
+    """Classes by number, as a file may use them.
+
+    Attributes
+    ----------
+    n_classes : int
+        How many there are.
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    is_coco91 : bool
+        COCO's 91 classes.
+    """
 
     n_classes: int
     kinds: Mapping[int, str]
@@ -86,12 +108,15 @@ class _Numbering:
 
 @cache
 def onnx_setting(key: str) -> Any:
-    """Value in ``data/onnx.toml``."""
+    """Value of a key in ``data/onnx.toml``."""
     return take(load_data(__package__, "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
-    """Boxes, labels and scores, known by shape and type: torchvision; RT-DETR in batches."""
+    """How boxes, labels and scores are read; None for other outputs.
+
+    They are known by shape and type: torchvision, and RT-DETR in batches.
+    """
     is_batch = all(v.ndim > 1 and len(v) == 1 for v in outputs.values())
     rows = {n: v[0] if is_batch else v for n, v in outputs.items()}
     boxes = [n for n, v in rows.items() if v.ndim == 2 and v.shape[1] == 4]
@@ -113,7 +138,10 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
 
 
 def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
-    """DETR and relatives: logits (1, n, classes), often with one for "none", boxes (1, n, 4)."""
+    """How the outputs of DETR and its relatives are read; None for others.
+
+    They are logits (1, n, classes), often with one for "none", and boxes (1, n, 4).
+    """
     names = next((pair for pair in _QUERY_NAMES if outputs.keys() == set(pair)), None)
     if names is None:
         return None
@@ -147,7 +175,10 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
 
 
 def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
-    """One table (1, rows, columns): YOLO, with or without suppression."""
+    """How one table (1, rows, columns) is read; None for other outputs.
+
+    YOLO, with or without suppression.
+    """
     (value,) = outputs.values()
     if value.ndim != 3 or len(value) != 1:
         return None
@@ -187,7 +218,7 @@ def _best(scores: Array) -> tuple[Array, Array]:
 
 
 def _numberings(names: str | None, where: str) -> list[_Numbering]:
-    """Possible numberings: the file's own, or COCO's."""
+    """Numberings that a file may use: its own, or COCO's."""
     if names is None:
         named = None
     else:
@@ -205,10 +236,25 @@ def _numberings(names: str | None, where: str) -> list[_Numbering]:
 
 
 def _read_names(text: str, where: str) -> _Numbering | None:
-    """Class names as Ultralytics writes them: a dictionary, or a list, as Python shows it.
+    """Numbering from class names as Ultralytics writes them.
 
-    Nothing where every class is named by its own number, as in files trained without
-    names.
+    Parameters
+    ----------
+    text : str
+        A dictionary, or a list, as Python shows it.
+    where : str
+        Names the file in messages.
+
+    Returns
+    -------
+    numbering : _Numbering or None
+        None where every class is named by its own number, as in files trained without
+        names.
+
+    Raises
+    ------
+    InputError
+        The text is neither a dictionary nor a list.
     """
     try:
         value = ast.literal_eval(text)
@@ -227,7 +273,7 @@ def _read_names(text: str, where: str) -> _Numbering | None:
 
 
 def kind_of_name() -> dict[str, str]:
-    """The meaning of class names."""
+    """One of ``KINDS`` by class name."""
     return {
         word: kind for kind, words in onnx_setting("names").items() for word in words
     }
@@ -236,14 +282,24 @@ def kind_of_name() -> dict[str, str]:
 # ---------- images in, boxes out
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Letterbox:
-    """An image scaled without distortion and padded with grey around."""
+    """An image scaled without distortion, with grey padding.
 
-    pixels: NDArray[np.uint8]  # (h, w, 3), RGB
-    scale: FloatArray  # (2,): pixels per pixel of the given image, across and down
-    offset_px: FloatArray  # (2,): padding on the left and on top
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8
+        RGB.
+    scale : (2,) float
+        Pixels per pixel of the given image, across and down.
+    offset_px : (2,) float
+        Padding on the left and on top. [px]
+    """
+
+    pixels: NDArray[np.uint8]
+    scale: FloatArray
+    offset_px: FloatArray
 
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
-        """Boxes (n, 4) of the letterbox in pixels of the given image."""
+        """Boxes of the given image, from boxes (n, 4) of the letterbox."""
         corners = (boxes_px.reshape(-1, 2, 2) - self.offset_px) / self.scale
         return corners.reshape(-1, 4)
 
@@ -251,9 +307,16 @@ class Letterbox:
 def letterbox(
     image: NDArray[np.uint8], *, width_px: int, height_px: int, scale: float
 ) -> Letterbox:
-    """Scale an RGB image (h, w, 3) and put it into the middle of a grey one.
+    """Scale an image and put it into the middle of a grey one.
 
-    `scale` must let the image fit into `width_px` x `height_px`.
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        RGB.
+    width_px, height_px : int
+        Size of the grey image. [px]
+    scale : float
+        Must let the image fit.
     """
     height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -286,15 +349,27 @@ _SIDE_INPUTS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageBoxes:
-    """Boxes that a network finds in an image, in descending order of confidence."""
+    """Boxes that a network finds in an image, by descending confidence.
 
-    boxes_px: FloatArray  # (n, 4), inside the image
-    class_ids: IntArray  # (n,), as the network numbers its classes
-    confidence: FloatArray  # (n,), 0 .. 1
-    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
+    Attributes
+    ----------
+    boxes_px : (n, 4) float
+        Inside the image. [px]
+    class_ids : (n,) int
+        As the network numbers its classes.
+    confidence : (n,) float
+        0 to 1.
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    """
+
+    boxes_px: FloatArray
+    class_ids: IntArray
+    confidence: FloatArray
+    kinds: Mapping[int, str]
 
     def take(self, rows: IntArray) -> "ImageBoxes":
-        """Some of the boxes, in the given order."""
+        """Boxes of some rows, in the given order."""
         return ImageBoxes(
             self.boxes_px[rows], self.class_ids[rows], self.confidence[rows], self.kinds
         )
@@ -302,20 +377,53 @@ class ImageBoxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Session:
-    """A network in the ONNX runtime, whatever it computes."""
+    """A network in the ONNX runtime, whatever it computes.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    session : onnxruntime.InferenceSession
+        The loaded network.
+    image_input : str
+        Name of the input for the image.
+    side_inputs : tuple of str
+        Names of further inputs, which are known without asking.
+    has_batch : bool
+        The image has an axis of its own for the batch.
+    height_px, width_px : int or None
+        Size of the image; None: free. [px]
+    pixel_type : type
+        Of the image's numbers.
+    class_names : str or None
+        From the file's metadata.
+    """
 
     path: Path
     session: Any
     image_input: str
     side_inputs: tuple[str, ...]
     has_batch: bool
-    height_px: int | None  # None: free
+    height_px: int | None
     width_px: int | None
     pixel_type: type[np.generic]
     class_names: str | None
 
     def run(self, pixels: NDArray[np.uint8], *, is_imagenet: bool) -> dict[str, Array]:
-        """Outputs for an image (h, w, 3), by name."""
+        """Outputs for an image, by name.
+
+        Parameters
+        ----------
+        pixels : (h, w, 3) uint8
+            RGB.
+        is_imagenet : bool
+            Normalise by ImageNet's mean and spread.
+
+        Raises
+        ------
+        InputError
+            The network fails.
+        """
         image = pixels.astype(self.pixel_type)
         if self.pixel_type is not np.uint8:
             image = pixels.astype(np.float32) / np.float32(255.0)
@@ -346,17 +454,40 @@ class _Session:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OnnxModel:
-    """A detector from an ONNX file; several threads may use it at once."""
+    """A detector from an ONNX file; several threads may use it at once.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    session : _Session
+        The network.
+    export : Export
+        How its outputs are read.
+    """
 
     path: Path
     session: _Session
     export: Export
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
-        """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
+        """Find what the network knows in an image.
 
-        Raises :class:`InputError` if the image has another shape or type, or the
-        network fails.
+        Parameters
+        ----------
+        image : (h, w, 3) uint8
+            RGB.
+
+        Returns
+        -------
+        boxes : ImageBoxes
+            In pixels of the image.
+
+        Raises
+        ------
+        InputError
+            The image has another shape or type, the network fails, or a box is not
+            finite.
         """
         if (
             image.dtype != np.uint8
@@ -395,14 +526,24 @@ class OnnxModel:
 
 
 def load_onnx_model(path: Path) -> OnnxModel:
-    """Load a detector as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
+    """Load a detector from an ONNX file.
 
-    A grey image is shown to the network once, to see what it gives. YOLOX cannot be
-    distinguished from YOLOv5, but expects blue first and 0 .. 255, and gives steps of
-    its grid instead of pixels: its boxes come out wrong. Without class names in the
-    file's metadata, COCO's 80 or 91 classes are decided by their number, 91 where the
-    file gives labels only. Raises InputError, also if it is no detector or no class is
-    known, or MissingExtraError if onnxruntime is not installed.
+    As exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR. A
+    grey image is shown to the network once, to see what it gives.
+
+    Raises
+    ------
+    InputError
+        The file is no detector, or no class of it is known.
+    MissingExtraError
+        onnxruntime is not installed.
+
+    Notes
+    -----
+    YOLOX cannot be distinguished from YOLOv5, but expects blue first and 0 .. 255,
+    and gives steps of its grid instead of pixels: its boxes come out wrong. Without
+    class names in the file's metadata, COCO's 80 or 91 classes are decided by their
+    number, 91 where the file gives labels only.
     """
     if not path.is_file():
         refuse(str(path), "no such file", "an ONNX file")
@@ -432,13 +573,29 @@ def load_onnx_model(path: Path) -> OnnxModel:
 
 
 def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
-    """Boxes (n, 4) that count for one of ``VRU_CLASSES``, and their confidence (n,).
+    """Boxes that count for a class of road user, and their confidence.
 
-    A network that knows persons and bicycles finds a cyclist as either or both: the box
-    around a person and a bicycle that overlap counts as a cyclist, with the lower of
-    the two confidences; so does each of them alone, for the other may be missed. The
-    same holds for motorcycles. A detection is matched with one road user, so surplus
-    boxes do no harm.
+    Parameters
+    ----------
+    found : ImageBoxes
+        What a network finds in an image.
+    vru_class : str
+        One of ``VRU_CLASSES``.
+
+    Returns
+    -------
+    boxes_px : (n, 4) float
+        [px]
+    confidence : (n,) float
+        0 to 1.
+
+    Notes
+    -----
+    A network that knows persons and bicycles finds a cyclist as either or both: the
+    box around a person and a bicycle that overlap counts as a cyclist, with the
+    lower of the two confidences; so does each of them alone, for the other may be
+    missed. The same holds for motorcycles. A detection is matched with one road
+    user, so surplus boxes do no harm.
     """
 
     def of_kind(kind: str) -> tuple[FloatArray, FloatArray]:
@@ -464,10 +621,21 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
-    """Indices (m,) of boxes that survive greedy non-maximum suppression.
+    """Indices of boxes that survive greedy non-maximum suppression.
 
-    Boxes (n, 4) are in descending order of confidence; one goes if a better one of its
-    class overlaps it by an IoU of more than `max_iou`.
+    Parameters
+    ----------
+    boxes_px : (n, 4) float
+        In descending order of confidence. [px]
+    class_ids : (n,) int
+        Boxes of different classes do not suppress one another.
+    max_iou : float
+        A box goes if a better one of its class overlaps it by more.
+
+    Returns
+    -------
+    left : (m,) int
+        Ascending.
     """
     is_left: BoolArray = np.ones(len(boxes_px), dtype=bool)
     for index in range(len(boxes_px)):
@@ -479,7 +647,10 @@ def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> In
 
 
 def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterbox:
-    """Image as the network needs it: scaled to fixed sides, padded to the grid along free ones."""
+    """Image as the network needs it.
+
+    Scaled to fixed sides, padded to the grid along free ones.
+    """
     height, width = image.shape[:2]
     sides = ((session.width_px, width), (session.height_px, height))
     scale = min(
@@ -493,6 +664,15 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
 
 
 def _open(path: Path) -> _Session:
+    """Open an ONNX file and find its image input.
+
+    Raises
+    ------
+    InputError
+        The file is not ONNX, or has no image input.
+    MissingExtraError
+        onnxruntime is not installed.
+    """
     try:
         import onnxruntime
     except ModuleNotFoundError:
@@ -548,7 +728,7 @@ def _may_be(side: object, expected: int) -> bool:
 
 
 def _first_line(error: Exception) -> Unquoted:
-    """What a library says, short enough for one line."""
+    """First line of a library's message."""
     return Unquoted(str(error).strip().split("\n")[0] or type(error).__name__)
 
 
@@ -562,28 +742,46 @@ _CHOSEN_BY = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
-    """Detects by a network; pictures in which the VRU is too small are not shown to it.
+    """Detects by a network that looks at rendered pictures.
 
-    A network that looks at crops is shown the surroundings of the VRU only. Whole
-    pictures it sees at several scales.
+    Pictures in which the VRU is too small are not shown to it. A network that looks at
+    crops is shown the surroundings of the VRU only; whole pictures it sees at several
+    scales.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file, or "cnn".
+    model : OnnxModel
+        The network.
+    min_box_height_px : float
+        Least height of the visible box. [px]
+    min_confidence : float
+        Boxes below it do not count.
+    looks_at_crops : bool
+        It looks at crops.
+    plans_with : str
+        Built-in detector by which poses are chosen.
+    alarm_words : str
+        Sentence on how often it confirms what is not there, if that was measured.
+    lidar : LidarTable, optional
+        What LiDARs find.
     """
 
-    name: str  # name of the file, or "cnn"
+    name: str
     model: OnnxModel
-    min_box_height_px: float  # of the visible box. [px]
-    min_confidence: float  # boxes below it do not count
+    min_box_height_px: float
+    min_confidence: float
     looks_at_crops: bool = False
-    plans_with: str = "geometric"  # the built-in detector by which poses are chosen
-    alarm_words: str = (
-        ""  # how often it confirms what is not there, if that was measured
-    )
+    plans_with: str = "geometric"
+    alarm_words: str = ""
     lidar: LidarTable | None = None
 
     needs_pictures = True
 
     @property
     def description(self) -> str:
-        """When it detects."""
+        """Sentences that say when it detects."""
         return (
             f"The network {self.name} looks at rendered pictures"
             f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
@@ -598,8 +796,8 @@ class NetworkDetector:
     def look(self, image: Image) -> ImageBoxes:
         """Find road users in a whole picture, (h, w, 3) uint8.
 
-        A network for crops is shown it at full size, a half, a quarter and an eighth,
-        for it knows road users of few sizes only.
+        A network for crops is shown it at full size, a half, a quarter and an
+        eighth, for it knows road users of few sizes only.
         """
         if not self.looks_at_crops:
             return self.model.detect(image)
@@ -620,12 +818,18 @@ class NetworkDetector:
         return ImageBoxes(boxes, class_ids, confidence, parts[0][0].kinds).take(left)
 
     def look_at(self, crop: Crop) -> ImageBoxes:
-        """Find road users in a part of a picture; boxes are in pixels of the whole one."""
+        """Find road users in a crop; boxes are in pixels of the whole picture."""
         found = self.model.detect(crop.pixels)
         return replace(found, boxes_px=crop.to_image(found.boxes_px))
 
     def check_classes(self, classes: Iterable[str]) -> None:
-        """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
+        """Raise InputError where the network has not learnt a class.
+
+        Parameters
+        ----------
+        classes : iterable of str
+            Among ``VRU_CLASSES``.
+        """
         for name in classes:
             kinds = onnx_setting("kinds_of_class")[name]
             if set(kinds).isdisjoint(self.model.export.kinds.values()):
@@ -633,7 +837,20 @@ class NetworkDetector:
                 refuse(f"detector {self.name}", f"runs with a {name}", expected)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Show each picture in which the VRU is large enough to the network."""
+        """Show each picture in which the VRU is large enough to the network.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            With pictures, or with crops if the network looks at these.
+        rng : Generator
+            Not used.
+
+        Raises
+        ------
+        InputError
+            The evidence has no pictures.
+        """
         if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
             refuse("evidence", "no pictures", "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
@@ -657,7 +874,17 @@ class NetworkDetector:
     def _find(
         self, rows: list[int], evidence: Evidence
     ) -> Iterator[tuple[int, ImageBoxes]]:
-        """Boxes in the images of rows, or around their VRUs; what looks the same is seen once."""
+        """Boxes in the images of rows, or around their VRUs.
+
+        Crops that look the same are looked at once.
+
+        Yields
+        ------
+        row : int
+            Of the evidence.
+        found : ImageBoxes
+            In pixels of the image.
+        """
         if not self.looks_at_crops:
             assert evidence.picture is not None
             for row in rows:

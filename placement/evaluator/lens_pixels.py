@@ -1,4 +1,4 @@
-"""Pixels of a picture through a lens that show the VRU: a ray for each of them.
+"""Pixels of a picture through a lens that show the VRU, a ray for each.
 
 Straight edges are bent there, so that :mod:`.pixels`, which draws triangles between
 straight edges, is of no use. A pixel's ray is that of its middle, undistorted.
@@ -27,15 +27,25 @@ Window = tuple[int, int, int, int]
 
 
 class _Rays(NamedTuple):
-    """Pixels' rays, camera frame, one metre deep, and the depths at which they meet the VRU."""
+    """Rays of pixels, and the depths at which they meet the VRU.
 
-    columns: IntArray  # (n,)
-    rows: IntArray  # (n,)
-    ways: FloatArray  # (n, 3)
-    depth_m: FloatArray  # (n,)
+    Attributes
+    ----------
+    columns, rows : (n,) int
+        The pixels.
+    ways : (n, 3) float
+        Camera frame, one metre deep. [m]
+    depth_m : (n,) float
+        [m]
+    """
+
+    columns: IntArray
+    rows: IntArray
+    ways: FloatArray
+    depth_m: FloatArray
 
     def take(self, some: BoolArray) -> "_Rays":
-        """Some of them."""
+        """The rays in a mask (n,)."""
         return _Rays(
             self.columns[some], self.rows[some], self.ways[some], self.depth_m[some]
         )
@@ -50,7 +60,27 @@ def see_through_lens(
     sights: Sights,
     seen: Seen,
 ) -> None:
-    """Fill `seen`, which is blank: boxes and shares, as :func:`.pixels.see` does for pinholes."""
+    """Fill boxes and shares of a VRU's body, seen through a lens that distorts.
+
+    What :func:`.pixels.see` does for pinholes.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    min_height_px : float
+        Where the VRU's part of the image is lower, boxes stay zeros. [px]
+    vru : Solid
+        The VRU's body.
+    static : Solid
+        What stands still.
+    vehicles : tuple of Solid
+        Kinds of vehicles that move.
+    sights : Sights
+        Where everything is.
+    seen : Seen
+        Blank; written.
+    """
     vertices = vru.meshes[0].vertices_m
     for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
@@ -86,12 +116,30 @@ def see_through_lens(
 def _find_window(
     camera: CameraModel, corners: FloatArray, min_height_px: float
 ) -> tuple[Window, float]:
-    """Pixels that may show a body with corners (n, 3), camera frame; and its share inside.
+    """Find the pixels that may show a body, and the share of it inside.
 
-    Zeros if none may, or the part is not so high; all of them where the body reaches
-    behind. The share is that of its box, 0 where it reaches behind. Where the lens
-    shows nothing points lie straight on, so that the box around them holds what it
-    shows.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    corners : (n, 3) float
+        Points of the body, camera frame. [m]
+    min_height_px : float
+        Least height of the window. [px]
+
+    Returns
+    -------
+    window : tuple of 4 int
+        First column and row, and those after the last: zeros if no pixel may show the
+        body or the part is not so high; the whole image where the body reaches behind
+        the lens.
+    inside_share : float
+        Share of the body's box inside the image; 0 where it reaches behind the lens.
+
+    Notes
+    -----
+    Where the lens shows nothing, points lie straight on, so that the box around them
+    holds what the lens shows.
     """
     nothing = (0, 0, 0, 0)
     everything = (0, 0, camera.width_px, camera.height_px)
@@ -150,7 +198,26 @@ def _meet(
 def _cast(
     camera: CameraModel, solid: Solid, placed: Placed, row: int, ways: FloatArray
 ) -> FloatArray:
-    """Depths (n,) at which rays first meet a body from the near limit on; infinite: nowhere."""
+    """Depths at which rays first meet a body, from the near limit on.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Its near limit counts.
+    solid : Solid
+        The body.
+    placed : Placed
+        Where bodies are.
+    row : int
+        Row of the body in `placed`.
+    ways : (n, 3) float
+        Camera frame, one metre deep. [m]
+
+    Returns
+    -------
+    depth_m : (n,) float
+        Infinite where the body is not met. [m]
+    """
     turn = placed.turn[row]
     shift = placed.shift[row]
     near = camera.near_m / np.linalg.norm(ways, axis=1)
@@ -163,7 +230,7 @@ def _cast(
 def _is_hidden(
     camera: CameraModel, solid: Solid, placed: Placed, row: int, rays: _Rays
 ) -> BoolArray:
-    """Rays (n,) that meet a body before they meet the VRU."""
+    """Mask of rays that meet a body before they meet the VRU, (n,)."""
     return _cast(camera, solid, placed, row, rays.ways) < rays.depth_m - _TOUCH_M
 
 
