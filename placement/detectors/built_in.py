@@ -134,7 +134,8 @@ _POSITIVES = (
     "contrast_half",
     "contrast_steepness",
 )
-_HALVINGS = 10  # of errors of boxes
+# How often the error of a box is halved until it is correct.
+_HALVINGS = 10
 _PROBABILITIES = (
     "cyclist_end_on",
     "box_noise_share",
@@ -413,7 +414,8 @@ class ResponseDetector:
             draws, lasting.frame_correlation(self.frame_correlation), rng
         )
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
-        own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
+        # Noise of one unit and one person, the same in all frames of a run.
+        own = rng.standard_normal(len(draws))[run]
         own_part = np.sqrt(lasting.unit_person_share) * own
         return np.asarray(
             own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
@@ -519,7 +521,8 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
     cameras, _, lidars = name.rpartition("+")
     if lidars in LIDAR_NAMES:
         found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
-        named = cast(Any, found)  # all of them are dataclasses
+        # Detectors of cameras are dataclasses, which the protocol does not say.
+        named = cast(Any, found)
         both: Detector = replace(
             named, name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
         )
@@ -580,7 +583,7 @@ def _load_shipped_network() -> Detector:
 
 
 def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
-    """A network from a file, with the limits of a section of ``data/detectors.toml``."""
+    """Network from a file, with the limits of a section of the defaults."""
     from .network import NetworkDetector, load_onnx_model
 
     return NetworkDetector(

@@ -14,9 +14,8 @@ from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
-_ADULT_FROM_M = (
-    1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
-)
+# Between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets.
+_ADULT_FROM_M = 1.4
 
 Image = NDArray[np.uint8]
 

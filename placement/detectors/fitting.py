@@ -21,9 +21,8 @@ from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
 
 # ---------- sightings and false alarms
-_SAME_ALARM_IOU = (
-    0.3  # boxes of consecutive frames that overlap by more are of one thing
-)
+# Boxes of consecutive frames that overlap by more are of one thing.
+_SAME_ALARM_IOU = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -221,7 +220,8 @@ def gather_sightings(
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
-    last: dict[int, _Last] = {}  # by track
+    # Last picture of each track.
+    last: dict[int, _Last] = {}
     for one in pictures:
         overlap = iou(one.label_px[:, None], one.found_px[None])
         n_labels = len(one.label_px)
@@ -306,9 +306,8 @@ def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
     counted = np.where(overlap > load_min_iou(), overlap, 0.0)
     if picture.finds is not None:
         counted = np.where(picture.finds, counted, 0.0)
-    label, box = linear_sum_assignment(
-        counted, maximize=True
-    )  # each box finds one at most
+    # Each box finds one at most.
+    label, box = linear_sum_assignment(counted, maximize=True)
     is_match = counted[label, box] > 0.0
     label = label[is_match]
     box = box[is_match]
@@ -380,7 +379,8 @@ def share_by_track(found: BoolArray, track: IntArray) -> Interval:
     plain = wilson(int(found.sum()), len(found))
     _, which = np.unique(track, return_inverse=True)
     frames = np.bincount(which)
-    if len(frames) < 2:  # one track says nothing about others
+    # One track says nothing about others.
+    if len(frames) < 2:
         return Interval(plain.value, 0.0, 1.0)
     draws = np.random.default_rng(0).multinomial(
         len(frames), np.full(len(frames), 1.0 / len(frames)), size=_SHARE_DRAWS
@@ -424,29 +424,38 @@ SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Shares of the road user that are seen, between which recall is linear; 0 at 0."""
 
 _LEAST_FRAMES = 50
-_LEAST_OF_EACH = 5  # frames found, and frames missed
-_DRAWS = 400  # of parameters
-_SHARE_DRAWS = 1000  # of tracks, for the share found
-_MOST_DRAWS = 60  # of tracks
-_STEP = 1.0e-4  # for slopes
+# Least number of frames found, and of frames missed.
+_LEAST_OF_EACH = 5
+# How often parameters are drawn.
+_DRAWS = 400
+# How often tracks are drawn, for the share found.
+_SHARE_DRAWS = 1000
+# How often tracks are drawn, for figures that are no parameters.
+_MOST_DRAWS = 60
+# Step of a parameter between which slopes are taken.
+_STEP = 1.0e-4
 _KEYS = (
     *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
     *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
 )
 _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
-_MOST_PER_DRAW = 20_000  # frames
-_PRIOR_FRAMES = (
-    2.0  # how many frames the built-in table weighs: decides what no frame tells
-)
+# Most frames of one draw of tracks.
+_MOST_PER_DRAW = 20_000
+# How many frames the built-in table weighs. It decides what no frame tells.
+_PRIOR_FRAMES = 2.0
 # How far parameters may go from the built-in table: logits of shares, logarithms of the
 # others.
-_END_ON = len(SEEN_KNOTS) - 1  # among the parameters: after the ratios of recalls
-_CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))  # factor by class
+# Index of the end-on factor, after the ratios of recalls.
+_END_ON = len(SEEN_KNOTS) - 1
+# Parameters that are factors of classes.
+_CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))
 _REACH = np.array(
     [6.0] * (_END_ON + 1) + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2
 )
-_CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
-_PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
+# Contrasts that differ less say nothing about contrast.
+_CONTRAST_SPREAD = 0.02
+# No frame is impossible: a label may be wrong.
+_PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)
 _MAX_CORRELATION = 0.98
 _INTERVAL = (0.025, 0.975)
 
@@ -590,9 +599,8 @@ def _free(sightings: Sightings) -> BoolArray:
     free = np.ones(len(_prior()), dtype=bool)
     is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
     free[_END_ON] = is_there[VRU_CLASSES.index("cyclist")]
-    free[_CLASSES] = is_there & (
-        is_there.sum() > 1
-    )  # factors are relative to one another
+    # Factors are relative to one another.
+    free[_CLASSES] = is_there & (is_there.sum() > 1)
     free[_CLASSES.stop :] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
     return free
 
@@ -774,9 +782,8 @@ def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetecto
     """
     errors = sightings.box_error[sightings.is_found]
     middle = np.median(errors, axis=0)
-    noise = 1.4826 * float(
-        np.median(np.abs(errors - middle))
-    )  # of a normal distribution
+    # 1.4826 times the median deviation is the spread of a normal distribution.
+    noise = 1.4826 * float(np.median(np.abs(errors - middle)))
     probability = detector.probability(sightings.evidence())
     return replace(
         detector,
@@ -847,7 +854,8 @@ def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
     return float(brentq(surplus, 0.0, _MAX_CORRELATION, xtol=1.0e-4))
 
 
-_DISTANCES = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # between two frames of a track
+# Distances between two frames of a track.
+_DISTANCES = (1, 2, 3, 5, 8, 13, 21, 34, 55)
 _CORRELATIONS = np.linspace(0.0, _MAX_CORRELATION, 50)
 _SHARES = np.linspace(0.0, 0.95, 96)
 

@@ -35,15 +35,17 @@ from .evidence import (
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
 Array = NDArray[Any]
 Outputs = Mapping[str, Array]
-Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
+# Boxes (n, 4), classes (n,) and confidence (n,).
+Found = tuple[Array, Array, Array]
 
 VRU_KINDS = ("person", "bicycle", "cyclist")
+# What a network's classes may mean here.
 KINDS = (
     *VRU_KINDS,
     "motorcycle",
     "motorcyclist",
     "car",
-)  # what a network's classes may mean here
+)
 
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes);"
@@ -154,10 +156,11 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
 
     def read(found: Outputs) -> Found:
+        # Imported here: SciPy takes longer to load than everything else.
         from scipy.special import (
             expit,
             softmax,
-        )  # takes longer to load than all else here
+        )
 
         values = found[logits][0].astype(np.float64)
         if n_more:
@@ -190,13 +193,14 @@ def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
 
     def read(found: Outputs) -> Found:
         ((table,),) = found.values()
-        if is_suppressed:  # corners, score, class in each row
+        # Each row holds corners, score and class.
+        if is_suppressed:
             return table[:, :4], table[:, 5], table[:, 4]
-        if has_objectness:  # middle, size, objectness and a score per class in each row
+        # Each row holds middle, size, objectness and a score per class.
+        if has_objectness:
             return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
-        return _around(table[:4].T), *_best(
-            table[4:].T
-        )  # the same in columns, without objectness
+        # Each column holds middle, size and a score per class.
+        return _around(table[:4].T), *_best(table[4:].T)
 
     return Export(
         kinds=numbering.kinds,
@@ -341,10 +345,11 @@ _PIXEL_TYPES: dict[str, type[np.generic]] = {
     "tensor(float16)": np.float16,
     "tensor(uint8)": np.uint8,
 }
+# Further inputs of DETR and RT-DETR, whose values are known.
 _SIDE_INPUTS = (
     "pixel_mask",
     "orig_target_sizes",
-)  # of DETR and RT-DETR: known without asking
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -513,9 +518,8 @@ class OnnxModel:
         height, width = image.shape[:2]
         boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
         order = np.argsort(-confidence, kind="stable")
-        order = order[
-            (boxes[order, :2] < boxes[order, 2:]).all(axis=1)
-        ]  # some lie in the padding
+        # Boxes in the padding are empty once they are clipped.
+        order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]
         if not self.export.is_suppressed:
             left = suppress(
                 boxes[order], class_ids[order], max_iou=onnx_setting("max_iou")
@@ -685,7 +689,8 @@ def _open(path: Path) -> _Session:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # errors are reported once, by us
+    # Errors are reported once, by us.
+    options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]

@@ -47,9 +47,8 @@ UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = "evaluate"
 
-_VUT_JOBS = (
-    4  # nothing repeats in the VUT's images: they take longer than those of an RSU
-)
+# Parts of the VUT's frames: nothing repeats there, so that they take longer.
+_VUT_JOBS = 4
 _POLL_S = 0.5
 
 
@@ -122,7 +121,8 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
 
 
 # ---------- the cache for the next call
-_KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
+# Raise it whenever the same inputs give other detections.
+_KIND = "place-rsus/views/2"
 
 
 def _names(
@@ -648,7 +648,8 @@ def known_frames(
     known = []
     for run in runs:
         key = id(run.encounter)
-        if key not in random:  # one and the same in all weathers
+        # The random numbers of an encounter are the same in all weathers.
+        if key not in random:
             random[key] = (float(rng.random()), rng.random(len(run.time_s)))
         equipment, reception = random[key]
         is_received = reception >= links.packet_loss

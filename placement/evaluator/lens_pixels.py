@@ -15,7 +15,8 @@ from .pixels import Placed, Seen, Sights
 from .surroundings import Solid
 
 _MIN_DEPTH_M = 1.0e-6
-_TOUCH_M = 1.0e-3  # what the VRU stands on does not hide it; more than rounding of rays
+# What the VRU stands on does not occlude it. More than rays are rounded.
+_TOUCH_M = 1.0e-3
 # By so much of its size and so many pixels a body may reach beyond its corners as the
 # lens bends its edges; of one that takes up more of the picture all pixels are looked
 # at.

@@ -38,7 +38,8 @@ from .surroundings import (
 )
 
 _SIGHTS_AT_ONCE = 256
-_SLACK = 1.0e-9  # of a chord: no beam at the edge is left out
+# Added to a chord, so that no beam at the edge is left out.
+_SLACK = 1.0e-9
 
 
 # ---------- frames as a sensor has them before it
@@ -338,9 +339,8 @@ def scan_frames(
     pose = station.pose
     first = station.first
     detected = np.zeros(len(station.order), dtype=bool)
-    random: dict[
-        int, FloatArray
-    ] = {}  # one for all weathers: what differs is the weather's
+    # By draw: all weathers share them, so that only the weather differs.
+    random: dict[int, FloatArray] = {}
     beams = beam_directions(lidar).reshape(-1, 3)
     poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
     sight_of_frame = station.sight_of_frame
@@ -408,9 +408,8 @@ def _look(
         Of one sight after the other.
     """
     vru_poses = poses[:, 4:]
-    turns = body_rotation(
-        pose.yaw_deg, pose.pitch_deg + tilt_deg
-    )  # from the LiDAR's own frame
+    # Rotations from the LiDAR's own frame.
+    turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)
     distance = _distances_m(pose, vru_poses, vru.hull_m)
     radius_m = float(
         np.linalg.norm(
@@ -487,7 +486,8 @@ def _beams_around(
     found = _beam_tree(lidar).query_ball_point(towards, chord)
     cone = np.repeat(np.arange(len(towards)), [len(beams) for beams in found])
     beam = np.fromiter(chain.from_iterable(found), np.int64, len(cone))
-    if lidar.scans_all_round:  # columns count from behind
+    # Columns count from straight behind each cone.
+    if lidar.scans_all_round:
         ahead = np.arctan2(towards[:, 1], towards[:, 0]) / (2.0 * np.pi)
         behind = np.ceil(ahead * lidar.n_columns - 0.5).astype(np.int64)
         line, column = np.divmod(beam, lidar.n_columns)

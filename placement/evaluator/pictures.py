@@ -46,7 +46,8 @@ PictureOfFrame = Callable[[int], Image]
 _CROP_SIDES_PX = (64, 96, 128, 160)
 # share of a crop that a road user may take up; for larger ones the scale is less
 _ROOM = 0.625
-_HALO_PX = 4.0  # by which blur and glare reach beyond a body
+# How far blur and glare reach beyond a body.
+_HALO_PX = 4.0
 
 
 class PictureSource:
@@ -72,7 +73,8 @@ class PictureSource:
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
         self._scene = scene
         self._runs = runs
-        self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
+        # One worker each, since several frames are drawn side by side.
+        self._compute = Compute(seed=seed, workers=1)
         self._start = np.concatenate(
             [[0], np.cumsum([len(run.time_s) for run in runs])]
         )
@@ -467,7 +469,8 @@ def render(
     weather = pick_weather(run.weather, "weather")
     pose = viewpoint.pose
     sensor = viewpoint.sensor
-    with_vut = viewpoint.with_vut  # its headlights shine in any case
+    # Without the VUT its headlights still shine.
+    with_vut = viewpoint.with_vut
     if isinstance(sensor, LidarModel):
         static = build_static_mesh(scene, run.obstruction)
         mesh = build_frame_mesh(

@@ -28,17 +28,24 @@ from geometry.kernels import kernel
 
 # Few numbers are tuples, which need no memory: passing arrays costs more than the
 # arithmetic.
-Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
-Edges = tuple[Point, Point, Point]  # normals of planes through the lens
-Window = tuple[int, int, int, int]  # first column and row, and those after the last
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+# Right, down and ahead, in the camera frame. [m]
+Point = tuple[float, float, float]
+# Normals of three planes through the lens.
+Edges = tuple[Point, Point, Point]
+# First column and row, and those after the last.
+Window = tuple[int, int, int, int]
+# x_min, y_min, x_max, y_max. [px]
+Bounds = tuple[float, float, float, float]
 
-_SLACK_PX = 1.0e-6  # more than rounding moves an edge
+# More than rounding moves an edge in the image.
+_SLACK_PX = 1.0e-6
 _MIN_DEPTH_M = 1.0e-6
-_TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
+# What the VRU stands on does not occlude it.
+_TOUCH_M = 1.0e-6
 _N_PLANES = 6
 _LEAF_SIZE = 4
-_MAX_OPEN = 512  # nodes of a tree that wait for their turn: one per level
+# Room for the nodes that wait to be handled: about one per level of a tree.
+_MAX_OPEN = 512
 
 
 class Image(NamedTuple):
@@ -393,7 +400,8 @@ def _passes_by(
     n_first = 0
     n_second = 0
     n_third = 0
-    for corner in range(4):  # corners of the window
+    # Count on which side of each plane the corners of the window lie.
+    for corner in range(4):
         if corner < 2:
             x = window[0]
         else:
@@ -478,7 +486,8 @@ def find_crop(
     n_below = 0
     n_behind = 0
     nearest = np.inf
-    for row in range(n):  # corners of the hull
+    # Count the corners of the hull beyond each edge of the image.
+    for row in range(n):
         # The planes through the lens and the image's edges: they also hold behind the
         # lens.
         across = hull[row, 0]
@@ -501,7 +510,8 @@ def find_crop(
     x_max = -np.inf
     y_min = np.inf
     y_max = -np.inf
-    for row in range(n):  # all of them ahead: project them
+    # All corners are ahead: bound their projections.
+    for row in range(n):
         scale = image.focal_px / hull[row, 2]
         x = half_width + scale * hull[row, 0]
         y = half_height + scale * hull[row, 1]
@@ -606,9 +616,8 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     top = np.inf
     right = -np.inf
     bottom = -np.inf
-    for vertex in range(
-        len(points)
-    ):  # vertices of the skin, then the triangles at each
+    # Loop over the vertices of the skin, and the triangles at each.
+    for vertex in range(len(points)):
         if is_ahead:
             column = pixels[vertex, 0]
             line = pixels[vertex, 1]
@@ -721,7 +730,8 @@ def draw(
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
-    for row in range(len(triangles)):  # triangles, and the pixels that each may cover
+    # Loop over the triangles, and the pixels that each may cover.
+    for row in range(len(triangles)):
         i = triangles[row, 0]
         j = triangles[row, 1]
         k = triangles[row, 2]
@@ -757,7 +767,8 @@ def _draw_all(
     depth_m: FloatArray,
 ) -> int:
     """Write the depths of the whole VRU in its box; count its pixels."""
-    depth_m[:] = np.inf  # nothing is drawn yet
+    # Nothing is drawn yet.
+    depth_m[:] = np.inf
     draw(image, points, triangles, box, depth_m)
     return int((depth_m < np.inf).sum())
 
@@ -784,7 +795,8 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
     x_max = 0
     y_max = 0
     n_pixels = 0
-    for y in range(height):  # pixels of the window
+    # Loop over the pixels of the window.
+    for y in range(height):
         for x in range(width):
             if depth_m[y * width + x] < np.inf:
                 n_pixels += 1
@@ -827,7 +839,8 @@ def _set_beam(
     """
     half_width = 0.5 * image.width_px
     half_height = 0.5 * image.height_px
-    normal = np.zeros((_N_PLANES, 4))  # and a constant; camera frame
+    # Normal and constant of each plane, camera frame.
+    normal = np.zeros((_N_PLANES, 4))
     normal[0, 0], normal[0, 2] = -1.0, (box[0] - half_width) / image.focal_px
     normal[1, 0], normal[1, 2] = 1.0, (half_width - box[2]) / image.focal_px
     normal[2, 1], normal[2, 2] = -1.0, (box[1] - half_height) / image.focal_px
@@ -835,7 +848,8 @@ def _set_beam(
     normal[4, 2] = 1.0
     normal[4, 3] = -farthest_m
     normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
-    for plane in range(_N_PLANES):  # planes of the beam, taken into the body's frame
+    # Take the planes into the body's frame.
+    for plane in range(_N_PLANES):
         constant = normal[plane, 3]
         for axis in range(3):
             planes[plane, axis] = 0.0
@@ -871,9 +885,8 @@ def _is_outside(
     """
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
-    for plane in range(
-        _N_PLANES
-    ):  # the corner of the box that is least outside of each
+    # Of each plane, look at the corner of the box that is least outside.
+    for plane in range(_N_PLANES):
         value = planes[plane, 3]
         for axis in range(3):
             normal = planes[plane, axis]
@@ -938,7 +951,8 @@ def hide(
     corners = np.empty((3, 3))
     waiting[0] = root
     n_waiting = 1
-    while n_waiting:  # nodes of the tree whose boxes may reach into the beam
+    # Loop over the nodes whose boxes may reach into the beam.
+    while n_waiting:
         n_waiting -= 1
         node = waiting[n_waiting]
         if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
@@ -947,7 +961,8 @@ def hide(
             waiting[n_waiting], waiting[n_waiting + 1] = tree.second[node], node + 1
             n_waiting += 2
             continue
-        for row in range(tree.start[node], tree.end[node]):  # triangles of a leaf
+        # Loop over the triangles of a leaf.
+        for row in range(tree.start[node], tree.end[node]):
             _to_camera(turn, shift, tree.corners_m[row], corners)
             a = corner(corners, 0)
             b = corner(corners, 1)
@@ -960,7 +975,8 @@ def hide(
             if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
-            for y in range(y_min, y_max):  # pixels of the box within its bounds
+            # Loop over the pixels of the box within the triangle's bounds.
+            for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
                 for x in range(x_min, x_max):
@@ -1023,9 +1039,8 @@ def _see_past_vehicles(
         Room for as many. [m]
     """
     farthest_m, lowest_m, highest_m = depths
-    for frame in range(
-        sights.frame_start[sight], sights.frame_start[sight + 1]
-    ):  # and vehicles
+    # Loop over the frames, and the vehicles in each.
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
             root = vehicles.roots[sights.vehicle_kind[row]]
@@ -1097,12 +1112,12 @@ def see(
     points = np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m = nothing
-    left_m = nothing  # in the pixels of the box; infinite where it is not seen
+    # Depths in the pixels of the box; infinite where the VRU is not seen.
+    left_m = nothing
     foot_m = hull_m[:, 2].min()
     top_m = hull_m[:, 2].max()
-    for sight in range(
-        len(sights.vru.shift)
-    ):  # places of the VRU before what stands still
+    # Loop over the sights: places of the VRU among what stands still.
+    for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
         shift = sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -1123,7 +1138,8 @@ def see(
             depth_m = np.empty(area)
             left_m = np.empty(area)
         n_pixels = 0
-        n_left = -1  # not counted: the VRU's, and those that nothing static hides
+        # Pixels that nothing static occludes; -1: not counted.
+        n_left = -1
         # Between these heights is all that may hide it.
         vru_m = sights.vru.up_m[sight]
         base_m = sights.static.up_m[sight]
@@ -1230,16 +1246,16 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
     """
     begins = np.empty(_MAX_OPEN, dtype=np.int64)
     ends = np.empty(_MAX_OPEN, dtype=np.int64)
-    parents = np.empty(
-        _MAX_OPEN, dtype=np.int64
-    )  # whose second child it is; -1: a first child
+    # The node whose second child each is; -1 for a first child.
+    parents = np.empty(_MAX_OPEN, dtype=np.int64)
     begins[0], ends[0], parents[0] = 0, len(order), -1
     if len(order):
         n_open = 1
     else:
         n_open = 0
     n_used = 0
-    while n_open:  # nodes, parents before their children
+    # Loop over the nodes, parents before their children.
+    while n_open:
         n_open -= 1
         begin = begins[n_open]
         stop = ends[n_open]

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from .pixels import Skin, Tree, Vehicles
 
 _WHERE = "vut_camera.toml"
-_POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+# Poses that agree to a micrometre are the same.
+_POSE_DECIMALS = 6
 
 
 # ---------- triangles
@@ -64,7 +65,8 @@ class Mesh:
     @cached_property
     def skin(self) -> "Skin":
         """Triangles, shuffled for drawing."""
-        from .pixels import Skin  # loads the compiler
+        # Loads the compiler.
+        from .pixels import Skin
 
         rng = np.random.default_rng(0)
         n_vertices = len(self.vertices_m)
@@ -90,7 +92,8 @@ class Mesh:
 
     @cached_property
     def _tree(self) -> "Tree":
-        from .pixels import build_tree  # loads the compiler
+        # Loads the compiler.
+        from .pixels import build_tree
 
         return build_tree(self.corners_m)
 
@@ -145,7 +148,8 @@ def build_body(shape: Shape) -> Solid:
 
     Cached: every evaluation has the same bodies.
     """
-    from scipy.spatial import ConvexHull  # loaded when something is drawn
+    # Loaded when something is drawn.
+    from scipy.spatial import ConvexHull
 
     hull = ConvexHull(shape.vertices_m).vertices
     mesh = Mesh(
@@ -310,7 +314,8 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
-    from .pixels import join_vehicles  # loads the compiler
+    # Loads the compiler.
+    from .pixels import join_vehicles
 
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [
@@ -485,14 +490,16 @@ def draw_index(runs: Sequence[Run]) -> IntArray:
 
     The same in all weathers, with a gap between two runs.
     """
-    known: dict[int, int] = {}  # encounters: one and the same in all weathers
+    # Numbers of the encounters, which all weathers share.
+    known: dict[int, int] = {}
     which = (known.setdefault(id(run.encounter), len(known)) for run in runs)
     return _numbered(
         tuple(zip(which, (len(run.time_s) for run in runs), strict=True))
     ).copy()
 
 
-@lru_cache(maxsize=4)  # sampled worlds ask again and again
+# Cached, since all sampled worlds ask for the same.
+@lru_cache(maxsize=4)
 def _numbered(runs: tuple[tuple[int, int], ...]) -> IntArray:
     """Numbers of the frames of runs, each an encounter and its number of frames."""
     start: dict[int, int] = {}
@@ -590,9 +597,8 @@ class VutCamera:
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
-FrameCamera = (
-    VutCamera | tuple[Pose, CameraModel]
-)  # the VUT's own camera, or a fixed one
+# The VUT's own camera, or a fixed one.
+FrameCamera = VutCamera | tuple[Pose, CameraModel]
 
 
 @cache

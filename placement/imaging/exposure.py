@@ -16,7 +16,8 @@ from geometry.weather import Weather
 
 from .light import LUMINANCE, Lamp, Sky, load_lamp_table
 
-_CONTRAST = 0.35  # between neighbours, of their mean: more is an edge
+# Neighbours that differ by more of their mean are an edge.
+_CONTRAST = 0.35
 
 
 def find_edges(radiance: FloatRays) -> BoolArray:
@@ -44,7 +45,8 @@ def find_edges(radiance: FloatRays) -> BoolArray:
 
 
 _SAMPLE = 4
-_STEPS = 8192  # of the curve from linear light to sRGB, over 0 .. _BRIGHTEST
+# Steps of the curve from linear light to sRGB, over 0 .. _BRIGHTEST.
+_STEPS = 8192
 _BRIGHTEST = 4.0
 
 
@@ -108,7 +110,8 @@ def develop(
     rgb : (h, w, 3) uint8
     """
     gain = max(1.0, imager["white_cdpm2_base"] / white_cdpm2)
-    electrons = imager["full_well_e"] / gain  # at white
+    # Electrons of a white pixel.
+    electrons = imager["full_well_e"] / gain
     noise = rng.standard_normal(radiance.shape, dtype=np.float32)
     light = radiance * np.float32(1.0 / white_cdpm2)
     # Photon noise (variance = mean), and that of the amplifier.
@@ -141,10 +144,11 @@ def _curve(shoulder: float) -> NDArray[np.uint8]:
 
 
 # ---------- rain and glare
+# The housing keeps off nearer drops, and farther ones are too thin to see.
 _DROP_RANGE_M = (
     0.8,
     6.0,
-)  # nearer ones the housing keeps off, farther ones are too thin to see
+)
 _LEAST_DROP_M = 1.0e-3
 _MARSHALL_PALMER_PER_M4 = 8.0e6
 
@@ -194,9 +198,8 @@ def add_glare(
         lamps, project_points(places, pose, camera), away, blocked, strict=True
     ):
         column, row, depth = place.tolist()
-        if (
-            is_hidden or not depth > camera.near_m or math.isnan(column)
-        ):  # or beyond a lens's reach
+        # Occluded, too near or behind, or beyond a lens's reach.
+        if is_hidden or not depth > camera.near_m or math.isnan(column):
             continue
         distance = float(np.linalg.norm(way))
         intensity = float(lamp.intensity_cd(-way[:, None] / np.float32(distance))[0])

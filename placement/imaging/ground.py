@@ -21,8 +21,10 @@ from geometry.scene import Lane, Scene
 from .mesh import Thing, build_scene_mesh
 
 # ---------- lanes and markings
-_NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
-_MOUTH_M = 2.5  # a lane that ends so near the junction's outline ends at a stop line
+# How far beyond a lane's edge its neighbour is looked for.
+_NEIGHBOUR_M = 0.4
+# A lane that ends so near the junction's outline ends at a stop line.
+_MOUTH_M = 2.5
 _OVERLAP_M = 0.06
 
 
@@ -73,7 +75,8 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
         if lane.kind != "driving":
             continue
         line = lane.centreline_m
-        for side in (1.0, -1.0):  # left, right
+        # Left side, then right side.
+        for side in (1.0, -1.0):
             offset_m = side * 0.5 * lane.width_m
             neighbour, is_along = _neighbour(scene, lane, side)
             if neighbour is None:
@@ -82,7 +85,8 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
                 dashes = _dashes(line, marks["parking_dash_m"], marks["parking_gap_m"])
             elif is_along:
                 if side < 0.0:
-                    continue  # drawn by the lane on the other side
+                    # Drawn by the lane on the other side.
+                    continue
                 dashes = _dashes(line, marks["dash_m"], marks["gap_m"])
             else:  # oncoming: each draws its line of two
                 offset_m -= side * 0.5 * marks["double_line_apart_m"]
@@ -194,7 +198,8 @@ def _at(
     lengths = along_m(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
     step = line[piece + 1] - line[piece]
-    if not step.any():  # a point that is there twice: the nearest other step
+    # The point is there twice: take the nearest step that is not zero.
+    if not step.any():
         steps = np.diff(line, axis=0)
         other = np.flatnonzero(steps.any(axis=1))
         step = steps[other[np.argmin(np.abs(other - piece))]]
@@ -235,19 +240,24 @@ def _strip(
 
 
 # ---------- the map
+# Layers of a map.
 ROAD = 0
 PAINT = 1
-SKY = 2  # layers of a map
+SKY = 2
 
 _STEP_M = 0.1
-_ROAD_REACH_M = 4.5  # distances are stored up to here
+# Distances are stored up to here.
+_ROAD_REACH_M = 4.5
 _PAINT_REACH_M = 0.4
 _SHADE_REACH_M = 12.0
-_CLEARANCE_M = 0.18  # of vehicles above the road: light gets in below them
+# Height of vehicles above the road: light gets in below them.
+_CLEARANCE_M = 0.18
 _ON_ROAD = ("parked vehicle", "vehicle", "pedestrian", "cyclist", "motorcyclist", "car")
 _SHADERS = ("building", "wall", "vegetation", *_ON_ROAD)
-_NOISE_SIZE = 1024  # texels; a power of two
-_NOISE_SEED = 5  # the road looks the same in every picture
+# Texels along a side of the noise; a power of two.
+_NOISE_SIZE = 1024
+# The road looks the same in every picture.
+_NOISE_SEED = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -354,7 +364,8 @@ def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> 
             layers[*window, SKY] *= sky_left(distance, thing)
 
 
-@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+# Cached, since pictures of a scene differ only in what parks there.
+@lru_cache(maxsize=1)
 def _scene_layers(
     scene: Scene, marks: tuple[tuple[str, float], ...]
 ) -> tuple[FloatArray, FloatRays]:

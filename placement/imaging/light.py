@@ -19,11 +19,11 @@ from geometry.weather import Weather
 
 from .materials import Hits
 
-LUMINANCE = np.array(
-    [0.2126, 0.7152, 0.0722]
-)  # of linear red, green, blue (ITU-R BT.709)
+# Luminance of linear red, green and blue (ITU-R BT.709).
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FILE = "lamps.toml"
-_AHEAD_M = 0.03  # headlights shine from just before the body
+# Headlights shine from just before the body.
+_AHEAD_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -246,9 +246,11 @@ def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
 
 
 # ---------- the sky and the air
-_EXPONENT = 0.6  # of the sine of the elevation, from horizon to zenith
+# Exponent of the sine of the elevation, from horizon to zenith.
+_EXPONENT = 0.6
 _SKY = f"{_FILE}: sky"
-_FOG_VISIBILITY_M = 1000.0  # below it is fog (WMO-No. 407)
+# A lower visibility is fog (WMO-No. 407).
+_FOG_VISIBILITY_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -355,7 +357,8 @@ def build_sky(weather: Weather) -> Sky:
     return Sky(
         horizon_cdpm2=scale * horizon,
         zenith_cdpm2=scale * zenith,
-        air_cdpm2=scale * horizon,  # the sky at the horizon is nothing but air
+        # The sky at the horizon is nothing but air.
+        air_cdpm2=scale * horizon,
         sky_lux=scale * level,
         sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
@@ -373,11 +376,12 @@ def build_sky(weather: Weather) -> Sky:
 
 
 # ---------- light on surfaces
-_OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
-_SUN_WAY_M = 500.0  # what is farther away throws no shadow here
-_SHADOW_SHARE = (
-    0.08  # lamps that give less than this of a point's light throw no shadow there
-)
+# How far off a surface rays towards the light start.
+_OFF_SURFACE_M = 4.0e-3
+# Farther things throw no shadow.
+_SUN_WAY_M = 500.0
+# Lamps that give less than this of a point's light throw no shadow there.
+_SHADOW_SHARE = 0.08
 
 
 def illuminance(

@@ -307,9 +307,12 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
 
 
 # ---------- ground, houses, walls and posts: patterns by position in the world
-_GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
-_PATCH_M = 0.06  # size of the patches' texels
-_TEXELS = np.float32(2.7)  # of noise per window
+# Texels of the grain, coarsest and finest.
+_GRAIN_PER_M = (48.0, 384.0)
+# Size of the patches' texels.
+_PATCH_M = 0.06
+# Texels of noise per window.
+_TEXELS = np.float32(2.7)
 
 
 def coat_ground(
@@ -503,7 +506,8 @@ def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
 
 
 # ---------- vehicles and people: colours by position in their own frames
-_WHEEL_M = 0.335  # radius of ordinary tyres
+# Radius of ordinary tyres.
+_WHEEL_M = 0.335
 _RIM_SHARE = 0.60
 
 
@@ -614,9 +618,8 @@ def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     tank = (
         is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
     )
-    is_painted = tank | (
-        is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55)
-    )  # and the tail
+    # Tank and tail have the colour of the motorcycle.
+    is_painted = tank | (is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55))
     is_rear = is_machine & (facing[:, 0] < -0.3) & (x < -0.90)
     is_head = is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)
     shoes = is_leg & (z < 0.42)

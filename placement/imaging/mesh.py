@@ -35,9 +35,8 @@ Index = NDArray[np.int32]
 
 # Classes whose faces are shaded as if they were curved.
 ROUND = ("pedestrian", "cyclist", "motorcyclist")
-_CREASE_COS = (
-    0.6  # people's faces that meet at less than about 50 degrees are shaded as one
-)
+# People's faces that meet at less than about 50 degrees are shaded as one.
+_CREASE_COS = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,7 +138,8 @@ def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
     return _join([build_scene_mesh(scene), *parked])
 
 
-@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+# Cached, since pictures of a scene differ only in what parks there.
+@lru_cache(maxsize=1)
 def build_scene_mesh(scene: Scene) -> Mesh:
     """Triangles of a scene, whose things are its instances in their order."""
     return Mesh(
@@ -402,7 +402,8 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
     )
 
 
-@lru_cache(maxsize=128)  # the steps of a gait come again and again; some 100 kB each
+# Cached, since the steps of a gait repeat; some 100 kB each.
+@lru_cache(maxsize=128)
 def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
     """Normals of a body's triangles in its own frame, (m, 3, 3)."""
     if is_round:
@@ -448,7 +449,8 @@ def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
         (np.ones(n_corners, dtype=np.int8), (corner_vertex, np.arange(n_corners))),
         shape=(len(vertices_m), n_corners),
     )
-    pairs = (at_vertex.T @ at_vertex).tocoo()  # corners that share a vertex
+    # Corners that share a vertex.
+    pairs = (at_vertex.T @ at_vertex).tocoo()
     own = pairs.row // 3
     other = pairs.col // 3
     is_one = np.einsum("ij,ij->i", faces[own], faces[other]) > _CREASE_COS

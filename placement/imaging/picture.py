@@ -61,9 +61,12 @@ from .mesh import (
 )
 
 _JPEG_QUALITY = 85
-_OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
-_LEAST_MIRROR = 0.012  # share; less is not worth a ray
-_GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
+# How far off a surface mirrored rays start.
+_OFF_SURFACE_M = 4.0e-3
+# Surfaces that mirror a smaller share are not worth a ray.
+_LEAST_MIRROR = 0.012
+# Least cosine: limits how long a pixel is on a surface.
+_GRAZING = np.float32(0.02)
 # Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is
 # head-on.
 _GRAZING_GAIN = np.float32(24.0)
@@ -237,12 +240,14 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     dark = np.flatnonzero(~ways.any(axis=1))
     if len(dark):
         ways = ways.copy()
-        ways[dark, 2] = 1.0  # up, for now
+        # Up, for now: their light is removed below.
+        ways[dark, 2] = 1.0
     camera = shot.camera
     mesh = shot.mesh
     sky = shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
-    near = np.float32(camera.near_m) / length  # rays start where drawing starts
+    # Rays start where drawing starts.
+    near = np.float32(camera.near_m) / length
     depth, triangle = mesh.caster.first_triangle(near[:, None] * ways, ways)
     depth = depth + near
     is_hit = triangle >= 0
@@ -492,7 +497,8 @@ def _add_mirrored(
         Rays that were cast; zeros where there is none.
     """
     mirrored = np.zeros_like(light)
-    cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
+    # Cosine of the angle of incidence, negative.
+    cosine = np.einsum("ij,ij->i", hits.normals, ahead)
     away = 1.0 + cosine
     share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
     mirrors = np.flatnonzero(share > _LEAST_MIRROR)
@@ -532,11 +538,13 @@ def ground_albedo() -> float:
 
 
 # ---------- whole pictures
-_EDGES = 12_000  # pixels that are smoothed at a time
+# Pixels that are smoothed at once.
+_EDGES = 12_000
+# Rows, columns drawn at a time: fit into a cache, and are near few lamps.
 _TILE_PX = (
     90,
     480,
-)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -869,7 +877,8 @@ def expose_image(
     imager = exposure.load_imager()
     add_glare_and_rain(shot, radiance, np.random.default_rng([*seed, *size]))
     metered = radiance
-    if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
+    # What the lens leaves dark does not count.
+    if not shot.camera.is_pinhole:
         metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]
     white_cdpm2 = exposure.white_luminance(metered, imager)
     rgb = np.empty((*size, 3), dtype=np.uint8)

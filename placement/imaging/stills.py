@@ -61,10 +61,14 @@ from .picture import (
     whole_image,
 )
 
-_MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
-_CHUNK = 40_000  # pixels drawn at a time: fit into a cache
-_BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
-_SUN_M = 1.0e6  # so far it is taken to be: its rays are parallel to a hair
+# Added to boxes: more than a pixel's smoothing reaches at 150 m.
+_MARGIN_M = 0.15
+# Pixels drawn at a time: fit into a cache.
+_CHUNK = 40_000
+# Sides of the blocks of pixels that are tried as a whole.
+_BLOCK_PX = 12
+# Distance at which the sun is put: its rays are as good as parallel.
+_SUN_M = 1.0e6
 _FAR_M = 1.0e9
 
 
@@ -274,7 +278,8 @@ def _add_moving(
     )
     around = _grown(changed)
     smooth[around] = image.radiance[around]
-    unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
+    # Pixels that the still says nothing about.
+    unlike = around | (lit & ~still.is_edge)
     edges = np.flatnonzero(unlike & find_edges(image.radiance))
     smooth_image(shot, window, smooth, edges, each)
     return shot, image, smooth
@@ -482,7 +487,8 @@ def _meets(
     some = np.flatnonzero(found)
     to_box = (box.middle_m - np.broadcast_to(points_m, ways.shape)[some]) @ box.turn
     turned = ways[some] @ box.turn
-    with np.errstate(divide="ignore", invalid="ignore"):  # along a face
+    # A ray along a face divides by zero.
+    with np.errstate(divide="ignore", invalid="ignore"):
         one = (to_box - box.half_m) / turned
         other = (to_box + box.half_m) / turned
     near = np.minimum(one, other).max(axis=1)
@@ -534,11 +540,11 @@ def _find_changed(
     boxes = [_box(mesh, shot.mesh.origin_m) for mesh in moving]
     (middle, radius) = still.things
     far_m = max(1.0, *(float(np.linalg.norm(b.middle_m) + b.radius_m) for b in boxes))
-    ahead, spread = (
-        np.float32(1.01 * far_m) * one for one in still.ways
-    )  # beyond all boxes
+    # Points on the rays beyond all boxes.
+    ahead, spread = (np.float32(1.01 * far_m) * one for one in still.ways)
     may_show = np.array([_may_meet(box, ahead, -ahead, spread) for box in boxes])
-    shades = []  # lights, and the blocks that each of the boxes may keep theirs from
+    # Lights, and the blocks of pixels that each box may shade from them.
+    shades = []
     for place, reach_m in _lights(shot):
         ways, may_shade = place - middle, np.zeros(may_show.shape, dtype=np.bool_)
         near = np.flatnonzero(_dot(ways, ways) <= (reach_m + radius) ** 2)
@@ -560,9 +566,8 @@ def _find_changed(
         for box, possible in zip(boxes, may_show, strict=True):
             some = np.flatnonzero(possible[block])
             found[some] |= _meets(box, np.zeros(3, np.float32), ways[some], depth[some])
-        left = np.flatnonzero(
-            ~found & np.isfinite(depth)
-        )  # nothing is shaded in the sky
+        # Nothing is shaded in the sky.
+        left = np.flatnonzero(~found & np.isfinite(depth))
         at = ways[left] * depth[left, None]
         block = block[left]
         for place, reach_m, may_shade in shades:
@@ -618,7 +623,8 @@ def _find_lit(
 
 
 # ---------- crops
-_METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
+# Columns and rows of the whole image that set the exposure.
+_METERED_PX = (48, 27)
 
 
 def window_around(box_px: FloatArray, camera: CameraModel, *, side_px: int) -> Window:
@@ -794,7 +800,8 @@ def _meter(shot: Shot) -> float:
     )
     ways = pixel_rays(shot, grid[:, 0], grid[:, 1])
     seen: FloatRays = shade_rays(shot, ways)[0].radiance
-    seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
+    # What a lens leaves dark does not count.
+    seen = seen[ways.any(axis=1)]
     if len(seen) != len(ways):
         n_rows = 1
     return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)

@@ -25,7 +25,8 @@ from ..setting import Setting
 from .casting import SharedScene, World, build_world
 from .sensing import build_sensing, cast_for
 
-N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
+# Points on each VRU: neighbours are about 10 cm apart.
+N_POINTS = 160
 
 STAGE = "detection table"
 
@@ -206,7 +207,8 @@ def detected_frames(
 
 
 # ---------- tables on disk, under a hash of everything that went into them
-_FORMAT = "place-rsus/table/7"  # raise it whenever the same inputs give another table
+# Raise it whenever the same inputs give another table.
+_FORMAT = "place-rsus/table/7"
 _WHAT = "detection table"
 
 

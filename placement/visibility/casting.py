@@ -32,9 +32,11 @@ from .views import (
     look,
 )
 
-AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
+# Rays that pass a body this near are cast.
+AROUND_BODY_M = 2.0e-3
 _OFF_SURFACE_M = 1.0e-3
-_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
+# Rows of bodies whose rays are cast at once.
+_ROWS_TOGETHER = 4096
 
 
 # ---------- bodies
@@ -542,9 +544,8 @@ def cast_sight(
     n_visible = is_visible.sum(axis=1)
     n_facing = faces_eye.sum(axis=1)
     is_seen = n_visible > 0
-    entry_of_row: IntArray = np.full(
-        len(near_views) + 1, -1
-    )  # one more, for frames without a row
+    # One entry more, for frames without a row.
+    entry_of_row: IntArray = np.full(len(near_views) + 1, -1)
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
     entry_of_frame: IntArray = entry_of_row[row_of_frame]
     # A vehicle hides a part only if it is one that would be seen.
@@ -627,7 +628,8 @@ def _rays_to_own_points(
     starts, vectors : (n * n_points, 3) float32
         [m]
     """
-    distance_m = np.sqrt((eyes_m**2).sum(axis=1))  # to the body's origin
+    # From each eye to the body's origin.
+    distance_m = np.sqrt((eyes_m**2).sum(axis=1))
     share = (1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)).astype(np.float32)
     eyes = eyes_m.astype(np.float32)[:, None]
     vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[

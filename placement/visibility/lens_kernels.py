@@ -17,7 +17,8 @@ from geometry.sensors import SEEN_RAD, CameraModel, rolled
 
 from .point_kernels import Array, BodyPoints, Found, Least, Seen
 
-_SLACK = 1.0e-6  # of a cosine
+# Slack of a cosine.
+_SLACK = 1.0e-6
 # By so much of its size and so many pixels a body may reach beyond its corners.
 _BULGE = 0.1
 _MARGIN_PX = 2.0
@@ -26,9 +27,12 @@ LENS = np.dtype(
     [
         # In columns and rows. [px]
         ("focal", float, 2),
-        ("middle", float, 2),  # where the lens looks straight ahead
-        ("size", float, 2),  # of the picture
-        ("tangential", float, 2),  # p1 and p2 of Brown and Conrady
+        # Where the lens looks straight ahead.
+        ("middle", float, 2),
+        # Width and height of the picture.
+        ("size", float, 2),
+        # Coefficients p1 and p2 of Brown and Conrady.
+        ("tangential", float, 2),
         # The radial part: tangent of the farthest angle that is shown, 1 / square of
         # its sine, and how far out a point is shown over how far out it lies, in even
         # steps (`_pack_model`).
@@ -38,7 +42,8 @@ LENS = np.dtype(
         # Half angle of the cone that holds the picture.
         ("cone_cos", float),
         ("cone_sin", float),
-        ("axes", float, (3, 3)),  # right, down and ahead, in the world's axes
+        # Right, down and ahead, in the world's axes.
+        ("axes", float, (3, 3)),
     ]
 )
 """One camera with a lens."""
@@ -111,9 +116,8 @@ def _pack_model(camera: CameraModel) -> Array:
     packed["tangential"] = tangential
     packed["limit"] = reach
     packed["per_most"] = 1.0 / most
-    packed["shares"] = np.append(
-        shares, shares[-1]
-    )  # one more, to interpolate at the last one
+    # One value more, to interpolate at the last one.
+    packed["shares"] = np.append(shares, shares[-1])
     packed["cone_cos"] = math.cos(half_rad)
     packed["cone_sin"] = math.sin(half_rad)
     packed["axes"] = np.eye(3)
@@ -160,7 +164,8 @@ def _project(
     square = right * right + down * down
     beyond = 1.0
     is_shown = is_ahead
-    if square > limit * limit:  # straight on from the farthest that is shown
+    # Beyond the farthest angle that is shown: straight on from there.
+    if square > limit * limit:
         beyond = math.sqrt(square) / limit
         right = right / beyond
         down = down / beyond
@@ -303,7 +308,8 @@ def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
     """
     every = boxes.every
     shown = boxes.shown
-    if not is_folded:  # cut off by the picture's edges alone
+    # Only the picture's edges cut the box off.
+    if not is_folded:
         shown[0] = max(every[0], 0.0)
         shown[1] = max(every[1], 0.0)
         shown[2] = min(every[2], lens.size[0])
@@ -342,7 +348,8 @@ def _is_near(lens: Any, middle: FloatArray, eye: FloatArray, radius: float) -> b
         return True
     sine = radius / away
     cosine = math.sqrt(1.0 - sine * sine)
-    if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:  # wider than half a turn
+    # Cone and sphere together are wider than half a turn.
+    if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:
         return True
     along = x * lens.axes[2, 0] + y * lens.axes[2, 1] + z * lens.axes[2, 2]
     return bool(
@@ -387,9 +394,8 @@ def box_through_lenses(
     boxes = _Boxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
     n_plain = 0
     n_part = 0
-    for entry in range(
-        len(sight.view_index)
-    ):  # bodies, and the cameras that may see each
+    # Loop over the bodies, and the cameras that may see each.
+    for entry in range(len(sight.view_index)):
         view = sight.view_index[entry]
         is_seen = sight.is_visible[entry]
         is_whole = sight.is_whole[entry]

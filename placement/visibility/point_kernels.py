@@ -19,9 +19,11 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
-Box = tuple[Any, Any, Any, Any]  # left, top, right, bottom [px], in single precision
+# Left, top, right and bottom, in single precision. [px]
+Box = tuple[Any, Any, Any, Any]
 
-LANES = 16  # cameras, or points, that are handled at once
+# How many cameras, or points, are handled at once.
+LANES = 16
 
 
 def _in_lanes(*names: str) -> Any:
@@ -56,11 +58,11 @@ LIMITS = _in_lanes("left", "top", "right", "bottom", "depth")
 """Least and greatest columns and rows side by side [px], and least depths [m]."""
 
 _FAR = np.float32(3.0e38)
-_NEARLY = 0.999  # for the rounding of single precision
+# Factor that allows for the rounding of single precision.
+_NEARLY = 0.999
 _SLACK_PX = 0.01
-_SLACK_M = np.float32(
-    1.0e-3
-)  # of a sphere in single precision: nobody at the edge is left out
+# Added to a sphere in single precision, so that no body is left out.
+_SLACK_M = np.float32(1.0e-3)
 
 
 class BodyPoints(NamedTuple):
@@ -253,15 +255,15 @@ def _is_any_near(
     The rows that the sphere reaches lie between the tangents from the eye; next to and
     behind the lens it may reach any.
     """
-    for j in range(LANES):  # cameras in the lanes
+    # Loop over the cameras in the lanes.
+    for j in range(LANES):
         right = x * lens.x_right[j] + y * lens.y_right[j] + z * lens.z_right[j]
         down = x * lens.x_down[j] + y * lens.y_down[j] + z * lens.z_down[j]
         ahead = x * lens.x_ahead[j] + y * lens.y_ahead[j] + z * lens.z_ahead[j]
         across = abs(right) * lens.cos_across[j] - ahead * lens.sin_across[j]
         up = abs(down) * lens.cos_up[j] - ahead * lens.sin_up[j]
-        half = radius / np.sqrt(
-            down * down + ahead * ahead - radius * radius
-        )  # tangents
+        # Tangents from the eye to the sphere, in the plane of its middle.
+        half = radius / np.sqrt(down * down + ahead * ahead - radius * radius)
         middle = down / ahead
         focal = lens.focal[j]
         half_height = lens.half_height[j]
@@ -313,7 +315,8 @@ def find_views(
     """
     is_near = np.empty(LANES, np.bool_)
     least_px = _least(min_height_px)
-    for view in range(len(middle)):  # views, and blocks of cameras until one is near
+    # Loop over the views, and blocks of cameras until one is near.
+    for view in range(len(middle)):
         x = np.float32(middle[view, 0] - eye[0])
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
@@ -361,9 +364,8 @@ def _project_into_all(
         limits.depth[j] = _FAR
         limits.right[j] = -_FAR
         limits.bottom[j] = -_FAR
-    for point in range(
-        0, points.shape[2], 2
-    ):  # points, two at a time, in all cameras at once
+    # Loop over the points, two at a time, in all cameras at once.
+    for point in range(0, points.shape[2], 2):
         other_point = min(point + 1, points.shape[2] - 1)
         x = points[view, 0, point] - ex
         y = points[view, 1, point] - ey
@@ -437,7 +439,8 @@ def _project_into_all(
                 limits.bottom[j] = high
             else:
                 limits.bottom[j] = bottom
-    for j in range(LANES):  # rounding leaves the order of numbers as it is
+    # Shift only now: rounding leaves the order of numbers as it is.
+    for j in range(LANES):
         limits.left[j] += lens.half_width[j]
         limits.right[j] += lens.half_width[j]
         limits.top[j] += lens.half_height[j]
@@ -470,9 +473,8 @@ def _set_out(
         last block.
     """
     count = 0
-    for point in range(
-        points.shape[2]
-    ):  # points that are shown go to the next free lane
+    # Points that are shown go to the next free lane.
+    for point in range(points.shape[2]):
         if shown[point]:
             block = offsets[count // LANES]
             block.x[count % LANES] = points[view, 0, point] - eye[0]
@@ -480,9 +482,8 @@ def _set_out(
             block.z[count % LANES] = points[view, 2, point] - eye[2]
             count += 1
     n_blocks = -(-count // LANES)
-    for place in range(
-        count, n_blocks * LANES
-    ):  # the last one fills what is left of the lanes
+    # The last point fills the rest of the lanes.
+    for place in range(count, n_blocks * LANES):
         block = offsets[n_blocks - 1]
         last = (count - 1) % LANES
         block.x[place % LANES] = block.x[last]
@@ -546,7 +547,8 @@ def _box_points(
         limits.top[j] = _FAR
         limits.right[j] = -_FAR
         limits.bottom[j] = -_FAR
-    for block in range(len(offsets)):  # points, as many at a time as there are lanes
+    # Loop over the points, as many at a time as there are lanes.
+    for block in range(len(offsets)):
         offset = offsets[block]
         for j in range(LANES):
             x = offset.x[j]
@@ -774,16 +776,17 @@ def box_bodies(
     least_px = _least(least.height_px)
     n_plain = 0
     n_part = 0
-    for entry in range(len(sight.view_index)):  # bodies that are seen from the mount
+    # Loop over the bodies that are seen from the mount.
+    for entry in range(len(sight.view_index)):
         view = sight.view_index[entry]
         is_whole = sight.is_whole[entry]
-        n_every = -1  # blocks of points; not yet set out
+        # Blocks of points in lanes; -1: not yet put there.
+        n_every = -1
         n_seen = -1
         reach = np.float32(bodies.radius[view]) + _SLACK_M
         n_near = _find_near(bodies.middle[view], reach, eye, cameras, least_px, near)
-        for first in range(
-            0, n_near, LANES
-        ):  # near cameras, as many as there are lanes
+        # Loop over the near cameras, as many at a time as there are lanes.
+        for first in range(0, n_near, LANES):
             n = min(LANES, n_near - first)
             _gather_lanes(cameras.lenses, near[first : first + n], lens)
             _project_into_all(bodies.hull, view, eye, lens, least.depth, limits)
@@ -842,9 +845,8 @@ def box_bodies(
                 found.part[n_part, 1] = entry
                 _put(found.part_px, n_part, 0, seen_box)
                 _put(found.part_px, n_part, 4, whole_box)
-                if (
-                    is_behind
-                ):  # next to and behind the lens points are not projected as bodies are
+                # Next to and behind the lens the hull does not bound all points.
+                if is_behind:
                     _project_into_all(
                         points, view, eye, lens, least.depth, work.limits[0]
                     )
@@ -925,7 +927,8 @@ def count_echoes(
     n_weathers = len(echoes.expected)
     directions = echoes.directions
     total = np.zeros(n_weathers)
-    for row in range(len(rotations)):  # LiDARs, entries, and the points on each
+    # Loop over the LiDARs, the entries, and the points on each.
+    for row in range(len(rotations)):
         r = rotations[row]
         for entry in range(len(echoes.needed)):
             if not is_near[row, entry]:

@@ -19,14 +19,20 @@ from geometry.kernels import kernel
 Array = NDArray[Any]
 Point = tuple[float, float, float]
 
-N_AROUND = 1024  # cells of azimuth
-N_UP = 512  # cells of elevation
-_PIECE_SIN = 0.04  # sine of the angle within which a piece lies around its middle
-_SMALLEST_M = 0.005  # pieces are not cut any smaller
-_SLACK_M = 1.0e-3  # for rays in single precision
+# Number of cells around, by azimuth.
+N_AROUND = 1024
+# Number of cells up, by elevation.
+N_UP = 512
+# Sine of the angle within which a piece lies around its middle.
+_PIECE_SIN = 0.04
+# Pieces are not cut any smaller.
+_SMALLEST_M = 0.005
+# Allow for rays in single precision.
+_SLACK_M = 1.0e-3
 _SLACK_SIN = 1.0e-5
 _MOST_CUTS = 64
-_BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
+# Cells along either side of a block whose nearest thing is looked at first.
+_BLOCK = 8
 
 
 class Views(NamedTuple):
@@ -192,7 +198,8 @@ def _window(
     flat = level / distance
     low = up * cosine - flat * sine
     high = up * cosine + flat * sine
-    if level <= radius:  # straight above or below: all azimuths
+    # Straight above or below: all azimuths.
+    if level <= radius:
         if z < 0.0:
             low = -1.0
         else:
@@ -304,14 +311,16 @@ def mark_nearest(
     shape = nearest.shape
     n_around = shape[1]
     stack = np.empty((_MOST_CUTS + 1, 9))
-    for number in range(len(triangles)):  # triangles of the scene
+    # Loop over the triangles of the scene.
+    for number in range(len(triangles)):
         for corner in range(3):
             for axis in range(3):
                 stack[0, 3 * corner + axis] = (
                     triangles[number, corner, axis] - eye[axis]
                 )
         height = 1
-        while height > 0:  # pieces of the triangle that are still to be cut or entered
+        # Loop over its pieces that are still to be cut or entered.
+        while height > 0:
             height -= 1
             ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
             if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
@@ -380,14 +389,16 @@ def mark_nearest(
                 nearest[:] = 0.0
                 return
             least = np.float32(max(0.0, distance - wide))
-            if np.sqrt(x * x + y * y) <= wide:  # straight above or below
+            # Straight above or below.
+            if np.sqrt(x * x + y * y) <= wide:
                 low, high, begin, end = _window(x, y, z, wide, shape)
             else:
                 corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
                 low, high, begin, end = _piece_window(
                     corners, x, y, wide / distance, shape
                 )
-            for up in range(low, high + 1):  # cells that the piece touches
+            # Loop over the cells that the piece touches.
+            for up in range(low, high + 1):
                 row = nearest[up]
                 for column in range(begin, min(end, n_around - 1) + 1):
                     row[column] = min(row[column], least)
@@ -454,13 +465,13 @@ def find_unclear_points(
     ez = eye[2]
     blocks = np.empty((N_UP // _BLOCK, N_AROUND // _BLOCK), np.float32)
     blocks[:] = np.inf
-    for up in range(N_UP):  # all cells: the nearest thing of each block of them
+    # Find the nearest thing of each block of cells.
+    for up in range(N_UP):
         for column in range(N_AROUND):
             block = blocks[up // _BLOCK, column // _BLOCK]
             blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
-    for row in range(
-        len(view_index)
-    ):  # views: first as a whole, by the sphere around them
+    # Look at each view as a whole first, by the sphere around it.
+    for row in range(len(view_index)):
         view = view_index[row]
         x = middle[view, 0] - ex
         y = middle[view, 1] - ey
@@ -474,7 +485,8 @@ def find_unclear_points(
                 nearest, 1, window, far
             ):
                 continue
-        for point in range(points.shape[2]):  # then point by point, by its cell
+        # Then look at the cell of each point.
+        for point in range(points.shape[2]):
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
@@ -587,9 +599,8 @@ def fill_rays(
     ey = np.float32(eye[1])
     ez = np.float32(eye[2])
     ray = 0
-    for row in range(
-        len(view_index)
-    ):  # views, and the points of each that are asked for
+    # Loop over the views, and the points of each that are asked for.
+    for row in range(len(view_index)):
         view = view_index[row]
         for point in range(points.shape[2]):
             if not asked[row, point]:
@@ -643,9 +654,12 @@ def find_bodies_between(
     position = bodies.position
     n_bodies = len(bodies.boxes)
     n_pairs = 0
-    centre = np.empty_like(position)  # middle of each body's box, in the world's frame
-    reach = np.empty(n_bodies)  # of that box from its middle
-    eyes = np.empty_like(position)  # the eye in each body's frame
+    # Middle of each body's box, in the world's frame.
+    centre = np.empty_like(position)
+    # Distance of the box's corners from its middle.
+    reach = np.empty(n_bodies)
+    # The eye in each body's frame.
+    eyes = np.empty_like(position)
     for body in range(n_bodies):
         low = bodies.boxes[body, 0]
         high = bodies.boxes[body, 1]
@@ -659,7 +673,8 @@ def find_bodies_between(
                 centre[body, i] += 0.5 * r[i, j] * (low[j] + high[j])
                 eyes[body, i] += r[j, i] * (eye[j] - position[body, j])
         reach[body] = np.sqrt(reach2)
-    for row in range(len(view_index)):  # views, and the bodies of the group of each
+    # Loop over the views, and the bodies of the group of each.
+    for row in range(len(view_index)):
         view = view_index[row]
         group = group_index[row]
         wide = views.radius[view]
@@ -749,9 +764,8 @@ def find_rays_at_body(
     least = (bodies.lowest[0], bodies.lowest[1], bodies.lowest[2])
     most = (bodies.highest[0], bodies.highest[1], bodies.highest[2])
     ray = 0
-    for row in range(
-        len(view_index)
-    ):  # views with a body each; the eye goes into its frame
+    # Loop over the views with a body each, and take the eye into its frame.
+    for row in range(len(view_index)):
         view = view_index[row]
         r = bodies.rotation[row]
         px = bodies.position[row, 0]
@@ -759,7 +773,8 @@ def find_rays_at_body(
         pz = bodies.position[row, 2]
         origin = _into_body(r, eye[0] - px, eye[1] - py, eye[2] - pz)
         start = (np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]))
-        for point in range(points.shape[2]):  # points that nothing hides yet
+        # Loop over the points that nothing occludes yet.
+        for point in range(points.shape[2]):
             if hidden[row, point]:
                 continue
             x = points[view, 0, point]

@@ -23,16 +23,18 @@ from ..candidates import CandidatePose
 from ..detectors import VRU_CLASSES, Evidence, PlanningDetector, aspects_deg, vru_class
 from .casting import Sight, World, cast_sight
 
-_MIN_DEPTH_M = (
-    0.01  # points next to or behind the lens are projected far outside the image
-)
-_SLACK = 1.0e-6  # of a cosine: nobody at the edge is left out
-_SLACK_M = 1.0e-3  # of a sphere around a body
-_FORESEEN_RAD = (
-    0.06  # by which mounts may be turned from world to world: three times one degree
-)
-_WIDEST_RAD = 1.5  # half of a lens
-_PAIRS = 1 << 21  # of sensors and entries that are looked at together
+# Points next to or behind the lens are projected far outside the image.
+_MIN_DEPTH_M = 0.01
+# Slack of a cosine, so that nobody at the edge is left out.
+_SLACK = 1.0e-6
+# Slack of a sphere around a body.
+_SLACK_M = 1.0e-3
+# How much mounts may be turned from world to world: three times one degree.
+_FORESEEN_RAD = 0.06
+# Largest half angle of a lens.
+_WIDEST_RAD = 1.5
+# Pairs of sensors and entries that are looked at together.
+_PAIRS = 1 << 21
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,7 +90,8 @@ class Sensing:
         detected : (n_sensors, n_weathers, n) bool
         """
         detected = np.zeros((len(candidates), *self.contrast.shape), dtype=bool)
-        lidars: dict[LidarModel, list[int]] = {}  # rows by model
+        # Rows of each model of LiDARs.
+        lidars: dict[LidarModel, list[int]] = {}
         for row, candidate in enumerate(candidates):
             if isinstance(candidate.sensor, LidarModel):
                 lidars.setdefault(candidate.sensor, []).append(row)
@@ -339,7 +342,8 @@ def _may_detect(
             eye.astype(np.float32),
             Cameras(_lenses(candidates, turned_rad=turned_rad), len(candidates)),
             height_px
-            * (1.0 - turned_rad),  # boxes are a little larger farther from the axis
+            # Boxes are a little larger farther from the axis.
+            * (1.0 - turned_rad),
             may_detect,
         )
     return may_detect
@@ -408,7 +412,8 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
     reach_m : float
         From the mount to the middle of the VRU's footprint; may be infinite. [m]
     """
-    extent_m = 2.0 * world.radius_m  # to the nearest point it is at most this much less
+    # The nearest point is at most this much nearer than the middle.
+    extent_m = 2.0 * world.radius_m
     if isinstance(sensor, LidarModel):
         return extent_m + sensor.range_m
     fovs_deg = sensor.fov_range_deg or (sensor.horizontal_fov_deg,)
@@ -417,9 +422,8 @@ def reach_m(sensor: Sensor, detector: PlanningDetector, world: World) -> float:
         max_distance_m(one, detector, vru_height_m=extent_m) for one in cameras
     ]
     if sensor.is_pinhole:
-        return extent_m + max(
-            farthest_m
-        )  # convex in the focal length: it is at either end
+        # Convex in the focal length, so that the maximum is at either end.
+        return extent_m + max(farthest_m)
     focal_px = [one.focal_length_px for one in cameras]
     return float(extent_m + max(np.divide(farthest_m, focal_px)) * max(focal_px))
 
@@ -616,7 +620,8 @@ def _evidence(
 
 
 # ---------- LiDARs
-_SLACK_LIMIT = 1.0e-12  # of a cosine and a sine: limits of a field of view count
+# Slack of a cosine and a sine: limits of a field of view belong to it.
+_SLACK_LIMIT = 1.0e-12
 
 
 def _detect_echoes(

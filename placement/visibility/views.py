@@ -24,7 +24,8 @@ from scenarios.runs import Run
 
 # ---------- points on the outside of bodies
 _SAMPLES_PER_POINT = 30
-_TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this length
+# A normal turned by a radian counts as much as a way of this length.
+_TURN_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +57,8 @@ class Surface:
     radius_m: float
 
 
-@cache  # tables of variants ask for the same bodies again
+# Cached, since tables of variants ask for the same bodies.
+@cache
 def build_surface(
     actor: Actor, shape_index: int, *, n_points: int, seed: int
 ) -> Surface:
@@ -430,7 +432,8 @@ class HiddenPoints:
                 is_asked[foreseen] = True
             asked = np.flatnonzero(is_asked & ~is_known)
             bits[asked] = np.packbits(find(asked), axis=1)
-            is_known[asked] = True  # last: another thread may ask
+            # Set last, since another thread may ask.
+            is_known[asked] = True
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
 
 
