@@ -96,9 +96,9 @@ def _pack_rows(
     def fill(rows: list[int]) -> None:
         here = [looks[row] for row in rows]
         position_m = here[0][0].pose.position_m
-        sensing = build_sensing(
-            world, cast_for(world, position_m, here), position_m, here[0][1]
-        )
+        sight = cast_for(world, position_m, here)
+        sensing = build_sensing(world, sight, position_m, here[0][1])
+        # Each detector once: what is seen is the same for all of them.
         rows_of: dict[PlanningDetector, list[int]] = {}
         for row in rows:
             rows_of.setdefault(looks[row][1], []).append(row)
@@ -224,30 +224,33 @@ def table_fingerprint(
     sensors = list(dict.fromkeys(candidate.sensor for candidate in candidates))
     has_lidar = any(isinstance(sensor, LidarModel) for sensor in sensors)
     poses = [candidate.pose for candidate in candidates]
+    lidar_detection = None
+    if has_lidar:
+        lidar_detection = load_lidar_detection()
+    weathers = dict.fromkeys(run.weather for run in runs)
     return Fingerprints().of(
         (_FORMAT, N_POINTS, seed, detector.fingerprint()),
         (scene.vertices_m, scene.triangles, scene.outline_m),
-        (sensors, load_lidar_detection() if has_lidar else None),
+        (sensors, lidar_detection),
         # By number, not by name: names may be equal.
         [(candidate.id, sensors.index(candidate.sensor)) for candidate in candidates],
         np.array([pose.position_m for pose in poses]),
         np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-        [
-            pick_weather(name, "runs: weather")
-            for name in dict.fromkeys(r.weather for r in runs)
-        ],
+        [pick_weather(name, "runs: weather") for name in weathers],
         [
             (
-                *(
-                    run.id,
-                    run.weather,
-                    run.encounter.vut,
-                    run.encounter.vru,
-                    run.time_s,
-                ),
-                *(run.vut_position_m, run.vut_yaw_deg),
-                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
-                *(run.obstruction, run.traffic),
+                run.id,
+                run.weather,
+                run.encounter.vut,
+                run.encounter.vru,
+                run.time_s,
+                run.vut_position_m,
+                run.vut_yaw_deg,
+                run.vru_position_m,
+                run.vru_yaw_deg,
+                run.vru_shape,
+                run.obstruction,
+                run.traffic,
             )
             for run in runs
         ],

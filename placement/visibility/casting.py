@@ -93,14 +93,15 @@ class Bodies:
             Share of each ray up to its first hit on that body.
         """
         for body in self.members[self.first[group] : self.first[group + 1]].tolist():
+            # Row vectors times the rotation are coordinates in the body's frame.
             rotation = self.rotation[body]
-            yield (
-                body,
-                self.casters[self.kind[body]].first_triangle(
-                    ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
-                    (vectors_m @ rotation).astype(np.float32),
-                )[0],
+            origins = ((origins_m - self.position_m[body]) @ rotation).astype(
+                np.float32
             )
+            vectors = (vectors_m @ rotation).astype(np.float32)
+            caster = self.casters[self.kind[body]]
+            share, _ = caster.first_triangle(origins, vectors)
+            yield body, share
 
 
 @lru_cache(maxsize=256)
@@ -147,9 +148,9 @@ def find_obstructions(
     index : (n_runs,) int
         Obstruction of each run.
     """
-    keys = {
-        body: body.key for body in {body for run in runs for body in run.obstruction}
-    }
+    # The key of each body once: bodies are in many runs.
+    bodies = {body for run in runs for body in run.obstruction}
+    keys = {body: body.key for body in bodies}
     of_runs = [tuple(keys[body] for body in run.obstruction) for run in runs]
     found: dict[tuple[object, ...], tuple[PlacedActor, ...]] = {}
     for key, run in zip(of_runs, runs, strict=True):
@@ -183,16 +184,16 @@ def _build_standing(
     actors = {body.actor.shapes[0]: body.actor for body in placed}
     kinds = {shape: kind for kind, shape in enumerate(actors)}
     poses = [body.pose for body in placed]
+    kind = [kinds[body.actor.shapes[0]] for body in placed]
+    positions_m = [pose.position_m - origin_m for pose in poses]
+    yaw_deg = [pose.yaw_deg for pose in poses]
+    pitch_deg = [pose.pitch_deg for pose in poses]
     return Bodies(
         actors=tuple(actors.values()),
         casters=tuple(shape_caster(shape, rays) for shape in actors),
-        kind=np.array([kinds[body.actor.shapes[0]] for body in placed], dtype=np.int64),
-        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(
-            -1, 3
-        ),
-        rotation=body_rotation(
-            [p.yaw_deg for p in poses], [p.pitch_deg for p in poses]
-        ),
+        kind=np.array(kind, dtype=np.int64),
+        position_m=np.array(positions_m).reshape(-1, 3),
+        rotation=body_rotation(yaw_deg, pitch_deg),
         members=np.array([body for group in groups for body in group], dtype=np.int64),
         first=np.cumsum([0, *map(len, groups)]),
     )
@@ -331,9 +332,9 @@ class World:
         """
         heights = [surface.points_m[:, 2] for surface in self.surfaces]
         ground = self.views.up_m
-        return float(np.min(heights) + ground.min()), float(
-            np.max(heights) + ground.max()
-        )
+        low = float(np.min(heights) + ground.min())
+        high = float(np.max(heights) + ground.max())
+        return low, high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -432,32 +433,29 @@ def build_shared_scene(
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
-    n_places, n_frames = len(places.yaw_deg), len(places.place_of_frame)
-
-    def of_places() -> HiddenPoints | None:
-        if caches == "nothing":
-            return None
-        return HiddenPoints(n_places, n_points)
-
+    vertices_m = scene.vertices_m - origin
+    shapes = [one.actor.shapes[one.shape_index] for one in places.surfaces]
+    vehicles = None
+    hidden_by_scene = None
+    hidden_by_itself = None
+    hidden_by_vehicles = None
+    if caches != "nothing":
+        n_places = len(places.yaw_deg)
+        hidden_by_scene = HiddenPoints(n_places, n_points)
+        hidden_by_itself = HiddenPoints(n_places, n_points)
+    if caches == "all":
+        vehicles = _build_vehicles(runs, origin, rays, terrain_of(scene))
+        hidden_by_vehicles = HiddenPoints(len(places.place_of_frame), n_points)
     return SharedScene(
         origin_m=origin,
-        caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
-        triangles_m=(scene.vertices_m - origin)[scene.triangles],
+        caster=build_caster(vertices_m, scene.triangles, library=rays),
+        triangles_m=vertices_m[scene.triangles],
         places=places,
-        bodies=tuple(
-            shape_caster(surface.actor.shapes[surface.shape_index], rays)
-            for surface in places.surfaces
-        ),
-        vehicles=(
-            _build_vehicles(runs, origin, rays, terrain_of(scene))
-            if caches == "all"
-            else None
-        ),
-        hidden_by_scene=of_places(),
-        hidden_by_itself=of_places(),
-        hidden_by_vehicles=(
-            HiddenPoints(n_frames, n_points) if caches == "all" else None
-        ),
+        bodies=tuple(shape_caster(shape, rays) for shape in shapes),
+        vehicles=vehicles,
+        hidden_by_scene=hidden_by_scene,
+        hidden_by_itself=hidden_by_itself,
+        hidden_by_vehicles=hidden_by_vehicles,
     )
 
 
@@ -510,17 +508,20 @@ def cast_sight(
     ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
     distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
-    near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
-    if is_foreseen is None:
-        foreseen = None
-    else:
+    if is_asked is not None:
+        is_near = is_near & is_asked
+    near_views = np.flatnonzero(is_near)
+    foreseen = None
+    if is_foreseen is not None:
         foreseen = np.flatnonzero(is_foreseen)
+    # Points that the scene occludes, and bodies that stand in some of the runs.
     blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
     obstruction = views.obstruction_index[near_views]
     row, body = _find_between(world, eye, world.standing, near_views, obstruction)
     _add_hidden_by_bodies(
         world, eye, world.standing, body, near_views[row], row, blocked, near_m=near_m
     )
+    # Rows of which something is left, and what vehicles occlude of them in each frame.
     n_blocked = blocked.sum(axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
@@ -540,6 +541,7 @@ def cast_sight(
     asked = np.flatnonzero(is_cast)
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
+    # Entries: first a row each, as it is seen where no vehicle is in the way.
     is_visible = faces_eye & ~blocked
     n_visible = is_visible.sum(axis=1)
     n_facing = faces_eye.sum(axis=1)
@@ -554,6 +556,7 @@ def cast_sight(
     frames = frames[is_less]
     rows = rows[is_less]
     left_visible = left_visible[is_less]
+    # More entries: frames of which vehicles leave something; the others show nothing.
     is_more = left_visible.any(axis=1)
     n_seen = int(is_seen.sum())
     entry_of_frame[frames] = -1
@@ -602,9 +605,8 @@ def _is_self_visible(
         for number in np.unique(places.surface_index[index]).tolist():
             rows = np.flatnonzero(places.surface_index[index] == number)
             starts, vectors = _rays_to_own_points(places.surfaces[number], eyes_m[rows])
-            hidden[rows] = (
-                shared.bodies[number].is_blocked(starts, vectors).reshape(len(rows), -1)
-            )
+            is_blocked = shared.bodies[number].is_blocked(starts, vectors)
+            hidden[rows] = is_blocked.reshape(len(rows), -1)
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
@@ -697,17 +699,16 @@ def _hidden_by_scene(
         vectors = np.empty(room, np.float32)
         rays = Rays(near_m, _OFF_SURFACE_M, starts, vectors)
         fill_rays(places.axes_m, index, unclear, eye_m, rays)
+        # Rays are in the order of the points that are unclear.
         unclear[unclear] = shared.caster.is_blocked(starts, vectors)
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if foreseen is None:
-        later = None
-    else:
+    later = None
+    if foreseen is not None:
         later = world.views.place_index[foreseen]
-    return look(
-        shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later
-    )[row]
+    eye = (near_m, eye_m.tobytes())
+    return look(shared.hidden_by_scene, eye, asked, find, foreseen=later)[row]
 
 
 def _find_between(
@@ -813,6 +814,7 @@ def _add_hidden_by_bodies(
                 Rays(near_m, _OFF_SURFACE_M, starts, vectors),
                 blocked,
             )
+            # So far `blocked` says which points got a ray, in the order of the rays.
             blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
             shown, first = np.unique(row, return_index=True)
             hidden[shown] |= np.logical_or.reduceat(blocked, first, axis=0)
@@ -875,15 +877,13 @@ def _hidden_by_vehicles(
         )
         return behind
 
+    def find(asked: IntArray) -> BoolArray:
+        """Points behind vehicles alone: what else hides a point differs by world."""
+        return add_behind(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool))
+
     if cache is None:
         behind = add_behind(frames, before.copy())
     else:
-        behind = before | cache.look(
-            (near_m, eye_m.tobytes()),
-            frames,
-            lambda asked: add_behind(
-                asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)
-            ),
-        )
+        behind = before | cache.look((near_m, eye_m.tobytes()), frames, find)
     is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

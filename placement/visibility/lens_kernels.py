@@ -171,12 +171,14 @@ def _project(
         down = down / beyond
         square = limit * limit
         is_shown = False
+    # Radial part, interpolated between the values of the table.
     place = 1.0 - square / (1.0 + square) * lens.per_most
     place = math.sqrt(max(place, 0.0)) * (_N_SHARES - 1)
     step = int(place)
     first = lens.shares[step]
     second = lens.shares[step + 1]
     share = first + (place - step) * (second - first)
+    # Tangential part, after Brown and Conrady.
     p1 = lens.tangential[0]
     p2 = lens.tangential[1]
     across = 2.0 * right * down
@@ -287,9 +289,8 @@ def _is_out(lens: Any, box: FloatArray, min_height_px: float) -> bool:
     # Its edges are bent: it may reach a little farther than its corners.
     beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
     high = min(box[3], lens.size[1]) - max(box[1], 0.0) + 2.0 * beyond
-    return bool(
-        box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0] or high < min_height_px
-    )
+    is_beside = box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0]
+    return bool(is_beside or high < min_height_px)
 
 
 @kernel
@@ -315,9 +316,8 @@ def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
         shown[2] = min(every[2], lens.size[0])
         shown[3] = min(every[3], lens.size[1])
     inside = max(shown[2] - shown[0], 0.0) * max(shown[3] - shown[1], 0.0)
-    return float(
-        min(inside / max((every[2] - every[0]) * (every[3] - every[1]), 1.0e-9), 1.0)
-    )
+    area = (every[2] - every[0]) * (every[3] - every[1])
+    return float(min(inside / max(area, 1.0e-9), 1.0))
 
 
 @kernel
@@ -352,9 +352,8 @@ def _is_near(lens: Any, middle: FloatArray, eye: FloatArray, radius: float) -> b
     if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:
         return True
     along = x * lens.axes[2, 0] + y * lens.axes[2, 1] + z * lens.axes[2, 2]
-    return bool(
-        along >= (lens.cone_cos * cosine - lens.cone_sin * sine - _SLACK) * away
-    )
+    cos_of_both = lens.cone_cos * cosine - lens.cone_sin * sine
+    return bool(along >= (cos_of_both - _SLACK) * away)
 
 
 @kernel
@@ -420,14 +419,12 @@ def box_through_lenses(
             _, is_cut, is_folded = _box_points(
                 lens, bodies.points[view], eye, is_seen, is_whole, min_depth, boxes
             )
+            # Of a body that the image cuts off, only points inside the image count.
+            seen = boxes.seen
+            whole = boxes.every
             if is_cut:
                 seen = boxes.seen_shown
-            else:
-                seen = boxes.seen
-            if is_cut:
                 whole = boxes.shown
-            else:
-                whole = boxes.every
             high = seen[3] - seen[1]
             if not (high >= min_height_px and high > 0.0):
                 continue

@@ -205,10 +205,11 @@ def pack_lenses(
     angle = np.arctan2(half, focal_px[:, None])
     cosine = np.cos(angle)
     sine = np.sin(angle)
+    # A column for each field of `LENSES`, in their order.
     numbers = np.column_stack([rotation.reshape(-1, 9), focal_px, half])
-    numbers = np.column_stack(
-        [numbers, cosine[:, 0], sine[:, 0], cosine[:, 1], sine[:, 1]]
-    )
+    across = [cosine[:, 0], sine[:, 0]]
+    up = [cosine[:, 1], sine[:, 1]]
+    numbers = np.column_stack([numbers, *across, *up])
     lenses = np.zeros(-(-len(focal_px) // LANES), LENSES)
     for name, values in zip(LENSES.names or (), numbers.T, strict=True):
         in_lanes = np.zeros(len(lenses) * LANES, np.float32)
@@ -395,6 +396,8 @@ def _project_into_all(
             x_right = lens.x_right[j]
             y_right = lens.y_right[j]
             z_right = lens.z_right[j]
+            # Columns of both points. Two branches, for the compiler turns only
+            # branches that choose a single number into vector instructions.
             one = (x * x_right + y * y_right + z * z_right) * scale
             two = (a * x_right + b * y_right + c * z_right) * other_scale
             if one < two:
@@ -419,6 +422,7 @@ def _project_into_all(
             x_down = lens.x_down[j]
             y_down = lens.y_down[j]
             z_down = lens.z_down[j]
+            # Rows of both points.
             one = (x * x_down + y * y_down + z * z_down) * scale
             two = (a * x_down + b * y_down + c * z_down) * other_scale
             if one < two:
@@ -530,18 +534,14 @@ def _box_points(
     focal = lens.focal[camera]
     half_width = lens.half_width[camera]
     half_height = lens.half_height[camera]
+    # Points count that are at most so far from the middle of the image, and deeper.
+    widest = _FAR
+    highest = _FAR
+    nearest = -_FAR
     if is_cut:
         widest = half_width
-    else:
-        widest = _FAR
-    if is_cut:
         highest = half_height
-    else:
-        highest = _FAR
-    if is_cut:
         nearest = min_depth
-    else:
-        nearest = -_FAR
     for j in range(LANES):
         limits.left[j] = _FAR
         limits.top[j] = _FAR
@@ -563,6 +563,8 @@ def _box_points(
                 & (abs(column - half_width) <= widest)
                 & (abs(row - half_height) <= highest)
             )
+            # A point that does not count changes no limit. Here, too, each branch
+            # chooses a single number.
             if counts:
                 low = column
             else:
@@ -599,6 +601,7 @@ def _box_points(
                 limits.bottom[j] = high
             else:
                 limits.bottom[j] = bottom
+    # Loop over the lanes: the extremes of all of them.
     left = _FAR
     top = _FAR
     right = -_FAR
@@ -678,6 +681,7 @@ def _share_inside(box: Box, width: Any, height: Any) -> float:
     area = (np.float64(right) - left) * (np.float64(bottom) - top)
     across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
     up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
+    # An empty box has no area to divide by.
     return float(across * up / max(area, 1.0e-9))
 
 
@@ -796,6 +800,7 @@ def box_bodies(
                 left, top, right, bottom = hull_box
                 width = lens.half_width[j] + lens.half_width[j]
                 height = lens.half_height[j] + lens.half_height[j]
+                # Leave out what the image does not show, or not high enough.
                 is_behind = limits.depth[j] <= least.depth
                 high = np.float64(min(bottom, height)) - np.float64(max(top, zero))
                 is_out = high < _NEARLY * least.height_px or high < 0.0
@@ -808,6 +813,7 @@ def box_bodies(
                     or right > width
                     or bottom > height
                 )
+                # A whole body inside the image: its hull says everything.
                 if is_whole and not is_cut:
                     if high >= least.height_px and high > 0.0:
                         found.plain[n_plain, 0] = camera

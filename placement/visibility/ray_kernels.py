@@ -205,6 +205,7 @@ def _window(
         else:
             high = 1.0
         return cell_up(low, n_up), cell_up(high, n_up), 0, n_around - 1
+    # Turn the direction by the half angle of the sphere, seen from above, either way.
     turn = radius / level
     keep = np.sqrt(1.0 - turn * turn)
     first = cell_around(x * keep + y * turn, y * keep - x * turn, n_around)
@@ -243,8 +244,10 @@ def _piece_window(
     ratio of a corner times sum t |c| / |p|, which lies between 1 and 1 / cos(the
     triangle's angle); and it is at least the least ratio likewise.
     """
+    # Extremes of the corners: azimuth from the middle, and sine of the elevation.
     middle = _diamond(x, y)
-    left = right = 0.0
+    left = 0.0
+    right = 0.0
     bottom = 1.0
     top = -1.0
     for cx, cy, cz in corners:
@@ -258,6 +261,7 @@ def _piece_window(
         ratio = cz / np.sqrt(cx * cx + cy * cy + cz * cz)
         bottom = min(bottom, ratio)
         top = max(top, ratio)
+    # Between corners the ratio may exceed theirs by 1 / cos(2 a) = 1 / (1 - 2 sin^2 a).
     bulge = 1.0 / (1.0 - 2.0 * sine * sine)
     if bottom < 0.0:
         bottom = bottom * bulge
@@ -272,6 +276,20 @@ def _piece_window(
         first = first + n_around
         last = last + n_around
     return cell_up(bottom - slack, n_up), cell_up(top + slack, n_up), first, last
+
+
+@kernel
+def _put_piece(piece: Array, a: Point, b: Point, c: Point) -> None:
+    """Write the corners of a triangle into nine numbers, corner by corner."""
+    piece[0] = a[0]
+    piece[1] = a[1]
+    piece[2] = a[2]
+    piece[3] = b[0]
+    piece[4] = b[1]
+    piece[5] = b[2]
+    piece[6] = c[0]
+    piece[7] = c[1]
+    piece[8] = c[2]
 
 
 @kernel
@@ -323,8 +341,10 @@ def mark_nearest(
         while height > 0:
             height -= 1
             ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
-            if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
+            is_below = max(az, bz, cz) + eye[2] <= floor
+            if is_below or min(az, bz, cz) + eye[2] >= ceiling:
                 continue
+            # The sphere around the piece, and how far away it is.
             x = (ax + bx + cx) / 3.0
             y = (ay + by + cy) / 3.0
             z = (az + bz + cz) / 3.0
@@ -340,51 +360,35 @@ def mark_nearest(
                 continue
             is_piece = radius <= _PIECE_SIN * distance or radius <= _SMALLEST_M
             if not is_piece and height + 2 <= _MOST_CUTS:
+                # Cut the piece in two across its longest side, from `begin` to `end`.
                 ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
                 bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
                 ca = (cx - ax) ** 2 + (cy - ay) ** 2 + (cz - az) ** 2
-                # Turned so that the longest side leads from a to b.
                 if bc >= ab and bc >= ca:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = (
-                        bx,
-                        by,
-                        bz,
-                        cx,
-                        cy,
-                        cz,
-                        ax,
-                        ay,
-                        az,
-                    )
+                    begin_corner = (bx, by, bz)
+                    end_corner = (cx, cy, cz)
+                    other_corner = (ax, ay, az)
                 elif ca >= ab and ca >= bc:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = (
-                        cx,
-                        cy,
-                        cz,
-                        ax,
-                        ay,
-                        az,
-                        bx,
-                        by,
-                        bz,
-                    )
-                mx = 0.5 * (ax + bx)
-                my = 0.5 * (ay + by)
-                mz = 0.5 * (az + bz)
-                for first, (px, py, pz) in enumerate(((ax, ay, az), (bx, by, bz))):
-                    part = stack[height + first]
-                    part[0] = px
-                    part[1] = py
-                    part[2] = pz
-                    part[3] = mx
-                    part[4] = my
-                    part[5] = mz
-                    part[6] = cx
-                    part[7] = cy
-                    part[8] = cz
+                    begin_corner = (cx, cy, cz)
+                    end_corner = (ax, ay, az)
+                    other_corner = (bx, by, bz)
+                else:
+                    begin_corner = (ax, ay, az)
+                    end_corner = (bx, by, bz)
+                    other_corner = (cx, cy, cz)
+                # Both halves share the middle of that side and the other corner.
+                middle = (
+                    0.5 * (begin_corner[0] + end_corner[0]),
+                    0.5 * (begin_corner[1] + end_corner[1]),
+                    0.5 * (begin_corner[2] + end_corner[2]),
+                )
+                _put_piece(stack[height], begin_corner, middle, other_corner)
+                _put_piece(stack[height + 1], end_corner, middle, other_corner)
                 height += 2
                 continue
+            # The piece is small enough: enter it into the cells that it touches.
             wide = radius + _SLACK_M + _SLACK_SIN * distance
+            # The eye is as good as in the piece, which then may be in every cell.
             if distance <= wide:
                 nearest[:] = 0.0
                 return
@@ -394,14 +398,14 @@ def mark_nearest(
                 low, high, begin, end = _window(x, y, z, wide, shape)
             else:
                 corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
-                low, high, begin, end = _piece_window(
-                    corners, x, y, wide / distance, shape
-                )
+                sine = wide / distance
+                low, high, begin, end = _piece_window(corners, x, y, sine, shape)
             # Loop over the cells that the piece touches.
             for up in range(low, high + 1):
                 row = nearest[up]
                 for column in range(begin, min(end, n_around - 1) + 1):
                     row[column] = min(row[column], least)
+                # Columns beyond the last go on from the first.
                 for column in range(0, end - n_around + 1):
                     row[column] = min(row[column], least)
 
@@ -481,9 +485,10 @@ def find_unclear_points(
         if distance > wide:
             window = _window(x, y, z, wide, nearest.shape)
             far = np.float32(distance + wide)
-            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(
-                nearest, 1, window, far
-            ):
+            # Blocks of cells first: fewer of them answer most views.
+            if _is_clear(blocks, _BLOCK, window, far):
+                continue
+            if _is_clear(nearest, 1, window, far):
                 continue
         # Then look at the cell of each point.
         for point in range(points.shape[2]):
@@ -566,12 +571,12 @@ def shorten(
     per_length = one / np.sqrt(x * x + y * y + z * z)
     begin = near * per_length
     share = one - cut * per_length
-    start[0], start[1], start[2] = (
-        x * begin + eye[0],
-        y * begin + eye[1],
-        z * begin + eye[2],
-    )
-    vector[0], vector[1], vector[2] = x * share, y * share, z * share
+    start[0] = x * begin + eye[0]
+    start[1] = y * begin + eye[1]
+    start[2] = z * begin + eye[2]
+    vector[0] = x * share
+    vector[1] = y * share
+    vector[2] = z * share
 
 
 @kernel
@@ -608,9 +613,9 @@ def fill_rays(
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
-            shorten(
-                (ex, ey, ez), (x, y, z), near, cut, rays.starts[ray], rays.vectors[ray]
-            )
+            start = rays.starts[ray]
+            vector = rays.vectors[ray]
+            shorten((ex, ey, ez), (x, y, z), near, cut, start, vector)
             ray += 1
 
 
@@ -660,6 +665,7 @@ def find_bodies_between(
     reach = np.empty(n_bodies)
     # The eye in each body's frame.
     eyes = np.empty_like(position)
+    # Loop over all bodies: middle and size of their boxes, and the eye in their frames.
     for body in range(n_bodies):
         low = bodies.boxes[body, 0]
         high = bodies.boxes[body, 1]
@@ -687,12 +693,14 @@ def find_bodies_between(
             cx = centre[body, 0] - eye[0]
             cy = centre[body, 1] - eye[1]
             cz = centre[body, 2] - eye[2]
+            # The point of the way that is nearest to the middle of the body's box.
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
             away2 = (
                 (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
             )
             if away2 > (reach[body] + wide) ** 2:
                 continue
+            # The way in the body's frame, against the box widened by the view's radius.
             r = bodies.rotation[body]
             low = bodies.boxes[body, 0]
             high = bodies.boxes[body, 1]

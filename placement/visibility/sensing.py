@@ -96,11 +96,12 @@ class Sensing:
             if isinstance(candidate.sensor, LidarModel):
                 lidars.setdefault(candidate.sensor, []).append(row)
         for lidar, rows in lidars.items():
-            detected[rows] = _detect_echoes(
-                self, lidar, [candidates[row] for row in rows]
-            )
+            of_model = [candidates[row] for row in rows]
+            detected[rows] = _detect_echoes(self, lidar, of_model)
         least_px = self._least_height_px()
         for boxes in self._boxes(candidates):
+            # Whole bodies inside the image are detected from some height on; the
+            # detector is asked about all others.
             high_px = box_height_px(boxes.plain_px)
             plain, entry = boxes.plain.T
             part, evidence = _evidence(self, boxes, is_plain=False)
@@ -161,12 +162,8 @@ class Sensing:
                 row for row in cameras if _has_lens(candidates[row]) == through_lenses
             ]
             for first in range(0, len(rows), step):
-                yield _box(
-                    self,
-                    candidates,
-                    np.array(rows[first : first + step]),
-                    through_lenses,
-                )
+                some = np.array(rows[first : first + step])
+                yield _box(self, candidates, some, through_lenses)
 
     def _least_height_px(self) -> FloatArray:
         """Height from which on an entry's box is detected if nothing hides it.
@@ -184,12 +181,11 @@ class Sensing:
             vru_class=self.vru_class,
             draw_index=np.arange(len(self.distance_m)),
         )
-        return np.stack(
-            [
-                self.detector.least_height_px(replace(whole, contrast=c))
-                for c in self.contrast
-            ]
-        )
+        least_px = []
+        for contrast in self.contrast:
+            in_weather = replace(whole, contrast=contrast)
+            least_px.append(self.detector.least_height_px(in_weather))
+        return np.stack(least_px)
 
 
 def _in_cone(
@@ -244,6 +240,8 @@ def build_sensing(
     distance = np.linalg.norm(middle, axis=1)
     radius = views.radius_m[sight.view_index]
     classes = np.array([VRU_CLASSES.index(vru_class(s.actor)) for s in world.surfaces])
+    half_angle_sin = np.minimum(1.0, radius / np.maximum(distance, 1e-6))
+    contrast = [w.contrast * w.transmission(distance) for w in views.weathers]
     return Sensing(
         world=world,
         sight=sight,
@@ -251,10 +249,8 @@ def build_sensing(
         eye_m=eye,
         middle_m=middle,
         distance_m=distance,
-        half_angle_rad=np.arcsin(np.minimum(1.0, radius / np.maximum(distance, 1e-6))),
-        contrast=np.stack(
-            [w.contrast * w.transmission(distance) for w in views.weathers]
-        ),
+        half_angle_rad=np.arcsin(half_angle_sin),
+        contrast=np.stack(contrast),
         vru_class=classes[views.surface_index[sight.view_index]],
         aspect_deg=aspects_deg(middle[:, :2], views.yaw_deg[sight.view_index]),
     )
@@ -281,19 +277,19 @@ def cast_for(
     sight : Sight
         Cast for LiDARs if one is among the sensors.
     """
+    sensors = [candidate.sensor for candidate, _ in looks]
+    is_asked = _may_detect(world, position_m, looks)
+    # Where hidden points are cached, the next world may turn the mount a little.
+    is_foreseen = None
+    if world.shared.hidden_by_scene is not None:
+        is_foreseen = _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
     return cast_sight(
         world,
         position_m,
-        near_m=looks[0][0].sensor.near_m,
-        is_asked=_may_detect(world, position_m, looks),
-        is_foreseen=(
-            None
-            if world.shared.hidden_by_scene is None
-            else _may_detect(world, position_m, looks, turned_rad=_FORESEEN_RAD)
-        ),
-        for_lidar=any(
-            isinstance(candidate.sensor, LidarModel) for candidate, _ in looks
-        ),
+        near_m=sensors[0].near_m,
+        is_asked=is_asked,
+        is_foreseen=is_foreseen,
+        for_lidar=any(isinstance(sensor, LidarModel) for sensor in sensors),
     )
 
 
@@ -380,13 +376,11 @@ def _may_show(
     assert isinstance(camera, CameraModel)
     offsets = views.middle_m - eye
     away = np.linalg.norm(offsets, axis=1)
-    spread = np.arcsin(
-        np.minimum(1.0, (views.radius_m + _SLACK_M) / np.maximum(away, 1.0e-6))
-    )
+    radius_m = views.radius_m + _SLACK_M
+    spread = np.arcsin(np.minimum(1.0, radius_m / np.maximum(away, 1.0e-6)))
     may_show = _in_cone(candidate, offsets, away, spread + turned_rad)
-    may_show &= 2.0 * spread * sharpest_px_per_rad(camera) >= height_px * (
-        1.0 - turned_rad
-    )
+    most_px = 2.0 * spread * sharpest_px_per_rad(camera)
+    may_show &= most_px >= height_px * (1.0 - turned_rad)
     return may_show
 
 
@@ -607,16 +601,26 @@ def _evidence(
     evidence : Evidence
         Its `draw_index` is the entry.
     """
-    rows, entries = (boxes.plain if is_plain else boxes.part).T
-    return rows, Evidence(
-        visible_px=boxes.plain_px if is_plain else boxes.visible_px,
-        amodal_px=boxes.plain_px if is_plain else boxes.amodal_px,
+    if is_plain:
+        rows, entries = boxes.plain.T
+        visible_px = boxes.plain_px
+        amodal_px = boxes.plain_px
+        inside_share = np.ones(len(entries))
+    else:
+        rows, entries = boxes.part.T
+        visible_px = boxes.visible_px
+        amodal_px = boxes.amodal_px
+        inside_share = boxes.inside_share
+    evidence = Evidence(
+        visible_px=visible_px,
+        amodal_px=amodal_px,
         visible_share=sensing.sight.visible_share[entries],
-        inside_share=np.ones(len(entries)) if is_plain else boxes.inside_share,
+        inside_share=inside_share,
         aspect_deg=sensing.aspect_deg[entries],
         vru_class=sensing.vru_class[entries],
         draw_index=entries,
     )
+    return rows, evidence
 
 
 # ---------- LiDARs
@@ -654,10 +658,12 @@ def _detect_echoes(
     sight = sensing.sight
     vru_class = sensing.vru_class
     views = world.views
+    # Visible points, one after the other, from the LiDAR.
     entry, point = np.nonzero(sight.is_visible)
     view = sight.view_index[entry]
     offsets = views.points_m[view, point] - sensing.eye_m
     distance = np.linalg.norm(offsets, axis=-1)
+    # The area of each point that faces the LiDAR: minus the part along the ray.
     areas = np.stack([surface.area_m2 for surface in world.surfaces])
     area = areas[views.surface_index[view], point]
     yaw = np.radians(views.yaw_deg[view])
@@ -669,51 +675,52 @@ def _detect_echoes(
         + area[:, 2] * offsets[:, 2]
     ) / np.maximum(distance, 1.0e-12)
     faces = (facing_m2 > 0.0) & (distance <= lidar.range_m) & (distance >= lidar.near_m)
-    entry, offsets, distance, facing_m2, area = (
-        values[faces] for values in (entry, offsets, distance, facing_m2, area)
-    )
+    entry = entry[faces]
+    offsets = offsets[faces]
+    distance = distance[faces]
+    facing_m2 = facing_m2[faces]
+    area = area[faces]
     detection = load_lidar_detection()
     classes = vru_class[entry]
     reflectivity = np.array([detection.reflectivity[name] for name in VRU_CLASSES])
     needed = np.array(
         [detection.min_points[name] for name in VRU_CLASSES], dtype=np.float64
     )
+    # Beams on each point as dense as on the level, and how many come back.
     beams = facing_m2 / distance**2 * beams_per_steradian(lidar, 0.0)
     cosine = facing_m2 / np.maximum(np.linalg.norm(area, axis=-1), 1.0e-12)
-    expected = np.stack(
-        [
-            beams
-            * return_probability(
-                lidar,
-                distance,
-                reflectivity=reflectivity[classes],
-                incidence_cos=cosine,
-                extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
-            )
-            for weather in views.weathers
-        ]
-    )
+    in_weathers = []
+    for weather in views.weathers:
+        probability = return_probability(
+            lidar,
+            distance,
+            reflectivity=reflectivity[classes],
+            incidence_cos=cosine,
+            extinction_per_m=weather.lidar_extinction_per_m(lidar.wavelength_nm),
+        )
+        in_weathers.append(beams * probability)
+    expected = np.stack(in_weathers)
     counts = np.bincount(entry, minlength=len(sight.view_index))
     found = np.zeros((len(candidates), *sensing.contrast.shape), dtype=bool)
     poses = [candidate.pose for candidate in candidates]
-    bodies = sensing.middle_m, sensing.distance_m, sensing.half_angle_rad
+    rotations = [body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]
+    is_near = [
+        _in_cone(one, sensing.middle_m, sensing.distance_m, sensing.half_angle_rad)
+        for one in candidates
+    ]
+    echoes = Echoes(
+        first=np.concatenate([[0], np.cumsum(counts)]),
+        directions=np.ascontiguousarray(offsets / distance[:, None]),
+        expected=np.ascontiguousarray(expected),
+        needed=needed[vru_class],
+    )
     half_across_rad = math.radians(0.5 * lidar.horizontal_fov_deg)
     half_up_rad = math.radians(0.5 * lidar.vertical_fov_deg)
-    count_echoes(
-        np.stack([body_rotation(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-        np.stack([_in_cone(one, *bodies) for one in candidates]),
-        Echoes(
-            first=np.concatenate([[0], np.cumsum(counts)]),
-            directions=np.ascontiguousarray(offsets / distance[:, None]),
-            expected=np.ascontiguousarray(expected),
-            needed=needed[vru_class],
-        ),
-        LidarView(
-            cos_across=math.cos(half_across_rad) - _SLACK_LIMIT,
-            sin_up=math.sin(half_up_rad) + _SLACK_LIMIT,
-        ),
-        found,
+    limits = LidarView(
+        cos_across=math.cos(half_across_rad) - _SLACK_LIMIT,
+        sin_up=math.sin(half_up_rad) + _SLACK_LIMIT,
     )
+    count_echoes(np.stack(rotations), np.stack(is_near), echoes, limits, found)
     table = sensing.detector.lidar
     if table is not None:
         found &= table.is_expected(np.hypot(*sensing.middle_m[:, :2].T), vru_class)

@@ -95,17 +95,14 @@ def build_surface(
     signs = np.array(
         [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     )
-    extremes = np.unique(
-        np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0)
-    )
+    directions = signs[signs.any(axis=1)]
+    extremes = np.unique(np.argmax(shape.vertices_m @ directions.T, axis=0))
     corners = extremes[:n_points]
-    spread = farthest_samples(
-        samples, shape.vertices_m[corners], n_points - len(corners)
-    )
-    points = np.concatenate([shape.vertices_m[corners], samples[spread]])
-    normals = np.concatenate(
-        [mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]]
-    )
+    corners_m = shape.vertices_m[corners]
+    spread = farthest_samples(samples, corners_m, n_points - len(corners))
+    points = np.concatenate([corners_m, samples[spread]])
+    spread_normals = mesh.face_normals[faces[spread]]
+    normals = np.concatenate([mesh.vertex_normals[corners], spread_normals])
     # A sample belongs to the nearest point that faces the same way: not to one around
     # the corner.
     tree = cKDTree(np.hstack([points, _TURN_M * normals]))
@@ -353,19 +350,20 @@ def build_views(
     place, obstruction = np.divmod(pairs, n_obstructions)
     # Mostly nothing but one thing stands around each: then there is nothing to copy.
     is_every = np.array_equal(place, np.arange(len(places.yaw_deg)))
-    chosen = slice(None) if is_every else place
+    chosen: slice | IntArray = place
+    if is_every:
+        chosen = slice(None)
+    names = [field.name for field in fields(_Bodies)]
+    bodies = {name: getattr(places, name)[chosen] for name in names}
     weathers = list(dict.fromkeys(run.weather for run in runs))
+    weather_of_run = [weathers.index(run.weather) for run in runs]
     return VruViews(
         place_index=place,
         obstruction_index=obstruction,
-        **{
-            field.name: getattr(places, field.name)[chosen] for field in fields(_Bodies)
-        },
+        **bodies,
         view_of_frame=view_of_frame.ravel(),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
-        weather_of_frame=np.repeat(
-            [weathers.index(run.weather) for run in runs], n_frames
-        ),
+        weather_of_frame=np.repeat(weather_of_run, n_frames),
     )
 
 
