@@ -99,12 +99,14 @@ def watch(
         with_vut = names[VUT_KEY] not in cached.arrays
         looks, by_lidar = watcher.look(new, with_vut=with_vut)
         by_camera = watcher.find(looks, new)
-        cached.add(
-            {
-                names[key]: by_camera.get(key, nothing) | by_lidar.get(key, nothing)
-                for key in ((VUT_KEY,) if with_vut else ()) + tuple(new)
-            }
-        )
+        watched = tuple(new)
+        if with_vut:
+            watched = (VUT_KEY, *new)
+        found = {
+            names[key]: by_camera.get(key, nothing) | by_lidar.get(key, nothing)
+            for key in watched
+        }
+        cached.add(found)
     return {key: cached.arrays[name] for key, name in names.items()}
 
 
@@ -140,13 +142,11 @@ def _names(
 
 def _open_cache(setting: Setting, compute: Compute) -> CachedArrays:
     """Cache of detected frames; empty where a network looks at pictures."""
-    is_cached = compute.cache_folder is not None and not setting.detector.needs_pictures
-    return CachedArrays(
-        compute.cache_folder if is_cached else None,
-        "views",
-        kind=_KIND,
-        fingerprint=_fingerprint(setting, compute.seed) if is_cached else "",
-    )
+    folder = compute.cache_folder
+    if folder is None or setting.detector.needs_pictures:
+        return CachedArrays(None, "views", kind=_KIND, fingerprint="")
+    fingerprint = _fingerprint(setting, compute.seed)
+    return CachedArrays(folder, "views", kind=_KIND, fingerprint=fingerprint)
 
 
 def _fingerprint(setting: Setting, seed: int) -> str:
@@ -171,15 +171,18 @@ def _fingerprint(setting: Setting, seed: int) -> str:
         draw_index(runs),
         [
             (
-                *(
-                    run.weather,
-                    run.encounter.vut,
-                    run.encounter.vru,
-                    run.obstruction,
-                    run.traffic,
-                ),
-                *(run.terrain, run.time_s, run.vut_position_m, run.vut_yaw_deg),
-                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
+                run.weather,
+                run.encounter.vut,
+                run.encounter.vru,
+                run.obstruction,
+                run.traffic,
+                run.terrain,
+                run.time_s,
+                run.vut_position_m,
+                run.vut_yaw_deg,
+                run.vru_position_m,
+                run.vru_yaw_deg,
+                run.vru_shape,
             )
             for run in runs
         ],
@@ -193,7 +196,9 @@ class _Watcher:
     """
 
     def __init__(self, setting: Setting, compute: Compute) -> None:
-        self._setting, self._compute, self._seed = setting, compute, compute.seed
+        self._setting = setting
+        self._compute = compute
+        self._seed = compute.seed
         self._surroundings = build_surroundings(setting.scene, setting.runs)
         mount = load_vut_camera()
         self._mount = replace(mount, camera=setting.vut_camera or mount.camera)
@@ -228,6 +233,7 @@ class _Watcher:
         looks: dict[UnitKey, Future[Evidence]] = {}
         scans: dict[UnitKey, Future[BoolArray]] = {}
         by_vut: list[Future[Evidence]] = []
+        # One job for each unit, and several for the VUT's camera.
         with threads(self._compute.workers) as pool:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
@@ -296,13 +302,13 @@ class _Watcher:
         around = self._surroundings
         if table is None:
             return is_enough
-        vru, vut = (
-            np.concatenate([getattr(run, name)[:, :2] for run in runs])
-            for name in ("vru_position_m", "vut_position_m")
-        )
-        distance = np.hypot(
-            *(vru - (vut if unit is None else unit.pose.position_m[:2])).T
-        )
+        vru_m = np.concatenate([run.vru_position_m[:, :2] for run in runs])
+        if unit is None:
+            lidar_m = np.concatenate([run.vut_position_m[:, :2] for run in runs])
+        else:
+            lidar_m = unit.pose.position_m[:2]
+        east_m, north_m = (vru_m - lidar_m).T
+        distance = np.hypot(east_m, north_m)
         rng = build_rng(self._seed, key, table.name)
         return is_enough & table.detect(
             distance, around.vru_class, around.draw_index, rng
@@ -460,14 +466,13 @@ class Judge:
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
                 found = find_contacts(run.encounter, new, self._rule)
-                columns = (found.time_s, found.speed_mps, found.closing_mps)
-                known.update(
-                    zip(
-                        new,
-                        zip(*(c.tolist() for c in columns), strict=True),
-                        strict=True,
-                    )
+                rows = zip(
+                    found.time_s.tolist(),
+                    found.speed_mps.tolist(),
+                    found.closing_mps.tolist(),
+                    strict=True,
                 )
+                known.update(zip(new, rows, strict=True))
             contacts[:, :, index] = [known[each] for each in asked]
         return contacts
 
@@ -508,22 +513,21 @@ def judge_layouts(
     cars : float
         Share of VUTs that see for themselves.
     """
+    # Groups of parties to judge, for each layout.
     fused: list[dict[tuple[str, ...], list[Party]]] = []
     for one in seen:
         rsus = [*one.units.values()]
-        if one.vam is None:
-            vam = []
-        else:
-            vam = [one.vam]
-        fused.append(
-            {("unit", name): [party] for name, party in one.units.items()}
-            | {
-                ("vut",): [one.vut],
-                ("rsu_all",): rsus,
-                ("vut_and_rsus",): [*rsus, one.vut],
-            }
-            | ({("vam",): vam, ("all_sources",): [*rsus, one.vut, *vam]} if vam else {})
-        )
+        groups: dict[tuple[str, ...], list[Party]] = {
+            ("unit", name): [party] for name, party in one.units.items()
+        }
+        groups["vut",] = [one.vut]
+        groups["rsu_all",] = rsus
+        groups["vut_and_rsus",] = [*rsus, one.vut]
+        if one.vam is not None:
+            groups["vam",] = [one.vam]
+            groups["all_sources",] = [*rsus, one.vut, one.vam]
+        fused.append(groups)
+    # All of them are judged at once: verdicts come back in the same order.
     verdicts = iter(
         judge.verdicts([parties for groups in fused for parties in groups.values()])
     )
@@ -593,11 +597,10 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
     position = run.vru_position_m
     yaw = run.vru_yaw_deg
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    speed = np.zeros(1)
     if len(time) > 1:
+        # The last frame has the speed of the one before.
         speed = np.append(steps / np.diff(time), 0.0)
-    else:
-        speed = np.zeros(1)
-    if len(time) > 1:
         speed[-1] = speed[-2]
     is_sent = np.zeros(len(time), dtype=bool)
     is_sent[0] = True

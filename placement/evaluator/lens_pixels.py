@@ -93,13 +93,19 @@ def see_through_lens(
         if not len(rays.columns):
             continue
         seen.amodal_px[sight] = _box(rays)
-        free = rays.take(~_is_hidden(camera, static, sights.static, sight, rays))
-        frames = slice(sights.frame_start[sight], sights.frame_start[sight + 1])
-        seen.visible_px[sight] = seen.frame_visible_px[frames] = _box(free)
+        # What stands still, in all frames of the sight.
+        is_hidden = _is_hidden(camera, static, sights.static, sight, rays)
+        free = rays.take(~is_hidden)
+        box_px = _box(free)
         share = len(free.columns) / len(rays.columns)
-        seen.visible_share[sight] = seen.frame_visible_share[frames] = share
+        frames = slice(sights.frame_start[sight], sights.frame_start[sight + 1])
+        seen.visible_px[sight] = box_px
+        seen.frame_visible_px[frames] = box_px
+        seen.visible_share[sight] = share
+        seen.frame_visible_share[frames] = share
         if not len(free.columns):
             continue
+        # Then the vehicles of each frame, one after the other.
         for frame in range(frames.start, frames.stop):
             left = free
             for row in range(
@@ -154,9 +160,8 @@ def _find_window(
     at_depth_1 *= np.minimum(1.0, _FAR_OUT / np.maximum(radius, _MIN_DEPTH_M))
     is_behind = bool((depth <= _MIN_DEPTH_M).any())
     middle = corners.mean(axis=0)
-    is_far = (
-        np.linalg.norm(middle) > 2.0 * np.linalg.norm(corners - middle, axis=1).max()
-    )
+    radius_m = np.linalg.norm(corners - middle, axis=1).max()
+    is_far = np.linalg.norm(middle) > 2.0 * radius_m
     if is_behind and not is_far:
         return everything, 0.0
     if is_far and not is_shown(at_depth_1, camera).any():
@@ -166,10 +171,9 @@ def _find_window(
     high = shown.max(axis=0)
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
+    share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
     if is_behind:
         share = 0.0
-    else:
-        share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
     if is_behind and not inside.all():
         return nothing, 0.0
     if (high - low > _LARGE * size).any():
@@ -223,8 +227,8 @@ def _cast(
     shift = placed.shift[row]
     near = camera.near_m / np.linalg.norm(ways, axis=1)
     starts = (near[:, None] * ways - shift) @ turn
-    rays = starts.astype(np.float32), (ways @ turn).astype(np.float32)
-    depth, _ = solid.caster.first_triangle(*rays)
+    turned = (ways @ turn).astype(np.float32)
+    depth, _ = solid.caster.first_triangle(starts.astype(np.float32), turned)
     return np.asarray(depth.astype(np.float64) + near)
 
 

@@ -181,7 +181,12 @@ def perceive_frames(
     -------
     evidence : Evidence
     """
-    at, camera = (by, by.camera) if isinstance(by, VutCamera) else by
+    at: Pose | VutCamera
+    if isinstance(by, VutCamera):
+        at = by
+        camera = by.camera
+    else:
+        at, camera = by
     station = _stand(surroundings, at)
     pose = station.pose
     order = station.order
@@ -190,6 +195,7 @@ def perceive_frames(
     n_frames = len(order)
     vru = _place(pose, station.vru_poses[first], station.tilt_deg[first])
     static = _place(pose, station.static_poses[first], station.tilt_deg[first])
+    # Vehicles that are there, one frame after the other.
     is_there = station.vehicle_index[order] >= 0
     tilts = np.broadcast_to(station.tilt_deg[order, None], is_there.shape)[is_there]
     vehicles = _place(pose, station.vehicle_poses[order][is_there], tilts)
@@ -203,6 +209,7 @@ def perceive_frames(
         near_m=camera.near_m,
         up_m=float(pose.position_m[2]),
     )
+    # Draw all sights with the same bodies at once.
     distance_m = np.empty(n_frames)
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
         body = surroundings.vrus[vru_index]
@@ -247,7 +254,9 @@ def perceive_frames(
     sight = station.sight_of_frame
     visible = np.empty((n_frames, 4))
     shares = np.empty(n_frames)
-    visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
+    # Back from the order of the sights to that of the frames.
+    visible[order] = seen.frame_visible_px
+    shares[order] = seen.frame_visible_share
     sightline_m = station.vru_poses[:, :2] - pose.position_m[:2]
     return Evidence(
         visible_px=freeze(visible),
@@ -309,7 +318,9 @@ class _Echoes(NamedTuple):
 
     def take(self, keep: BoolArray) -> "_Echoes":
         """The beams in a mask (n,)."""
-        return _Echoes(*(numbers[keep] for numbers in self))
+        return _Echoes(
+            self.directions[keep], self.distance_m[keep], self.incidence_cos[keep]
+        )
 
 
 def scan_frames(
@@ -347,9 +358,9 @@ def scan_frames(
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
         static = surroundings.statics[static_index]
         vru = surroundings.vrus[vru_index]
-        in_parts = np.array_split(
-            first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE)
-        )
+        # Scan the sights, some at a time.
+        n_parts = -(-len(first[sights]) // _SIGHTS_AT_ONCE)
+        in_parts = np.array_split(first[sights], n_parts)
         of_sights = [
             echoes
             for part in in_parts
@@ -358,6 +369,7 @@ def scan_frames(
             )
         ]
         frames = station.order[station.start[sights.start] : station.start[sights.stop]]
+        # Loop over the frames: vehicles and weather differ among those of a sight.
         for frame in np.sort(frames).tolist():
             draw = int(surroundings.draw_index[frame])
             echoes = of_sights[sight_of_frame[frame] - sights.start]
@@ -410,17 +422,15 @@ def _look(
     vru_poses = poses[:, 4:]
     # Rotations from the LiDAR's own frame.
     turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)
+    # The sphere around the VRU, in each sight.
     distance = _distances_m(pose, vru_poses, vru.hull_m)
-    radius_m = float(
-        np.linalg.norm(
-            vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1
-        ).max()
-    )
-    middle = np.column_stack(
-        [vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]]
-    )
+    half_height_m = 0.5 * vru.hull_m[:, 2].max()
+    from_middle = vru.hull_m - [0.0, 0.0, half_height_m]
+    radius_m = float(np.linalg.norm(from_middle, axis=1).max())
+    middle = np.column_stack([vru_poses[:, :2], half_height_m + vru_poses[:, 3]])
     towards = (middle - pose.position_m) / distance[:, None]
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
+    # Beams in the cone around the sphere.
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
     towards_lidar = np.einsum("ni,nij->nj", towards, turns)
     cone, beam = _beams_around(lidar, towards_lidar[near], half_angle[near])
@@ -430,12 +440,14 @@ def _look(
     sight = sight[is_close]
     beam = beam[is_close]
     directions = np.einsum("nij,nj->ni", turns[sight], beams[beam])
+    # Beams that hit the VRU.
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
     sight = sight[hits]
     directions = directions[hits]
     depth = depth[hits]
     triangle = triangle[hits]
+    # Those that nothing static stops before.
     before, _ = _cast(pose, lidar, static, poses[sight, :4], directions)
     free = depth < before
     sight = sight[free]

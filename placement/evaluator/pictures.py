@@ -131,6 +131,9 @@ class PictureSource:
         run, index = self._find(frame)
         small = view.small
         window = view.window
+        white = None
+        if view.is_fixed:
+            white = self._white(run, view)
         picture = draw_crop(
             *self._standing(run),
             run,
@@ -140,7 +143,7 @@ class PictureSource:
             window,
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=view.shows_vut,
-            white_cd_m2=self._white(run, view) if view.is_fixed else None,
+            white_cd_m2=white,
             seed=self._compute.seed,
         )
         return Crop(
@@ -161,8 +164,12 @@ class PictureSource:
             return None
         pose = view.pose
         key = (
-            *(pose.position_m.tobytes(), pose.yaw_deg, pose.pitch_deg, view.camera),
-            *(weather, obstruction_key(run)),
+            pose.position_m.tobytes(),
+            pose.yaw_deg,
+            pose.pitch_deg,
+            view.camera,
+            weather,
+            obstruction_key(run),
         )
         if key not in self._whites:
             self._whites[key] = meter(*self._standing(run), pose, view.camera, weather)
@@ -264,9 +271,14 @@ class Crops:
         run, index = self._source._find(frame)
         view = self._view(frame)
         where = (
-            *(run.weather, id(run.encounter.vru), int(run.vru_shape[index])),
-            *(obstruction_key(run), view.side_px, view.scale),
-            *(run.vru_position_m[index].tobytes(), float(run.vru_yaw_deg[index])),
+            run.weather,
+            id(run.encounter.vru),
+            int(run.vru_shape[index]),
+            obstruction_key(run),
+            view.side_px,
+            view.scale,
+            run.vru_position_m[index].tobytes(),
+            float(run.vru_yaw_deg[index]),
         )
         if view.shows_vut or run.traffic or isinstance(self._camera, VutCamera):
             return (*where, frame)
@@ -281,6 +293,7 @@ class Crops:
         """How a frame is shown: side and scale of the crop, and if the VUT is in it."""
         run, index = self._source._find(frame)
         pose, camera = _placed(self._camera, run, index)
+        # The smallest crop with room for the road user, at a scale at which one has.
         box_px = self._boxes_px[frame]
         size_px = float((box_px[2:] - box_px[:2]).max())
         scale = max(1, int(np.ceil(size_px / (_ROOM * _CROP_SIDES_PX[-1]))))
@@ -329,19 +342,18 @@ def _may_show_vut(
     weather = pick_weather(run.weather, "run: weather")
     if weather.has_lamps or run.terrain is not None:
         return True
-    points = project_points(_cast_corners(run, index, weather), pose, camera)[:, :2]
+    corners = _cast_corners(run, index, weather)
+    points = project_points(corners, pose, camera)[:, :2]
     if not np.isfinite(points).all():
         return not np.isnan(points).all()
     # At the image's edge a crop is moved inwards.
     reach = reach_px + _HALO_PX
     size = np.array([camera.width_px, camera.height_px])
-    middle = np.clip(
-        0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0)
-    )
-    return bool(
-        (points.max(axis=0) > middle - reach).all()
-        and (points.min(axis=0) < middle + reach).all()
-    )
+    middle = 0.5 * (box_px[:2] + box_px[2:])
+    middle = np.clip(middle, reach_px, np.maximum(size - reach_px, 0.0))
+    is_before_end = (points.min(axis=0) < middle + reach).all()
+    is_after_begin = (points.max(axis=0) > middle - reach).all()
+    return bool(is_after_begin and is_before_end)
 
 
 def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:

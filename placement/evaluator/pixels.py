@@ -207,9 +207,9 @@ class Seen(NamedTuple):
 
     def take(self, sights: slice, frames: slice) -> "Seen":
         """Views of the arrays for ranges of sights and frames."""
-        return Seen(
-            *(part[sights] for part in self[:4]), *(part[frames] for part in self[4:])
-        )
+        of_sights = [part[sights] for part in self[:4]]
+        of_frames = [part[frames] for part in self[4:]]
+        return Seen(*of_sights, *of_frames)
 
 
 def blank_sights(n_sights: int, n_frames: int) -> Seen:
@@ -527,18 +527,15 @@ def find_crop(
     inside *= max(bottom - top, 0.0) / max(y_max - y_min, 1.0e-9)
     if is_outside:
         return (0, 0, 0, 0), inside
+    # A pixel larger on every side, as far as the image goes.
+    x_low = 0
+    y_low = 0
     if left >= 1.0:
         x_low = int(np.floor(left)) - 1
-    else:
-        x_low = 0
     if top >= 1.0:
         y_low = int(np.floor(top)) - 1
-    else:
-        y_low = 0
-    x_high = int(np.ceil(right)) + 1
-    y_high = int(np.ceil(bottom)) + 1
-    x_high = min(x_high, image.width_px)
-    y_high = min(y_high, image.height_px)
+    x_high = min(int(np.ceil(right)) + 1, image.width_px)
+    y_high = min(int(np.ceil(bottom)) + 1, image.height_px)
     if x_low >= x_high or y_low >= y_high or y_high - y_low < min_height_px:
         return (0, 0, 0, 0), inside
     return (x_low, y_low, x_high, y_high), inside
@@ -651,9 +648,11 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                 down = (y - middle_y) * per_px
                 # From both ends to the first that is covered: what is between them is
                 # in the box.
-                is_in = y_low <= y < y_high
+                stop = x_max
+                if y_low <= y < y_high:
+                    stop = min(x_max, x_low)
                 x = x_min
-                while x < (min(x_max, x_low) if is_in else x_max):
+                while x < stop:
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_low = min(x_low, x)
@@ -671,23 +670,20 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                         x_high = x + 1
                         break
                     x -= 1
+        # Where the box touches the edge of the window, nothing can make it larger.
         if x_low < x_high:
+            left = -np.inf
+            top = -np.inf
+            right = np.inf
+            bottom = np.inf
             if x_low > window[0]:
                 left = x_low - 0.5 + _SLACK_PX
-            else:
-                left = -np.inf
             if x_high < window[2]:
                 right = x_high + 0.5 - _SLACK_PX
-            else:
-                right = np.inf
             if y_low > window[1]:
                 top = y_low - 0.5 + _SLACK_PX
-            else:
-                top = -np.inf
             if y_high < window[3]:
                 bottom = y_high + 0.5 - _SLACK_PX
-            else:
-                bottom = np.inf
     if x_low >= x_high:
         return 0, 0, 0, 0
     return x_low, y_low, x_high, y_high
@@ -806,8 +802,10 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
                 y_max = max(y_max, y + 1)
     found[row] = 0.0
     if n_pixels > 0:
-        found[row, 0], found[row, 1] = window[0] + x_min, window[1] + y_min
-        found[row, 2], found[row, 3] = window[0] + x_max, window[1] + y_max
+        found[row, 0] = window[0] + x_min
+        found[row, 1] = window[1] + y_min
+        found[row, 2] = window[0] + x_max
+        found[row, 3] = window[1] + y_max
     return n_pixels
 
 
@@ -841,13 +839,20 @@ def _set_beam(
     half_height = 0.5 * image.height_px
     # Normal and constant of each plane, camera frame.
     normal = np.zeros((_N_PLANES, 4))
-    normal[0, 0], normal[0, 2] = -1.0, (box[0] - half_width) / image.focal_px
-    normal[1, 0], normal[1, 2] = 1.0, (half_width - box[2]) / image.focal_px
-    normal[2, 1], normal[2, 2] = -1.0, (box[1] - half_height) / image.focal_px
-    normal[3, 1], normal[3, 2] = 1.0, (half_height - box[3]) / image.focal_px
+    # Left of the box, right of it, above, and below.
+    normal[0, 0] = -1.0
+    normal[0, 2] = (box[0] - half_width) / image.focal_px
+    normal[1, 0] = 1.0
+    normal[1, 2] = (half_width - box[2]) / image.focal_px
+    normal[2, 1] = -1.0
+    normal[2, 2] = (box[1] - half_height) / image.focal_px
+    normal[3, 1] = 1.0
+    normal[3, 2] = (half_height - box[3]) / image.focal_px
+    # Behind the beam, and before it.
     normal[4, 2] = 1.0
     normal[4, 3] = -farthest_m
-    normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
+    normal[5, 2] = -1.0
+    normal[5, 3] = _least_depth(image, box)
     # Take the planes into the body's frame.
     for plane in range(_N_PLANES):
         constant = normal[plane, 3]
@@ -890,7 +895,10 @@ def _is_outside(
         value = planes[plane, 3]
         for axis in range(3):
             normal = planes[plane, axis]
-            value += normal * (low[node, axis] if normal > 0.0 else high[node, axis])
+            if normal > 0.0:
+                value += normal * low[node, axis]
+            else:
+                value += normal * high[node, axis]
         if value > 0.0:
             return True
     return False
@@ -958,7 +966,9 @@ def hide(
         if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
             continue
         if tree.second[node] >= 0:
-            waiting[n_waiting], waiting[n_waiting + 1] = tree.second[node], node + 1
+            # The first child comes on top, and is looked at next.
+            waiting[n_waiting] = tree.second[node]
+            waiting[n_waiting + 1] = node + 1
             n_waiting += 2
             continue
         # Loop over the triangles of a leaf.
@@ -1149,6 +1159,7 @@ def see(
         high_m = highest_m - base_m
         at = sights.static.turn[sight]
         there = sights.static.shift[sight]
+        # The scene, and what is parked: ask first, and draw the VRU only if needed.
         for tree in (standing, parked):
             if not hide(
                 image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing
@@ -1170,6 +1181,7 @@ def see(
             )
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
+        # Loop over the frames of the sight: first as if no vehicles were there.
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
             seen.frame_visible_px[frame] = seen.visible_px[sight]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
@@ -1205,6 +1217,7 @@ def build_tree(corners_m: FloatArray) -> Tree:
     order = np.arange(n)
     centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
     n_used = _fill(tree, order, centres_m)
+    # Leaves hold several triangles: not all nodes are needed.
     used: list[Any] = [numbers[:n_used].copy() for numbers in tree[1:]]
     return Tree(corners_m[order], *used)
 
@@ -1221,10 +1234,8 @@ def join_vehicles(trees: Sequence[Tree]) -> Vehicles:
         )
         for tree, root, first in zip(trees, roots, firsts, strict=True)
     ]
-    return Vehicles(
-        tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
-        roots=roots,
-    )
+    joined = [np.concatenate(parts) for parts in zip(*moved, strict=True)]
+    return Vehicles(tree=Tree(*joined), roots=roots)
 
 
 @kernel
@@ -1248,11 +1259,12 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
     ends = np.empty(_MAX_OPEN, dtype=np.int64)
     # The node whose second child each is; -1 for a first child.
     parents = np.empty(_MAX_OPEN, dtype=np.int64)
-    begins[0], ends[0], parents[0] = 0, len(order), -1
+    begins[0] = 0
+    ends[0] = len(order)
+    parents[0] = -1
+    n_open = 0
     if len(order):
         n_open = 1
-    else:
-        n_open = 0
     n_used = 0
     # Loop over the nodes, parents before their children.
     while n_open:
@@ -1266,6 +1278,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
             tree.second[parent] = node
         tree.start[node] = begin
         tree.end[node] = stop
+        # Bound the node, and find the axis along which its centres extend farthest.
         along = 0
         largest_m = -1.0
         middle_m = 0.0
@@ -1286,6 +1299,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 middle_m = 0.5 * (least + most)
         if stop - begin <= _LEAF_SIZE:
             continue
+        # Sort the triangles by the side of the middle on which their centres lie.
         split = begin
         for place in range(begin, stop):
             row = order[place]
@@ -1295,6 +1309,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 split += 1
         if split in (begin, stop) or n_open > _MAX_OPEN // 2:
             split = (begin + stop) // 2
+        # The first child comes on top, so that it follows its parent.
         begins[n_open] = split
         ends[n_open] = stop
         parents[n_open] = node

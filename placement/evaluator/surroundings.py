@@ -331,15 +331,16 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     n_frames = [len(run.time_s) for run in runs]
     weathers = list(dict.fromkeys(run.weather for run in runs))
     classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
+    # The scene once; each obstruction is added to it.
     standing = build_scene_mesh(scene, middle_m=middle_m)
     static_index = np.repeat(
         [list(obstructions).index(obstruction_key(run)) for run in runs], n_frames
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
-    vehicles = list(
-        dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)])
-    )
+    # Distinct vehicles, the VUT first.
+    driving = [body.actor for run in runs for body in run.traffic]
+    vehicles = list(dict.fromkeys([vut_actor, *driving]))
     solids = tuple(build_body(actor.shapes[0]) for actor in vehicles)
     traffic_index, traffic_poses = _lay_traffic(runs, vehicles, terrain)
     return Surroundings(
@@ -440,6 +441,7 @@ def find_sights(
         vru_index,
         *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T,
     ]
+    # Frames sorted by all columns: a sight ends where any of them changes.
     order = np.lexsort(columns[::-1])
     is_new = np.any(
         [np.diff(column[order], prepend=0) != 0 for column in columns], axis=0
@@ -492,10 +494,12 @@ def draw_index(runs: Sequence[Run]) -> IntArray:
     """
     # Numbers of the encounters, which all weathers share.
     known: dict[int, int] = {}
-    which = (known.setdefault(id(run.encounter), len(known)) for run in runs)
-    return _numbered(
-        tuple(zip(which, (len(run.time_s) for run in runs), strict=True))
-    ).copy()
+    encounters = []
+    for run in runs:
+        number = known.setdefault(id(run.encounter), len(known))
+        encounters.append((number, len(run.time_s)))
+    # A copy, since the cached array is shared.
+    return _numbered(tuple(encounters)).copy()
 
 
 # Cached, since all sampled worlds ask for the same.
