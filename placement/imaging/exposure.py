@@ -187,16 +187,14 @@ def add_glare(
         return
     table = load_lamp_table()["glare"]
     where = "lamps.toml: glare"
-    share, radius_deg = (
-        take_number(table, key, where) for key in ("share_of_eye", "radius_deg")
-    )
+    share = take_number(table, "share_of_eye", where)
+    radius_deg = take_number(table, "radius_deg", where)
     places = np.stack([lamp.position_m for lamp in lamps])
     away = (places - pose.position_m).astype(np.float32)
     blocked = caster.is_blocked(np.zeros_like(away), away * np.float32(0.995))
     per_deg = camera.focal_length_px * np.radians(1.0)
-    for lamp, place, way, is_hidden in zip(
-        lamps, project_points(places, pose, camera), away, blocked, strict=True
-    ):
+    shown = project_points(places, pose, camera)
+    for lamp, place, way, is_hidden in zip(lamps, shown, away, blocked, strict=True):
         column, row, depth = place.tolist()
         # Occluded, too near or behind, or beyond a lens's reach.
         if is_hidden or not depth > camera.near_m or math.isnan(column):
@@ -289,16 +287,17 @@ def add_rain(
     """
     if weather.rain_rate_mmph == 0.0:
         return
+    # How many drops per cubic metre are large enough to see [1].
     slope_per_m = 4100.0 * weather.rain_rate_mmph**-0.21
-    per_m3 = (
-        _MARSHALL_PALMER_PER_M4 / slope_per_m * np.exp(-slope_per_m * _LEAST_DROP_M)
-    )
+    share = np.exp(-slope_per_m * _LEAST_DROP_M)
+    per_m3 = _MARSHALL_PALMER_PER_M4 / slope_per_m * share
     near, far = _DROP_RANGE_M
     height_px, width_px = radiance.shape[:2]
     area_at_1m = width_px * height_px / focal_px**2
     n_drops = int(rng.poisson(per_m3 * area_at_1m * (far**3 - near**3) / 3.0))
     depth = np.cbrt(rng.uniform(near**3, far**3, n_drops))
     drop_m = _LEAST_DROP_M + rng.exponential(1.0 / slope_per_m, n_drops)
+    # How fast they fall [2], how long their streaks are, and how faint [3].
     speed = 9.65 - 10.3 * np.exp(-600.0 * drop_m)
     length_px = speed * exposure_s * np.cos(np.radians(pitch_deg)) * focal_px / depth
     thin_px = np.minimum(drop_m * focal_px / depth, 1.0)
@@ -332,6 +331,7 @@ def _streak(
         Luminance of all lines. [cd/m^2]
     """
     height, width = radiance.shape[:2]
+    # Pixels of all lines, one line after the other.
     n_pixels = np.maximum(length_px, 1.0).astype(np.int64)
     first = np.cumsum(n_pixels) - n_pixels
     along = np.arange(int(n_pixels.sum())) - np.repeat(first, n_pixels)
@@ -346,6 +346,5 @@ def _streak(
     ).astype(np.float32)
     wet = np.flatnonzero(share)
     flat = radiance.reshape(-1, 3)
-    flat[wet] += np.minimum(share[wet], 1.0)[:, None] * (
-        colour.astype(np.float32) - flat[wet]
-    )
+    difference = colour.astype(np.float32) - flat[wet]
+    flat[wet] += np.minimum(share[wet], 1.0)[:, None] * difference

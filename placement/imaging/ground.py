@@ -296,16 +296,11 @@ class GroundMap:
             As in `layers`.
         """
         n_north, n_east = self.layers.shape[:2]
-        x = np.clip(
-            (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M),
-            0,
-            n_east - 1.001,
-        )
-        y = np.clip(
-            (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M),
-            0,
-            n_north - 1.001,
-        )
+        # Position in texels, as far as the map goes.
+        x = (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M)
+        y = (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M)
+        x = np.clip(x, 0, n_east - 1.001)
+        y = np.clip(y, 0, n_north - 1.001)
         column = x.astype(np.int32)
         row = y.astype(np.int32)
         x -= column
@@ -314,6 +309,7 @@ class GroundMap:
         first = row * np.int32(n_east) + column
         x = x[:, None]
         y = y[:, None]
+        # Between the two texels of the lower row, of the upper row, then of both.
         low: FloatRays = flat.take(first, axis=0)
         low += x * (flat.take(first + 1, axis=0) - low)
         high = flat.take(first + np.int32(n_east), axis=0)
@@ -354,12 +350,10 @@ def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> 
     for thing in things:
         if thing.class_name in _SHADERS:
             yaw = np.radians(thing.pose.yaw_deg)
-            rectangle = np.array(
-                [*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])]
-            )
-            window, points = _window(
-                origin_m, layers, _corners(rectangle), _SHADE_REACH_M
-            )
+            half_size_m = 0.5 * thing.size_m[:2]
+            rectangle = np.array([*thing.pose.position_m[:2], yaw, *half_size_m])
+            corners = _corners(rectangle)
+            window, points = _window(origin_m, layers, corners, _SHADE_REACH_M)
             distance = rectangle_distance(points, rectangle)
             layers[*window, SKY] *= sky_left(distance, thing)
 
@@ -390,7 +384,8 @@ def _scene_layers(
     )
     if not len(corners):
         corners = np.zeros((1, 2))
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     n_east, n_north = (np.ceil((high - low) / _STEP_M).astype(int) + 2).tolist()
     layers = np.empty((n_north, n_east, 3), dtype=np.float32)
     layers[...] = [_ROAD_REACH_M, _PAINT_REACH_M, 1.0]
@@ -400,6 +395,7 @@ def _scene_layers(
         stored = layers[*window, layer]
         stored[...] = np.minimum(stored, rectangle_distance(points, rectangle))
 
+    # Each layer holds the distance to the nearest of its rectangles.
     for rectangle in build_road(scene):
         keep_least(ROAD, rectangle, _ROAD_REACH_M)
     if len(scene.outline_m):

@@ -95,9 +95,9 @@ class StreetLamp:
     @property
     def _cosines(self) -> tuple[float, float]:
         """Cosines of the inner and the outer angle."""
-        return math.cos(math.radians(self.inner_deg)), math.cos(
-            math.radians(self.outer_deg)
-        )
+        inner = math.cos(math.radians(self.inner_deg))
+        outer = math.cos(math.radians(self.outer_deg))
+        return inner, outer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,18 +138,14 @@ class HeadLamp:
             beam["kink_max_deg"],
         )
         below_deg = np.float32(beam["cut_off_deg"]) + rise_deg - up_deg
-        share = 1.0 / (
-            1.0
-            + np.exp(np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30))
-        )
+        # A soft cut-off, then what falls off downwards and to either side.
+        above_soft = np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30)
+        share = 1.0 / (1.0 + np.exp(above_soft))
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
         share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
-        return np.where(
-            is_ahead,
-            above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share,
-            np.float32(0),
-        )
+        intensity = above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share
+        return np.where(is_ahead, intensity, np.float32(0))
 
 
 Lamp = StreetLamp | HeadLamp
@@ -200,7 +196,11 @@ def build_headlights(
     ahead_m = 0.5 * vut.length_m + _AHEAD_M
     side_m = 0.5 * beam["apart_m"]
     places = to_world([[ahead_m, y, beam["height_m"]] for y in (side_m, -side_m)], pose)
-    to_oncoming = np.array([1.0, -1.0 if keeps_left else 1.0, 1.0])
+    # The oncoming lane is on the left where traffic keeps right.
+    side = 1.0
+    if keeps_left:
+        side = -1.0
+    to_oncoming = np.array([1.0, side, 1.0])
     return tuple(
         HeadLamp(
             position_m=place,
@@ -222,12 +222,11 @@ def load_lamp_table() -> dict[str, Any]:
 
 def _points_along(line: FloatArray) -> FloatArray:
     """Points of a line (n, 2), about a metre apart."""
-    pieces = [
-        start
-        + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end - start))))[:, None]
-        * (end - start)
-        for start, end in pairwise(line)
-    ]
+    pieces = []
+    for start, end in pairwise(line):
+        n_points = max(2, int(np.linalg.norm(end - start)))
+        shares = np.linspace(0.0, 1.0, n_points)
+        pieces.append(start + shares[:, None] * (end - start))
     return np.concatenate(pieces)
 
 
@@ -430,6 +429,7 @@ def illuminance(
     level = sky.sky_lux + max(float(sky.to_sun[2]), 0.0) * sky.sun_lux
     below = np.float32(ground_albedo) * (0.5 - 0.5 * upness)
     starts = _off_surfaces(hits, origin_m)
+    # Light that comes back from the ground, to all that does not face straight up.
     if (level > 0.0).any() and not (upness > 0.999).all():
         lux += below[:, None] * level.astype(np.float32)
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
@@ -530,9 +530,10 @@ def _add_lamps(
         strength *= np.maximum(-cosine, 0.0)
         total += strength
         direct.append((lamp, strength))
-        by_colour.setdefault(tuple(lamp.colour.tolist()), np.zeros_like(total))[
-            ...
-        ] -= glow
+        colour = tuple(lamp.colour.tolist())
+        by_colour.setdefault(colour, np.zeros_like(total))
+        by_colour[colour] -= glow
+    # Shadows, only of lamps that give enough of the light of a point.
     total *= np.float32(_SHADOW_SHARE)
     for lamp, strength in direct:
         rays = np.flatnonzero(strength > total)

@@ -190,10 +190,12 @@ def _axles(thing: Thing) -> tuple[float, float]:
 
     Of things without a wheelbase each is 0.3 of the length from the middle.
     """
-    if thing.actor is not None and thing.actor.wheelbase_m > 0.0:
-        front_m = thing.actor.front_axle_ahead_m
-        return front_m, front_m - thing.actor.wheelbase_m
-    return 0.3 * float(thing.size_m[0]), -0.3 * float(thing.size_m[0])
+    actor = thing.actor
+    if actor is not None and actor.wheelbase_m > 0.0:
+        front_m = actor.front_axle_ahead_m
+        return front_m, front_m - actor.wheelbase_m
+    length_m = float(thing.size_m[0])
+    return 0.3 * length_m, -0.3 * length_m
 
 
 def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
@@ -204,28 +206,26 @@ def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
     number : int
         The thing's number, by which parked vehicles take the paints in turn.
     """
+    kind = thing.class_name
     if thing.name == "vut":
         return np.stack([materials.vut_paint] * 2)
-    if thing.class_name == "car":
+    if kind == "car":
         return np.stack([materials.car_paint] * 2)
-    if thing.class_name in ("parked vehicle", "vehicle"):
-        return np.stack(
-            [materials.parked_paints[number % len(materials.parked_paints)]] * 2
-        )
-    if thing.class_name in ("pedestrian", "cyclist", "motorcyclist"):
+    if kind in ("parked vehicle", "vehicle"):
+        paint = materials.parked_paints[number % len(materials.parked_paints)]
+        return np.stack([paint] * 2)
+    if kind in ("pedestrian", "cyclist", "motorcyclist"):
+        # Clothes of this very actor, or else of anyone of its class.
+        fallback = kind
+        if kind == "pedestrian":
+            fallback = "adult"
+        name = ""
         if thing.actor is not None:
             name = thing.actor.name
-        else:
-            name = ""
-        if thing.class_name == "pedestrian":
-            fallback = "adult"
-        else:
-            fallback = thing.class_name
         return materials.clothes.get(name, materials.clothes[fallback])
-    surface = {"ground": "asphalt", "building": "facade"}.get(
-        thing.class_name, thing.class_name
-    )
-    return np.stack([materials.albedo[surface.replace(" ", "-")]] * 2)
+    surface = {"ground": "asphalt", "building": "facade"}.get(kind, kind)
+    albedo = materials.albedo[surface.replace(" ", "-")]
+    return np.stack([albedo] * 2)
 
 
 @cache
@@ -238,20 +238,23 @@ def load_materials() -> Materials:
         An albedo is not a share, 0 to 1.
     """
     table = load_data(__package__, _WHERE)
+    paints = table["paints"]
     pattern = dict(table["pattern"])
     colour = pattern.pop("lit_window_colour")
+    albedo = {
+        name: _albedo(entry["albedo"], (3,), name)
+        for name, entry in table["surfaces"].items()
+    }
+    clothes = {}
+    for name, entry in table["clothes"].items():
+        top_and_legs = [entry["top"], entry["legs"]]
+        clothes[name] = _albedo(top_and_legs, (2, 3), f"clothes.{name}")
     return Materials(
-        albedo={
-            name: _albedo(entry["albedo"], (3,), name)
-            for name, entry in table["surfaces"].items()
-        },
-        clothes={
-            name: _albedo([entry["top"], entry["legs"]], (2, 3), f"clothes.{name}")
-            for name, entry in table["clothes"].items()
-        },
-        vut_paint=_albedo(table["paints"]["vut"], (3,), "paints.vut"),
-        car_paint=_albedo(table["paints"]["car"], (3,), "paints.car"),
-        parked_paints=_albedo(table["paints"]["parked"], (-1, 3), "paints.parked"),
+        albedo=albedo,
+        clothes=clothes,
+        vut_paint=_albedo(paints["vut"], (3,), "paints.vut"),
+        car_paint=_albedo(paints["car"], (3,), "paints.car"),
+        parked_paints=_albedo(paints["parked"], (-1, 3), "paints.parked"),
         markings=read_table(table["markings"], dict[str, float], f"{_WHERE}: markings"),
         pattern=read_table(pattern, dict[str, float], f"{_WHERE}: pattern"),
         gloss=read_table(table["gloss"], dict[str, float], f"{_WHERE}: gloss"),
@@ -348,48 +351,48 @@ def coat_ground(
         np.float32
     )
     grain = grain_at(ground.grain, east, north, per_m)
+    # What is finer than a pixel fades.
     grain *= np.minimum(np.float32(1.0 / _GRAIN_PER_M[0]) / pixel, 1.0)
     patches = soft_noise_at(ground.patches, east, north, texel_m=_PATCH_M)
     albedo = materials.albedo
     pattern = materials.pattern
     colour = np.empty((len(east), 3), dtype=np.float32)
     colour[...] = albedo["asphalt"]
-    wear = 1.0 - np.float32(materials.markings["wear"]) * np.clip(
-        0.5 + 0.4 * patches, 0.0, 1.0
-    )
+    # Paint on the road, worn in patches.
+    worn = np.clip(0.5 + 0.4 * patches, 0.0, 1.0)
+    wear = 1.0 - np.float32(materials.markings["wear"]) * worn
     painted = np.flatnonzero(layers[:, PAINT] < pixel)
     share = cover(layers[painted, PAINT], pixel[painted]) * wear[painted]
     under = colour[painted]
     blend(under, albedo["paint"], share)
     colour[painted] = under
+    # Off the road: kerb, then pavement of slabs, then grass.
     off = np.flatnonzero(road > -pixel)
     if len(off):
         at = road[off]
         size = pixel[off]
         spot = colour[off]
         blend(spot, albedo["kerb"], 1.0 - cover(at, size))
-        blend(
-            spot,
-            albedo["pavement"],
-            1.0 - cover(at - np.float32(pattern["kerb_m"]), size),
-        )
+        beyond_kerb = at - np.float32(pattern["kerb_m"])
+        blend(spot, albedo["pavement"], 1.0 - cover(beyond_kerb, size))
         joints = _joints(east[off], north[off], pattern["slab_m"], size)
         spot *= 1.0 - 0.25 * (joints * (at > pattern["kerb_m"]))[:, None]
-        verge = 1.0 - cover(
-            at - np.float32(pattern["pavement_m"]), size + np.float32(0.1)
-        )
-        blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[off, None]), verge)
+        beyond_pavement = at - np.float32(pattern["pavement_m"])
+        verge = 1.0 - cover(beyond_pavement, size + np.float32(0.1))
+        grass = albedo["verge"] * (1.0 + 0.25 * patches[off, None])
+        blend(spot, grass, verge)
         colour[off] = spot
-    colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(
-        0.5, 1.6
-    )[:, None]
+    # Uneven brightness everywhere; what is wet is darker.
+    uneven = 1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain
+    colour *= uneven.clip(0.5, 1.6)[:, None]
     colour *= np.float32(1.0 - wetness * materials.gloss["wet_darkening"])
+    # Puddles: water lies where the patches are low.
+    water = np.clip(1.2 - 0.5 * patches, 0.2, 2.0)
+    ripples = patches + 0.5 * grain
     coat = Coat(
         albedo=colour,
-        # Puddles: water lies where the patches are low.
-        mirror=np.float32(wetness * materials.gloss["water"])
-        * np.clip(1.2 - 0.5 * patches, 0.2, 2.0),
-        rough=np.float32(materials.gloss["wet_roughness"]) * (patches + 0.5 * grain),
+        mirror=np.float32(wetness * materials.gloss["water"]) * water,
+        rough=np.float32(materials.gloss["wet_roughness"]) * ripples,
         glow=np.zeros_like(colour),
     )
     return coat, layers[:, SKY]
@@ -433,16 +436,18 @@ def coat_facade(
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.04)
     coat = _plain(albedo["facade"], 1.0 + 0.035 * dirt)
     blend(coat.albedo, albedo["plinth"], cover(up - 0.6, pixel))
+    # Position in the grid of windows, from the middle of one and from its floor.
     column = np.floor(along / np.float32(pattern["window_pitch_m"]))
     storey = np.floor(up / np.float32(pattern["storey_m"]))
     across = along - (column + np.float32(0.5)) * np.float32(pattern["window_pitch_m"])
     above = up - storey * np.float32(pattern["storey_m"])
     sill = pattern["window_sill_m"]
     top = pattern["window_top_m"]
-    edge = np.maximum(
-        np.abs(across) - np.float32(0.5 * pattern["window_width_m"]),
-        np.abs(above - np.float32(0.5 * (sill + top))) - np.float32(0.5 * (top - sill)),
-    )
+    # Distance from the edge of the window, negative inside; roofs have no windows.
+    beside = np.abs(across) - np.float32(0.5 * pattern["window_width_m"])
+    middle_m = np.float32(0.5 * (sill + top))
+    over = np.abs(above - middle_m) - np.float32(0.5 * (top - sill))
+    edge = np.maximum(beside, over)
     is_wall = np.abs(hits.normals[:, 2]) < 0.5
     away: FloatRays = np.where(is_wall, edge, np.float32(9.0)).astype(np.float32)
     blend(coat.albedo, albedo["frame"], cover(away - np.float32(0.07), pixel))
@@ -452,12 +457,10 @@ def coat_facade(
     coat.mirror[...] = share * np.float32(materials.gloss["pane"])
     if has_lamps:
         # One value of noise per window.
-        chance = grain_at(
-            ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS)
-        )
-        is_lit = chance > np.float32(
-            NormalDist().inv_cdf(1.0 - pattern["lit_window_share"])
-        )
+        texels = np.full_like(along, _TEXELS)
+        chance = grain_at(ground.grain, column + 7.0 * storey, storey, texels)
+        limit = NormalDist().inv_cdf(1.0 - pattern["lit_window_share"])
+        is_lit = chance > np.float32(limit)
         light = materials.lit_window_colour * np.float32(pattern["lit_window_cdpm2"])
         coat.glow[...] = (share * is_lit)[:, None] * light
     return coat
@@ -469,6 +472,7 @@ def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
     pitch = np.float32(materials.pattern["wall_panel_m"])
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.03)
     coat = _plain(materials.albedo["wall"], 1.0 + 0.10 * dirt)
+    # Joints between the panels, fainter where they are narrower than a pixel.
     away = np.abs(along / pitch - np.rint(along / pitch)) * pitch - np.float32(0.012)
     thin = np.minimum(np.float32(0.024) / hits.pixel_m, 1.0)
     coat.albedo[...] *= 1.0 - 0.45 * (cover(away, hits.pixel_m) * thin)[:, None]
@@ -480,9 +484,8 @@ def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
 def coat_plain(hits: Hits, ground: GroundMap, albedo: FloatRays) -> Coat:
     """Coat of posts and plants: one colour with a little dirt."""
     along, up = _wall_coordinates(hits)
-    return _plain(
-        albedo, 1.0 + 0.06 * soft_noise_at(ground.patches, along, up, texel_m=0.05)
-    )
+    dirt = soft_noise_at(ground.patches, along, up, texel_m=0.05)
+    return _plain(albedo, 1.0 + 0.06 * dirt)
 
 
 def _plain(albedo: FloatRays, factor: FloatRays) -> Coat:
@@ -536,6 +539,7 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     closed = is_van & (x < 0.16 * length)
     pane &= np.where(is_side, ~(pillar | closed), side < 0.385 * width)
     pane &= is_side | front | (rear & ~is_van)
+    # Lamps, plates and grille, by shares of the vehicle's size.
     head = (
         front
         & (x > 0.36 * length)
@@ -587,11 +591,8 @@ def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     x, y, z, _ = _into_body(hits, things)
     side = np.abs(y)
     is_bicycle = (z < 0.86) & ((side < 0.055) | (x > 0.30))
-    is_tyre = (
-        is_bicycle
-        & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37)
-        & (side < 0.03)
-    )
+    from_wheel = np.minimum(np.abs(x - 0.59), np.abs(x + 0.62))
+    is_tyre = is_bicycle & (from_wheel < 0.37) & (side < 0.03)
     is_grip = (x > 0.30) & (z < 1.2)
     coat = _dressed(hits, things, is_leg=(z < 1.06) & (x < 0.30))
     shoes = (z < 0.32) & (side > 0.055)

@@ -199,6 +199,7 @@ def build_moving_meshes(
     ]
     vut = run.encounter.vut
     vru = run.encounter.vru
+    # The VUT, then the VRU come last.
     if with_vut:
         where = run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
         bodies.append(("vut", vut, 0, *where))
@@ -536,14 +537,19 @@ def scan_mesh(
     instance = mesh.triangle_thing[triangle]
     by_class = load_surface_reflectivity()
     of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
-    of_things = [
-        of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things
-    ]
+    of_things = []
+    for thing in mesh.things:
+        if thing.name == "vru":
+            of_things.append(of_vru)
+        else:
+            of_things.append(by_class[thing.class_name])
     reflectivity = np.array(of_things)[instance]
+    # Cosine of incidence on each triangle that is hit.
     a, b, c = np.moveaxis(mesh.corners_m[triangle].astype(np.float64), 1, 0)
     across = np.cross(b - a, c - a)
     normals = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
     cosine = np.abs(np.einsum("ni,ni->n", normals, ways[hits]))
+    # Which pulses come back, and what they report.
     rng = np.random.default_rng(seed)
     probability = return_probability(
         lidar,

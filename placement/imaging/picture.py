@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -260,6 +260,7 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     instance[met] = mesh.triangle_thing.take(triangle[met])
     classes = [_CLASSES.index(thing.class_name) for thing in mesh.things]
     kinds = np.array(classes, dtype=np.int8)[instance]
+    # Surfaces of one class at a time: each class has a coat of its own.
     for kind in np.unique(kinds[met]).tolist():
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
@@ -272,7 +273,9 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
             whole[index] = part
         sky.fade(light, distance)
         radiance[index] = light
-    radiance[dark], instance[dark], depth[dark] = 0.0, -1, np.inf
+    radiance[dark] = 0.0
+    instance[dark] = -1
+    depth[dark] = np.inf
     for whole in surfaces:
         whole[dark] = 0.0
     return Shades(radiance, instance, depth), surfaces
@@ -518,13 +521,12 @@ def _add_mirrored(
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
     sky_lux = shot.sky.sky_lux.astype(np.float32)
-    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (
-        0.5 - 0.5 * upness
-    ) * sky_lux
+    from_above = (0.5 + 0.5 * upness) * sky_lux
+    from_below = ground_albedo() * (0.5 - 0.5 * upness) * sky_lux
+    lux = from_above + from_below
     lux += sun * shot.sky.sun_lux.astype(np.float32)
-    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(
-        1.0 / np.pi
-    )
+    mean_albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
+    lux *= mean_albedo * np.float32(1.0 / np.pi)
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
@@ -775,14 +777,15 @@ def shade_image(
     )
 
     def shade(tile: tuple[slice, slice]) -> None:
-        rows, columns = (
-            slice(part.start + first, part.stop + first)
-            for part, first in zip(tile, (window.top, window.left), strict=True)
-        )
+        down, across = tile
+        rows = slice(down.start + window.top, down.stop + window.top)
+        columns = slice(across.start + window.left, across.stop + window.left)
         shades, met = shade_rays(shot, tile_rays(shot.pose, shot.camera, rows, columns))
-        wholes, parts = (
-            (image, shades) if surfaces is None else (image + surfaces, shades + met)
-        )
+        wholes: tuple[NDArray[Any], ...] = image
+        parts: tuple[NDArray[Any], ...] = shades
+        if surfaces is not None:
+            wholes = (*image, *surfaces)
+            parts = (*shades, *met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)
 

@@ -151,6 +151,10 @@ def draw_still(
         is_edge = find_edges(raw.radiance)
         smooth = raw.radiance.copy()
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
+    # Headlights shine only where lamps are on.
+    lit_surfaces = None
+    if weather.has_lamps:
+        lit_surfaces = surfaces
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     rays = tile_rays(pose, camera, window.rows, window.columns)
@@ -163,7 +167,7 @@ def draw_still(
         shot=shot,
         rays=rays,
         raw=raw,
-        surfaces=surfaces if weather.has_lamps else None,
+        surfaces=lit_surfaces,
         is_edge=is_edge,
         smooth=smooth,
         mirrors=mirrors,
@@ -255,7 +259,8 @@ def _add_moving(
     rays = still.rays
     raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
-    radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
+    radiance = image.radiance.reshape(-1, 3)
+    smooth = still.smooth.copy()
 
     def shade(part: IntArray) -> None:
         shades, _ = shade_rays(shot, rays[part])
@@ -546,7 +551,8 @@ def _find_changed(
     # Lights, and the blocks of pixels that each box may shade from them.
     shades = []
     for place, reach_m in _lights(shot):
-        ways, may_shade = place - middle, np.zeros(may_show.shape, dtype=np.bool_)
+        ways = place - middle
+        may_shade = np.zeros(may_show.shape, dtype=np.bool_)
         near = np.flatnonzero(_dot(ways, ways) <= (reach_m + radius) ** 2)
         for box, mask in zip(boxes, may_shade, strict=True):
             mask[near] = _may_meet(box, middle[near], ways[near], radius[near])
