@@ -85,15 +85,15 @@ class GeometricDetector:
     @property
     def description(self) -> str:
         """Sentence that says when it detects."""
+        by_lidar = ""
+        if self.lidar:
+            by_lidar = self.lidar.description
         return (
             "A road user counts as detected in a frame if the box around its visible"
-            " part overlaps "
-            f"the box around all of it by more than {self.min_iou:g} (intersection over"
-            " union), is "
-            f"at least {self.min_box_height_px:g} pixels high, and light and air leave"
-            " it a "
-            f"contrast of at least {100.0 * self.min_contrast:g} %."
-            f"{self.lidar.description if self.lidar else ''}"
+            " part overlaps the box around all of it by more than"
+            f" {self.min_iou:g} (intersection over union), is at least"
+            f" {self.min_box_height_px:g} pixels high, and light and air leave it a"
+            f" contrast of at least {100.0 * self.min_contrast:g} %.{by_lidar}"
         )
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
@@ -123,7 +123,10 @@ class GeometricDetector:
     def fingerprint(self) -> tuple[object, ...]:
         """Values that it depends on."""
         numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
-        return ("geometric", *numbers, *([self.lidar] if self.lidar else []))
+        # Nothing is added without a table for LiDARs, so that cached tables stay valid.
+        if self.lidar:
+            return ("geometric", *numbers, self.lidar)
+        return ("geometric", *numbers)
 
 
 # ---------- by probability
@@ -258,15 +261,16 @@ class ResponseDetector:
     @property
     def description(self) -> str:
         """Sentences that say when it detects."""
+        by_lidar = ""
+        if self.lidar:
+            by_lidar = self.lidar.description
         return (
             "Whether a road user is detected in a frame is drawn by the response model "
             f"{self.name}: the probability depends on its height in pixels, the share"
-            " that is "
-            "seen, its class, the side that it shows and its contrast in light and"
-            " weather. The "
-            "detection table counts on frames with a probability of at least "
-            f"{self.plan_probability:g}.{self.assumed_words()}{self.alarm_words}"
-            f"{self.lidar.description if self.lidar else ''}"
+            " that is seen, its class, the side that it shows and its contrast in"
+            " light and weather. The detection table counts on frames with a"
+            f" probability of at least {self.plan_probability:g}."
+            f"{self.assumed_words()}{self.alarm_words}{by_lidar}"
         )
 
     def assumed_words(self, classes: Collection[str] = VRU_CLASSES) -> str:
@@ -383,18 +387,14 @@ class ResponseDetector:
 
     def fingerprint(self) -> tuple[object, ...]:
         """Values that `is_expected` depends on."""
-        return (
-            "response",
-            *(
-                getattr(self, name).tobytes()
-                for name in ("seen_share", "recall", "class_factor")
-            ),
-            *(
-                getattr(self, name)
-                for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")
-            ),
-            *([self.lidar] if self.lidar else []),
-        )
+        names = ("seen_share", "recall", "class_factor")
+        curves = [getattr(self, name).tobytes() for name in names]
+        figures = (*_POSITIVES, "cyclist_end_on", "plan_probability")
+        numbers = [getattr(self, name) for name in figures]
+        # Nothing is added without a table for LiDARs, so that cached tables stay valid.
+        if self.lidar:
+            return ("response", *curves, *numbers, self.lidar)
+        return ("response", *curves, *numbers)
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
         """Standard normal numbers of frames in ascending order, (n,).
@@ -647,10 +647,10 @@ def _read_response(
     if not isinstance(table, dict):
         refuse(str(source), "no table [response]", "a table [response]")
     try:
-        shares, recall = (
-            float_array(take_list(table, key, "response"), (-1,), key)
-            for key in ("seen_share", "recall")
+        shares = float_array(
+            take_list(table, "seen_share", "response"), (-1,), "seen_share"
         )
+        recall = float_array(take_list(table, "recall", "response"), (-1,), "recall")
         numbers: dict[str, Any] = {
             key: take_number(table, key, "response")
             for key in (*_POSITIVES, *_PROBABILITIES)
@@ -720,14 +720,11 @@ def _line(source: Path | Traversable, key: str) -> int:
     That of the table if the key is missing.
     """
     lines = source.read_text(encoding="utf-8").splitlines()
-    header = next(
-        (
-            index
-            for index, text in enumerate(lines)
-            if re.match(r"\s*\[\s*response\s*\]", text)
-        ),
-        0,
-    )
+    is_header = [bool(re.match(r"\s*\[\s*response\s*\]", text)) for text in lines]
+    header = 0
+    if any(is_header):
+        header = is_header.index(True)
+    # The table ends at the next header.
     for index in range(header + 1, len(lines)):
         if re.match(r"\s*\[", lines[index]):
             break

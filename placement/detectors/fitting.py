@@ -91,7 +91,8 @@ class Sightings:
     def evidence(self) -> Evidence:
         """Evidence of a detector; only the height of the boxes is known."""
         box = np.zeros((len(self), 4))
-        box[:, 2], box[:, 3] = 0.4 * self.height_px, self.height_px
+        box[:, 2] = 0.4 * self.height_px
+        box[:, 3] = self.height_px
         return Evidence(
             visible_px=box,
             amodal_px=box,
@@ -225,30 +226,30 @@ def gather_sightings(
     for one in pictures:
         overlap = iou(one.label_px[:, None], one.found_px[None])
         n_labels = len(one.label_px)
-        rows.append(
-            np.column_stack(
-                [
-                    box_height_px(one.label_px),
-                    *(one.seen_share, one.contrast, one.aspect_deg, one.label_class),
-                    (
-                        np.full(n_labels, one.track)
-                        if one.label_track is None
-                        else one.label_track
-                    ),
-                    np.full(n_labels, one.frame),
-                    _errors(one, overlap),
-                ]
-            )
-        )
+        track = one.label_track
+        if track is None:
+            track = np.full(n_labels, one.track)
+        columns = [
+            box_height_px(one.label_px),
+            one.seen_share,
+            one.contrast,
+            one.aspect_deg,
+            one.label_class,
+            track,
+            np.full(n_labels, one.frame),
+            _errors(one, overlap),
+        ]
+        rows.append(np.column_stack(columns))
         if not one.is_whole:
             continue
+        # False alarms: boxes that overlap no label.
         n_pictures += 1
-        if one.alone_px is None:
+        alone = one.alone_px
+        if alone is None:
             alone = one.found_px
-        else:
-            alone = one.alone_px
         alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
         n_alarms += len(alarms)
+        # False tracks go on from the picture before, if that is the one before.
         before = last.get(one.track)
         if before is None or one.frame != before.frame + 1:
             before = _Last(0, 0, alarms[:0], [])
@@ -257,11 +258,12 @@ def gather_sightings(
         n_chances += n_row >= n_confirmations
         n_confirmed += lasted.count(n_confirmations)
         last[one.track] = _Last(one.frame, n_row, alarms, lasted)
-    columns = np.concatenate([np.empty((0, 11)), *rows]).T
-    height, seen, contrast, aspect = columns[:4]
-    kind, track, frame = columns[4:7].astype(np.int64)
-    box_error = columns[7:].T
-    return Sightings(
+    # Columns in the order above; the last four are the errors of the boxes.
+    table = np.concatenate([np.empty((0, 11)), *rows]).T
+    height, seen, contrast, aspect = table[:4]
+    kind, tracks, frames = table[4:7].astype(np.int64)
+    box_error = table[7:].T
+    sightings = Sightings(
         height_px=height,
         seen_share=seen,
         contrast=contrast,
@@ -269,20 +271,22 @@ def gather_sightings(
         vru_class=kind,
         is_found=np.isfinite(box_error).all(axis=1),
         box_error=box_error,
-        track=track,
-        frame=frame,
-    ), FalseAlarms(
+        track=tracks,
+        frame=frames,
+    )
+    per_hour = None
+    if n_chances:
+        per_frame = poisson(n_confirmed, n_chances)
+        per_hour = per_frame.times(3600.0 * frame_rate_hz)
+    alarms_found = FalseAlarms(
         pictures=n_pictures,
         alarms=n_alarms,
         per_picture=poisson(n_alarms, max(n_pictures, 1)),
         chances=n_chances,
         confirmed=n_confirmed,
-        per_hour=(
-            poisson(n_confirmed, n_chances).times(3600.0 * frame_rate_hz)
-            if n_chances
-            else None
-        ),
+        per_hour=per_hour,
     )
+    return sightings, alarms_found
 
 
 def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
@@ -353,14 +357,9 @@ def wilson(n_found: int, n_all: int) -> Interval:
     z = 1.959964
     share = n_found / n_all
     middle = (share + z**2 / (2.0 * n_all)) / (1.0 + z**2 / n_all)
-    half = (
-        z
-        / (1.0 + z**2 / n_all)
-        * np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
-    )
-    return Interval(
-        share, max(0.0, middle - float(half)), min(1.0, middle + float(half))
-    )
+    spread = np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
+    half = float(z / (1.0 + z**2 / n_all) * spread)
+    return Interval(share, max(0.0, middle - half), min(1.0, middle + half))
 
 
 def share_by_track(found: BoolArray, track: IntArray) -> Interval:
@@ -622,7 +621,9 @@ def _fit(sightings: Sightings, free: BoolArray) -> FloatArray:
     """
     from scipy.optimize import minimize
 
-    evidence, found, prior = sightings.evidence(), sightings.is_found, _prior()
+    evidence = sightings.evidence()
+    found = sightings.is_found
+    prior = _prior()
 
     def unlikeliness(values: FloatArray) -> float:
         away = values - prior[free]
@@ -690,6 +691,7 @@ def _table_spread(
             _log_chance(best + way * step, evidence, found) for way in (1.0, -1.0)
         )
         columns.append((above - below) / (2.0 * _STEP))
+    # The sandwich: curvature, from the scores of frames, around that of tracks.
     score = np.stack(columns, axis=1)
     bread = score.T @ score + _PRIOR_FRAMES / len(best) * np.eye(score.shape[1])
     by_track = np.zeros((int(sightings.track.max()) + 1, score.shape[1]))
@@ -699,12 +701,13 @@ def _table_spread(
     drawn = rng.multivariate_normal(best[free], covariance, size=draws, method="eigh")
     low = (_prior() - _REACH)[free]
     high = (_prior() + _REACH)[free]
-    numbers = [
-        _numbers(_detector(_whole(row, free), "")) for row in np.clip(drawn, low, high)
-    ]
-    return {
-        key: np.array([one[key] for one in numbers]) for key in (numbers or [{}])[0]
-    }
+    numbers = []
+    for row in np.clip(drawn, low, high):
+        table = _detector(_whole(row, free), "")
+        numbers.append(_numbers(table))
+    if not numbers:
+        return {}
+    return {key: np.array([one[key] for one in numbers]) for key in numbers[0]}
 
 
 def _other_spread(
@@ -1112,10 +1115,13 @@ def _group(
 ) -> Group:
     """Figures of the frames in a mask (n,)."""
     found = sightings.is_found[rows]
+    expected = 0.0
+    if len(found):
+        expected = float(probability[rows].mean())
     return Group(
         name=name,
         frames=len(found),
         found=int(found.sum()),
         recall=share_by_track(found, sightings.track[rows]),
-        expected=float(probability[rows].mean()) if len(found) else 0.0,
+        expected=expected,
     )

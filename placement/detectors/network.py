@@ -120,7 +120,9 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
     They are known by shape and type: torchvision, and RT-DETR in batches.
     """
     is_batch = all(v.ndim > 1 and len(v) == 1 for v in outputs.values())
-    rows = {n: v[0] if is_batch else v for n, v in outputs.items()}
+    rows = dict(outputs)
+    if is_batch:
+        rows = {n: v[0] for n, v in outputs.items()}
     boxes = [n for n, v in rows.items() if v.ndim == 2 and v.shape[1] == 4]
     labels = [n for n, v in rows.items() if v.ndim == 1 and v.dtype.kind == "i"]
     scores = [n for n, v in rows.items() if v.ndim == 1 and v.dtype.kind == "f"]
@@ -136,7 +138,10 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
 
     # Labels do not tell their number: torchvision uses COCO's 91, RT-DETR, in batches,
     # its 80.
-    return Export(kinds=numberings[0 if is_batch else -1].kinds, read=read)
+    numbering = numberings[-1]
+    if is_batch:
+        numbering = numberings[0]
+    return Export(kinds=numbering.kinds, read=read)
 
 
 def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
@@ -443,7 +448,9 @@ class _Session:
             "pixel_mask": np.ones((1, height, width), dtype=np.int64),
             "orig_target_sizes": np.array([[width, height]], dtype=np.int64),
         }
-        feed = {self.image_input: chw[None] if self.has_batch else chw}
+        feed = {self.image_input: chw}
+        if self.has_batch:
+            feed = {self.image_input: chw[None]}
         feed |= {name: sides[name] for name in self.side_inputs}
         names = [output.name for output in self.session.get_outputs()]
         try:
@@ -614,12 +621,13 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
     persons = of_kind("person")
     cycles = of_kind(cycle)
     who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
-    a = persons[0][who]
-    b = cycles[0][what]
-    joined = (
-        np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
-        np.minimum(persons[1][who], cycles[1][what]),
-    )
+    # The box around a person and a cycle that overlap.
+    person_px = persons[0][who]
+    cycle_px = cycles[0][what]
+    low = np.minimum(person_px, cycle_px)[:, :2]
+    high = np.maximum(person_px, cycle_px)[:, 2:]
+    how_sure = np.minimum(persons[1][who], cycles[1][what])
+    joined = (np.concatenate([low, high], axis=1), how_sure)
     boxes, confidence = zip(joined, of_kind(rider), persons, cycles, strict=True)
     return np.concatenate(boxes), np.concatenate(confidence)
 
@@ -660,10 +668,13 @@ def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterb
     scale = min(
         (fixed / side for fixed, side in sides if fixed is not None), default=1.0
     )
-    across, down = (
-        math.ceil(side * scale / stride_px) * stride_px if fixed is None else fixed
-        for fixed, side in sides
-    )
+    fitted = []
+    for fixed, side in sides:
+        if fixed is None:
+            fitted.append(math.ceil(side * scale / stride_px) * stride_px)
+        else:
+            fitted.append(fixed)
+    across, down = fitted
     return letterbox(image, width_px=across, height_px=down, scale=scale)
 
 
@@ -699,10 +710,9 @@ def _open(path: Path) -> _Session:
         raise InputError(str(path), _first_line(error), "an ONNX file") from None
     inputs = session.get_inputs()
     images = [entry for entry in inputs if entry.name not in _SIDE_INPUTS]
+    shape = []
     if len(images) == 1:
         shape = list(images[0].shape)
-    else:
-        shape = []
     has_batch = len(shape) == 4
     is_image = len(shape) in (3, 4) and _may_be(shape[-3], 3)
     is_image = is_image and (not has_batch or _may_be(shape[0], 1))
@@ -711,9 +721,7 @@ def _open(path: Path) -> _Session:
             f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs
         )
         refuse(str(path), f"inputs {got or 'none'}", _IMAGE)
-    height, width = (
-        side if isinstance(side, int) and side > 0 else None for side in shape[-2:]
-    )
+    height, width = (_fixed_px(side) for side in shape[-2:])
     return _Session(
         path=path,
         session=session,
@@ -725,6 +733,13 @@ def _open(path: Path) -> _Session:
         pixel_type=_PIXEL_TYPES[images[0].type],
         class_names=session.get_modelmeta().custom_metadata_map.get("names"),
     )
+
+
+def _fixed_px(side: object) -> int | None:
+    """Declared side of an image; None if it is free."""
+    if isinstance(side, int) and side > 0:
+        return side
+    return None
 
 
 def _may_be(side: object, expected: int) -> bool:
@@ -787,15 +802,18 @@ class NetworkDetector:
     @property
     def description(self) -> str:
         """Sentences that say when it detects."""
+        where = ""
+        if self.looks_at_crops:
+            where = ", around the road user"
+        by_lidar = ""
+        if self.lidar:
+            by_lidar = self.lidar.description
         return (
-            f"The network {self.name} looks at rendered pictures"
-            f"{', around the road user' if self.looks_at_crops else ''}; its boxes "
-            f"count from a confidence of {self.min_confidence:g} on where they overlap"
-            " the road "
-            f"user's visible part by more than {load_min_iou():g} (intersection over"
-            " union). Poses "
-            f"are chosen {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}"
-            f"{self.lidar.description if self.lidar else ''}"
+            f"The network {self.name} looks at rendered pictures{where}; its boxes"
+            f" count from a confidence of {self.min_confidence:g} on where they overlap"
+            f" the road user's visible part by more than {load_min_iou():g}"
+            " (intersection over union). Poses are chosen"
+            f" {_CHOSEN_BY[self.plans_with]}.{self.alarm_words}{by_lidar}"
         )
 
     def look(self, image: Image) -> ImageBoxes:
@@ -856,7 +874,10 @@ class NetworkDetector:
         InputError
             The evidence has no pictures.
         """
-        if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
+        pictures: object = evidence.picture
+        if self.looks_at_crops:
+            pictures = evidence.crops
+        if pictures is None:
             refuse("evidence", "no pictures", "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
         large = np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist()
