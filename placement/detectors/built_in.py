@@ -41,13 +41,31 @@ from .evidence import (
 # ---------- by boxes alone
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeometricDetector:
-    """Detects by boxes alone: the same evidence always gives the same answer."""
+    """Detects by boxes alone: the same evidence always gives the same answer.
 
-    # the box of the visible part must overlap that of the whole VRU (amodal) by more
-    # than this
+    Attributes
+    ----------
+    min_iou : float
+        The box of the visible part must overlap that of the whole VRU (amodal) by more
+        than this.
+    min_box_height_px : float
+        Least height of the visible box. [px]
+    min_contrast : float
+        Least contrast of the VRU.
+    name : str
+        In reports.
+    lidar : LidarTable, optional
+        What LiDARs find.
+
+    Raises
+    ------
+    InputError
+        A limit is out of range.
+    """
+
     min_iou: float
-    min_box_height_px: float  # the visible box must be at least this high. [px]
-    min_contrast: float = 0.0  # the VRU must stand out by at least this much
+    min_box_height_px: float
+    min_contrast: float = 0.0
     name: str = "geometric"
     lidar: LidarTable | None = None
 
@@ -82,7 +100,7 @@ class GeometricDetector:
         return join_phrases([words, self.lidar.description], " ")
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows that it detects, (n,)."""
+        """Mask of rows that it detects, (n,)."""
         return (
             (iou(evidence.visible_px, evidence.amodal_px) > self.min_iou)
             & (box_height_px(evidence.visible_px) >= self.min_box_height_px)
@@ -90,14 +108,14 @@ class GeometricDetector:
         )
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
-        """The least height where the contrast is enough, infinite elsewhere, (n,)."""
+        """Least height where the contrast is enough, infinite elsewhere, (n,)."""
         is_clear = np.broadcast_to(
             evidence.contrast >= self.min_contrast, len(evidence)
         )
         return np.where(is_clear, self.min_box_height_px, np.inf)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """The visible boxes of what it detects; `rng` is not used."""
+        """Visible boxes of the rows that it detects; `rng` is not used."""
         rows = np.flatnonzero(self.is_expected(evidence))
         return Detections(
             row_index=rows,
@@ -106,9 +124,12 @@ class GeometricDetector:
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """Everything that it depends on."""
+        """Values that it depends on."""
         numbers = (self.min_iou, self.min_box_height_px, self.min_contrast)
-        return ("geometric", *numbers, *([self.lidar] if self.lidar else []))
+        # Nothing is added without a table for LiDARs, so that cached tables stay valid.
+        if self.lidar:
+            return ("geometric", *numbers, self.lidar)
+        return ("geometric", *numbers)
 
 
 # ---------- by probability
@@ -119,7 +140,8 @@ _POSITIVES = (
     "contrast_half",
     "contrast_steepness",
 )
-_HALVINGS = 10  # of errors of boxes
+# How often the error of a box is halved until it is correct.
+_HALVINGS = 10
 _PROBABILITIES = (
     "cyclist_end_on",
     "box_noise_share",
@@ -127,28 +149,46 @@ _PROBABILITIES = (
     "plan_probability",
 )
 _FIGURES = ("recall", *VRU_CLASSES, *_POSITIVES, *_PROBABILITIES[:-1])
-"""What can be measured; from which probability on a plan counts on a frame is chosen."""
+"""What can be measured; the probability from which a plan counts is chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LastingNoise:
-    """What decides a frame, as far as it is the same in all frames of a run; all noise has 1."""
+    """Noise that stays the same in all frames of a run.
 
-    person: (
-        FloatArray  # (n,): noise of whoever is there, for all units, by `draw_index`
-    )
-    person_share: float  # variance of it
-    unit_person_share: float  # variance of what one unit and one person have in common
+    The variances of all parts of the noise that decides a frame sum up to 1.
+
+    Attributes
+    ----------
+    person : (n,) float
+        Noise of whoever is there, for all units, by `draw_index`.
+    person_share : float
+        Its variance.
+    unit_person_share : float
+        Variance of what one unit and one person have in common.
+    """
+
+    person: FloatArray
+    person_share: float
+    unit_person_share: float
 
     @property
     def frame_share(self) -> float:
-        """Variance of what changes from frame to frame, 0 .. 1."""
+        """Variance of the noise that changes from frame to frame, 0 to 1."""
         return 1.0 - self.person_share - self.unit_person_share
 
     def frame_correlation(self, correlation: float) -> float:
-        """Correlation of what changes that leaves all noise with one of consecutive frames.
+        """Correlation between consecutive frames of the noise that changes.
 
-        0 where what lasts alone makes them more alike than that.
+        Parameters
+        ----------
+        correlation : float
+            That of all noise, which must come out.
+
+        Returns
+        -------
+        correlation : float
+            0 where what lasts alone makes frames more alike than that.
         """
         lasting = self.person_share + self.unit_person_share
         if lasting < 1.0:
@@ -158,40 +198,65 @@ class LastingNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseDetector:
-    """Detects with a probability; each frame is drawn at random."""
+    """Detects with a probability; each frame is drawn at random.
 
-    name: str  # "response", or the file that it comes from
-    # seen_share, recall: (n,): share of the VRU that is seen, ascending from 0 to 1,
-    # and the probability of a correct detection there; linear between
+    Attributes
+    ----------
+    name : str
+        "response", or the file that it comes from.
+    seen_share, recall : (n,) float
+        Share of the VRU that is seen, ascending from 0 to 1, and the probability of a
+        correct detection there; linear between.
+    height_half_px, height_steepness : float
+        Factor 1 / (1 + (half / height)^steepness) of the visible box. [px]
+    min_box_height_px : float
+        Smaller boxes are never detected. [px]
+    class_factor : (n_classes,) float
+        In the order of ``VRU_CLASSES``.
+    cyclist_end_on : float
+        Factor of a cyclist seen from straight behind or ahead; 1 from the side.
+    contrast_half, contrast_steepness : float
+        Factor 1 / (1 + (half / contrast)^steepness), relative to that at full contrast.
+    box_noise_share : float
+        Standard deviation of each side, as a share of the box's width or height.
+    frame_correlation : float
+        Between the random draws of consecutive frames.
+    plan_probability : float
+        A plan counts on a detection from this probability on.
+    assumed : tuple of str
+        Classes of which nothing is measured.
+    assumed_figures : tuple of str, optional
+        Further figures that are assumed, by their keys; None: the file does not say.
+    false_tracks_per_hour : Interval, optional
+        Tracks of nothing that a unit confirms in an hour; None: unknown.
+    lasting : LastingNoise, optional
+        In a sampled world; None: all noise is that of frames.
+    lidar : LidarTable, optional
+        What LiDARs find.
+
+    Raises
+    ------
+    InputError
+        A figure is out of range, or the shares do not ascend from 0 to 1.
+    """
+
+    name: str
     seen_share: FloatArray
     recall: FloatArray
-    # height_half_px, height_steepness: factor 1 / (1 + (half / height)^steepness) of
-    # the visible box. [px]
     height_half_px: float
     height_steepness: float
-    min_box_height_px: float  # smaller boxes are never detected. [px]
-    class_factor: FloatArray  # (n_classes,): in the order of ``VRU_CLASSES``
-    cyclist_end_on: (
-        float  # factor of a cyclist seen from straight behind or ahead; 1 from the side
-    )
-    # contrast_half, contrast_steepness: factor 1 / (1 + (half / contrast)^steepness),
-    # relative to that at full contrast
+    min_box_height_px: float
+    class_factor: FloatArray
+    cyclist_end_on: float
     contrast_half: float
     contrast_steepness: float
-    box_noise_share: (
-        float  # standard deviation of each side, as share of the box's width or height
-    )
-    frame_correlation: float  # between the random draws of consecutive frames
-    plan_probability: float  # a plan counts on a detection from this probability on
-    assumed: tuple[str, ...] = ()  # classes of which nothing is measured
-    # further figures that are assumed, by their keys; None: the file does not say
+    box_noise_share: float
+    frame_correlation: float
+    plan_probability: float
+    assumed: tuple[str, ...] = ()
     assumed_figures: tuple[str, ...] | None = None
-    # Tracks of nothing that a unit confirms in an hour, with the 95 % interval; None:
-    # unknown.
     false_tracks_per_hour: Interval | None = None
-    lasting: LastingNoise | None = (
-        None  # in a sampled world; None: all noise is that of frames
-    )
+    lasting: LastingNoise | None = None
     lidar: LidarTable | None = None
 
     needs_pictures = False
@@ -316,7 +381,7 @@ class ResponseDetector:
         return np.where(height >= max(self.min_box_height_px, 1.0e-9), probability, 0.0)
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows that are detected with at least `plan_probability`, (n,)."""
+        """Mask of rows that are detected with at least `plan_probability`, (n,)."""
         return self.probability(evidence) >= self.plan_probability
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
@@ -335,7 +400,10 @@ class ResponseDetector:
         return np.maximum(height, least)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Draw which rows are detected, and the errors of their boxes."""
+        """Draw which rows are detected, and the errors of their boxes.
+
+        Rows with the same `draw_index` share their draw.
+        """
         from scipy.special import ndtr
 
         draws, row_draw = np.unique(evidence.draw_index, return_inverse=True)
@@ -352,22 +420,27 @@ class ResponseDetector:
         )
 
     def fingerprint(self) -> tuple[object, ...]:
-        """Everything that `is_expected` depends on."""
-        return (
-            "response",
-            *(
-                getattr(self, name).tobytes()
-                for name in ("seen_share", "recall", "class_factor")
-            ),
-            *(
-                getattr(self, name)
-                for name in (*_POSITIVES, "cyclist_end_on", "plan_probability")
-            ),
-            *([self.lidar] if self.lidar else []),
-        )
+        """Values that `is_expected` depends on."""
+        names = ("seen_share", "recall", "class_factor")
+        curves = [getattr(self, name).tobytes() for name in names]
+        figures = (*_POSITIVES, "cyclist_end_on", "plan_probability")
+        numbers = [getattr(self, name) for name in figures]
+        # Nothing is added without a table for LiDARs, so that cached tables stay valid.
+        if self.lidar:
+            return ("response", *curves, *numbers, self.lidar)
+        return ("response", *curves, *numbers)
 
     def _noise(self, draws: IntArray, rng: np.random.Generator) -> FloatArray:
-        """Standard normal numbers of frames in ascending order, (n,)."""
+        """Standard normal numbers of frames in ascending order, (n,).
+
+        Parameters
+        ----------
+        draws : (n,) int
+            Distinct numbers of frames; consecutive ones are consecutive frames of a
+            run.
+        rng : Generator
+            Of the numbers.
+        """
         lasting = self.lasting
         if lasting is None:
             return linked_noise(draws, self.frame_correlation, rng)
@@ -375,14 +448,18 @@ class ResponseDetector:
             draws, lasting.frame_correlation(self.frame_correlation), rng
         )
         run = np.cumsum(np.diff(draws, prepend=draws[:1]) != 1) - 1
-        own = rng.standard_normal(len(draws))[run]  # of the unit and the person, by run
+        # Noise of one unit and one person, the same in all frames of a run.
+        own = rng.standard_normal(len(draws))[run]
         own_part = np.sqrt(lasting.unit_person_share) * own
         return np.asarray(
             own_part + np.sqrt(lasting.frame_share) * linked + lasting.person[draws]
         )
 
     def _most(self, evidence: Evidence) -> FloatArray:
-        """Probability of a correct detection of a box of any height, (n,)."""
+        """Probability of a correct detection of a box of any height, (n,).
+
+        The product of recall and the factors of class, aspect and contrast.
+        """
         seen = evidence.visible_share * evidence.inside_share
         return (
             np.interp(seen, self.seen_share, self.recall)
@@ -392,6 +469,7 @@ class ResponseDetector:
         )
 
     def _aspect_factor(self, aspect_deg: FloatArray, vru_class: IntArray) -> FloatArray:
+        """Factor for the side that is seen, (n,); 1 but for cyclists."""
         factor = np.ones(len(aspect_deg))
         is_cyclist = vru_class == VRU_CLASSES.index("cyclist")
         end_on = np.cos(np.radians(aspect_deg[is_cyclist])) ** 2
@@ -399,6 +477,7 @@ class ResponseDetector:
         return factor
 
     def _contrast_factor(self, contrast: FloatArray) -> FloatArray:
+        """Factor for the contrast, (n,); 1 at full contrast."""
         half = self.contrast_half
         steepness = self.contrast_steepness
         full = _rising(np.ones(1), half=half, steepness=steepness)
@@ -412,10 +491,22 @@ def _rising(values: FloatArray, *, half: float, steepness: float) -> FloatArray:
 
 
 def _correct_boxes(boxes_px: FloatArray, error: FloatArray) -> FloatArray:
-    """Boxes (n, 4) whose sides are off by shares (n, 4) of their sizes, as far as they are correct.
+    """Boxes whose sides are off by shares of their sizes, as far as correct.
 
     The probability is that of a correct detection: an error that would make the box
     miss the road user is halved until it does not.
+
+    Parameters
+    ----------
+    boxes_px : (n, 4) float
+        Boxes without error. [px]
+    error : (n, 4) float
+        Of each side, as a share of width or height.
+
+    Returns
+    -------
+    boxes_px : (n, 4) float
+        [px]
     """
     off = np.tile(boxes_px[:, 2:] - boxes_px[:, :2], 2) * error
     for _ in range(_HALVINGS):
@@ -442,18 +533,30 @@ _TABLE_FILES = {
 
 
 def load_detector(name: str = "geometric", *, where: str = "detector") -> Detector:
-    """Detector by name or file; `where` names it in messages.
+    """Load a detector by name or file.
 
-    Names are those of ``DETECTOR_NAMES``; files are ``.toml`` with a table
-    ``[response]`` as in ``data/detectors.toml``, or ``.onnx``. One of ``LIDAR_NAMES``
-    behind a plus sign says what LiDARs find; alone, cameras go by the first of
-    ``DETECTOR_NAMES``. Raises InputError if the name is unknown or the file cannot be
-    used, MissingExtraError for "cnn" or an ONNX file without onnxruntime.
+    Parameters
+    ----------
+    name : str
+        One of ``DETECTOR_NAMES``; a ``.toml`` file with a table ``[response]`` as in
+        ``data/detectors.toml``; or an ``.onnx`` file. One of ``LIDAR_NAMES`` behind a
+        plus sign says what LiDARs find; alone, cameras go by the first of
+        ``DETECTOR_NAMES``.
+    where : str
+        Names the option in messages.
+
+    Raises
+    ------
+    InputError
+        The name is unknown, or the file cannot be used.
+    MissingExtraError
+        "cnn" or an ONNX file without onnxruntime.
     """
     cameras, _, lidars = name.rpartition("+")
     if lidars in LIDAR_NAMES:
         found = load_detector(cameras or DETECTOR_NAMES[0], where=where)
-        named = cast(Any, found)  # all of them are dataclasses
+        # Detectors of cameras are dataclasses, which the protocol does not say.
+        named = cast(Any, found)
         both: Detector = replace(
             named, name=f"{found.name}+{lidars}", lidar=_load_lidar_table(lidars)
         )
@@ -474,8 +577,15 @@ def load_detector(name: str = "geometric", *, where: str = "detector") -> Detect
 
 
 def is_drawn(name: str) -> bool:
-    """True if a detector of this name finds people with a probability, not by a rule.
+    """True if a detector finds people with a probability, not by a rule.
 
+    Parameters
+    ----------
+    name : str
+        As :func:`load_detector` takes it.
+
+    Examples
+    --------
     >>> is_drawn("response"), is_drawn("geometric+pointrcnn-2019"), is_drawn("cnn")
     (True, True, False)
     """
@@ -485,7 +595,7 @@ def is_drawn(name: str) -> bool:
 
 @cache
 def _load_lidar_table(name: str) -> LidarTable:
-    """A built-in table of what LiDARs find."""
+    """Built-in table of what LiDARs find."""
     document = load_data(__package__, f"{name}.toml")
     of_class = [document[document["stands_for"].get(one, one)] for one in VRU_CLASSES]
     return LidarTable(
@@ -499,7 +609,7 @@ def _load_lidar_table(name: str) -> LidarTable:
 
 @cache
 def _load_shipped_network() -> Detector:
-    """The network that is shipped."""
+    """Network that is shipped, for crops."""
     words = _load_table("cnn-table").alarm_words
     how = {"looks_at_crops": True, "plans_with": "cnn-table", "alarm_words": words}
     with as_file(files(__package__) / "data" / _NETWORK_FILE) as path:
@@ -507,7 +617,7 @@ def _load_shipped_network() -> Detector:
 
 
 def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
-    """A network from a file, with the limits of a section of ``data/detectors.toml``."""
+    """Network from a file, with the limits of a section of the defaults."""
     from .network import NetworkDetector, load_onnx_model
 
     return NetworkDetector(
@@ -516,20 +626,20 @@ def _load_network(name: str, path: Path, section: str, **how: Any) -> Detector:
 
 
 def built_in_response() -> ResponseDetector:
-    """The built-in table "response"."""
+    """Built-in table "response"."""
     return _load_table("response")
 
 
 @cache
 def _load_table(name: str) -> ResponseDetector:
-    """A built-in response table."""
+    """Built-in response table of a name."""
     source = files(__package__) / "data" / _TABLE_FILES[name]
     return _read_response(source, load_toml(source), name=name)
 
 
 @cache
 def load_planning_detector(name: str = "geometric") -> PlanningDetector:
-    """One of the built-in detectors but "cnn"."""
+    """Built-in detector of any name but "cnn"."""
     if name in _TABLE_FILES:
         return _load_table(name)
     return GeometricDetector(min_iou=load_min_iou(), **_limits(name))
@@ -537,6 +647,7 @@ def load_planning_detector(name: str = "geometric") -> PlanningDetector:
 
 @cache
 def _defaults() -> dict[str, Any]:
+    """Document ``data/detectors.toml``."""
     return load_data(__package__, _FILE)
 
 
@@ -550,15 +661,30 @@ def _limits(section: str) -> dict[str, Any]:
 def _read_response(
     source: Path | Traversable, document: Table, *, name: str
 ) -> ResponseDetector:
-    """Response table of a document; errors name the file and the line."""
+    """Response table of a document.
+
+    Parameters
+    ----------
+    source : Path or Traversable
+        The file, for messages.
+    document : Table
+        What it holds.
+    name : str
+        Of the detector.
+
+    Raises
+    ------
+    InputError
+        A figure is missing or out of range; the message names the file and the line.
+    """
     table = document.get("response")
     if not isinstance(table, dict):
         refuse(str(source), "no table [response]", "a table [response]")
     try:
-        shares, recall = (
-            float_array(take_list(table, key, "response"), (-1,), key)
-            for key in ("seen_share", "recall")
+        shares = float_array(
+            take_list(table, "seen_share", "response"), (-1,), "seen_share"
         )
+        recall = float_array(take_list(table, "recall", "response"), (-1,), "recall")
         numbers: dict[str, Any] = {
             key: take_number(table, key, "response")
             for key in (*_POSITIVES, *_PROBABILITIES)
@@ -586,8 +712,8 @@ def _read_response(
 def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
     """Factor by class, and the classes of which nothing is measured.
 
-    A file need not know the classes that the built-in table assumes: there it has the
-    same factor.
+    A file need not know the classes that the built-in table assumes: there it has
+    the same factor.
     """
     given = _defaults()["response"]
     named = _read_names(table, "assumed", VRU_CLASSES) or ()
@@ -598,7 +724,7 @@ def _read_classes(table: Table) -> tuple[dict[str, float], tuple[str, ...]]:
 
 
 def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...] | None:
-    """Names of a list; None where there is none."""
+    """Names of a list, each one of `known`; None where there is no list."""
     names = take_list({key: [], **table}, key, "response")
     for name in names:
         check_one_of(key, name, known)
@@ -608,7 +734,10 @@ def _read_names(table: Table, key: str, known: Sequence[str]) -> tuple[str, ...]
 
 
 def _read_alarms(document: Table) -> Interval | None:
-    """Rate of false tracks, of the table ``[false_tracks_per_hour]``, if there is one."""
+    """Rate of false tracks, from the table ``[false_tracks_per_hour]``.
+
+    None if there is no such table.
+    """
     where = "false_tracks_per_hour"
     if where not in document:
         return None
@@ -620,16 +749,16 @@ def _read_alarms(document: Table) -> Interval | None:
 
 
 def _line(source: Path | Traversable, key: str) -> int:
-    """Line of a key in the table ``[response]``; that of the table if the key is missing."""
+    """Line of a key in the table ``[response]``.
+
+    That of the table if the key is missing.
+    """
     lines = source.read_text(encoding="utf-8").splitlines()
-    header = next(
-        (
-            index
-            for index, text in enumerate(lines)
-            if re.match(r"\s*\[\s*response\s*\]", text)
-        ),
-        0,
-    )
+    is_header = [bool(re.match(r"\s*\[\s*response\s*\]", text)) for text in lines]
+    header = 0
+    if any(is_header):
+        header = is_header.index(True)
+    # The table ends at the next header.
     for index in range(header + 1, len(lines)):
         if re.match(r"\s*\[", lines[index]):
             break

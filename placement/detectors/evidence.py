@@ -1,4 +1,4 @@
-"""Types of image evidence and detections, the interface of detectors, and the matching of boxes."""
+"""Image evidence and detections, detectors' interface, matching of boxes."""
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -15,26 +15,41 @@ from geometry.image_boxes import iou
 from geometry.phrases import Phrase
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
-_ADULT_FROM_M = (
-    1.4  # between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets
-)
+# Between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets.
+_ADULT_FROM_M = 1.4
 
 Image = NDArray[np.uint8]
 
 
 def vru_class(actor: Actor) -> str:
-    """One of ``VRU_CLASSES``: a pedestrian below 1.4 m is a child."""
+    """Class of a road user, one of ``VRU_CLASSES``.
+
+    A pedestrian below 1.4 m is a child.
+    """
     if actor.class_name == "pedestrian" and actor.height_m < _ADULT_FROM_M:
         return "child"
     return actor.class_name
 
 
 def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
-    """Angle between the line of sight (n, 2) on the ground and the VRU's heading (n,), in degrees.
+    """Angle between the line of sight and the VRU's heading.
 
-    0 from behind or ahead, 90 from the side.
+    Parameters
+    ----------
+    sightline_m : (n, 2) float
+        From the sensor to the VRU, on the ground. [m]
+    yaw_deg : (n,) float
+        Heading of the VRU. [deg]
 
-    >>> aspects_deg(np.array([[1.0, 0.0], [1.0, 0.0]]), np.array([180.0, 80.0])).round(9)
+    Returns
+    -------
+    aspect_deg : (n,) float
+        0 from behind or ahead, 90 from the side. [deg]
+
+    Examples
+    --------
+    >>> sightline_m = np.array([[1.0, 0.0], [1.0, 0.0]])
+    >>> aspects_deg(sightline_m, np.array([180.0, 80.0])).round(9)
     array([ 0., 80.])
     """
     turned = yaw_deg - np.degrees(np.arctan2(sightline_m[:, 1], sightline_m[:, 0]))
@@ -43,29 +58,59 @@ def aspects_deg(sightline_m: FloatArray, yaw_deg: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A figure with its 95 % interval."""
+    """A figure with its 95 % interval.
+
+    Attributes
+    ----------
+    value : float
+        The figure.
+    low, high : float
+        Ends of the interval.
+    """
 
     value: float
     low: float
     high: float
 
     def times(self, factor: float) -> "Interval":
-        """All three multiplied by a factor that is not negative."""
+        """The figure and its interval, multiplied by a factor that is not negative."""
         return Interval(factor * self.value, factor * self.low, factor * self.high)
 
 
 class Crop(NamedTuple):
-    """A part of an image, perhaps at a lower resolution."""
+    """A part of an image, perhaps at a lower resolution.
 
-    pixels: Image  # (h, w, 3)
-    # left_px, top_px: its corner from the middle of the image, in pixels of the crop
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8
+        RGB.
+    left_px, top_px : float
+        Its corner from the middle of the image, in pixels of the crop. [px]
+    scale : float
+        Pixels of the image per pixel of the crop.
+    middle_px : (float, float)
+        Middle of the image. [px]
+    """
+
+    pixels: Image
     left_px: float
     top_px: float
-    scale: float  # pixels of the image per pixel of the crop
-    middle_px: tuple[float, float]  # of the image
+    scale: float
+    middle_px: tuple[float, float]
 
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
-        """Boxes (n, 4) of the crop in pixels of the image."""
+        """Boxes of the image, from boxes of the crop.
+
+        Parameters
+        ----------
+        boxes_px : (n, 4) float
+            In pixels of the crop. [px]
+
+        Returns
+        -------
+        boxes_px : (n, 4) float
+            In pixels of the image. [px]
+        """
         corner = np.array([self.left_px, self.top_px] * 2)
         return np.asarray(
             (boxes_px + corner) * self.scale + np.array(self.middle_px * 2)
@@ -76,36 +121,50 @@ class Crops(Protocol):
     """Crops around road users, by row of the evidence."""
 
     def key(self, row: int) -> Hashable:
-        """Equal for rows whose crops look the same."""
+        """Key of a row: equal for rows whose crops look the same."""
 
     def draw_all(self, rows: Sequence[int]) -> Iterable[tuple[int, Crop]]:
-        """Rows and their crops."""
+        """Rows and their crops, in any order."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """Image evidence: a row for each VRU in a unit's image in a frame."""
+    """Image evidence: a row for each VRU in a unit's image in a frame.
 
-    # visible_px, amodal_px: (n, 4): box of what is seen, and of the whole VRU inside
-    # the image; zeros where there is none. [px]
+    Attributes
+    ----------
+    visible_px, amodal_px : (n, 4) float
+        Box of what is seen, and of the whole VRU inside the image; zeros where there
+        is none. [px]
+    contrast : (n,) or (1,) float
+        Of the VRU against what is behind it, as light and air leave it.
+    visible_share : (n,) or (1,) float
+        Share that nothing occludes, of what the VRU covers inside the image.
+    inside_share : (n,) or (1,) float
+        Share of the VRU that the image's edges do not cut off.
+    aspect_deg : (n,) or (1,) float
+        Angle between the line of sight and the VRU's heading: 0 from behind or ahead,
+        90 from the side. [deg]
+    vru_class : (n,) or (1,) int
+        Into ``VRU_CLASSES``.
+    draw_index : (n,) int
+        Rows with the same number share their random draw: the same frame of the same
+        run in different weathers. Consecutive numbers are consecutive frames.
+    picture : callable, optional
+        From a row to its image, (h, w, 3) uint8, RGB.
+    crops : Crops, optional
+        Crops of the images around the VRUs.
+    """
+
     visible_px: FloatArray
     amodal_px: FloatArray
-    # (n,) or (1,): of the VRU against what is behind it, as light and air leave it
     contrast: FloatArray = field(default_factory=lambda: np.ones(1))
-    # (n,) or (1,): share that nothing hides, of what the VRU covers inside the image
     visible_share: FloatArray = field(default_factory=lambda: np.ones(1))
-    # (n,) or (1,): share of the VRU that the image's edges do not cut off
     inside_share: FloatArray = field(default_factory=lambda: np.ones(1))
-    # (n,) or (1,): between the line of sight and the VRU's heading: 0 from behind or
-    # ahead, 90 from the side
     aspect_deg: FloatArray
-    vru_class: IntArray  # (n,) or (1,): into ``VRU_CLASSES``
-    # (n,): rows with the same number share their random draw: the same frame of the
-    # same run in different weathers. Consecutive numbers are consecutive frames.
+    vru_class: IntArray
     draw_index: IntArray
-    picture: Callable[[int], Image] | None = (
-        None  # from a row to its image, (h, w, 3) uint8, RGB
-    )
+    picture: Callable[[int], Image] | None = None
     crops: Crops | None = None
 
     def __len__(self) -> int:
@@ -114,11 +173,21 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detections:
-    """Boxes that a detector finds; there may be several in an image, or none."""
+    """Boxes that a detector finds: several in an image, or none.
 
-    row_index: IntArray  # (m,): row of the evidence in whose image each box lies
-    boxes_px: FloatArray  # (m, 4): boxes. [px]
-    confidence: FloatArray  # (m,): 0 .. 1.
+    Attributes
+    ----------
+    row_index : (m,) int
+        Row of the evidence in whose image each box lies.
+    boxes_px : (m, 4) float
+        [px]
+    confidence : (m,) float
+        0 to 1.
+    """
+
+    row_index: IntArray
+    boxes_px: FloatArray
+    confidence: FloatArray
 
 
 @cache
@@ -131,9 +200,20 @@ def load_min_iou() -> float:
 def is_matched(
     detections: Detections, truth_px: FloatArray, *, min_iou: float
 ) -> BoolArray:
-    """Rows in which some detection overlaps the VRU's box by more than `min_iou`, (n,).
+    """Mask of rows in which a detection overlaps the VRU's box enough.
 
-    `truth_px` (n, 4) is the box of the VRU's visible part, as in the study.
+    Parameters
+    ----------
+    detections : Detections
+        Boxes in the images of the rows.
+    truth_px : (n, 4) float
+        Box of the VRU's visible part, as in the study. [px]
+    min_iou : float
+        Overlap that a box must exceed.
+
+    Returns
+    -------
+    matched : (n,) bool
     """
     matched = np.zeros(len(truth_px), dtype=bool)
     hits = iou(detections.boxes_px, truth_px[detections.row_index]) > min_iou
@@ -143,18 +223,30 @@ def is_matched(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarTable:
-    """What a detector finds in the points of a LiDAR, of those on whom there are enough of them.
+    """Probability that a detector finds a VRU in the points of a LiDAR.
 
-    Of each class, in the order of ``VRU_CLASSES``: shares found at `distance_m`,
-    straight lines between, and the correlation between the random draws of consecutive
-    frames.
+    Of the VRUs with enough points on them. The tuples have one entry for each class, in
+    the order of ``VRU_CLASSES``.
+
+    Attributes
+    ----------
+    name : str
+        Of the table.
+    distance_m : tuple of tuple of float
+        Distances on the ground. [m]
+    recall : tuple of tuple of float
+        Shares found at these distances; straight lines between.
+    frame_correlation : tuple of float
+        Correlation between the random draws of consecutive frames.
+    plan_probability : float
+        A plan counts on a detection from this probability on.
     """
 
     name: str
     distance_m: tuple[tuple[float, ...], ...]
     recall: tuple[tuple[float, ...], ...]
     frame_correlation: tuple[float, ...]
-    plan_probability: float  # a plan counts on a detection from this probability on
+    plan_probability: float
 
     @property
     def description(self) -> Phrase:
@@ -168,13 +260,25 @@ class LidarTable:
         )
 
     def probability(self, distance_m: FloatArray, vru_class: IntArray) -> FloatArray:
-        """Probability of a detection on the ground so far away, (n,)."""
+        """Probability of a detection.
+
+        Parameters
+        ----------
+        distance_m : (n,) float
+            On the ground, from the LiDAR to the VRU. [m]
+        vru_class : (n,) int
+            Into ``VRU_CLASSES``.
+
+        Returns
+        -------
+        probability : (n,) float
+        """
         curves = zip(self.distance_m, self.recall, strict=True)
         by_class = [np.interp(distance_m, far, shares) for far, shares in curves]
         return np.choose(vru_class, by_class)
 
     def is_expected(self, distance_m: FloatArray, vru_class: IntArray) -> BoolArray:
-        """Rows that are detected with at least `plan_probability`, (n,)."""
+        """Mask of rows that are detected with at least `plan_probability`, (n,)."""
         return self.probability(distance_m, vru_class) >= self.plan_probability
 
     def detect(
@@ -184,7 +288,23 @@ class LidarTable:
         draw_index: IntArray,
         rng: np.random.Generator,
     ) -> BoolArray:
-        """Draw which rows are detected, (n,); those of the same `draw_index` share their draw."""
+        """Draw which rows are detected.
+
+        Parameters
+        ----------
+        distance_m : (n,) float
+            On the ground, from the LiDAR to the VRU. [m]
+        vru_class : (n,) int
+            Into ``VRU_CLASSES``.
+        draw_index : (n,) int
+            Rows with the same number share their draw.
+        rng : Generator
+            Of the draws.
+
+        Returns
+        -------
+        detected : (n,) bool
+        """
         from scipy.special import ndtr
 
         draws, first, row_draw = np.unique(
@@ -198,7 +318,22 @@ class LidarTable:
 def linked_noise(
     draws: IntArray, correlation: float | FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Standard normal numbers, each correlated with that of the frame before, (n,)."""
+    """Standard normal numbers, each correlated with that of the frame before.
+
+    Parameters
+    ----------
+    draws : (n,) int
+        Numbers of the frames, ascending. A frame is linked to the one before only if
+        its number is the next one.
+    correlation : float or (n,) float
+        With the frame before.
+    rng : Generator
+        Of the numbers.
+
+    Returns
+    -------
+    noise : (n,) float
+    """
     fresh = rng.standard_normal(len(draws))
     linked = fresh.copy()
     links = np.broadcast_to(correlation, len(draws))
@@ -209,15 +344,15 @@ def linked_noise(
 
 
 class Detector(Protocol):
-    """Image evidence in, boxes with confidence out."""
+    """What every detector does: image evidence in, boxes with confidence out."""
 
     @property
     def lidar(self) -> LidarTable | None:
-        """What LiDARs find beyond the rule that enough points are found; None: just that."""
+        """Table of what LiDARs find; None: enough points are a detection."""
 
     @property
     def name(self) -> str:
-        """Its name in reports."""
+        """Name in reports."""
 
     @property
     def description(self) -> Phrase:
@@ -239,14 +374,21 @@ class PlanningDetector(Detector, Protocol):
     """A detector whose success can be predicted without an image."""
 
     def is_expected(self, evidence: Evidence) -> BoolArray:
-        """Rows in which a plan may count on a detection, (n,)."""
+        """Mask of rows in which a plan may count on a detection, (n,)."""
 
     def least_height_px(self, evidence: Evidence) -> FloatArray:
-        """Height of the visible box from which on `is_expected` is true, (n,); infinite if none is.
+        """Height of the visible box from which on `is_expected` is true.
 
-        Of VRUs whose visible box is that of the whole; the boxes of the evidence are
-        not looked at.
+        Parameters
+        ----------
+        evidence : Evidence
+            VRUs of which nothing is hidden. The boxes are not looked at.
+
+        Returns
+        -------
+        least_px : (n,) float
+            Infinite if no height is enough. [px]
         """
 
     def fingerprint(self) -> tuple[Any, ...]:
-        """Everything that `is_expected` depends on."""
+        """Values that `is_expected` depends on."""

@@ -1,4 +1,4 @@
-"""Response tables fitted to what a detector really found, and its false alarms.
+"""Response tables fitted to what a detector found, and its false alarms.
 
 The probabilities of :class:`ResponseDetector` are fitted by maximum likelihood to
 frames in which a road user could be detected, and was or was not. Frames of one camera
@@ -21,9 +21,8 @@ from .built_in import ResponseDetector, built_in_response
 from .evidence import VRU_CLASSES, Evidence, Interval, load_min_iou
 
 # ---------- sightings and false alarms
-_SAME_ALARM_IOU = (
-    0.3  # boxes of consecutive frames that overlap by more are of one thing
-)
+# Boxes of consecutive frames that overlap by more are of one thing.
+_SAME_ALARM_IOU = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,8 +43,7 @@ class Sightings:
     vru_class : (n,) int
         Into ``VRU_CLASSES``.
     is_found : (n,) bool
-        Whether a box of the detector overlaps the visible box by more than the study's
-        IoU.
+        A box of the detector overlaps the visible box by more than the study's IoU.
     box_error : (n, 4) float
         Left, upper, right and lower side of that box minus those of the visible one, as
         shares of its width or height; NaN where nothing is found.
@@ -53,25 +51,22 @@ class Sightings:
         Equal for frames of one camera and one run.
     frame : (n,) int
         Number of the frame: consecutive numbers of one track are consecutive frames.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
     """
 
-    height_px: FloatArray  # (n,): of the visible box. [px]
-    # (n,): share of the road user that is seen: not hidden, and inside the image
+    height_px: FloatArray
     seen_share: FloatArray
-    contrast: FloatArray  # (n,): against what is behind it, as light and air leave it
-    # (n,): between line of sight and heading: 0 from behind or ahead, 90 from the side.
-    # [deg]
+    contrast: FloatArray
     aspect_deg: FloatArray
-    vru_class: IntArray  # (n,): into ``VRU_CLASSES``
-    # (n,): a box of the detector overlaps the visible box by more than the study's IoU
+    vru_class: IntArray
     is_found: BoolArray
-    # (n, 4): left, upper, right and lower side of that box minus those of the visible
-    # one, as shares of its width or height; NaN where nothing is found
     box_error: FloatArray
-    track: IntArray  # (n,): equal for frames of one camera and one run
-    frame: (
-        IntArray  # (n,): its number: consecutive ones of a track are consecutive frames
-    )
+    track: IntArray
+    frame: IntArray
 
     def __post_init__(self) -> None:
         n = len(self.height_px)
@@ -90,13 +85,14 @@ class Sightings:
         return len(self.height_px)
 
     def take(self, rows: IntArray) -> "Sightings":
-        """Some of the rows, in the given order."""
+        """Sightings of some rows, in the given order."""
         return Sightings(**{name: getattr(self, name)[rows] for name in self.__slots__})
 
     def evidence(self) -> Evidence:
-        """As a detector is shown it; only the height of the boxes is known."""
+        """Evidence of a detector; only the height of the boxes is known."""
         box = np.zeros((len(self), 4))
-        box[:, 2], box[:, 3] = 0.4 * self.height_px, self.height_px
+        box[:, 2] = 0.4 * self.height_px
+        box[:, 3] = self.height_px
         return Evidence(
             visible_px=box,
             amodal_px=box,
@@ -110,47 +106,90 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LabelledPicture:
-    """A picture with its labels (n) and the boxes (m) that a detector found in it."""
+    """A picture with its labels (n) and the boxes (m) found in it.
 
-    track: int  # equal for pictures of one camera and one run
-    frame: int  # its number: consecutive numbers of one track are consecutive frames
-    label_px: FloatArray  # (n, 4): boxes around what is visible of the road users. [px]
-    label_class: IntArray  # (n,): into ``VRU_CLASSES``
-    # seen_share, contrast, aspect_deg: (n,): as in :class:`Sightings`
+    Attributes
+    ----------
+    track : int
+        Equal for pictures of one camera and one run.
+    frame : int
+        Its number: consecutive numbers of one track are consecutive frames.
+    label_px : (n, 4) float
+        Boxes around what is visible of the road users. [px]
+    label_class : (n,) int
+        Into ``VRU_CLASSES``.
+    seen_share, contrast, aspect_deg : (n,) float
+        As in :class:`Sightings`.
+    found_px : (m, 4) float
+        Boxes of the detector that count, of any class of road user. [px]
+    finds : (n, m) bool, optional
+        Which box is of a class that counts for which label; by default all are.
+    alone_px : (k, 4) float, optional
+        Boxes that are false alarms where they overlap no label; by default all. A box
+        around a person and a bicycle, say, is none next to these two. [px]
+    is_whole : bool
+        All of the picture was looked at: otherwise its false alarms are not counted.
+    label_track : (n,) int, optional
+        Track of each label, where each road user is a track of its own; by default the
+        picture's.
+    """
+
+    track: int
+    frame: int
+    label_px: FloatArray
+    label_class: IntArray
     seen_share: FloatArray
     contrast: FloatArray
     aspect_deg: FloatArray
-    # (m, 4): boxes of the detector that count, of any class of road user [px]
     found_px: FloatArray
-    # (n, m): which box is of a class that counts for which label; by default all are
     finds: BoolArray | None = None
-    # (k, 4): the boxes that are false alarms where they overlap no label; by default
-    # all. A box around a person and a bicycle, say, is none next to these two.
     alone_px: FloatArray | None = None
-    is_whole: bool = (
-        True  # all of it was looked at: otherwise its false alarms are not counted
-    )
-    # (n,): whose label it is, where each road user is a track of its own; by default
-    # the picture's
+    is_whole: bool = True
     label_track: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FalseAlarms:
-    """Boxes on nothing, and tracks of them."""
+    """Boxes on nothing, and tracks of them.
 
-    pictures: int  # looked at
-    alarms: int  # boxes in them that overlap no label at all
+    Attributes
+    ----------
+    pictures : int
+        Pictures that were looked at.
+    alarms : int
+        Boxes in them that overlap no label at all.
+    per_picture : Interval
+        Their rate.
+    chances : int
+        Pictures with enough consecutive ones before them to confirm a track.
+    confirmed : int
+        False tracks that were confirmed there.
+    per_hour : Interval or None
+        Of these, by one unit; None without consecutive pictures.
+    """
+
+    pictures: int
+    alarms: int
     per_picture: Interval
-    chances: int  # pictures with enough consecutive ones before them to confirm a track
-    confirmed: int  # false tracks that were confirmed there
-    per_hour: (
-        Interval | None
-    )  # of these, by one unit; None without consecutive pictures
+    chances: int
+    confirmed: int
+    per_hour: Interval | None
 
 
 class _Last(NamedTuple):
-    """A track's last picture, how many there were in a row, and for how many each alarm lasts."""
+    """Last picture of a track.
+
+    Attributes
+    ----------
+    frame : int
+        Its number.
+    n_row : int
+        How many pictures there were in a row.
+    alarms_px : (k, 4) float
+        Its false alarms. [px]
+    lasted : list of int
+        For how many pictures each of them has been there.
+    """
 
     frame: int
     n_row: int
@@ -161,42 +200,56 @@ class _Last(NamedTuple):
 def gather_sightings(
     pictures: Iterable[LabelledPicture], *, n_confirmations: int, frame_rate_hz: float
 ) -> tuple[Sightings, FalseAlarms]:
-    """Match boxes with labels, picture by picture; those of a track in the order of their frames.
+    """Match boxes with labels, picture by picture, and count false alarms.
 
-    Gives a row for each label, in their order; a box finds one of them. As many frames
-    in a row as `n_confirmations` confirm a track. A false track lasts while its boxes
-    of consecutive frames overlap by an IoU of more than 0.3, and is counted once.
+    Parameters
+    ----------
+    pictures : iterable of LabelledPicture
+        Those of a track in the order of their frames.
+    n_confirmations : int
+        How many frames in a row confirm a track.
+    frame_rate_hz : float
+        Of the pictures. [Hz]
+
+    Returns
+    -------
+    sightings : Sightings
+        A row for each label, in their order; a box finds one of them.
+    alarms : FalseAlarms
+        A false track lasts while its boxes of consecutive frames overlap by an IoU of
+        more than 0.3, and is counted once.
     """
     rows: list[FloatArray] = []
     n_pictures = n_alarms = n_chances = n_confirmed = 0
-    last: dict[int, _Last] = {}  # by track
+    # Last picture of each track.
+    last: dict[int, _Last] = {}
     for one in pictures:
         overlap = iou(one.label_px[:, None], one.found_px[None])
         n_labels = len(one.label_px)
-        rows.append(
-            np.column_stack(
-                [
-                    box_height_px(one.label_px),
-                    *(one.seen_share, one.contrast, one.aspect_deg, one.label_class),
-                    (
-                        np.full(n_labels, one.track)
-                        if one.label_track is None
-                        else one.label_track
-                    ),
-                    np.full(n_labels, one.frame),
-                    _errors(one, overlap),
-                ]
-            )
-        )
+        track = one.label_track
+        if track is None:
+            track = np.full(n_labels, one.track)
+        columns = [
+            box_height_px(one.label_px),
+            one.seen_share,
+            one.contrast,
+            one.aspect_deg,
+            one.label_class,
+            track,
+            np.full(n_labels, one.frame),
+            _errors(one, overlap),
+        ]
+        rows.append(np.column_stack(columns))
         if not one.is_whole:
             continue
+        # False alarms: boxes that overlap no label.
         n_pictures += 1
-        if one.alone_px is None:
+        alone = one.alone_px
+        if alone is None:
             alone = one.found_px
-        else:
-            alone = one.alone_px
         alarms = alone[~(iou(one.label_px[:, None], alone[None]) > 0.0).any(axis=0)]
         n_alarms += len(alarms)
+        # False tracks go on from the picture before, if that is the one before.
         before = last.get(one.track)
         if before is None or one.frame != before.frame + 1:
             before = _Last(0, 0, alarms[:0], [])
@@ -205,11 +258,12 @@ def gather_sightings(
         n_chances += n_row >= n_confirmations
         n_confirmed += lasted.count(n_confirmations)
         last[one.track] = _Last(one.frame, n_row, alarms, lasted)
-    columns = np.concatenate([np.empty((0, 11)), *rows]).T
-    height, seen, contrast, aspect = columns[:4]
-    kind, track, frame = columns[4:7].astype(np.int64)
-    box_error = columns[7:].T
-    return Sightings(
+    # Columns in the order above; the last four are the errors of the boxes.
+    table = np.concatenate([np.empty((0, 11)), *rows]).T
+    height, seen, contrast, aspect = table[:4]
+    kind, tracks, frames = table[4:7].astype(np.int64)
+    box_error = table[7:].T
+    sightings = Sightings(
         height_px=height,
         seen_share=seen,
         contrast=contrast,
@@ -217,33 +271,47 @@ def gather_sightings(
         vru_class=kind,
         is_found=np.isfinite(box_error).all(axis=1),
         box_error=box_error,
-        track=track,
-        frame=frame,
-    ), FalseAlarms(
+        track=tracks,
+        frame=frames,
+    )
+    per_hour = None
+    if n_chances:
+        per_frame = poisson(n_confirmed, n_chances)
+        per_hour = per_frame.times(3600.0 * frame_rate_hz)
+    alarms_found = FalseAlarms(
         pictures=n_pictures,
         alarms=n_alarms,
         per_picture=poisson(n_alarms, max(n_pictures, 1)),
         chances=n_chances,
         confirmed=n_confirmed,
-        per_hour=(
-            poisson(n_confirmed, n_chances).times(3600.0 * frame_rate_hz)
-            if n_chances
-            else None
-        ),
+        per_hour=per_hour,
     )
+    return sightings, alarms_found
 
 
 def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
-    """Errors of the box that finds each label, as shares of its size; NaN for none."""
+    """Errors of the box that finds each label, (n, 4); NaN for none.
+
+    Parameters
+    ----------
+    picture : LabelledPicture
+        Labels and boxes.
+    overlap : (n, m) float
+        IoU of each label with each box.
+
+    Returns
+    -------
+    error : (n, 4) float
+        As in :class:`Sightings`.
+    """
     from scipy.optimize import linear_sum_assignment
 
     error = np.full((len(picture.label_px), 4), np.nan)
     counted = np.where(overlap > load_min_iou(), overlap, 0.0)
     if picture.finds is not None:
         counted = np.where(picture.finds, counted, 0.0)
-    label, box = linear_sum_assignment(
-        counted, maximize=True
-    )  # each box finds one at most
+    # Each box finds one at most.
+    label, box = linear_sum_assignment(counted, maximize=True)
     is_match = counted[label, box] > 0.0
     label = label[is_match]
     box = box[is_match]
@@ -254,7 +322,10 @@ def _errors(picture: LabelledPicture, overlap: FloatArray) -> FloatArray:
 
 
 def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
-    """In how many consecutive pictures each alarm has been there, this one included."""
+    """For how many consecutive pictures each alarm has been there.
+
+    This picture included.
+    """
     lasted = [1] * len(alarms_px)
     overlap = iou(alarms_px[:, None], before.alarms_px[None])
     # The best pairs first, each box in one of them.
@@ -269,11 +340,15 @@ def _lasting(before: _Last, alarms_px: FloatArray) -> list[int]:
 
 
 def wilson(n_found: int, n_all: int) -> Interval:
-    """A share with its 95 % interval; 0 .. 1 of nothing.
+    """A share with its 95 % interval; 0 to 1 of nothing.
 
-    Source: E. B. Wilson, "Probable inference, the law of succession, and statistical
+    References
+    ----------
+    E. B. Wilson, "Probable inference, the law of succession, and statistical
     inference", 1927.
 
+    Examples
+    --------
     >>> wilson(8, 10)
     Interval(value=0.8, low=0.49..., high=0.94...)
     """
@@ -282,26 +357,29 @@ def wilson(n_found: int, n_all: int) -> Interval:
     z = 1.959964
     share = n_found / n_all
     middle = (share + z**2 / (2.0 * n_all)) / (1.0 + z**2 / n_all)
-    half = (
-        z
-        / (1.0 + z**2 / n_all)
-        * np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
-    )
-    return Interval(
-        share, max(0.0, middle - float(half)), min(1.0, middle + float(half))
-    )
+    spread = np.sqrt(share * (1.0 - share) / n_all + (z / n_all / 2) ** 2)
+    half = float(z / (1.0 + z**2 / n_all) * spread)
+    return Interval(share, max(0.0, middle - half), min(1.0, middle + half))
 
 
 def share_by_track(found: BoolArray, track: IntArray) -> Interval:
-    """Share of frames (n,) found, with a 95 % interval that counts tracks.
+    """Share of frames found, with a 95 % interval that counts tracks.
 
     Tracks are drawn with repetition (bootstrap); the interval is never narrower than
     Wilson's.
+
+    Parameters
+    ----------
+    found : (n,) bool
+        Frames that were found.
+    track : (n,) int
+        Track of each frame.
     """
     plain = wilson(int(found.sum()), len(found))
     _, which = np.unique(track, return_inverse=True)
     frames = np.bincount(which)
-    if len(frames) < 2:  # one track says nothing about others
+    # One track says nothing about others.
+    if len(frames) < 2:
         return Interval(plain.value, 0.0, 1.0)
     draws = np.random.default_rng(0).multinomial(
         len(frames), np.full(len(frames), 1.0 / len(frames)), size=_SHARE_DRAWS
@@ -314,8 +392,17 @@ def share_by_track(found: BoolArray, track: IntArray) -> Interval:
 def poisson(n_events: int, n_chances: float) -> Interval:
     """Events per chance, with the exact 95 % interval of a Poisson distribution.
 
-    Source: F. Garwood, "Fiducial limits for the Poisson distribution", 1936.
+    Raises
+    ------
+    ValueError
+        `n_chances` is not positive.
 
+    References
+    ----------
+    F. Garwood, "Fiducial limits for the Poisson distribution", 1936.
+
+    Examples
+    --------
     >>> poisson(0, 100)
     Interval(value=0.0, low=0.0, high=0.036...)
     """
@@ -336,62 +423,93 @@ SEEN_KNOTS = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Shares of the road user that are seen, between which recall is linear; 0 at 0."""
 
 _LEAST_FRAMES = 50
-_LEAST_OF_EACH = 5  # frames found, and frames missed
-_DRAWS = 400  # of parameters
-_SHARE_DRAWS = 1000  # of tracks, for the share found
-_MOST_DRAWS = 60  # of tracks
-_STEP = 1.0e-4  # for slopes
+# Least number of frames found, and of frames missed.
+_LEAST_OF_EACH = 5
+# How often parameters are drawn.
+_DRAWS = 400
+# How often tracks are drawn, for the share found.
+_SHARE_DRAWS = 1000
+# How often tracks are drawn, for figures that are no parameters.
+_MOST_DRAWS = 60
+# Step of a parameter between which slopes are taken.
+_STEP = 1.0e-4
 _KEYS = (
     *("height_half_px", "height_steepness", "min_box_height_px", "cyclist_end_on"),
     *("contrast_half", "contrast_steepness", "box_noise_share", "frame_correlation"),
 )
 _OTHERS = ("min_box_height_px", "box_noise_share", "frame_correlation")
-_MOST_PER_DRAW = 20_000  # frames
-_PRIOR_FRAMES = (
-    2.0  # how many frames the built-in table weighs: decides what no frame tells
-)
+# Most frames of one draw of tracks.
+_MOST_PER_DRAW = 20_000
+# How many frames the built-in table weighs. It decides what no frame tells.
+_PRIOR_FRAMES = 2.0
 # How far parameters may go from the built-in table: logits of shares, logarithms of the
 # others.
-_END_ON = len(SEEN_KNOTS) - 1  # among the parameters: after the ratios of recalls
-_CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))  # factor by class
+# Index of the end-on factor, after the ratios of recalls.
+_END_ON = len(SEEN_KNOTS) - 1
+# Parameters that are factors of classes.
+_CLASSES = slice(_END_ON + 3, _END_ON + 3 + len(VRU_CLASSES))
 _REACH = np.array(
     [6.0] * (_END_ON + 1) + [1.5] * 2 + [3.0] * len(VRU_CLASSES) + [1.5] * 2
 )
-_CONTRAST_SPREAD = 0.02  # contrasts that differ less say nothing about contrast
-_PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)  # no frame is impossible: a label may be wrong
+# Contrasts that differ less say nothing about contrast.
+_CONTRAST_SPREAD = 0.02
+# No frame is impossible: a label may be wrong.
+_PROBABILITY = (1.0e-4, 1.0 - 1.0e-4)
 _MAX_CORRELATION = 0.98
 _INTERVAL = (0.025, 0.975)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Frames that have something in common: how many there are, how many were found."""
+    """Frames that have something in common.
+
+    Attributes
+    ----------
+    name : str
+        What they have in common.
+    frames, found : int
+        How many there are, and how many were found.
+    recall : Interval
+        Share found; its interval counts tracks.
+    expected : float
+        Mean probability of the fitted table.
+    """
 
     name: str
     frames: int
     found: int
-    recall: Interval  # its interval counts tracks
-    expected: float  # mean probability of the fitted table
+    recall: Interval
+    expected: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ResponseFit:
-    """A fitted response table, how sure it is, and how well it predicts."""
+    """A fitted response table, how sure it is, and how well it predicts.
+
+    Attributes
+    ----------
+    detector : ResponseDetector
+        The table.
+    intervals : mapping of str to Interval
+        By the table's keys; recall as "recall[2]" and so on.
+    calibration : tuple of Group
+        By predicted probability.
+    groups : mapping of str to tuple of Group
+        By height, seen share, class, aspect, contrast.
+    frames, found, tracks : int
+        How many there were.
+    is_contrast_fitted : bool
+        Otherwise the built-in figures stand: all frames had one contrast.
+    """
 
     detector: ResponseDetector
-    intervals: Mapping[
-        str, Interval
-    ]  # by the table's keys; recall as "recall[2]" and so on
-    calibration: tuple[Group, ...]  # by predicted probability
-    groups: Mapping[
-        str, tuple[Group, ...]
-    ]  # by height, seen share, class, aspect, contrast
+    intervals: Mapping[str, Interval]
+    calibration: tuple[Group, ...]
+    groups: Mapping[str, tuple[Group, ...]]
     frames: int
     found: int
     tracks: int
-    is_contrast_fitted: (
-        bool  # otherwise the built-in figures stand: all frames had one contrast
-    )
+    is_contrast_fitted: bool
 
 
 def fit_response(
@@ -466,29 +584,46 @@ def fit_response(
 
 
 def _interval(values: FloatArray, value: float) -> Interval:
-    """A value with 95 % of what was drawn around it."""
+    """A value with the range of 95 % of what was drawn around it."""
     low, high = np.quantile(values, _INTERVAL).tolist()
     return Interval(value, min(low, value), max(high, value))
 
 
 # ---------- maximum likelihood
 def _free(sightings: Sightings) -> BoolArray:
-    """Parameters (see :func:`_detector`) about which the frames tell something."""
+    """Mask of parameters about which the frames tell something.
+
+    See :func:`_detector` for their order.
+    """
     free = np.ones(len(_prior()), dtype=bool)
     is_there = np.isin(np.arange(len(VRU_CLASSES)), sightings.vru_class)
     free[_END_ON] = is_there[VRU_CLASSES.index("cyclist")]
-    free[_CLASSES] = is_there & (
-        is_there.sum() > 1
-    )  # factors are relative to one another
+    # Factors are relative to one another.
+    free[_CLASSES] = is_there & (is_there.sum() > 1)
     free[_CLASSES.stop :] = float(np.std(sightings.contrast)) > _CONTRAST_SPREAD
     return free
 
 
 def _fit(sightings: Sightings, free: BoolArray) -> FloatArray:
-    """Parameters (see :func:`_detector`) that make what was found most likely."""
+    """Parameters that make what was found most likely.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        The frames.
+    free : (n_parameters,) bool
+        Parameters to fit; the others are the built-in ones.
+
+    Returns
+    -------
+    values : (n_parameters,) float
+        See :func:`_detector`.
+    """
     from scipy.optimize import minimize
 
-    evidence, found, prior = sightings.evidence(), sightings.is_found, _prior()
+    evidence = sightings.evidence()
+    found = sightings.is_found
+    prior = _prior()
 
     def unlikeliness(values: FloatArray) -> float:
         away = values - prior[free]
@@ -523,7 +658,26 @@ def _table_spread(
 ) -> dict[str, FloatArray]:
     """Figures of the table for parameters drawn around the best ones, by name.
 
-    Source: H. White, "Maximum likelihood estimation of misspecified models", 1982: the
+    Parameters
+    ----------
+    sightings : Sightings
+        The frames.
+    best : (n_parameters,) float
+        Fitted parameters.
+    free : (n_parameters,) bool
+        Parameters that were fitted.
+    draws : int
+        How many are drawn.
+    rng : Generator
+        Of the draws.
+
+    Returns
+    -------
+    figures : dict of str to (draws,) float
+
+    References
+    ----------
+    H. White, "Maximum likelihood estimation of misspecified models", 1982: the
     sandwich of curvature and of the scores' spread, whose scores are summed up by
     track.
     """
@@ -537,6 +691,7 @@ def _table_spread(
             _log_chance(best + way * step, evidence, found) for way in (1.0, -1.0)
         )
         columns.append((above - below) / (2.0 * _STEP))
+    # The sandwich: curvature, from the scores of frames, around that of tracks.
     score = np.stack(columns, axis=1)
     bread = score.T @ score + _PRIOR_FRAMES / len(best) * np.eye(score.shape[1])
     by_track = np.zeros((int(sightings.track.max()) + 1, score.shape[1]))
@@ -546,12 +701,13 @@ def _table_spread(
     drawn = rng.multivariate_normal(best[free], covariance, size=draws, method="eigh")
     low = (_prior() - _REACH)[free]
     high = (_prior() + _REACH)[free]
-    numbers = [
-        _numbers(_detector(_whole(row, free), "")) for row in np.clip(drawn, low, high)
-    ]
-    return {
-        key: np.array([one[key] for one in numbers]) for key in (numbers or [{}])[0]
-    }
+    numbers = []
+    for row in np.clip(drawn, low, high):
+        table = _detector(_whole(row, free), "")
+        numbers.append(_numbers(table))
+    if not numbers:
+        return {}
+    return {key: np.array([one[key] for one in numbers]) for key in numbers[0]}
 
 
 def _other_spread(
@@ -560,7 +716,10 @@ def _other_spread(
     draws: int,
     rng: np.random.Generator,
 ) -> dict[str, FloatArray]:
-    """Figures that are no parameters, for tracks drawn with repetition (bootstrap), by name."""
+    """Figures that are no parameters, for drawn tracks, by name.
+
+    Tracks are drawn with repetition (bootstrap).
+    """
     numbers = []
     for _ in range(min(draws, _MOST_DRAWS)):
         chosen = sightings.take(_draw_tracks(sightings.track, rng))
@@ -570,7 +729,7 @@ def _other_spread(
 
 
 def _prior() -> FloatArray:
-    """The parameters of the built-in table."""
+    """Parameters of the built-in table, (n_parameters,); see :func:`_detector`."""
     table = built_in_response()
     recall = np.interp(SEEN_KNOTS[1:], table.seen_share, table.recall)
     ratios = recall / np.append(recall[1:], 1.0)
@@ -587,7 +746,16 @@ def _prior() -> FloatArray:
 
 
 def _detector(values: FloatArray, name: str) -> ResponseDetector:
-    """The table of parameters: logits of ratios of recalls and of the end-on factor, logarithms."""
+    """The response table of parameters.
+
+    Parameters
+    ----------
+    values : (n_parameters,) float
+        Logits of the ratios of recalls and of the factor of a cyclist seen end-on, then
+        logarithms of height, class factors and contrast.
+    name : str
+        Of the table.
+    """
     table = built_in_response()
     shares = 1.0 / (1.0 + np.exp(-values[: _END_ON + 1]))
     # Each recall is a share of the next one, so that recall never falls with what is
@@ -611,12 +779,14 @@ def _detector(values: FloatArray, name: str) -> ResponseDetector:
 
 
 def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetector:
-    """With the noise of boxes, the correlation of frames, and the least height found."""
+    """The table with the figures that are no parameters.
+
+    They are the noise of boxes, the correlation of frames, and the least height found.
+    """
     errors = sightings.box_error[sightings.is_found]
     middle = np.median(errors, axis=0)
-    noise = 1.4826 * float(
-        np.median(np.abs(errors - middle))
-    )  # of a normal distribution
+    # 1.4826 times the median deviation is the spread of a normal distribution.
+    noise = 1.4826 * float(np.median(np.abs(errors - middle)))
     probability = detector.probability(sightings.evidence())
     return replace(
         detector,
@@ -632,7 +802,7 @@ def _finish(detector: ResponseDetector, sightings: Sightings) -> ResponseDetecto
 
 
 def _numbers(detector: ResponseDetector) -> dict[str, float]:
-    """Fitted figures by their names in the table."""
+    """Fitted figures of a table, by their names in it."""
     recall = {
         f"recall[{index}]": value
         for index, value in enumerate(detector.recall.tolist())
@@ -642,7 +812,10 @@ def _numbers(detector: ResponseDetector) -> dict[str, float]:
 
 
 def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
-    """Rows of as many tracks as there are, drawn with repetition; at most so many rows."""
+    """Rows of tracks drawn with repetition, at most 20,000.
+
+    As many tracks as there are, as far as the rows allow.
+    """
     order = np.argsort(track, kind="stable")
     _, starts, counts = np.unique(track[order], return_index=True, return_counts=True)
     drawn = rng.integers(len(starts), size=len(starts))
@@ -655,9 +828,10 @@ def _draw_tracks(track: IntArray, rng: np.random.Generator) -> IntArray:
 
 # ---------- correlation of consecutive frames
 def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
-    """Correlation of the normal numbers behind consecutive frames that explains found pairs.
+    """Correlation behind consecutive frames that explains found pairs.
 
-    As :class:`ResponseDetector` draws them; 0 where no frames are consecutive.
+    That of the normal numbers that :class:`ResponseDetector` draws; 0 where no
+    frames are consecutive.
     """
     from scipy.optimize import brentq
     from scipy.special import ndtri
@@ -683,7 +857,8 @@ def _frame_correlation(sightings: Sightings, probability: FloatArray) -> float:
     return float(brentq(surplus, 0.0, _MAX_CORRELATION, xtol=1.0e-4))
 
 
-_DISTANCES = (1, 2, 3, 5, 8, 13, 21, 34, 55)  # between two frames of a track
+# Distances between two frames of a track.
+_DISTANCES = (1, 2, 3, 5, 8, 13, 21, 34, 55)
 _CORRELATIONS = np.linspace(0.0, _MAX_CORRELATION, 50)
 _SHARES = np.linspace(0.0, 0.95, 96)
 
@@ -695,14 +870,35 @@ def fit_lasting_share(
     seed: int = 0,
     draws: int = _SHARE_DRAWS,
 ) -> Interval:
-    """Share of the variance of what decides a frame that is the same in all frames of a track.
+    """Share of the variance behind a frame that lasts through its track.
 
-    Frames of a track are correlated by s + (1 - s) r^distance, as :class:`LastingNoise`
-    has it. Of all pairs 1 to 55 frames apart it is found which s and r make what was
-    found and missed most likely, with each distance as heavy as another. 95 % interval:
-    tracks drawn with repetition. Raises InputError where no frames are consecutive.
+    Frames of a track are correlated by s + (1 - s) r^distance, as
+    :class:`LastingNoise` has it. Of all pairs 1 to 55 frames apart it is found
+    which s and r make what was found and missed most likely, with each distance as
+    heavy as another.
 
-    Source: C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods",
+    Parameters
+    ----------
+    sightings : Sightings
+        The frames.
+    probability : (n,) float
+        Of a detection in each frame.
+    seed, draws : int
+        Of the tracks that are drawn with repetition, for the interval.
+
+    Returns
+    -------
+    share : Interval
+        s, with its 95 % interval.
+
+    Raises
+    ------
+    InputError
+        No frames are consecutive.
+
+    References
+    ----------
+    C. Varin, N. Reid, D. Firth, "An overview of composite likelihood methods",
     Statistica Sinica 21 (2011).
     """
     tracks, which = np.unique(sightings.track, return_inverse=True)
@@ -726,7 +922,24 @@ def fit_lasting_share(
 def _pair_likelihood(
     sightings: Sightings, which: IntArray, probability: FloatArray, distance: int
 ) -> FloatArray:
-    """Mean log likelihood of pairs so far apart, by track and correlation (n_tracks, 50)."""
+    """Log likelihood of pairs so far apart, over the number of pairs.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        The frames.
+    which : (n,) int
+        Track of each frame, from 0.
+    probability : (n,) float
+        Of a detection in each frame.
+    distance : int
+        Between the frames of a pair.
+
+    Returns
+    -------
+    likely : (n_tracks, 50) float
+        By track and correlation.
+    """
     from scipy.special import ndtri
 
     likely = np.zeros((which.max() + 1, len(_CORRELATIONS)))
@@ -752,9 +965,22 @@ def _pair_likelihood(
 def joint_normal(
     first: FloatArray, second: FloatArray, correlation: float | FloatArray
 ) -> FloatArray:
-    """Probability that two correlated standard normal numbers lie below `first` and `second`.
+    """Probability that two correlated normal numbers lie below two limits.
 
-    Source: Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal
+    Parameters
+    ----------
+    first, second : (n,) float
+        The limits of two standard normal numbers.
+    correlation : float or (n,) float
+        Between them.
+
+    Returns
+    -------
+    probability : (n,) float
+
+    References
+    ----------
+    Z. Drezner, G. Wesolowsky, "On the computation of the bivariate normal
     integral", 1990: the integral of the density over the correlation.
     """
     from scipy.special import ndtr
@@ -777,6 +1003,8 @@ def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float
 
     It falls off exponentially with time, as that of the linked draws does.
 
+    Examples
+    --------
     >>> round(correlation_at(0.64, from_hz=10.0, to_hz=20.0), 9)
     0.8
     """
@@ -784,7 +1012,7 @@ def correlation_at(correlation: float, *, from_hz: float, to_hz: float) -> float
 
 
 def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> ResponseFit:
-    """The fit with the correlation of consecutive frames at another frame rate."""
+    """The fit with the frame correlation of another frame rate."""
     key = "frame_correlation"
     figures = astuple(fit.intervals[key])
     there = Interval(
@@ -799,14 +1027,26 @@ def at_frame_rate(fit: ResponseFit, *, from_hz: float, to_hz: float) -> Response
 
 # ---------- recall by group
 def calibration_error(probability: FloatArray, found: BoolArray) -> float:
-    """Mean difference of predicted and found shares in ten bins of the probability (n,).
+    """Mean difference of predicted and found shares in ten bins.
 
     Each bin weighs as much as it has frames.
 
-    Source: M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian
-    binning", 2015.
+    Parameters
+    ----------
+    probability : (n,) float
+        Predicted; divides the frames into bins.
+    found : (n,) bool
+        What was found.
 
-    >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), np.array([False, False, True, True]))
+    References
+    ----------
+    M. Naeini et al., "Obtaining well calibrated probabilities using Bayesian binning",
+    2015.
+
+    Examples
+    --------
+    >>> found = np.array([False, False, True, True])
+    >>> calibration_error(np.array([0.2, 0.2, 0.7, 0.7]), found)
     0.25
     """
     bins = np.clip((probability * 10.0).astype(np.int64), 0, 9)
@@ -823,6 +1063,7 @@ _CONTRAST_EDGES = (0.0, 0.1, 0.3, 0.6, np.inf)
 def _groups(
     sightings: Sightings, probability: FloatArray
 ) -> dict[str, tuple[Group, ...]]:
+    """Groups by height, seen share, class, aspect and contrast."""
     by_class = [
         _group(kind, sightings.vru_class == number, sightings, probability)
         for number, kind in enumerate(VRU_CLASSES)
@@ -851,7 +1092,10 @@ def _by_bins(
     sightings: Sightings,
     probability: FloatArray,
 ) -> tuple[Group, ...]:
-    """Groups between edges, the last one with its upper edge; empty ones are left out."""
+    """Groups between edges; empty ones are left out.
+
+    The last one includes its upper edge.
+    """
     bounds = [float(edge) for edge in edges]
     which = np.clip(
         np.searchsorted(bounds, values, side="right") - 1, 0, len(bounds) - 2
@@ -869,11 +1113,15 @@ def _by_bins(
 def _group(
     name: str, rows: BoolArray, sightings: Sightings, probability: FloatArray
 ) -> Group:
+    """Figures of the frames in a mask (n,)."""
     found = sightings.is_found[rows]
+    expected = 0.0
+    if len(found):
+        expected = float(probability[rows].mean())
     return Group(
         name=name,
         frames=len(found),
         found=int(found.sum()),
         recall=share_by_track(found, sightings.track[rows]),
-        expected=float(probability[rows].mean()) if len(found) else 0.0,
+        expected=expected,
     )

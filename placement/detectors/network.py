@@ -1,4 +1,4 @@
-"""Exported neural networks (ONNX) as detectors: run on images, and shown rendered pictures.
+"""Exported neural networks (ONNX) as detectors of road users in pictures.
 
 Every family of networks lays its outputs out in its own way, and the file does not say
 which it is. So the outputs of one trial run are looked at, and an :class:`Export` says
@@ -36,15 +36,17 @@ from .evidence import (
 # ---------- outputs of exported detectors, recognised by their names, shapes and types
 Array = NDArray[Any]
 Outputs = Mapping[str, Array]
-Found = tuple[Array, Array, Array]  # boxes (n, 4), classes (n,), confidence (n,)
+# Boxes (n, 4), classes (n,) and confidence (n,).
+Found = tuple[Array, Array, Array]
 
 VRU_KINDS = ("person", "bicycle", "cyclist")
+# What a network's classes may mean here.
 KINDS = (
     *VRU_KINDS,
     "motorcycle",
     "motorcyclist",
     "car",
-)  # what a network's classes may mean here
+)
 
 _EXPECTED = (
     "a detector's outputs: boxes (n, 4), labels (n,), scores (n,); (1, n, 5 + classes);"
@@ -62,23 +64,45 @@ _QUERY_NAMES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Export:
-    """How a network's outputs are read, and what it needs to be shown."""
+    """How a network's outputs are read, and what it needs to be shown.
 
-    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
-    read: Callable[
-        [Outputs], Found
-    ]  # outputs to boxes (n, 4), classes (n,), confidence (n,)
-    stride_px: int = 1  # images of free size are padded to its multiples
-    is_suppressed: bool = True  # overlapping boxes of one class have been removed
-    is_imagenet: bool = False  # images are normalised by ImageNet's mean and spread
-    is_relative: bool = (
-        False  # boxes are shares of the image's width and height, not pixels
-    )
+    Attributes
+    ----------
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    read : callable
+        Outputs to boxes (n, 4), classes (n,), confidence (n,).
+    stride_px : int
+        Images of free size are padded to multiples of this. [px]
+    is_suppressed : bool
+        Overlapping boxes of one class have been removed.
+    is_imagenet : bool
+        Images are normalised by ImageNet's mean and spread.
+    is_relative : bool
+        Boxes are shares of the image's width and height, not pixels.
+    """
+
+    kinds: Mapping[int, str]
+    read: Callable[[Outputs], Found]
+    stride_px: int = 1
+    is_suppressed: bool = True
+    is_imagenet: bool = False
+    is_relative: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Numbering:
-    """Classes by number, as a file may use them."""
+    """Classes by number, as a file may use them.
+
+    Attributes
+    ----------
+    n_classes : int
+        How many there are.
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    is_coco91 : bool
+        COCO's 91 classes.
+    """
 
     n_classes: int
     kinds: Mapping[int, str]
@@ -87,14 +111,19 @@ class _Numbering:
 
 @cache
 def onnx_setting(key: str) -> Any:
-    """Value in ``data/onnx.toml``."""
+    """Value of a key in ``data/onnx.toml``."""
     return take(load_data(__package__, "onnx.toml"), key, "onnx.toml")
 
 
 def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
-    """Boxes, labels and scores, known by shape and type: torchvision; RT-DETR in batches."""
+    """How boxes, labels and scores are read; None for other outputs.
+
+    They are known by shape and type: torchvision, and RT-DETR in batches.
+    """
     is_batch = all(v.ndim > 1 and len(v) == 1 for v in outputs.values())
-    rows = {n: v[0] if is_batch else v for n, v in outputs.items()}
+    rows = dict(outputs)
+    if is_batch:
+        rows = {n: v[0] for n, v in outputs.items()}
     boxes = [n for n, v in rows.items() if v.ndim == 2 and v.shape[1] == 4]
     labels = [n for n, v in rows.items() if v.ndim == 1 and v.dtype.kind == "i"]
     scores = [n for n, v in rows.items() if v.ndim == 1 and v.dtype.kind == "f"]
@@ -110,11 +139,17 @@ def _labelled(outputs: Outputs, numberings: list[_Numbering]) -> Export | None:
 
     # Labels do not tell their number: torchvision uses COCO's 91, RT-DETR, in batches,
     # its 80.
-    return Export(kinds=numberings[0 if is_batch else -1].kinds, read=read)
+    numbering = numberings[-1]
+    if is_batch:
+        numbering = numberings[0]
+    return Export(kinds=numbering.kinds, read=read)
 
 
 def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
-    """DETR and relatives: logits (1, n, classes), often with one for "none", boxes (1, n, 4)."""
+    """How the outputs of DETR and its relatives are read; None for others.
+
+    They are logits (1, n, classes), often with one for "none", and boxes (1, n, 4).
+    """
     names = next((pair for pair in _QUERY_NAMES if outputs.keys() == set(pair)), None)
     if names is None:
         return None
@@ -127,10 +162,11 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
         return None
 
     def read(found: Outputs) -> Found:
+        # Imported here: SciPy takes longer to load than everything else.
         from scipy.special import (
             expit,
             softmax,
-        )  # takes longer to load than all else here
+        )
 
         values = found[logits][0].astype(np.float64)
         if n_more:
@@ -148,7 +184,10 @@ def _queries(outputs: Outputs, numbering: _Numbering) -> Export | None:
 
 
 def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
-    """One table (1, rows, columns): YOLO, with or without suppression."""
+    """How one table (1, rows, columns) is read; None for other outputs.
+
+    YOLO, with or without suppression.
+    """
     (value,) = outputs.values()
     if value.ndim != 3 or len(value) != 1:
         return None
@@ -160,13 +199,14 @@ def _table(outputs: Outputs, numbering: _Numbering) -> Export | None:
 
     def read(found: Outputs) -> Found:
         ((table,),) = found.values()
-        if is_suppressed:  # corners, score, class in each row
+        # Each row holds corners, score and class.
+        if is_suppressed:
             return table[:, :4], table[:, 5], table[:, 4]
-        if has_objectness:  # middle, size, objectness and a score per class in each row
+        # Each row holds middle, size, objectness and a score per class.
+        if has_objectness:
             return _around(table[:, :4]), *_best(table[:, 5:] * table[:, 4:5])
-        return _around(table[:4].T), *_best(
-            table[4:].T
-        )  # the same in columns, without objectness
+        # Each column holds middle, size and a score per class.
+        return _around(table[:4].T), *_best(table[4:].T)
 
     return Export(
         kinds=numbering.kinds,
@@ -188,7 +228,7 @@ def _best(scores: Array) -> tuple[Array, Array]:
 
 
 def _numberings(names: str | None, where: str) -> list[_Numbering]:
-    """Possible numberings: the file's own, or COCO's."""
+    """Numberings that a file may use: its own, or COCO's."""
     if names is None:
         named = None
     else:
@@ -206,10 +246,25 @@ def _numberings(names: str | None, where: str) -> list[_Numbering]:
 
 
 def _read_names(text: str, where: str) -> _Numbering | None:
-    """Class names as Ultralytics writes them: a dictionary, or a list, as Python shows it.
+    """Numbering from class names as Ultralytics writes them.
 
-    Nothing where every class is named by its own number, as in files trained without
-    names.
+    Parameters
+    ----------
+    text : str
+        A dictionary, or a list, as Python shows it.
+    where : str
+        Names the file in messages.
+
+    Returns
+    -------
+    numbering : _Numbering or None
+        None where every class is named by its own number, as in files trained without
+        names.
+
+    Raises
+    ------
+    InputError
+        The text is neither a dictionary nor a list.
     """
     try:
         value = ast.literal_eval(text)
@@ -228,7 +283,7 @@ def _read_names(text: str, where: str) -> _Numbering | None:
 
 
 def kind_of_name() -> dict[str, str]:
-    """The meaning of class names."""
+    """One of ``KINDS`` by class name."""
     return {
         word: kind for kind, words in onnx_setting("names").items() for word in words
     }
@@ -237,14 +292,24 @@ def kind_of_name() -> dict[str, str]:
 # ---------- images in, boxes out
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Letterbox:
-    """An image scaled without distortion and padded with grey around."""
+    """An image scaled without distortion, with grey padding.
 
-    pixels: NDArray[np.uint8]  # (h, w, 3), RGB
-    scale: FloatArray  # (2,): pixels per pixel of the given image, across and down
-    offset_px: FloatArray  # (2,): padding on the left and on top
+    Attributes
+    ----------
+    pixels : (h, w, 3) uint8
+        RGB.
+    scale : (2,) float
+        Pixels per pixel of the given image, across and down.
+    offset_px : (2,) float
+        Padding on the left and on top. [px]
+    """
+
+    pixels: NDArray[np.uint8]
+    scale: FloatArray
+    offset_px: FloatArray
 
     def to_image(self, boxes_px: FloatArray) -> FloatArray:
-        """Boxes (n, 4) of the letterbox in pixels of the given image."""
+        """Boxes of the given image, from boxes (n, 4) of the letterbox."""
         corners = (boxes_px.reshape(-1, 2, 2) - self.offset_px) / self.scale
         return corners.reshape(-1, 4)
 
@@ -252,9 +317,16 @@ class Letterbox:
 def letterbox(
     image: NDArray[np.uint8], *, width_px: int, height_px: int, scale: float
 ) -> Letterbox:
-    """Scale an RGB image (h, w, 3) and put it into the middle of a grey one.
+    """Scale an image and put it into the middle of a grey one.
 
-    `scale` must let the image fit into `width_px` x `height_px`.
+    Parameters
+    ----------
+    image : (h, w, 3) uint8
+        RGB.
+    width_px, height_px : int
+        Size of the grey image. [px]
+    scale : float
+        Must let the image fit.
     """
     height, width = image.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -279,23 +351,36 @@ _PIXEL_TYPES: dict[str, type[np.generic]] = {
     "tensor(float16)": np.float16,
     "tensor(uint8)": np.uint8,
 }
+# Further inputs of DETR and RT-DETR, whose values are known.
 _SIDE_INPUTS = (
     "pixel_mask",
     "orig_target_sizes",
-)  # of DETR and RT-DETR: known without asking
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageBoxes:
-    """Boxes that a network finds in an image, in descending order of confidence."""
+    """Boxes that a network finds in an image, by descending confidence.
 
-    boxes_px: FloatArray  # (n, 4), inside the image
-    class_ids: IntArray  # (n,), as the network numbers its classes
-    confidence: FloatArray  # (n,), 0 .. 1
-    kinds: Mapping[int, str]  # class to one of ``KINDS``; others are left out
+    Attributes
+    ----------
+    boxes_px : (n, 4) float
+        Inside the image. [px]
+    class_ids : (n,) int
+        As the network numbers its classes.
+    confidence : (n,) float
+        0 to 1.
+    kinds : mapping of int to str
+        Class to one of ``KINDS``; others are left out.
+    """
+
+    boxes_px: FloatArray
+    class_ids: IntArray
+    confidence: FloatArray
+    kinds: Mapping[int, str]
 
     def take(self, rows: IntArray) -> "ImageBoxes":
-        """Some of the boxes, in the given order."""
+        """Boxes of some rows, in the given order."""
         return ImageBoxes(
             self.boxes_px[rows], self.class_ids[rows], self.confidence[rows], self.kinds
         )
@@ -303,20 +388,53 @@ class ImageBoxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Session:
-    """A network in the ONNX runtime, whatever it computes."""
+    """A network in the ONNX runtime, whatever it computes.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    session : onnxruntime.InferenceSession
+        The loaded network.
+    image_input : str
+        Name of the input for the image.
+    side_inputs : tuple of str
+        Names of further inputs, which are known without asking.
+    has_batch : bool
+        The image has an axis of its own for the batch.
+    height_px, width_px : int or None
+        Size of the image; None: free. [px]
+    pixel_type : type
+        Of the image's numbers.
+    class_names : str or None
+        From the file's metadata.
+    """
 
     path: Path
     session: Any
     image_input: str
     side_inputs: tuple[str, ...]
     has_batch: bool
-    height_px: int | None  # None: free
+    height_px: int | None
     width_px: int | None
     pixel_type: type[np.generic]
     class_names: str | None
 
     def run(self, pixels: NDArray[np.uint8], *, is_imagenet: bool) -> dict[str, Array]:
-        """Outputs for an image (h, w, 3), by name."""
+        """Outputs for an image, by name.
+
+        Parameters
+        ----------
+        pixels : (h, w, 3) uint8
+            RGB.
+        is_imagenet : bool
+            Normalise by ImageNet's mean and spread.
+
+        Raises
+        ------
+        InputError
+            The network fails.
+        """
         image = pixels.astype(self.pixel_type)
         if self.pixel_type is not np.uint8:
             image = pixels.astype(np.float32) / np.float32(255.0)
@@ -331,7 +449,9 @@ class _Session:
             "pixel_mask": np.ones((1, height, width), dtype=np.int64),
             "orig_target_sizes": np.array([[width, height]], dtype=np.int64),
         }
-        feed = {self.image_input: chw[None] if self.has_batch else chw}
+        feed = {self.image_input: chw}
+        if self.has_batch:
+            feed = {self.image_input: chw[None]}
         feed |= {name: sides[name] for name in self.side_inputs}
         names = [output.name for output in self.session.get_outputs()]
         try:
@@ -347,17 +467,40 @@ class _Session:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OnnxModel:
-    """A detector from an ONNX file; several threads may use it at once."""
+    """A detector from an ONNX file; several threads may use it at once.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    session : _Session
+        The network.
+    export : Export
+        How its outputs are read.
+    """
 
     path: Path
     session: _Session
     export: Export
 
     def detect(self, image: NDArray[np.uint8]) -> ImageBoxes:
-        """Find what the network knows in an RGB image (h, w, 3) uint8; boxes are in its pixels.
+        """Find what the network knows in an image.
 
-        Raises :class:`InputError` if the image has another shape or type, or the
-        network fails.
+        Parameters
+        ----------
+        image : (h, w, 3) uint8
+            RGB.
+
+        Returns
+        -------
+        boxes : ImageBoxes
+            In pixels of the image.
+
+        Raises
+        ------
+        InputError
+            The image has another shape or type, the network fails, or a box is not
+            finite.
         """
         if (
             image.dtype != np.uint8
@@ -383,9 +526,8 @@ class OnnxModel:
         height, width = image.shape[:2]
         boxes = clip_boxes(fitted.to_image(boxes), width_px=width, height_px=height)
         order = np.argsort(-confidence, kind="stable")
-        order = order[
-            (boxes[order, :2] < boxes[order, 2:]).all(axis=1)
-        ]  # some lie in the padding
+        # Boxes in the padding are empty once they are clipped.
+        order = order[(boxes[order, :2] < boxes[order, 2:]).all(axis=1)]
         if not self.export.is_suppressed:
             left = suppress(
                 boxes[order], class_ids[order], max_iou=onnx_setting("max_iou")
@@ -396,14 +538,24 @@ class OnnxModel:
 
 
 def load_onnx_model(path: Path) -> OnnxModel:
-    """Load a detector as exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR.
+    """Load a detector from an ONNX file.
 
-    A grey image is shown to the network once, to see what it gives. YOLOX cannot be
-    distinguished from YOLOv5, but expects blue first and 0 .. 255, and gives steps of
-    its grid instead of pixels: its boxes come out wrong. Without class names in the
-    file's metadata, COCO's 80 or 91 classes are decided by their number, 91 where the
-    file gives labels only. Raises InputError, also if it is no detector or no class is
-    known, or MissingExtraError if onnxruntime is not installed.
+    As exported from torchvision, YOLO (v5, v8 and later, end to end) or DETR. A
+    grey image is shown to the network once, to see what it gives.
+
+    Raises
+    ------
+    InputError
+        The file is no detector, or no class of it is known.
+    MissingExtraError
+        onnxruntime is not installed.
+
+    Notes
+    -----
+    YOLOX cannot be distinguished from YOLOv5, but expects blue first and 0 .. 255,
+    and gives steps of its grid instead of pixels: its boxes come out wrong. Without
+    class names in the file's metadata, COCO's 80 or 91 classes are decided by their
+    number, 91 where the file gives labels only.
     """
     if not path.is_file():
         refuse(str(path), "no such file", "an ONNX file")
@@ -433,13 +585,29 @@ def load_onnx_model(path: Path) -> OnnxModel:
 
 
 def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, FloatArray]:
-    """Boxes (n, 4) that count for one of ``VRU_CLASSES``, and their confidence (n,).
+    """Boxes that count for a class of road user, and their confidence.
 
-    A network that knows persons and bicycles finds a cyclist as either or both: the box
-    around a person and a bicycle that overlap counts as a cyclist, with the lower of
-    the two confidences; so does each of them alone, for the other may be missed. The
-    same holds for motorcycles. A detection is matched with one road user, so surplus
-    boxes do no harm.
+    Parameters
+    ----------
+    found : ImageBoxes
+        What a network finds in an image.
+    vru_class : str
+        One of ``VRU_CLASSES``.
+
+    Returns
+    -------
+    boxes_px : (n, 4) float
+        [px]
+    confidence : (n,) float
+        0 to 1.
+
+    Notes
+    -----
+    A network that knows persons and bicycles finds a cyclist as either or both: the
+    box around a person and a bicycle that overlap counts as a cyclist, with the
+    lower of the two confidences; so does each of them alone, for the other may be
+    missed. The same holds for motorcycles. A detection is matched with one road
+    user, so surplus boxes do no harm.
     """
 
     def of_kind(kind: str) -> tuple[FloatArray, FloatArray]:
@@ -454,21 +622,33 @@ def boxes_of_class(found: ImageBoxes, vru_class: str) -> tuple[FloatArray, Float
     persons = of_kind("person")
     cycles = of_kind(cycle)
     who, what = np.nonzero(iou(persons[0][:, None], cycles[0][None]) > 0.0)
-    a = persons[0][who]
-    b = cycles[0][what]
-    joined = (
-        np.concatenate([np.minimum(a, b)[:, :2], np.maximum(a, b)[:, 2:]], axis=1),
-        np.minimum(persons[1][who], cycles[1][what]),
-    )
+    # The box around a person and a cycle that overlap.
+    person_px = persons[0][who]
+    cycle_px = cycles[0][what]
+    low = np.minimum(person_px, cycle_px)[:, :2]
+    high = np.maximum(person_px, cycle_px)[:, 2:]
+    how_sure = np.minimum(persons[1][who], cycles[1][what])
+    joined = (np.concatenate([low, high], axis=1), how_sure)
     boxes, confidence = zip(joined, of_kind(rider), persons, cycles, strict=True)
     return np.concatenate(boxes), np.concatenate(confidence)
 
 
 def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> IntArray:
-    """Indices (m,) of boxes that survive greedy non-maximum suppression.
+    """Indices of boxes that survive greedy non-maximum suppression.
 
-    Boxes (n, 4) are in descending order of confidence; one goes if a better one of its
-    class overlaps it by an IoU of more than `max_iou`.
+    Parameters
+    ----------
+    boxes_px : (n, 4) float
+        In descending order of confidence. [px]
+    class_ids : (n,) int
+        Boxes of different classes do not suppress one another.
+    max_iou : float
+        A box goes if a better one of its class overlaps it by more.
+
+    Returns
+    -------
+    left : (m,) int
+        Ascending.
     """
     is_left: BoolArray = np.ones(len(boxes_px), dtype=bool)
     for index in range(len(boxes_px)):
@@ -480,20 +660,35 @@ def suppress(boxes_px: FloatArray, class_ids: IntArray, *, max_iou: float) -> In
 
 
 def _fit(image: NDArray[np.uint8], session: _Session, stride_px: int) -> Letterbox:
-    """Image as the network needs it: scaled to fixed sides, padded to the grid along free ones."""
+    """Image as the network needs it.
+
+    Scaled to fixed sides, padded to the grid along free ones.
+    """
     height, width = image.shape[:2]
     sides = ((session.width_px, width), (session.height_px, height))
     scale = min(
         (fixed / side for fixed, side in sides if fixed is not None), default=1.0
     )
-    across, down = (
-        math.ceil(side * scale / stride_px) * stride_px if fixed is None else fixed
-        for fixed, side in sides
-    )
+    fitted = []
+    for fixed, side in sides:
+        if fixed is None:
+            fitted.append(math.ceil(side * scale / stride_px) * stride_px)
+        else:
+            fitted.append(fixed)
+    across, down = fitted
     return letterbox(image, width_px=across, height_px=down, scale=scale)
 
 
 def _open(path: Path) -> _Session:
+    """Open an ONNX file and find its image input.
+
+    Raises
+    ------
+    InputError
+        The file is not ONNX, or has no image input.
+    MissingExtraError
+        onnxruntime is not installed.
+    """
     try:
         import onnxruntime
     except ModuleNotFoundError:
@@ -506,7 +701,8 @@ def _open(path: Path) -> _Session:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.use_deterministic_compute = True
-    options.log_severity_level = 4  # errors are reported once, by us
+    # Errors are reported once, by us.
+    options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(
             str(path), options, providers=["CPUExecutionProvider"]
@@ -515,10 +711,9 @@ def _open(path: Path) -> _Session:
         raise InputError(str(path), _first_line(error), "an ONNX file") from None
     inputs = session.get_inputs()
     images = [entry for entry in inputs if entry.name not in _SIDE_INPUTS]
+    shape = []
     if len(images) == 1:
         shape = list(images[0].shape)
-    else:
-        shape = []
     has_batch = len(shape) == 4
     is_image = len(shape) in (3, 4) and _may_be(shape[-3], 3)
     is_image = is_image and (not has_batch or _may_be(shape[0], 1))
@@ -527,9 +722,7 @@ def _open(path: Path) -> _Session:
             f"{entry.name} {entry.type} {tuple(entry.shape)}" for entry in inputs
         )
         refuse(str(path), f"inputs {got or 'none'}", _IMAGE)
-    height, width = (
-        side if isinstance(side, int) and side > 0 else None for side in shape[-2:]
-    )
+    height, width = (_fixed_px(side) for side in shape[-2:])
     return _Session(
         path=path,
         session=session,
@@ -543,13 +736,20 @@ def _open(path: Path) -> _Session:
     )
 
 
+def _fixed_px(side: object) -> int | None:
+    """Declared side of an image; None if it is free."""
+    if isinstance(side, int) and side > 0:
+        return side
+    return None
+
+
 def _may_be(side: object, expected: int) -> bool:
     """True if a declared size is the expected one, or free."""
     return not isinstance(side, int) or side in (expected, -1)
 
 
 def _first_line(error: Exception) -> Unquoted:
-    """What a library says, short enough for one line."""
+    """First line of a library's message."""
     return Unquoted(str(error).strip().split("\n")[0] or type(error).__name__)
 
 
@@ -564,16 +764,36 @@ _CHOSEN_BY = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NetworkDetector:
-    """Detects by a network; pictures in which the VRU is too small are not shown to it.
+    """Detects by a network that looks at rendered pictures.
 
-    A network that looks at crops is shown the surroundings of the VRU only. Whole
-    pictures it sees at several scales.
+    Pictures in which the VRU is too small are not shown to it. A network that looks at
+    crops is shown the surroundings of the VRU only; whole pictures it sees at several
+    scales.
+
+    Attributes
+    ----------
+    name : str
+        Name of the file, or "cnn".
+    model : OnnxModel
+        The network.
+    min_box_height_px : float
+        Least height of the visible box. [px]
+    min_confidence : float
+        Boxes below it do not count.
+    looks_at_crops : bool
+        It looks at crops.
+    plans_with : str
+        Built-in detector by which poses are chosen.
+    alarm_words : str
+        Sentence on how often it confirms what is not there, if that was measured.
+    lidar : LidarTable, optional
+        What LiDARs find.
     """
 
-    name: str  # name of the file, or "cnn"
+    name: str
     model: OnnxModel
-    min_box_height_px: float  # of the visible box. [px]
-    min_confidence: float  # boxes below it do not count
+    min_box_height_px: float
+    min_confidence: float
     looks_at_crops: bool = False
     plans_with: str = "geometric"  # the built-in detector by which poses are chosen
     # how often it confirms what is not there, if that was measured
@@ -614,8 +834,8 @@ class NetworkDetector:
     def look(self, image: Image) -> ImageBoxes:
         """Find road users in a whole picture, (h, w, 3) uint8.
 
-        A network for crops is shown it at full size, a half, a quarter and an eighth,
-        for it knows road users of few sizes only.
+        A network for crops is shown it at full size, a half, a quarter and an
+        eighth, for it knows road users of few sizes only.
         """
         if not self.looks_at_crops:
             return self.model.detect(image)
@@ -636,12 +856,18 @@ class NetworkDetector:
         return ImageBoxes(boxes, class_ids, confidence, parts[0][0].kinds).take(left)
 
     def look_at(self, crop: Crop) -> ImageBoxes:
-        """Find road users in a part of a picture; boxes are in pixels of the whole one."""
+        """Find road users in a crop; boxes are in pixels of the whole picture."""
         found = self.model.detect(crop.pixels)
         return replace(found, boxes_px=crop.to_image(found.boxes_px))
 
     def check_classes(self, classes: Iterable[str]) -> None:
-        """Raise InputError where the network has not learnt one of ``VRU_CLASSES``."""
+        """Raise InputError where the network has not learnt a class.
+
+        Parameters
+        ----------
+        classes : iterable of str
+            Among ``VRU_CLASSES``.
+        """
         for name in classes:
             kinds = onnx_setting("kinds_of_class")[name]
             if set(kinds).isdisjoint(self.model.export.kinds.values()):
@@ -649,8 +875,24 @@ class NetworkDetector:
                 refuse(f"detector {self.name}", f"runs with a {name}", expected)
 
     def detect(self, evidence: Evidence, rng: np.random.Generator) -> Detections:
-        """Show each picture in which the VRU is large enough to the network."""
-        if (evidence.crops if self.looks_at_crops else evidence.picture) is None:
+        """Show each picture in which the VRU is large enough to the network.
+
+        Parameters
+        ----------
+        evidence : Evidence
+            With pictures, or with crops if the network looks at these.
+        rng : Generator
+            Not used.
+
+        Raises
+        ------
+        InputError
+            The evidence has no pictures.
+        """
+        pictures: object = evidence.picture
+        if self.looks_at_crops:
+            pictures = evidence.crops
+        if pictures is None:
             refuse("evidence", "no pictures", "pictures for the network")
         height = evidence.visible_px[:, 3] - evidence.visible_px[:, 1]
         large = np.flatnonzero(height >= max(self.min_box_height_px, 1.0e-9)).tolist()
@@ -673,7 +915,17 @@ class NetworkDetector:
     def _find(
         self, rows: list[int], evidence: Evidence
     ) -> Iterator[tuple[int, ImageBoxes]]:
-        """Boxes in the images of rows, or around their VRUs; what looks the same is seen once."""
+        """Boxes in the images of rows, or around their VRUs.
+
+        Crops that look the same are looked at once.
+
+        Yields
+        ------
+        row : int
+            Of the evidence.
+        found : ImageBoxes
+            In pixels of the image.
+        """
         if not self.looks_at_crops:
             assert evidence.picture is not None
             for row in rows:

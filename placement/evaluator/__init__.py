@@ -1,10 +1,10 @@
-"""Layout -> Evaluation, by rendering every frame: independent of the detection table.
+"""Layout -> Evaluation, by rendering every frame.
 
-``surroundings`` holds everything there is to see, with its triangles, and the place of
-the VUT's camera; ``perceive`` gives the visible and the amodal box of the VRU in every
-frame, which ``pixels`` draws, and counts LiDAR points; ``pictures`` draws for networks;
-``evaluate`` detects from every unit, adds what VRUs announce themselves, confirms,
-brakes and looks for contact.
+Independent of the detection table. ``surroundings`` holds everything there is to see,
+with its triangles, and the place of the VUT's camera; ``perceive`` gives the visible
+and the amodal box of the VRU in every frame, which ``pixels`` draws, and counts LiDAR
+points; ``pictures`` draws for networks; ``evaluate`` detects from every unit, adds the
+messages that VRUs send themselves, confirms, brakes and looks for contact.
 """
 
 import lazy_loader

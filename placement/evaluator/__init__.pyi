@@ -1,4 +1,4 @@
-"""The public names of placement.evaluator, each once: see :mod:`geometry.lazy_names`."""
+"""Public names of placement.evaluator; see :mod:`geometry.lazy_names`."""
 
 from .evaluate import evaluate_layout as evaluate_layout
 from .evaluate import evaluate_layouts as evaluate_layouts

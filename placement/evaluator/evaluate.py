@@ -48,32 +48,46 @@ UnitKey = tuple[object, ...]
 VUT_KEY: UnitKey = ("vut",)
 STAGE = Phrase("evaluate")
 
-_VUT_JOBS = (
-    4  # nothing repeats in the VUT's images: they take longer than those of an RSU
-)
+# Parts of the VUT's frames: nothing repeats there, so that they take longer.
+_VUT_JOBS = 4
 _POLL_S = 0.5
 
 
 def unit_key(unit: CandidatePose) -> UnitKey:
-    """Equal for units that see the same."""
+    """Key of what a unit sees: equal for units that see the same."""
     pose = unit.pose
     return (*pose.position_m.tolist(), pose.yaw_deg, pose.pitch_deg, unit.sensor)
 
 
 def build_rng(seed: int, *key: object) -> np.random.Generator:
-    """Random numbers of its own for each thing, whatever else there is."""
+    """Random numbers of its own for each key, whatever else there is."""
     return np.random.default_rng([seed, zlib.crc32(repr(key).encode())])
 
 
 def watch(
     setting: Setting, units: Mapping[UnitKey, CandidatePose], *, compute: Compute
 ) -> dict[UnitKey, BoolArray]:
-    """Frames in which each unit, and the VUT under ``VUT_KEY``, detects the VRU, (n_frames,) each.
+    """Frames in which each unit and the VUT itself detect the VRU.
 
-    No message is lost yet. Progress is called from the calling thread: first with poses
-    looked from, a quarter of the VUT's frames counting as one; then, where the detector
-    looks at pictures, with pictures. What is cached of an earlier call is not looked at
-    again.
+    Parameters
+    ----------
+    setting : Setting
+        Scene, runs, detector and the VUT's sensors.
+    units : mapping of UnitKey to CandidatePose
+        Units to look from.
+    compute : Compute
+        Seed, threads, cache folder. Progress is called from the calling thread: first
+        with poses looked from, a quarter of the VUT's frames counting as one; then,
+        where the detector looks at pictures, with pictures.
+
+    Returns
+    -------
+    detected : dict of UnitKey to (n_frames,) bool
+        Also under ``VUT_KEY``. No message is lost yet.
+
+    Notes
+    -----
+    What an earlier call has cached is not looked at again.
     """
     names = _names(setting, units)
     cached = _open_cache(setting, compute)
@@ -86,17 +100,22 @@ def watch(
         with_vut = names[VUT_KEY] not in cached.arrays
         looks, by_lidar = watcher.look(new, with_vut=with_vut)
         by_camera = watcher.find(looks, new)
-        cached.add(
-            {
-                names[key]: by_camera.get(key, nothing) | by_lidar.get(key, nothing)
-                for key in ((VUT_KEY,) if with_vut else ()) + tuple(new)
-            }
-        )
+        watched = tuple(new)
+        if with_vut:
+            watched = (VUT_KEY, *new)
+        found = {
+            names[key]: by_camera.get(key, nothing) | by_lidar.get(key, nothing)
+            for key in watched
+        }
+        cached.add(found)
     return {key: cached.arrays[name] for key, name in names.items()}
 
 
 def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setting:
-    """Setting that knows in which frames the VUT's own sensors detect, if some of the VUTs see."""
+    """Setting that knows in which frames the VUT's own sensors detect.
+
+    Unchanged if no VUT sees, or if it knows already.
+    """
     if not setting.cars or setting.seen_by_vut is not None:
         return setting
     with one_blas_thread():
@@ -107,7 +126,8 @@ def with_sight(setting: Setting, *, compute: Compute = DEFAULT_COMPUTE) -> Setti
 
 
 # ---------- the cache for the next call
-_KIND = "place-rsus/views/2"  # raise it whenever the same inputs give other detections
+# Raise it whenever the same inputs give other detections.
+_KIND = "place-rsus/views/2"
 
 
 def _names(
@@ -124,18 +144,19 @@ def _names(
 
 
 def _open_cache(setting: Setting, compute: Compute) -> CachedArrays:
-    """Frames that are known already; none where a network looks at pictures."""
-    is_cached = compute.cache_folder is not None and not setting.detector.needs_pictures
-    return CachedArrays(
-        compute.cache_folder if is_cached else None,
-        "views",
-        kind=_KIND,
-        fingerprint=_fingerprint(setting, compute.seed) if is_cached else "",
-    )
+    """Cache of detected frames; empty where a network looks at pictures."""
+    folder = compute.cache_folder
+    if folder is None or setting.detector.needs_pictures:
+        return CachedArrays(None, "views", kind=_KIND, fingerprint="")
+    fingerprint = _fingerprint(setting, compute.seed)
+    return CachedArrays(folder, "views", kind=_KIND, fingerprint=fingerprint)
 
 
 def _fingerprint(setting: Setting, seed: int) -> str:
-    """Hash of all that detections depend on, but for the units and what the VUT looks with."""
+    """Hash of all that detections depend on, except what looks.
+
+    That is, without the units and the VUT's sensors.
+    """
     scene = setting.scene
     runs = setting.runs
     weathers = dict.fromkeys(run.weather for run in runs)
@@ -153,15 +174,18 @@ def _fingerprint(setting: Setting, seed: int) -> str:
         draw_index(runs),
         [
             (
-                *(
-                    run.weather,
-                    run.encounter.vut,
-                    run.encounter.vru,
-                    run.obstruction,
-                    run.traffic,
-                ),
-                *(run.terrain, run.time_s, run.vut_position_m, run.vut_yaw_deg),
-                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
+                run.weather,
+                run.encounter.vut,
+                run.encounter.vru,
+                run.obstruction,
+                run.traffic,
+                run.terrain,
+                run.time_s,
+                run.vut_position_m,
+                run.vut_yaw_deg,
+                run.vru_position_m,
+                run.vru_yaw_deg,
+                run.vru_shape,
             )
             for run in runs
         ],
@@ -169,13 +193,15 @@ def _fingerprint(setting: Setting, seed: int) -> str:
 
 
 class _Watcher:
-    """Looks from every unit, then lets the detector find the VRU in what is seen.
+    """Looks from every unit, then lets the detector find the VRU.
 
-    Renderers are loaded then: not where all is known from an earlier call.
+    Renderers are loaded only then: not where all is known from an earlier call.
     """
 
     def __init__(self, setting: Setting, compute: Compute) -> None:
-        self._setting, self._compute, self._seed = setting, compute, compute.seed
+        self._setting = setting
+        self._compute = compute
+        self._seed = compute.seed
         self._surroundings = build_surroundings(setting.scene, setting.runs)
         mount = load_vut_camera()
         self._mount = replace(mount, camera=setting.vut_camera or mount.camera)
@@ -183,7 +209,22 @@ class _Watcher:
     def look(
         self, units: Mapping[UnitKey, CandidatePose], *, with_vut: bool
     ) -> tuple[dict[UnitKey, Evidence], dict[UnitKey, BoolArray]]:
-        """Evidence of cameras, and the frames in which LiDARs detect."""
+        """Evidence of cameras, and the frames in which LiDARs detect.
+
+        Parameters
+        ----------
+        units : mapping of UnitKey to CandidatePose
+            Units to look from.
+        with_vut : bool
+            Look from the VUT, too, with the sensors that the setting gives it.
+
+        Returns
+        -------
+        evidence : dict of UnitKey to Evidence
+            Of cameras.
+        detected : dict of UnitKey to (n_frames,) bool
+            By LiDARs.
+        """
         from . import perceive
 
         seed = self._seed
@@ -195,6 +236,7 @@ class _Watcher:
         looks: dict[UnitKey, Future[Evidence]] = {}
         scans: dict[UnitKey, Future[BoolArray]] = {}
         by_vut: list[Future[Evidence]] = []
+        # One job for each unit, and several for the VUT's camera.
         with threads(self._compute.workers) as pool:
             if with_vut and "camera" in self._setting.vut_sensors:
                 by_vut = [
@@ -242,19 +284,34 @@ class _Watcher:
     def _find_in_points(
         self, key: UnitKey, is_enough: BoolArray, unit: CandidatePose | None
     ) -> BoolArray:
-        """Of the frames with enough points on the VRU those in which the detector finds it."""
+        """Frames in which the detector finds the VRU in a LiDAR's points.
+
+        Parameters
+        ----------
+        key : UnitKey
+            Of the unit.
+        is_enough : (n_frames,) bool
+            Frames with enough points on the VRU.
+        unit : CandidatePose or None
+            None for the VUT itself.
+
+        Returns
+        -------
+        detected : (n_frames,) bool
+            All of `is_enough` if the detector has no table for LiDARs.
+        """
         table = self._setting.detector.lidar
         runs = self._setting.runs
         around = self._surroundings
         if table is None:
             return is_enough
-        vru, vut = (
-            np.concatenate([getattr(run, name)[:, :2] for run in runs])
-            for name in ("vru_position_m", "vut_position_m")
-        )
-        distance = np.hypot(
-            *(vru - (vut if unit is None else unit.pose.position_m[:2])).T
-        )
+        vru_m = np.concatenate([run.vru_position_m[:, :2] for run in runs])
+        if unit is None:
+            lidar_m = np.concatenate([run.vut_position_m[:, :2] for run in runs])
+        else:
+            lidar_m = unit.pose.position_m[:2]
+        east_m, north_m = (vru_m - lidar_m).T
+        distance = np.hypot(east_m, north_m)
         rng = build_rng(self._seed, key, table.name)
         return is_enough & table.detect(
             distance, around.vru_class, around.draw_index, rng
@@ -296,13 +353,14 @@ class _Watcher:
         return {key: found[key].result() for key in looks}
 
     def _detect(self, key: UnitKey, evidence: Evidence) -> BoolArray:
+        """Frames in which the detector finds the VRU in one camera's evidence."""
         found = self._setting.detector.detect(evidence, build_rng(self._seed, key))
         return is_matched(found, evidence.visible_px, min_iou=load_min_iou())
 
     def _with_pictures(
         self, evidence: Evidence, source: "PictureSource", unit: CandidatePose | None
     ) -> Evidence:
-        """Evidence with pictures for the detector: whole ones, or crops around the road user."""
+        """Evidence with pictures for the detector, whole ones and crops."""
         camera: FrameCamera = self._mount
         if unit is not None:
             assert isinstance(unit.sensor, CameraModel)
@@ -328,11 +386,25 @@ def _join(parts: Sequence[Evidence]) -> Evidence:
 # ---------- verdicts: confirmation, braking, contact
 _Contact = tuple[float, float, float]
 Party = tuple[BoolArray, float]
-"""(n_frames,): detected frames that reach the VUT; how long it takes until it knows [s]."""
+"""Detected frames that reach the VUT, (n_frames,), and the time until it knows. [s]"""
 
 
 class Judge:
-    """Verdicts on the same runs; remembers which onsets of braking end in contact, and how fast."""
+    """Verdicts on the same runs.
+
+    Remembers which onsets of braking end in contact, and at what speed.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        The runs.
+    axis : FrameAxis
+        Their frames.
+    rule : AebRule
+        Confirmation, latency and braking.
+    levels : Levels, optional
+        Passed on to the evaluations.
+    """
 
     def __init__(
         self,
@@ -351,10 +423,11 @@ class Judge:
         }
 
     def verdicts(self, fused: Sequence[Sequence[Party]]) -> list[Verdict]:
-        """Verdicts on groups of parties: in each frame any one of a group may be the detector.
+        """Verdicts on groups of parties.
 
-        Braking begins when the last message has arrived that confirms the track which
-        is alive at the last moment; whether it avoids is asked of the bodies, not of
+        In each frame any one party of a group may be the detector. Braking begins
+        when the last message has arrived that confirms the track which is alive at
+        the last moment; whether it avoids contact is asked of the bodies, not of
         the last moment.
         """
         arrivals = [earliest_arrival_s(parties, self.axis) for parties in fused]
@@ -377,9 +450,17 @@ class Judge:
         ]
 
     def _find_contacts(self, onset_s: FloatArray) -> FloatArray:
-        """Time, speed, closing speed at contact after onsets of braking: (n, n_runs) -> (n, 3, ..).
+        """Time, speed and closing speed at contact after onsets of braking.
 
-        The time is infinite where there is none.
+        Parameters
+        ----------
+        onset_s : (n, n_runs) float
+            [s]
+
+        Returns
+        -------
+        contacts : (n, 3, n_runs) float
+            The time is infinite where there is no contact. [s], [m/s], [m/s]
         """
         contacts = np.empty((len(onset_s), 3, len(self._runs)))
         for index, run in enumerate(self._runs):
@@ -388,21 +469,32 @@ class Judge:
             new = [each for each in dict.fromkeys(asked) if each not in known]
             if new:
                 found = find_contacts(run.encounter, new, self._rule)
-                columns = (found.time_s, found.speed_mps, found.closing_mps)
-                known.update(
-                    zip(
-                        new,
-                        zip(*(c.tolist() for c in columns), strict=True),
-                        strict=True,
-                    )
+                rows = zip(
+                    found.time_s.tolist(),
+                    found.speed_mps.tolist(),
+                    found.closing_mps.tolist(),
+                    strict=True,
                 )
+                known.update(zip(new, rows, strict=True))
             contacts[:, :, index] = [known[each] for each in asked]
         return contacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Seen:
-    """Detections of each party of a layout; `vam`: messages of road users, if any send them."""
+    """Detections of each party of a layout.
+
+    Attributes
+    ----------
+    layout : Layout
+        The layout.
+    units : mapping of str to Party
+        By the unit's id.
+    vut : Party
+        The VUT's own sensors.
+    vam : Party, optional
+        Messages of road users, if any send them.
+    """
 
     layout: Layout
     units: Mapping[str, Party]
@@ -413,23 +505,32 @@ class Seen:
 def judge_layouts(
     judge: Judge, seen: Sequence[Seen], *, cars: float = 0.0
 ) -> list[Evaluation]:
-    """Evaluations of layouts by what their units and the VUT detect; `cars`: share that sees."""
+    """Evaluations of layouts by what their units and the VUT detect.
+
+    Parameters
+    ----------
+    judge : Judge
+        Gives the verdicts.
+    seen : sequence of Seen
+        Detections of each layout.
+    cars : float
+        Share of VUTs that see for themselves.
+    """
+    # Groups of parties to judge, for each layout.
     fused: list[dict[tuple[str, ...], list[Party]]] = []
     for one in seen:
         rsus = [*one.units.values()]
-        if one.vam is None:
-            vam = []
-        else:
-            vam = [one.vam]
-        fused.append(
-            {("unit", name): [party] for name, party in one.units.items()}
-            | {
-                ("vut",): [one.vut],
-                ("rsu_all",): rsus,
-                ("vut_and_rsus",): [*rsus, one.vut],
-            }
-            | ({("vam",): vam, ("all_sources",): [*rsus, one.vut, *vam]} if vam else {})
-        )
+        groups: dict[tuple[str, ...], list[Party]] = {
+            ("unit", name): [party] for name, party in one.units.items()
+        }
+        groups["vut",] = [one.vut]
+        groups["rsu_all",] = rsus
+        groups["vut_and_rsus",] = [*rsus, one.vut]
+        if one.vam is not None:
+            groups["vam",] = [one.vam]
+            groups["all_sources",] = [*rsus, one.vut, one.vam]
+        fused.append(groups)
+    # All of them are judged at once: verdicts come back in the same order.
     verdicts = iter(
         judge.verdicts([parties for groups in fused for parties in groups.values()])
     )
@@ -457,14 +558,18 @@ def judge_layouts(
 # ---------- VRU awareness messages (VAM)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VamRule:
-    """When a device sends: see ``data/vam.toml``."""
+    """When a device sends: see ``data/vam.toml``.
 
-    # min_interval_s, max_interval_s: not sooner after the last message, and not later.
-    # [s]
+    Attributes
+    ----------
+    min_interval_s, max_interval_s : float
+        Not sooner after the last message, and not later. [s]
+    position_change_m, speed_change_mps, heading_change_deg : float
+        Changes that make a message due. [m], [m/s], [deg]
+    """
+
     min_interval_s: float
     max_interval_s: float
-    # position_change_m, speed_change_mps, heading_change_deg: changes that make a
-    # message due. [m], [m/s], [deg]
     position_change_m: float
     speed_change_mps: float
     heading_change_deg: float
@@ -472,21 +577,33 @@ class VamRule:
 
 @cache
 def load_vam_rule() -> VamRule:
-    """The standard's rule, from ``data/vam.toml``."""
+    """Rule of the standard, from ``data/vam.toml``."""
     return read_data("placement", "vam.toml", VamRule)
 
 
 def sent_frames(run: Run, rule: VamRule) -> BoolArray:
-    """Frames of a run in which the VRU's device sends, (n_frames,) bool; the first is one."""
+    """Frames of a run in which the VRU's device sends.
+
+    Parameters
+    ----------
+    run : Run
+        Its VRU moves.
+    rule : VamRule
+        When a message is due.
+
+    Returns
+    -------
+    is_sent : (n_frames,) bool
+        The first frame is one of them.
+    """
     time = run.time_s
     position = run.vru_position_m
     yaw = run.vru_yaw_deg
     steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    speed = np.zeros(1)
     if len(time) > 1:
+        # The last frame has the speed of the one before.
         speed = np.append(steps / np.diff(time), 0.0)
-    else:
-        speed = np.zeros(1)
-    if len(time) > 1:
         speed[-1] = speed[-2]
     is_sent = np.zeros(len(time), dtype=bool)
     is_sent[0] = True
@@ -511,18 +628,34 @@ def sent_frames(run: Run, rule: VamRule) -> BoolArray:
 def known_frames(
     runs: Sequence[Run], links: Radio, rng: np.random.Generator
 ) -> BoolArray:
-    """Frames of all runs, end to end, in which the VUT knows of the VRU from its own messages.
+    """Frames in which the VUT knows of the VRU from its own messages.
 
-    The random numbers say who is equipped and which messages are lost. A message that
-    was received counts until the next one must come. The device is taken to know its
-    own position exactly.
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs.
+    links : Radio
+        Share of VRUs with a device, and of lost messages.
+    rng : Generator
+        Says who is equipped and which messages are lost.
+
+    Returns
+    -------
+    known : (n_frames,) bool
+        Of all runs, end to end.
+
+    Notes
+    -----
+    A message that was received counts until the next one must come. The device is taken
+    to know its own position exactly.
     """
     rule = load_vam_rule()
     random: dict[int, tuple[float, FloatArray]] = {}
     known = []
     for run in runs:
         key = id(run.encounter)
-        if key not in random:  # one and the same in all weathers
+        # The random numbers of an encounter are the same in all weathers.
+        if key not in random:
             random[key] = (float(rng.random()), rng.random(len(run.time_s)))
         equipment, reception = random[key]
         is_received = reception >= links.packet_loss
@@ -547,7 +680,7 @@ def evaluate_layout(
 def evaluate_layouts(
     layouts: Sequence[Layout], setting: Setting, *, compute: Compute = DEFAULT_COMPUTE
 ) -> list[Evaluation]:
-    """Verdicts of layouts by rendering every frame, detecting, confirming and braking.
+    """Verdicts of layouts: render every frame, detect, confirm and brake.
 
     Parameters
     ----------
@@ -604,7 +737,10 @@ def evaluate_layouts(
 def _arriving(
     layout: Layout, setting: Setting, detected: Mapping[UnitKey, BoolArray], seed: int
 ) -> dict[str, Party]:
-    """Messages of each unit that reach the VUT, by its id."""
+    """Messages of each unit that reach the VUT, by its id.
+
+    In all weathers the same frames of a run are lost.
+    """
     draws, frame_draw = np.unique(draw_index(setting.runs), return_inverse=True)
     units = {}
     for unit in layout.units:

@@ -1,4 +1,4 @@
-"""Pixels of a picture through a lens that show the VRU: a ray for each of them.
+"""Pixels of a picture through a lens that show the VRU, a ray for each.
 
 Straight edges are bent there, so that :mod:`.pixels`, which draws triangles between
 straight edges, is of no use. A pixel's ray is that of its middle, undistorted.
@@ -15,7 +15,8 @@ from .pixels import Placed, Seen, Sights
 from .surroundings import Solid
 
 _MIN_DEPTH_M = 1.0e-6
-_TOUCH_M = 1.0e-3  # what the VRU stands on does not hide it; more than rounding of rays
+# What the VRU stands on does not occlude it. More than rays are rounded.
+_TOUCH_M = 1.0e-3
 # By so much of its size and so many pixels a body may reach beyond its corners as the
 # lens bends its edges; of one that takes up more of the picture all pixels are looked
 # at.
@@ -27,15 +28,25 @@ Window = tuple[int, int, int, int]
 
 
 class _Rays(NamedTuple):
-    """Pixels' rays, camera frame, one metre deep, and the depths at which they meet the VRU."""
+    """Rays of pixels, and the depths at which they meet the VRU.
 
-    columns: IntArray  # (n,)
-    rows: IntArray  # (n,)
-    ways: FloatArray  # (n, 3)
-    depth_m: FloatArray  # (n,)
+    Attributes
+    ----------
+    columns, rows : (n,) int
+        The pixels.
+    ways : (n, 3) float
+        Camera frame, one metre deep. [m]
+    depth_m : (n,) float
+        [m]
+    """
+
+    columns: IntArray
+    rows: IntArray
+    ways: FloatArray
+    depth_m: FloatArray
 
     def take(self, some: BoolArray) -> "_Rays":
-        """Some of them."""
+        """The rays in a mask (n,)."""
         return _Rays(
             self.columns[some], self.rows[some], self.ways[some], self.depth_m[some]
         )
@@ -50,7 +61,27 @@ def see_through_lens(
     sights: Sights,
     seen: Seen,
 ) -> None:
-    """Fill `seen`, which is blank: boxes and shares, as :func:`.pixels.see` does for pinholes."""
+    """Fill boxes and shares of a VRU's body, seen through a lens that distorts.
+
+    What :func:`.pixels.see` does for pinholes.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    min_height_px : float
+        Where the VRU's part of the image is lower, boxes stay zeros. [px]
+    vru : Solid
+        The VRU's body.
+    static : Solid
+        What stands still.
+    vehicles : tuple of Solid
+        Kinds of vehicles that move.
+    sights : Sights
+        Where everything is.
+    seen : Seen
+        Blank; written.
+    """
     vertices = vru.meshes[0].vertices_m
     for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
@@ -62,13 +93,19 @@ def see_through_lens(
         if not len(rays.columns):
             continue
         seen.amodal_px[sight] = _box(rays)
-        free = rays.take(~_is_hidden(camera, static, sights.static, sight, rays))
-        frames = slice(sights.frame_start[sight], sights.frame_start[sight + 1])
-        seen.visible_px[sight] = seen.frame_visible_px[frames] = _box(free)
+        # What stands still, in all frames of the sight.
+        is_hidden = _is_hidden(camera, static, sights.static, sight, rays)
+        free = rays.take(~is_hidden)
+        box_px = _box(free)
         share = len(free.columns) / len(rays.columns)
-        seen.visible_share[sight] = seen.frame_visible_share[frames] = share
+        frames = slice(sights.frame_start[sight], sights.frame_start[sight + 1])
+        seen.visible_px[sight] = box_px
+        seen.frame_visible_px[frames] = box_px
+        seen.visible_share[sight] = share
+        seen.frame_visible_share[frames] = share
         if not len(free.columns):
             continue
+        # Then the vehicles of each frame, one after the other.
         for frame in range(frames.start, frames.stop):
             left = free
             for row in range(
@@ -86,12 +123,30 @@ def see_through_lens(
 def _find_window(
     camera: CameraModel, corners: FloatArray, min_height_px: float
 ) -> tuple[Window, float]:
-    """Pixels that may show a body with corners (n, 3), camera frame; and its share inside.
+    """Find the pixels that may show a body, and the share of it inside.
 
-    Zeros if none may, or the part is not so high; all of them where the body reaches
-    behind. The share is that of its box, 0 where it reaches behind. Where the lens
-    shows nothing points lie straight on, so that the box around them holds what it
-    shows.
+    Parameters
+    ----------
+    camera : CameraModel
+        The camera.
+    corners : (n, 3) float
+        Points of the body, camera frame. [m]
+    min_height_px : float
+        Least height of the window. [px]
+
+    Returns
+    -------
+    window : tuple of 4 int
+        First column and row, and those after the last: zeros if no pixel may show the
+        body or the part is not so high; the whole image where the body reaches behind
+        the lens.
+    inside_share : float
+        Share of the body's box inside the image; 0 where it reaches behind the lens.
+
+    Notes
+    -----
+    Where the lens shows nothing, points lie straight on, so that the box around them
+    holds what the lens shows.
     """
     nothing = (0, 0, 0, 0)
     everything = (0, 0, camera.width_px, camera.height_px)
@@ -105,9 +160,8 @@ def _find_window(
     at_depth_1 *= np.minimum(1.0, _FAR_OUT / np.maximum(radius, _MIN_DEPTH_M))
     is_behind = bool((depth <= _MIN_DEPTH_M).any())
     middle = corners.mean(axis=0)
-    is_far = (
-        np.linalg.norm(middle) > 2.0 * np.linalg.norm(corners - middle, axis=1).max()
-    )
+    radius_m = np.linalg.norm(corners - middle, axis=1).max()
+    is_far = np.linalg.norm(middle) > 2.0 * radius_m
     if is_behind and not is_far:
         return everything, 0.0
     if is_far and not is_shown(at_depth_1, camera).any():
@@ -117,10 +171,9 @@ def _find_window(
     high = shown.max(axis=0)
     size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
     inside = np.clip(np.minimum(high, size) - np.maximum(low, 0.0), 0.0, None)
+    share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
     if is_behind:
         share = 0.0
-    else:
-        share = float(np.prod(inside / np.maximum(high - low, 1.0e-9)))
     if is_behind and not inside.all():
         return nothing, 0.0
     if (high - low > _LARGE * size).any():
@@ -150,20 +203,39 @@ def _meet(
 def _cast(
     camera: CameraModel, solid: Solid, placed: Placed, row: int, ways: FloatArray
 ) -> FloatArray:
-    """Depths (n,) at which rays first meet a body from the near limit on; infinite: nowhere."""
+    """Depths at which rays first meet a body, from the near limit on.
+
+    Parameters
+    ----------
+    camera : CameraModel
+        Its near limit counts.
+    solid : Solid
+        The body.
+    placed : Placed
+        Where bodies are.
+    row : int
+        Row of the body in `placed`.
+    ways : (n, 3) float
+        Camera frame, one metre deep. [m]
+
+    Returns
+    -------
+    depth_m : (n,) float
+        Infinite where the body is not met. [m]
+    """
     turn = placed.turn[row]
     shift = placed.shift[row]
     near = camera.near_m / np.linalg.norm(ways, axis=1)
     starts = (near[:, None] * ways - shift) @ turn
-    rays = starts.astype(np.float32), (ways @ turn).astype(np.float32)
-    depth, _ = solid.caster.first_triangle(*rays)
+    turned = (ways @ turn).astype(np.float32)
+    depth, _ = solid.caster.first_triangle(starts.astype(np.float32), turned)
     return np.asarray(depth.astype(np.float64) + near)
 
 
 def _is_hidden(
     camera: CameraModel, solid: Solid, placed: Placed, row: int, rays: _Rays
 ) -> BoolArray:
-    """Rays (n,) that meet a body before they meet the VRU."""
+    """Mask of rays that meet a body before they meet the VRU, (n,)."""
     return _cast(camera, solid, placed, row, rays.ways) < rays.depth_m - _TOUCH_M
 
 

@@ -1,4 +1,4 @@
-"""Boxes of the VRU in every frame, derived from pixels, and LiDAR points on it.
+"""Boxes of the VRU in every frame, by pixels, and LiDAR points on it.
 
 Each unit is a sensor that is fixed to something: an RSU to the world, the VUT's sensors
 to the VUT. Seen from there many instants look the same but for the VUT and other
@@ -38,38 +38,65 @@ from .surroundings import (
 )
 
 _SIGHTS_AT_ONCE = 256
-_SLACK = 1.0e-9  # of a chord: no beam at the edge is left out
+# Added to a chord, so that no beam at the edge is left out.
+_SLACK = 1.0e-9
 
 
 # ---------- frames as a sensor has them before it
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Station:
-    """A sensor's place, and road poses relative to the frame in which it stands."""
+    """A sensor's place, and road poses relative to the frame in which it stands.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the sensor.
+    tilt_deg : (n_frames,) float
+        How much farther up it looks than its pose says. [deg]
+    static_poses, vru_poses : (n_frames, 4) float
+        Road poses of the static world and of the VRU.
+    vehicle_index : (n_frames, n) int
+        Kinds of the vehicles; -1 for none.
+    vehicle_poses : (n_frames, n, 4) float
+        Road poses of the vehicles.
+    order : (n_frames,) int
+        Frames, sight by sight; sights that show the same bodies follow one another.
+    start : (n_sights + 1,) int
+        Where each sight begins in `order`.
+    """
 
     pose: Pose
-    tilt_deg: FloatArray  # (n_frames,): it looks up by so much more than its pose says
-    static_poses: FloatArray  # (n_frames, 4)
-    vru_poses: FloatArray  # (n_frames, 4)
-    vehicle_index: IntArray  # (n_frames, n): -1 for none
-    vehicle_poses: FloatArray  # (n_frames, n, 4)
-    # Frames, sight by sight; sights that show the same bodies follow one another.
-    order: IntArray  # (n_frames,)
-    start: IntArray  # (n_sights + 1,): of each sight in `order`
+    tilt_deg: FloatArray
+    static_poses: FloatArray
+    vru_poses: FloatArray
+    vehicle_index: IntArray
+    vehicle_poses: FloatArray
+    order: IntArray
+    start: IntArray
 
     @property
     def first(self) -> IntArray:
-        """The first frame of each sight, (n_sights,)."""
+        """First frame of each sight, (n_sights,)."""
         return self.order[self.start[:-1]]
 
     @property
     def sight_of_frame(self) -> IntArray:
-        """Which sight each frame shows, (n_frames,)."""
+        """Sight that each frame shows, (n_frames,)."""
         numbers = np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
         return numbers[np.argsort(self.order)]
 
 
 def _stand(surroundings: Surroundings, at: Pose | VutCamera) -> _Station:
-    """Frames as a fixed sensor has them before it, or one on the VUT, which is not seen then."""
+    """Arrange the frames as a sensor sees them.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Everything that can be seen.
+    at : Pose or VutCamera
+        A fixed sensor's pose, world frame, or the place of a sensor on the VUT, which
+        then is not seen.
+    """
     static_poses = surroundings.static_poses
     vru_poses = surroundings.vru_poses
     vehicle_index = surroundings.traffic_index
@@ -107,7 +134,15 @@ def _stand(surroundings: Surroundings, at: Pose | VutCamera) -> _Station:
 def _same_bodies(
     surroundings: Surroundings, station: _Station
 ) -> Iterator[tuple[slice, int, int]]:
-    """Sights with the same static world and the same body, and the numbers of these two."""
+    """Ranges of sights that show the same static world and the same body.
+
+    Yields
+    ------
+    sights : slice
+        Range of sights.
+    static_index, vru_index : int
+        Numbers of the static world and of the VRU's shape.
+    """
     kinds = np.stack([surroundings.static_index, surroundings.vru_index], axis=1)[
         station.first
     ]
@@ -119,7 +154,7 @@ def _same_bodies(
 
 
 def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> FloatArray:
-    """From a sensor to the middle of the VRU, (n,), in metres."""
+    """Distance from a sensor to the middle of the VRU, (n,), in metres."""
     offsets = np.empty((len(vru_poses), 3))
     offsets[:, :2] = vru_poses[:, :2] - pose.position_m[:2]
     offsets[:, 2] = 0.5 * hull_m[:, 2].max() + vru_poses[:, 3] - pose.position_m[2]
@@ -130,12 +165,28 @@ def _distances_m(pose: Pose, vru_poses: FloatArray, hull_m: FloatArray) -> Float
 def perceive_frames(
     surroundings: Surroundings, by: FrameCamera, *, min_height_px: float = 0.0
 ) -> Evidence:
-    """Evidence of a camera, one row for each frame; the VUT's own does not see the VUT.
+    """Evidence of a camera, one row for each frame.
 
-    Where the VRU's box cannot be `min_height_px` high, nothing is drawn and boxes are
-    zeros.
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Everything that can be seen.
+    by : VutCamera or (Pose, CameraModel)
+        The camera; the VUT's own does not see the VUT.
+    min_height_px : float
+        Where the VRU's box cannot be so high, nothing is drawn and boxes are zeros.
+        [px]
+
+    Returns
+    -------
+    evidence : Evidence
     """
-    at, camera = (by, by.camera) if isinstance(by, VutCamera) else by
+    at: Pose | VutCamera
+    if isinstance(by, VutCamera):
+        at = by
+        camera = by.camera
+    else:
+        at, camera = by
     station = _stand(surroundings, at)
     pose = station.pose
     order = station.order
@@ -144,6 +195,7 @@ def perceive_frames(
     n_frames = len(order)
     vru = _place(pose, station.vru_poses[first], station.tilt_deg[first])
     static = _place(pose, station.static_poses[first], station.tilt_deg[first])
+    # Vehicles that are there, one frame after the other.
     is_there = station.vehicle_index[order] >= 0
     tilts = np.broadcast_to(station.tilt_deg[order, None], is_there.shape)[is_there]
     vehicles = _place(pose, station.vehicle_poses[order][is_there], tilts)
@@ -157,6 +209,7 @@ def perceive_frames(
         near_m=camera.near_m,
         up_m=float(pose.position_m[2]),
     )
+    # Draw all sights with the same bodies at once.
     distance_m = np.empty(n_frames)
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
         body = surroundings.vrus[vru_index]
@@ -201,7 +254,9 @@ def perceive_frames(
     sight = station.sight_of_frame
     visible = np.empty((n_frames, 4))
     shares = np.empty(n_frames)
-    visible[order], shares[order] = seen.frame_visible_px, seen.frame_visible_share
+    # Back from the order of the sights to that of the frames.
+    visible[order] = seen.frame_visible_px
+    shares[order] = seen.frame_visible_share
     sightline_m = station.vru_poses[:, :2] - pose.position_m[:2]
     return Evidence(
         visible_px=freeze(visible),
@@ -216,7 +271,17 @@ def perceive_frames(
 
 
 def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
-    """Bodies at road poses (n, 4), in the frame of a camera at a pose that is tilted, (n,)."""
+    """Bodies in the frame of a camera.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the camera.
+    road_poses : (n, 4) float
+        Of the bodies, in the frame in which the camera stands.
+    tilt_deg : (n,) float
+        How much farther up the camera looks than its pose says. [deg]
+    """
     offsets = road_poses[:, [0, 1, 3]] - pose.position_m
     if tilt_deg.any():
         from_camera = camera_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)
@@ -235,16 +300,27 @@ def _place(pose: Pose, road_poses: FloatArray, tilt_deg: FloatArray) -> Placed:
 
 # ---------- LiDARs
 class _Echoes(NamedTuple):
-    """Beams that reach the VRU in one sight."""
+    """Beams that reach the VRU in one sight.
 
-    directions: (
-        FloatArray  # (n, 3), unit vectors, in the frame in which the LiDAR stands
-    )
-    distance_m: FloatArray  # (n,)
-    incidence_cos: FloatArray  # (n,)
+    Attributes
+    ----------
+    directions : (n, 3) float
+        Unit vectors in the frame in which the LiDAR stands.
+    distance_m : (n,) float
+        To the VRU. [m]
+    incidence_cos : (n,) float
+        Cosine of the angle of incidence.
+    """
+
+    directions: FloatArray
+    distance_m: FloatArray
+    incidence_cos: FloatArray
 
     def take(self, keep: BoolArray) -> "_Echoes":
-        return _Echoes(*(numbers[keep] for numbers in self))
+        """The beams in a mask (n,)."""
+        return _Echoes(
+            self.directions[keep], self.distance_m[keep], self.incidence_cos[keep]
+        )
 
 
 def scan_frames(
@@ -253,27 +329,38 @@ def scan_frames(
     lidar: LidarModel,
     rng: np.random.Generator,
 ) -> BoolArray:
-    """Frames in which a LiDAR gets enough points on the VRU, (n_frames,) bool.
+    """Frames in which a LiDAR gets enough points on the VRU.
 
-    It is fixed, or the VUT's own at the place of its camera. The random numbers say
-    which pulses come back.
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Everything that can be seen.
+    at : Pose or VutCamera
+        A fixed LiDAR's pose, or the place of the VUT's camera for its own LiDAR.
+    lidar : LidarModel
+        The LiDAR.
+    rng : Generator
+        Says which pulses come back: the same numbers in all weathers.
+
+    Returns
+    -------
+    detected : (n_frames,) bool
     """
     station = _stand(surroundings, at)
     pose = station.pose
     first = station.first
     detected = np.zeros(len(station.order), dtype=bool)
-    random: dict[
-        int, FloatArray
-    ] = {}  # one for all weathers: what differs is the weather's
+    # By draw: all weathers share them, so that only the weather differs.
+    random: dict[int, FloatArray] = {}
     beams = beam_directions(lidar).reshape(-1, 3)
     poses = np.concatenate([station.static_poses, station.vru_poses], axis=1)
     sight_of_frame = station.sight_of_frame
     for sights, static_index, vru_index in _same_bodies(surroundings, station):
         static = surroundings.statics[static_index]
         vru = surroundings.vrus[vru_index]
-        in_parts = np.array_split(
-            first[sights], -(-len(first[sights]) // _SIGHTS_AT_ONCE)
-        )
+        # Scan the sights, some at a time.
+        n_parts = -(-len(first[sights]) // _SIGHTS_AT_ONCE)
+        in_parts = np.array_split(first[sights], n_parts)
         of_sights = [
             echoes
             for part in in_parts
@@ -282,6 +369,7 @@ def scan_frames(
             )
         ]
         frames = station.order[station.start[sights.start] : station.start[sights.stop]]
+        # Loop over the frames: vehicles and weather differ among those of a sight.
         for frame in np.sort(frames).tolist():
             draw = int(surroundings.draw_index[frame])
             echoes = of_sights[sight_of_frame[frame] - sights.start]
@@ -309,22 +397,40 @@ def _look(
     poses: FloatArray,
     tilt_deg: FloatArray,
 ) -> Iterator[_Echoes]:
-    """Beams that reach the VRU before anything that stands still, sight by sight."""
+    """Beams that reach the VRU before anything that stands still.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the LiDAR.
+    lidar : LidarModel
+        Its range and near limit.
+    beams : (n_beams, 3) float
+        Unit vectors, frame of the LiDAR.
+    static, vru : Solid
+        What stands still, and the VRU.
+    poses : (n, 8) float
+        Road poses of both in each sight.
+    tilt_deg : (n,) float
+        How much farther up the LiDAR looks than its pose says. [deg]
+
+    Yields
+    ------
+    echoes : _Echoes
+        Of one sight after the other.
+    """
     vru_poses = poses[:, 4:]
-    turns = body_rotation(
-        pose.yaw_deg, pose.pitch_deg + tilt_deg
-    )  # from the LiDAR's own frame
+    # Rotations from the LiDAR's own frame.
+    turns = body_rotation(pose.yaw_deg, pose.pitch_deg + tilt_deg)
+    # The sphere around the VRU, in each sight.
     distance = _distances_m(pose, vru_poses, vru.hull_m)
-    radius_m = float(
-        np.linalg.norm(
-            vru.hull_m - [0.0, 0.0, 0.5 * vru.hull_m[:, 2].max()], axis=1
-        ).max()
-    )
-    middle = np.column_stack(
-        [vru_poses[:, :2], 0.5 * vru.hull_m[:, 2].max() + vru_poses[:, 3]]
-    )
+    half_height_m = 0.5 * vru.hull_m[:, 2].max()
+    from_middle = vru.hull_m - [0.0, 0.0, half_height_m]
+    radius_m = float(np.linalg.norm(from_middle, axis=1).max())
+    middle = np.column_stack([vru_poses[:, :2], half_height_m + vru_poses[:, 3]])
     towards = (middle - pose.position_m) / distance[:, None]
     half_angle = np.arcsin(np.minimum(1.0, radius_m / distance))
+    # Beams in the cone around the sphere.
     near = np.flatnonzero(distance - radius_m <= lidar.range_m)
     towards_lidar = np.einsum("ni,nij->nj", towards, turns)
     cone, beam = _beams_around(lidar, towards_lidar[near], half_angle[near])
@@ -334,12 +440,14 @@ def _look(
     sight = sight[is_close]
     beam = beam[is_close]
     directions = np.einsum("nij,nj->ni", turns[sight], beams[beam])
+    # Beams that hit the VRU.
     depth, triangle = _cast(pose, lidar, vru, vru_poses[sight], directions)
     hits = np.isfinite(depth)
     sight = sight[hits]
     directions = directions[hits]
     depth = depth[hits]
     triangle = triangle[hits]
+    # Those that nothing static stops before.
     before, _ = _cast(pose, lidar, static, poses[sight, :4], directions)
     free = depth < before
     sight = sight[free]
@@ -357,24 +465,41 @@ def _look(
 
 @lru_cache(maxsize=8)
 def _beam_tree(lidar: LidarModel) -> cKDTree:
-    """All beams of a frame as unit vectors, to look up those around a direction."""
+    """Beams of a frame as unit vectors, to look up those around a direction."""
     return cKDTree(beam_directions(lidar).reshape(-1, 3))
 
 
 def _beams_around(
     lidar: LidarModel, towards: FloatArray, half_angle_rad: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Cones and beams (n,) in them, cone by cone: line by line, each from right to left.
+    """Beams inside cones.
 
-    Cones have axes (n, 3), unit vectors in the LiDAR's frame. Beams are indices into
-    the flattened scan pattern. Over the seam of a LiDAR that scans all round they go
-    on: a cone has the same beams in the same order however the LiDAR is turned.
+    Parameters
+    ----------
+    lidar : LidarModel
+        Its scan pattern.
+    towards : (n_cones, 3) float
+        Axes of the cones, unit vectors in the LiDAR's frame.
+    half_angle_rad : (n_cones,) float
+        Their half angles. [rad]
+
+    Returns
+    -------
+    cone, beam : (n,) int
+        Cone, and beam in it: cone by cone, line by line, each from right to left. Beams
+        are indices into the flattened scan pattern.
+
+    Notes
+    -----
+    Beams go on over the seam of a LiDAR that scans all round: a cone has the same beams
+    in the same order however the LiDAR is turned.
     """
     chord = 2.0 * np.sin(0.5 * half_angle_rad) + _SLACK
     found = _beam_tree(lidar).query_ball_point(towards, chord)
     cone = np.repeat(np.arange(len(towards)), [len(beams) for beams in found])
     beam = np.fromiter(chain.from_iterable(found), np.int64, len(cone))
-    if lidar.scans_all_round:  # columns count from behind
+    # Columns count from straight behind each cone.
+    if lidar.scans_all_round:
         ahead = np.arctan2(towards[:, 1], towards[:, 0]) / (2.0 * np.pi)
         behind = np.ceil(ahead * lidar.n_columns - 0.5).astype(np.int64)
         line, column = np.divmod(beam, lidar.n_columns)
@@ -389,7 +514,28 @@ def _cast(
     road_poses: FloatArray,
     directions: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Distance to a solid along each beam, and the triangle hit; infinite and -1 where none is."""
+    """Distance to a solid along each beam, and the triangle hit.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the LiDAR.
+    lidar : LidarModel
+        Its near limit counts.
+    solid : Solid
+        The body.
+    road_poses : (n, 4) float
+        Where the body is, for each beam.
+    directions : (n, 3) float
+        Unit vectors.
+
+    Returns
+    -------
+    distance_m : (n,) float
+        Infinite where nothing is hit. [m]
+    triangle : (n,) int
+        -1 where nothing is hit.
+    """
     rotations = body_rotation(road_poses[:, 2])
     offsets = np.repeat(pose.position_m[None], len(road_poses), axis=0)
     offsets -= road_poses[:, [0, 1, 3]]
@@ -409,7 +555,7 @@ def _before(
     vehicle: Solid,
     road_pose: FloatArray,
 ) -> _Echoes:
-    """Beams that a vehicle does not stop on their way."""
+    """Beams that a vehicle at a road pose (4,) does not stop on their way."""
     up_m = 0.5 * vehicle.hull_m[:, 2].max() + road_pose[3]
     middle = np.array([*road_pose[:2], up_m]) - pose.position_m
     radius_m = float(np.linalg.norm(vehicle.hull_m, axis=1).max())
@@ -429,7 +575,21 @@ def _is_enough(
     vru_class: str,
     random: FloatArray,
 ) -> bool:
-    """True if enough pulses come back from the VRU."""
+    """True if enough pulses come back from the VRU.
+
+    Parameters
+    ----------
+    echoes : _Echoes
+        Beams that reach it.
+    lidar : LidarModel
+        Gives the probability that a pulse comes back.
+    weather : Weather
+        Extinction in the air.
+    vru_class : str
+        One of ``VRU_CLASSES``: its reflectivity, and how many points are needed.
+    random : (n,) float
+        A number for each beam, 0 to 1.
+    """
     detection = load_lidar_detection()
     probability = return_probability(
         lidar,

@@ -1,4 +1,4 @@
-"""Pictures: for networks, whole ones and crops around the road user; and of one frame of a run."""
+"""Pictures for networks, whole ones and crops, and of one frame of a run."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -46,20 +46,35 @@ PictureOfFrame = Callable[[int], Image]
 _CROP_SIDES_PX = (64, 96, 128, 160)
 # share of a crop that a road user may take up; for larger ones the scale is less
 _ROOM = 0.625
-_HALO_PX = 4.0  # by which blur and glare reach beyond a body
+# How far blur and glare reach beyond a body.
+_HALO_PX = 4.0
 
 
 class PictureSource:
-    """Draws a frame when it is asked for; what stands still is prepared once per obstruction.
+    """Draws a frame when it is asked for.
 
-    `n_drawn` counts pictures so far, and crops, those included that look like an
-    earlier one.
+    What stands still is prepared once per obstruction.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    runs : sequence of Run
+        Their frames, end to end, are asked for by number.
+    seed : int
+        Of sensor noise and drops.
+
+    Attributes
+    ----------
+    n_drawn : int
+        Pictures so far, and crops, those included that look like an earlier one.
     """
 
     def __init__(self, scene: Scene, runs: Sequence[Run], *, seed: int) -> None:
         self._scene = scene
         self._runs = runs
-        self._compute = Compute(seed=seed, workers=1)  # frames are drawn side by side
+        # One worker each, since several frames are drawn side by side.
+        self._compute = Compute(seed=seed, workers=1)
         self._start = np.concatenate(
             [[0], np.cumsum([len(run.time_s) for run in runs])]
         )
@@ -74,7 +89,7 @@ class PictureSource:
         self._is_closed = True
 
     def pictures(self, camera: FrameCamera) -> PictureOfFrame:
-        """Pictures of a camera: from a frame of all runs, end to end, to its image."""
+        """Function from a frame of all runs, end to end, to a camera's image."""
 
         def picture(frame: int) -> Image:
             pose, model = _placed(camera, *self._find(frame))
@@ -89,12 +104,14 @@ class PictureSource:
         return Crops(self, camera, boxes_px)
 
     def _find(self, frame: int) -> tuple[Run, int]:
+        """Run of a frame, and its index in the run."""
         run_index = int(np.searchsorted(self._start, frame, side="right")) - 1
         return self._runs[run_index], frame - int(self._start[run_index])
 
     def _draw(
         self, frame: int, pose: Pose, camera: CameraModel, *, with_vut: bool
     ) -> Image:
+        """Draw a whole picture of a frame, (h, w, 3)."""
         run, index = self._find(frame)
         picture = draw_picture(
             self._standing(run)[0],
@@ -110,9 +127,13 @@ class PictureSource:
         return picture.rgb
 
     def _draw_crop(self, frame: int, view: "_View") -> Crop:
+        """Draw a crop of a frame at its own scale."""
         run, index = self._find(frame)
         small = view.small
         window = view.window
+        white = None
+        if view.is_fixed:
+            white = self._white(run, view)
         picture = draw_crop(
             *self._standing(run),
             run,
@@ -122,7 +143,7 @@ class PictureSource:
             window,
             weather=pick_weather(run.weather, "run: weather"),
             with_vut=view.shows_vut,
-            white_cd_m2=self._white(run, view) if view.is_fixed else None,
+            white_cd_m2=white,
             seed=self._compute.seed,
         )
         return Crop(
@@ -134,25 +155,39 @@ class PictureSource:
         )
 
     def _white(self, run: Run, view: "_View") -> float | None:
-        """Exposure of a fixed camera by daylight, when what moves changes little."""
+        """Exposure of a fixed camera by daylight, when what moves changes little.
+
+        None where lamps are on.
+        """
         weather = pick_weather(run.weather, "run: weather")
         if weather.has_lamps:
             return None
         pose = view.pose
         key = (
-            *(pose.position_m.tobytes(), pose.yaw_deg, pose.pitch_deg, view.camera),
-            *(weather, obstruction_key(run)),
+            pose.position_m.tobytes(),
+            pose.yaw_deg,
+            pose.pitch_deg,
+            view.camera,
+            weather,
+            obstruction_key(run),
         )
         if key not in self._whites:
             self._whites[key] = meter(*self._standing(run), pose, view.camera, weather)
         return self._whites[key]
 
     def _count(self) -> None:
+        """Count one more picture; several threads draw."""
         with self._lock:
             self.n_drawn += 1
 
     def _standing(self, run: Run) -> tuple[Backdrop, FrameMesh]:
-        """What stands still in a run, to be drawn and ready for rays; no more once closed."""
+        """What stands still in a run, to be drawn and ready for rays.
+
+        Raises
+        ------
+        CancelledError
+            The source is closed.
+        """
         if self._is_closed:
             raise CancelledError
         key = obstruction_key(run)
@@ -164,13 +199,31 @@ class PictureSource:
 
 
 class _View(NamedTuple):
-    """How a frame is shown."""
+    """How a frame is shown.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the camera.
+    camera : CameraModel
+        The camera.
+    box_px : (4,) float
+        Of the whole road user in the whole image. [px]
+    side_px : int
+        Of the crop. [px]
+    scale : int
+        Pixels of the whole image per pixel of the crop.
+    shows_vut : bool
+        The VUT may change the crop.
+    is_fixed : bool
+        The camera is not the VUT's own.
+    """
 
     pose: Pose
     camera: CameraModel
-    box_px: FloatArray  # (4,): of the whole road user in the whole image
-    side_px: int  # of the crop
-    scale: int  # pixels of the whole image per pixel of the crop
+    box_px: FloatArray
+    side_px: int
+    scale: int
     shows_vut: bool
     is_fixed: bool
 
@@ -188,12 +241,21 @@ class _View(NamedTuple):
 
 
 class Crops:
-    """Crops of a camera's pictures around the road user; see :class:`~..detectors.evidence.Crops`.
+    """Crops of a camera's pictures around the road user.
 
-    A road user that would fill a crop is drawn at a half, a third and so on of the
-    camera's resolution. Where the VUT, its shadow and its mirror image lie outside a
-    crop by daylight, the VUT is left out: then all frames with the same road user look
-    the same.
+    See :class:`placement.detectors.evidence.Crops`. A road user that would fill a
+    crop is drawn at a half, a third and so on of the camera's resolution. Where the
+    VUT, its shadow and its mirror image lie outside a crop by daylight, the VUT is
+    left out: then all frames with the same road user look the same.
+
+    Parameters
+    ----------
+    source : PictureSource
+        Draws them.
+    camera : VutCamera or (Pose, CameraModel)
+        The camera.
+    boxes_px : (n_frames, 4) float
+        Box of the whole road user in each frame. [px]
     """
 
     def __init__(
@@ -204,31 +266,34 @@ class Crops:
         self._boxes_px = boxes_px
 
     def key(self, frame: int) -> tuple[object, ...]:
-        """Equal for frames whose crops look the same."""
+        """Key of a frame: equal for frames whose crops look the same."""
         self._source._count()
         run, index = self._source._find(frame)
         view = self._view(frame)
         where = (
-            *(run.weather, id(run.encounter.vru), int(run.vru_shape[index])),
-            *(obstruction_key(run), view.side_px, view.scale),
-            *(run.vru_position_m[index].tobytes(), float(run.vru_yaw_deg[index])),
+            run.weather,
+            id(run.encounter.vru),
+            int(run.vru_shape[index]),
+            obstruction_key(run),
+            view.side_px,
+            view.scale,
+            run.vru_position_m[index].tobytes(),
+            float(run.vru_yaw_deg[index]),
         )
         if view.shows_vut or run.traffic or isinstance(self._camera, VutCamera):
             return (*where, frame)
         return where
 
     def draw_all(self, frames: Sequence[int]) -> Iterator[tuple[int, Crop]]:
-        """Frames and their crops, in another order than given.
-
-        What stands still is drawn once for the crops of a fixed camera at one scale, if
-        that is less than all of them together.
-        """
+        """Frames and their crops, drawn one after the other."""
         for frame in frames:
             yield frame, self._source._draw_crop(frame, self._view(frame))
 
     def _view(self, frame: int) -> _View:
+        """How a frame is shown: side and scale of the crop, and if the VUT is in it."""
         run, index = self._source._find(frame)
         pose, camera = _placed(self._camera, run, index)
+        # The smallest crop with room for the road user, at a scale at which one has.
         box_px = self._boxes_px[frame]
         size_px = float((box_px[2:] - box_px[:2]).max())
         scale = max(1, int(np.ceil(size_px / (_ROOM * _CROP_SIDES_PX[-1]))))
@@ -258,31 +323,45 @@ def _may_show_vut(
     box_px: FloatArray,
     reach_px: float,
 ) -> bool:
-    """True if the VUT changes a crop that reaches so far from a box's middle.
+    """True if the VUT may change a crop.
 
-    Pixels that its body, its shadow on level ground and its mirror image in wet ground
-    can cover lie inside the bounding box of their corners.
+    Pixels that its body, its shadow on level ground and its mirror image in wet
+    ground can cover lie inside the bounding box of their corners.
+
+    Parameters
+    ----------
+    run, index : Run, int
+        The frame.
+    pose, camera : Pose, CameraModel
+        The camera.
+    box_px : (4,) float
+        Of the road user. [px]
+    reach_px : float
+        How far the crop reaches from the middle of the box. [px]
     """
     weather = pick_weather(run.weather, "run: weather")
     if weather.has_lamps or run.terrain is not None:
         return True
-    points = project_points(_cast_corners(run, index, weather), pose, camera)[:, :2]
+    corners = _cast_corners(run, index, weather)
+    points = project_points(corners, pose, camera)[:, :2]
     if not np.isfinite(points).all():
         return not np.isnan(points).all()
     # At the image's edge a crop is moved inwards.
     reach = reach_px + _HALO_PX
     size = np.array([camera.width_px, camera.height_px])
-    middle = np.clip(
-        0.5 * (box_px[:2] + box_px[2:]), reach_px, np.maximum(size - reach_px, 0.0)
-    )
-    return bool(
-        (points.max(axis=0) > middle - reach).all()
-        and (points.min(axis=0) < middle + reach).all()
-    )
+    middle = 0.5 * (box_px[:2] + box_px[2:])
+    middle = np.clip(middle, reach_px, np.maximum(size - reach_px, 0.0))
+    is_before_end = (points.min(axis=0) < middle + reach).all()
+    is_after_begin = (points.max(axis=0) > middle - reach).all()
+    return bool(is_after_begin and is_before_end)
 
 
 def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:
-    """Corners of the VUT, of its shadow and of its mirror image below the road, (n, 3)."""
+    """Corners of the VUT, of its shadow and of its mirror image, (n, 3).
+
+    The shadow lies on level ground, the mirror image below the road; each only
+    where the weather shows it.
+    """
     vut = run.encounter.vut
     half = np.array([0.5 * vut.length_m, 0.5 * vut.width_m])
     signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
@@ -300,7 +379,7 @@ def _cast_corners(run: Run, index: int, weather: Weather) -> FloatArray:
 
 
 def vut_camera_pose(mount: VutCamera, run: Run, frame_index: int) -> Pose:
-    """Where the VUT's camera is and looks in a frame of a run, world frame."""
+    """Pose of the VUT's camera in a frame of a run, world frame."""
     on_vut = mount.pose_on(run.encounter.vut)
     yaw_deg = float(run.vut_yaw_deg[frame_index])
     position_m = on_ground(run.vut_position_m[frame_index], run.terrain)
@@ -322,27 +401,30 @@ VUT_LIDAR_UNIT = "VUT-LIDAR"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Viewpoint:
-    """From where a frame is seen.
+    """Where a frame is seen from.
 
     Attributes
     ----------
     pose : Pose
-        Of the camera, world frame.
+        Of the sensor, world frame.
     sensor : CameraModel or LidarModel
         What looks.
     with_vut : bool
-        Whether the VUT is there to be seen: not for its own sensors.
+        The VUT is there to be seen; its own sensors do not see it.
     """
 
-    pose: Pose  # of the sensor, world frame
+    pose: Pose
     sensor: Sensor
-    with_vut: bool  # is the VUT there to be seen? Not by its own sensors
+    with_vut: bool
 
 
 def find_frame(run: Run, frame: int) -> int:
     """Index of a frame from the start; negative numbers count from the end.
 
-    Raises InputError if the run has no such frame.
+    Raises
+    ------
+    InputError
+        The run has no such frame.
     """
     n_frames = len(run.time_s)
     if not -n_frames <= frame < n_frames:
@@ -357,7 +439,7 @@ def find_frame(run: Run, frame: int) -> int:
 def find_viewpoint(
     layout: Layout, unit_id: str, run: Run, frame_index: int
 ) -> Viewpoint:
-    """Where a unit's sensor is in a frame.
+    """Pose and sensor of a unit in a frame.
 
     Parameters
     ----------
@@ -395,11 +477,12 @@ def find_viewpoint(
 def render(
     scene: Scene, run: Run, frame_index: int, viewpoint: Viewpoint, *, compute: Compute
 ) -> Picture | PointCloud:
-    """The picture, or point cloud, of a frame in the run's weather."""
+    """Picture or point cloud of a frame, in the run's weather."""
     weather = pick_weather(run.weather, "weather")
     pose = viewpoint.pose
     sensor = viewpoint.sensor
-    with_vut = viewpoint.with_vut  # its headlights shine in any case
+    # Without the VUT its headlights still shine.
+    with_vut = viewpoint.with_vut
     if isinstance(sensor, LidarModel):
         static = build_static_mesh(scene, run.obstruction)
         mesh = build_frame_mesh(

@@ -1,13 +1,13 @@
-"""Numba kernels: pixels of an image that show the VRU, by triangles drawn at pixel centres.
+"""Numba kernels: pixels of an image that show the VRU.
 
-A pixel is a direction from the lens, one metre deep: the ray through its centre. A
-triangle with corners a, b, c (camera frame) covers it where the direction lies on the
-same side of the three planes through the lens and an edge; the depth there is a . (b x
-c) / (sum of the three products). That needs no clipping, and neighbours that share an
-edge leave no gap [1]_. Only the rows and columns in which it is looked for are found by
-projecting and clipping.
+Triangles are drawn at the centres of pixels. A pixel is a direction from the lens, one
+metre deep: the ray through its centre. A triangle with corners a, b, c (camera frame)
+covers it where the direction lies on the same side of the three planes through the lens
+and an edge; the depth there is a . (b x c) / (sum of the three products). That needs no
+clipping, and neighbours that share an edge leave no gap [1]_. Only the rows and columns
+in which it is looked for are found by projecting and clipping.
 
-Nothing can hide the VRU but what reaches into its beam: the pyramid from the lens
+Nothing can occlude the VRU but what reaches into its beam: the pyramid from the lens
 through the box of the VRU in the image, as deep as the VRU. Trees of boxes find it;
 where they find nothing, the visible box is the amodal one, and nothing is drawn but the
 VRU's outline.
@@ -28,30 +28,49 @@ from geometry.kernels import kernel
 
 # Few numbers are tuples, which need no memory: passing arrays costs more than the
 # arithmetic.
-Point = tuple[float, float, float]  # right, down, ahead: camera frame. [m]
-Edges = tuple[Point, Point, Point]  # normals of planes through the lens
-Window = tuple[int, int, int, int]  # first column and row, and those after the last
-Bounds = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max. [px]
+# Right, down and ahead, in the camera frame. [m]
+Point = tuple[float, float, float]
+# Normals of three planes through the lens.
+Edges = tuple[Point, Point, Point]
+# First column and row, and those after the last.
+Window = tuple[int, int, int, int]
+# x_min, y_min, x_max, y_max. [px]
+Bounds = tuple[float, float, float, float]
 
-_SLACK_PX = 1.0e-6  # more than rounding moves an edge
+# More than rounding moves an edge in the image.
+_SLACK_PX = 1.0e-6
 _MIN_DEPTH_M = 1.0e-6
-_TOUCH_M = 1.0e-6  # what the VRU stands on does not hide it
+# What the VRU stands on does not occlude it.
+_TOUCH_M = 1.0e-6
 _N_PLANES = 6
 _LEAF_SIZE = 4
-_MAX_OPEN = 512  # nodes of a tree that wait for their turn: one per level
+# Room for the nodes that wait to be handled: about one per level of a tree.
+_MAX_OPEN = 512
 
 
 class Image(NamedTuple):
-    """The pixels of a camera at its place."""
+    """The pixels of a camera at its place.
+
+    Attributes
+    ----------
+    focal_px : float
+        Focal length. [px]
+    width_px, height_px : int
+        Size of the image. [px]
+    near_m : float
+        Distance from the lens at which drawing starts. [m]
+    up_m : float
+        Height of the lens. [m]
+    """
 
     focal_px: float
     width_px: int
     height_px: int
-    near_m: float  # distance from the lens at which drawing starts
-    up_m: float  # height of the lens
+    near_m: float
+    up_m: float
 
 
-# ---------- inputs and outputs of the drawing of many frames, as tuples for compiled code
+# ---------- inputs and outputs of many frames, as tuples for compiled code
 class Tree(NamedTuple):
     """Boxes around ever fewer triangles: a parent is followed by its first child.
 
@@ -67,89 +86,137 @@ class Tree(NamedTuple):
         Triangles of a node.
     """
 
-    corners_m: FloatArray  # (n_triangles, 3, 3): leaf by leaf
-    low_m: (
-        FloatArray  # (n_nodes, 3): box of each node; without triangles there is no node
-    )
+    corners_m: FloatArray
+    low_m: FloatArray
     high_m: FloatArray
-    second: IntArray  # (n_nodes,): the second child; -1 for a leaf
-    start: IntArray  # (n_nodes,): triangles of a node, from start to end
+    second: IntArray
+    start: IntArray
     end: IntArray
 
 
 class Vehicles(NamedTuple):
-    """Trees of all kinds of bodies that move."""
+    """Trees of all kinds of bodies that move.
 
-    tree: Tree  # one after the other
-    roots: IntArray  # (n_kinds,): the node at which each begins
+    Attributes
+    ----------
+    tree : Tree
+        The trees, one after the other.
+    roots : (n_kinds,) int
+        Node at which each begins.
+    """
+
+    tree: Tree
+    roots: IntArray
 
 
 class Skin(NamedTuple):
-    """Triangles to draw, in an order without order: neighbours do not follow one another.
+    """Triangles to draw, shuffled: neighbours do not follow one another.
 
     Attributes
     ----------
     vertices_m : (n_vertices, 3) float
-        In the body frame, without order, too.
+        In the body frame, shuffled, too. [m]
     triangles : (n_triangles, 3) int
         Rows of vertices.
     fan_start, fans : (n_vertices + 1,), (3 * n_triangles,) int
         Rows of the triangles at each vertex, one vertex after the other.
     """
 
-    vertices_m: FloatArray  # (n_vertices, 3): body frame, shuffled, too
-    triangles: IntArray  # (n_triangles, 3): rows of vertices
-    # fan_start, fans: (n_vertices + 1,), (3 * n_triangles,): rows of the triangles at
-    # each vertex, one vertex after the other
+    vertices_m: FloatArray
+    triangles: IntArray
     fan_start: IntArray
     fans: IntArray
 
 
 class Placed(NamedTuple):
-    """Where bodies are, seen from a camera: ``turn @ point + shift`` is right, down, ahead."""
+    """Places of bodies, seen from a camera.
 
-    turn: FloatArray  # (n, 3, 3)
-    shift: FloatArray  # (n, 3). [m]
-    # (n,): height of their origins in the frame in which the camera stands. [m]
+    ``turn @ point + shift`` is right, down, ahead.
+
+    Attributes
+    ----------
+    turn : (n, 3, 3) float
+        From the frame of each body to the camera's.
+    shift : (n, 3) float
+        Origin of each body. [m]
+    up_m : (n,) float
+        Height of the origins in the frame in which the camera stands. [m]
+    """
+
+    turn: FloatArray
+    shift: FloatArray
     up_m: FloatArray
 
     def take(self, rows: slice) -> "Placed":
-        """Some of them."""
+        """The bodies in a range of rows."""
         return Placed(self.turn[rows], self.shift[rows], self.up_m[rows])
 
 
 class Sights(NamedTuple):
-    """Where everything is in frames that differ in more than the vehicles that move."""
+    """Places of everything, sight by sight and frame by frame.
+
+    Frames of one sight differ only by the vehicles that move.
+
+    Attributes
+    ----------
+    vru, static : Placed
+        The VRU and the static world of each of n sights.
+    frame_start : (n + 1,) int
+        Where the frames of each sight begin.
+    vehicles : Placed
+        Vehicles that move, one frame after the other.
+    vehicle_kind : (n_vehicles,) int
+        Which body each of them is.
+    vehicle_start : (n_frames + 1,) int
+        Where the vehicles of each frame begin.
+    """
 
     vru: Placed
     static: Placed
-    frame_start: IntArray  # (n + 1,): frames of each sight, one after the other
-    vehicles: Placed  # of every frame, one frame after the other
-    vehicle_kind: IntArray  # (n_vehicles,): which body each of them is
-    vehicle_start: IntArray  # (n_frames + 1,): into them
+    frame_start: IntArray
+    vehicles: Placed
+    vehicle_kind: IntArray
+    vehicle_start: IntArray
 
 
 class Seen(NamedTuple):
-    """Boxes in pixels, zeros where there is none, and shares."""
+    """Boxes in pixels, zeros where there is none, and shares.
 
-    amodal_px: FloatArray  # (n, 4): of each sight
-    inside_share: (
-        FloatArray  # (n,): of the VRU's box, what the image's edges do not cut off
-    )
-    visible_px: FloatArray  # (n, 4): of each sight, were no vehicles there
-    visible_share: FloatArray  # (n,): by pixels; 1 where the VRU covers none
-    frame_visible_px: FloatArray  # (n_frames, 4): with vehicles
-    frame_visible_share: FloatArray  # (n_frames,)
+    Attributes
+    ----------
+    amodal_px : (n, 4) float
+        Box of the whole VRU in each sight. [px]
+    inside_share : (n,) float
+        Share of the VRU's box that the image's edges do not cut off.
+    visible_px : (n, 4) float
+        Box of what is visible in each sight, were no vehicles there. [px]
+    visible_share : (n,) float
+        Share of the VRU's pixels that are visible then; 1 where it covers none.
+    frame_visible_px : (n_frames, 4) float
+        Box of what is visible with vehicles. [px]
+    frame_visible_share : (n_frames,) float
+        Share of the VRU's pixels that are visible with vehicles.
+    """
+
+    amodal_px: FloatArray
+    inside_share: FloatArray
+    visible_px: FloatArray
+    visible_share: FloatArray
+    frame_visible_px: FloatArray
+    frame_visible_share: FloatArray
 
     def take(self, sights: slice, frames: slice) -> "Seen":
-        """Parts of the same arrays."""
-        return Seen(
-            *(part[sights] for part in self[:4]), *(part[frames] for part in self[4:])
-        )
+        """Views of the arrays for ranges of sights and frames."""
+        of_sights = [part[sights] for part in self[:4]]
+        of_frames = [part[frames] for part in self[4:]]
+        return Seen(*of_sights, *of_frames)
 
 
 def blank_sights(n_sights: int, n_frames: int) -> Seen:
-    """Nothing seen yet."""
+    """Boxes and shares before anything is drawn.
+
+    Boxes are zeros, `inside_share` is 0, the other shares are 1.
+    """
     return Seen(
         np.zeros((n_sights, 4)),
         np.zeros(n_sights),
@@ -163,13 +230,28 @@ def blank_sights(n_sights: int, n_frames: int) -> Seen:
 # ---------- triangles: their bounds in the image, and their depths
 @kernel
 def corner(points: FloatArray, row: int) -> Point:
-    """A row of points (n, 3)."""
+    """A row of points (n, 3) as a tuple."""
     return points[row, 0], points[row, 1], points[row, 2]
 
 
 @kernel
 def find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) -> Bounds:
-    """Bounds of the part of a triangle that is at least so deep; empty if there is none."""
+    """Bounds in the image of the part of a triangle that is deep enough.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    least_depth : float
+        Only what is at least so deep counts. [m]
+    a, b, c : Point
+        Corners of the triangle. [m]
+
+    Returns
+    -------
+    bounds : Bounds
+        Empty (infinite, reversed) if no part is deep enough. [px]
+    """
     bounds = (np.inf, np.inf, -np.inf, -np.inf)
     bounds = _with_edge(image, least_depth, a, b, bounds)
     bounds = _with_edge(image, least_depth, b, c, bounds)
@@ -180,7 +262,10 @@ def find_span(image: Image, least_depth: float, a: Point, b: Point, c: Point) ->
 def _with_edge(
     image: Image, least_depth: float, p: Point, q: Point, bounds: Bounds
 ) -> Bounds:
-    """Bounds stretched by an edge from p to just before q, as far as it is deep enough."""
+    """Bounds stretched by an edge from p to just before q.
+
+    Only the part that is at least `least_depth` deep counts.
+    """
     if p[2] >= least_depth:
         bounds = _with_point(image, p[0], p[1], p[2], bounds)
     if (p[2] >= least_depth) != (q[2] >= least_depth):
@@ -195,6 +280,7 @@ def _with_edge(
 def _with_point(
     image: Image, right: float, down: float, ahead: float, bounds: Bounds
 ) -> Bounds:
+    """Bounds stretched by the projection of a point."""
     scale = image.focal_px / ahead
     x = 0.5 * image.width_px + scale * right
     y = 0.5 * image.height_px + scale * down
@@ -203,7 +289,10 @@ def _with_point(
 
 @kernel
 def pixels_within(bounds: Bounds, window: Window) -> Window:
-    """Pixels of a window whose centres lie within bounds; zeros if there are none."""
+    """Pixels of a window whose centres lie within bounds.
+
+    Zeros if there are none.
+    """
     left = max(bounds[0] - 0.5 - _SLACK_PX, float(window[0]))
     top = max(bounds[1] - 0.5 - _SLACK_PX, float(window[1]))
     right = min(bounds[2] + 0.5 + _SLACK_PX, float(window[2]))
@@ -232,10 +321,20 @@ def dot(p: Point, q: Point) -> float:
 
 @kernel
 def find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
-    """Normals of the planes through the lens and the edges, and a . (b x c), which is positive.
+    """Edge planes of a triangle, and its volume with the lens.
 
-    A direction that the triangle covers ahead of the lens is on the positive side of
-    all three.
+    Parameters
+    ----------
+    a, b, c : Point
+        Corners. [m]
+
+    Returns
+    -------
+    edges : Edges
+        Normals of the planes through the lens and each edge. A direction that the
+        triangle covers ahead of the lens is on the positive side of all three.
+    volume : float
+        a . (b x c), made positive. [m^3]
     """
     volume = dot(a, cross(b, c))
     if volume < 0.0:
@@ -247,7 +346,24 @@ def find_edges(a: Point, b: Point, c: Point) -> tuple[Edges, float]:
 def depth_at(
     image: Image, edges: Edges, volume: float, is_near: bool, across: float, down: float
 ) -> float:
-    """Depth of a triangle in a direction; infinite where it does not cover it, or is too near."""
+    """Depth of a triangle in a direction.
+
+    Parameters
+    ----------
+    image : Image
+        Its near limit counts.
+    edges, volume : Edges, float
+        As :func:`find_edges` returns them.
+    is_near : bool
+        Some part of the triangle is not as deep as the near limit.
+    across, down : float
+        The direction, at depth 1.
+
+    Returns
+    -------
+    depth : float
+        Infinite where the triangle does not cover the direction, or is too near. [m]
+    """
     direction = (across, down, 1.0)
     first = dot(edges[0], direction)
     second = dot(edges[1], direction)
@@ -265,12 +381,27 @@ def depth_at(
 def _passes_by(
     image: Image, edges: Edges, volume: float, window: Window, farthest_m: float
 ) -> bool:
-    """True if a plane through a triangle, or through its edge and the lens, clears a beam."""
+    """True if a triangle misses a beam, by one plane that separates them.
+
+    The planes are that of the triangle, and those through the lens and each edge.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    edges, volume : Edges, float
+        As :func:`find_edges` returns them.
+    window : Window
+        Section of the beam in the image.
+    farthest_m : float
+        Depth of the beam. [m]
+    """
     n_before = 0
     n_first = 0
     n_second = 0
     n_third = 0
-    for corner in range(4):  # corners of the window
+    # Count on which side of each plane the corners of the window lie.
+    for corner in range(4):
         if corner < 2:
             x = window[0]
         else:
@@ -310,7 +441,7 @@ def _least_depth(image: Image, window: Window) -> float:
 def _to_camera(
     turn: FloatArray, shift: FloatArray, points: FloatArray, out: FloatArray
 ) -> None:
-    """Points (n, 3) in the camera frame: columns right, down, ahead."""
+    """Write points (n, 3) in the camera frame: columns right, down, ahead."""
     for row in range(len(points)):
         x = points[row, 0]
         y = points[row, 1]
@@ -325,12 +456,26 @@ def _to_camera(
 def find_crop(
     image: Image, hull: FloatArray, min_height_px: float
 ) -> tuple[Window, float]:
-    """Part of the image that holds a body, a pixel larger than its hull (n, 3), camera frame.
+    """Find the part of the image that holds a body.
 
-    It is zeros where the body is outside the field of view or the part is not
-    `min_height_px` high, the whole image where the body reaches behind the lens. Gives
-    also the share of the body's box that the image's edges do not cut off: 0 where it
-    reaches behind.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    hull : (n, 3) float
+        Corners of the body's convex hull, camera frame. [m]
+    min_height_px : float
+        Least height of the part. [px]
+
+    Returns
+    -------
+    crop : Window
+        A pixel larger than the hull; zeros where the body is outside the field of view
+        or the part is not so high; the whole image where the body reaches behind the
+        lens.
+    inside : float
+        Share of the body's box that the image's edges do not cut off; 0 where the body
+        reaches behind the lens.
     """
     n = len(hull)
     half_width = 0.5 * image.width_px
@@ -341,7 +486,8 @@ def find_crop(
     n_below = 0
     n_behind = 0
     nearest = np.inf
-    for row in range(n):  # corners of the hull
+    # Count the corners of the hull beyond each edge of the image.
+    for row in range(n):
         # The planes through the lens and the image's edges: they also hold behind the
         # lens.
         across = hull[row, 0]
@@ -364,7 +510,8 @@ def find_crop(
     x_max = -np.inf
     y_min = np.inf
     y_max = -np.inf
-    for row in range(n):  # all of them ahead: project them
+    # All corners are ahead: bound their projections.
+    for row in range(n):
         scale = image.focal_px / hull[row, 2]
         x = half_width + scale * hull[row, 0]
         y = half_height + scale * hull[row, 1]
@@ -380,18 +527,15 @@ def find_crop(
     inside *= max(bottom - top, 0.0) / max(y_max - y_min, 1.0e-9)
     if is_outside:
         return (0, 0, 0, 0), inside
+    # A pixel larger on every side, as far as the image goes.
+    x_low = 0
+    y_low = 0
     if left >= 1.0:
         x_low = int(np.floor(left)) - 1
-    else:
-        x_low = 0
     if top >= 1.0:
         y_low = int(np.floor(top)) - 1
-    else:
-        y_low = 0
-    x_high = int(np.ceil(right)) + 1
-    y_high = int(np.ceil(bottom)) + 1
-    x_high = min(x_high, image.width_px)
-    y_high = min(y_high, image.height_px)
+    x_high = min(int(np.ceil(right)) + 1, image.width_px)
+    y_high = min(int(np.ceil(bottom)) + 1, image.height_px)
     if x_low >= x_high or y_low >= y_high or y_high - y_low < min_height_px:
         return (0, 0, 0, 0), inside
     return (x_low, y_low, x_high, y_high), inside
@@ -402,7 +546,10 @@ def find_crop(
 def _project(
     image: Image, points: FloatArray, least_depth: float, pixels: FloatArray
 ) -> bool:
-    """Columns and rows of points (camera frame); whether all are ahead, otherwise unfinished."""
+    """Project points (n, 3) to columns and rows (n, 2).
+
+    Returns True if all are ahead; otherwise the rest is not written.
+    """
     for row in range(len(points)):
         if points[row, 2] < least_depth:
             return False
@@ -414,7 +561,10 @@ def _project(
 
 @kernel
 def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
-    """Of a triangle whose corners are all ahead: the same as those of :func:`find_span`."""
+    """Bounds of a triangle whose corners are all ahead.
+
+    The same as those of :func:`find_span`, from corners that are projected already.
+    """
     return (
         min(pixels[i, 0], pixels[j, 0], pixels[k, 0]),
         min(pixels[i, 1], pixels[j, 1], pixels[k, 1]),
@@ -425,10 +575,28 @@ def _bounds(pixels: FloatArray, i: int, j: int, k: int) -> Bounds:
 
 @kernel
 def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Window:
-    """Box around the pixels of a window that a body covers, zeros if there are none.
+    """Box around the pixels of a window that a body covers.
 
-    `points` are the vertices of its skin (camera frame). A triangle that makes the box
-    larger has a corner outside of it: few are drawn, with corners shuffled.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    points : (n_vertices, 3) float
+        Vertices of the body's skin, camera frame. [m]
+    skin : Skin
+        The body.
+    window : Window
+        Where to look.
+
+    Returns
+    -------
+    box : Window
+        Zeros if the body covers no pixel.
+
+    Notes
+    -----
+    A triangle that makes the box larger has a corner outside of it: since the corners
+    are shuffled, few triangles are drawn.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
@@ -445,9 +613,8 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
     top = np.inf
     right = -np.inf
     bottom = -np.inf
-    for vertex in range(
-        len(points)
-    ):  # vertices of the skin, then the triangles at each
+    # Loop over the vertices of the skin, and the triangles at each.
+    for vertex in range(len(points)):
         if is_ahead:
             column = pixels[vertex, 0]
             line = pixels[vertex, 1]
@@ -481,9 +648,11 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                 down = (y - middle_y) * per_px
                 # From both ends to the first that is covered: what is between them is
                 # in the box.
-                is_in = y_low <= y < y_high
+                stop = x_max
+                if y_low <= y < y_high:
+                    stop = min(x_max, x_low)
                 x = x_min
-                while x < (min(x_max, x_low) if is_in else x_max):
+                while x < stop:
                     across = (x - middle_x) * per_px
                     if depth_at(image, edges, volume, is_near, across, down) < np.inf:
                         x_low = min(x_low, x)
@@ -501,23 +670,20 @@ def find_box(image: Image, points: FloatArray, skin: Skin, window: Window) -> Wi
                         x_high = x + 1
                         break
                     x -= 1
+        # Where the box touches the edge of the window, nothing can make it larger.
         if x_low < x_high:
+            left = -np.inf
+            top = -np.inf
+            right = np.inf
+            bottom = np.inf
             if x_low > window[0]:
                 left = x_low - 0.5 + _SLACK_PX
-            else:
-                left = -np.inf
             if x_high < window[2]:
                 right = x_high + 0.5 - _SLACK_PX
-            else:
-                right = np.inf
             if y_low > window[1]:
                 top = y_low - 0.5 + _SLACK_PX
-            else:
-                top = -np.inf
             if y_high < window[3]:
                 bottom = y_high + 0.5 - _SLACK_PX
-            else:
-                bottom = np.inf
     if x_low >= x_high:
         return 0, 0, 0, 0
     return x_low, y_low, x_high, y_high
@@ -531,11 +697,26 @@ def draw(
     window: Window,
     depth_m: FloatArray,
 ) -> None:
-    """Draw a closed body's `points` (camera frame) and `triangles` in a window of the image.
+    """Draw a closed body in a window of the image.
 
-    Depths in the pixels of the window, row by row, become those of the body where it is
-    nearer. Triangles whose back is seen lie behind others, unless those are too near to
-    be drawn.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    points : (n_vertices, 3) float
+        Vertices, camera frame. [m]
+    triangles : (n_triangles, 3) int
+        Rows of vertices.
+    window : Window
+        Where to draw.
+    depth_m : (n_pixels,) float
+        Depths in the pixels of the window, row by row; lowered where the body is
+        nearer. [m]
+
+    Notes
+    -----
+    Triangles whose back is seen lie behind others, unless those are too near to be
+    drawn.
     """
     least_depth = _least_depth(image, window)
     pixels = np.empty((len(points), 2))
@@ -545,7 +726,8 @@ def draw(
     middle_x = 0.5 * image.width_px - 0.5
     middle_y = 0.5 * image.height_px - 0.5
     per_px = 1.0 / image.focal_px
-    for row in range(len(triangles)):  # triangles, and the pixels that each may cover
+    # Loop over the triangles, and the pixels that each may cover.
+    for row in range(len(triangles)):
         i = triangles[row, 0]
         j = triangles[row, 1]
         k = triangles[row, 2]
@@ -580,15 +762,28 @@ def _draw_all(
     box: Window,
     depth_m: FloatArray,
 ) -> int:
-    """Depths of the whole VRU in the pixels of its box; gives the number of pixels."""
-    depth_m[:] = np.inf  # nothing is drawn yet
+    """Write the depths of the whole VRU in its box; count its pixels."""
+    # Nothing is drawn yet.
+    depth_m[:] = np.inf
     draw(image, points, triangles, box, depth_m)
     return int((depth_m < np.inf).sum())
 
 
 @kernel
 def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -> int:
-    """Number of pixels of a window that show the VRU; the box around them becomes a row."""
+    """Count the pixels that show the VRU; write the box around them to a row.
+
+    Parameters
+    ----------
+    depth_m : (n_pixels,) float
+        Depths in a window, row by row; infinite where the VRU is not seen. [m]
+    window : Window
+        The window.
+    found : (n, 4) float
+        Boxes. [px]
+    row : int
+        Row of `found` that is written; zeros if no pixel shows the VRU.
+    """
     width = window[2] - window[0]
     height = window[3] - window[1]
     x_min = width
@@ -596,7 +791,8 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
     x_max = 0
     y_max = 0
     n_pixels = 0
-    for y in range(height):  # pixels of the window
+    # Loop over the pixels of the window.
+    for y in range(height):
         for x in range(width):
             if depth_m[y * width + x] < np.inf:
                 n_pixels += 1
@@ -606,8 +802,10 @@ def _measure(depth_m: FloatArray, window: Window, found: FloatArray, row: int) -
                 y_max = max(y_max, y + 1)
     found[row] = 0.0
     if n_pixels > 0:
-        found[row, 0], found[row, 1] = window[0] + x_min, window[1] + y_min
-        found[row, 2], found[row, 3] = window[0] + x_max, window[1] + y_max
+        found[row, 0] = window[0] + x_min
+        found[row, 1] = window[1] + y_min
+        found[row, 2] = window[0] + x_max
+        found[row, 3] = window[1] + y_max
     return n_pixels
 
 
@@ -621,18 +819,42 @@ def _set_beam(
     shift: FloatArray,
     planes: FloatArray,
 ) -> None:
-    """Planes of the beam through a box, in a body's frame: outside is where one is positive."""
+    """Write the planes of the beam through a box, in a body's frame.
+
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    box : Window
+        Section of the beam in the image.
+    farthest_m : float
+        Depth of the beam. [m]
+    turn, shift : (3, 3), (3,) float
+        From the body's frame to the camera's.
+    planes : (6, 4) float
+        Written: normal and constant of each plane. A point is outside where one of
+        normal . point + constant is positive.
+    """
     half_width = 0.5 * image.width_px
     half_height = 0.5 * image.height_px
-    normal = np.zeros((_N_PLANES, 4))  # and a constant; camera frame
-    normal[0, 0], normal[0, 2] = -1.0, (box[0] - half_width) / image.focal_px
-    normal[1, 0], normal[1, 2] = 1.0, (half_width - box[2]) / image.focal_px
-    normal[2, 1], normal[2, 2] = -1.0, (box[1] - half_height) / image.focal_px
-    normal[3, 1], normal[3, 2] = 1.0, (half_height - box[3]) / image.focal_px
+    # Normal and constant of each plane, camera frame.
+    normal = np.zeros((_N_PLANES, 4))
+    # Left of the box, right of it, above, and below.
+    normal[0, 0] = -1.0
+    normal[0, 2] = (box[0] - half_width) / image.focal_px
+    normal[1, 0] = 1.0
+    normal[1, 2] = (half_width - box[2]) / image.focal_px
+    normal[2, 1] = -1.0
+    normal[2, 2] = (box[1] - half_height) / image.focal_px
+    normal[3, 1] = 1.0
+    normal[3, 2] = (half_height - box[3]) / image.focal_px
+    # Behind the beam, and before it.
     normal[4, 2] = 1.0
     normal[4, 3] = -farthest_m
-    normal[5, 2], normal[5, 3] = -1.0, _least_depth(image, box)
-    for plane in range(_N_PLANES):  # planes of the beam, taken into the body's frame
+    normal[5, 2] = -1.0
+    normal[5, 3] = _least_depth(image, box)
+    # Take the planes into the body's frame.
+    for plane in range(_N_PLANES):
         constant = normal[plane, 3]
         for axis in range(3):
             planes[plane, axis] = 0.0
@@ -651,16 +873,32 @@ def _is_outside(
     high: FloatArray,
     node: int,
 ) -> bool:
-    """True if a node's box lies outside of one of the planes, or of the heights of a beam."""
+    """True if a node's box lies outside of a beam.
+
+    Outside is beyond one of the planes, or not between two heights.
+
+    Parameters
+    ----------
+    planes : (6, 4) float
+        As :func:`_set_beam` writes them.
+    low_m, high_m : float
+        Heights in the body's frame. [m]
+    low, high : (n_nodes, 3) float
+        Boxes of all nodes. [m]
+    node : int
+        The node.
+    """
     if high[node, 2] <= low_m or low[node, 2] >= high_m:
         return True
-    for plane in range(
-        _N_PLANES
-    ):  # the corner of the box that is least outside of each
+    # Of each plane, look at the corner of the box that is least outside.
+    for plane in range(_N_PLANES):
         value = planes[plane, 3]
         for axis in range(3):
             normal = planes[plane, axis]
-            value += normal * (low[node, axis] if normal > 0.0 else high[node, axis])
+            if normal > 0.0:
+                value += normal * low[node, axis]
+            else:
+                value += normal * high[node, axis]
         if value > 0.0:
             return True
     return False
@@ -679,13 +917,33 @@ def hide(
     high_m: float,
     depth_m: FloatArray,
 ) -> bool:
-    """Hide what a body is before, or say whether it is before anything.
+    """Hide what a body is in front of, or tell if it is in front of anything.
 
-    With depths in the pixels of a box, those of pixels that the body hides become
-    infinite. Without (an empty array), it gives whether the body covers a pixel of the
-    box at less than `farthest_m`. Nothing farther than that, nor outside of two
-    heights, is looked at. [m], the body's frame. Of a tree of several bodies, `root` is
-    where that of the body begins.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    tree : Tree
+        Triangles of one body, or of several.
+    root : int
+        Node at which the tree of the body begins.
+    turn, shift : (3, 3), (3,) float
+        From the body's frame to the camera's.
+    box : Window
+        Pixels to look at.
+    farthest_m : float
+        Nothing farther than this is looked at. [m]
+    low_m, high_m : float
+        Nothing outside of these heights, in the body's frame, is looked at. [m]
+    depth_m : (n_pixels,) or (0,) float
+        Depths in the pixels of the box. Those of pixels that the body occludes become
+        infinite. [m]
+
+    Returns
+    -------
+    is_in_front : bool
+        Only if `depth_m` is empty: the body covers a pixel of the box at less than
+        `farthest_m`. False otherwise.
     """
     if len(tree.second) == 0:
         return False
@@ -701,16 +959,20 @@ def hide(
     corners = np.empty((3, 3))
     waiting[0] = root
     n_waiting = 1
-    while n_waiting:  # nodes of the tree whose boxes may reach into the beam
+    # Loop over the nodes whose boxes may reach into the beam.
+    while n_waiting:
         n_waiting -= 1
         node = waiting[n_waiting]
         if _is_outside(planes, low_m, high_m, tree.low_m, tree.high_m, node):
             continue
         if tree.second[node] >= 0:
-            waiting[n_waiting], waiting[n_waiting + 1] = tree.second[node], node + 1
+            # The first child comes on top, and is looked at next.
+            waiting[n_waiting] = tree.second[node]
+            waiting[n_waiting + 1] = node + 1
             n_waiting += 2
             continue
-        for row in range(tree.start[node], tree.end[node]):  # triangles of a leaf
+        # Loop over the triangles of a leaf.
+        for row in range(tree.start[node], tree.end[node]):
             _to_camera(turn, shift, tree.corners_m[row], corners)
             a = corner(corners, 0)
             b = corner(corners, 1)
@@ -723,7 +985,8 @@ def hide(
             if volume == 0.0 or _passes_by(image, edges, volume, box, farthest_m):
                 continue
             is_near = min(min(a[2], b[2]), c[2]) < image.near_m
-            for y in range(y_min, y_max):  # pixels of the box within its bounds
+            # Loop over the pixels of the box within the triangle's bounds.
+            for y in range(y_min, y_max):
                 down = (y - middle_y) * per_px
                 start = (y - box[1]) * width - box[0]
                 for x in range(x_min, x_max):
@@ -757,17 +1020,37 @@ def _see_past_vehicles(
     depth_m: FloatArray,
     left_m: FloatArray,
 ) -> None:
-    """Fill `seen` in the frames of a sight, which differ by the vehicles that move.
+    """Fill the frames of a sight, which differ by the vehicles that move.
 
-    `body` has the VRU's vertices (camera frame) and triangles; `depths` are the
-    farthest depth of the VRU, and the heights between which all is that may hide it.
-    Where `n_pixels` is 0, `depth_m` is not yet drawn; `left_m` is room for as many
-    pixels.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    body : (FloatArray, IntArray)
+        Vertices of the VRU, camera frame, and its triangles.
+    vehicles : Vehicles
+        All kinds of vehicles.
+    sights : Sights
+        Where everything is.
+    seen : Seen
+        Its frames are written.
+    sight : int
+        The sight.
+    box : Window
+        Box of the whole VRU.
+    depths : tuple of 3 float
+        Farthest depth of the VRU, and the heights between which everything lies that
+        may occlude it. [m]
+    n_pixels : int
+        Pixels of the whole VRU; 0 where `depth_m` is not yet drawn.
+    depth_m : (n,) float
+        Depths of the VRU in the box, without what stands still in front of it. [m]
+    left_m : (n,) float
+        Room for as many. [m]
     """
     farthest_m, lowest_m, highest_m = depths
-    for frame in range(
-        sights.frame_start[sight], sights.frame_start[sight + 1]
-    ):  # and vehicles
+    # Loop over the frames, and the vehicles in each.
+    for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
         is_hidden = False
         for row in range(sights.vehicle_start[frame], sights.vehicle_start[frame + 1]):
             root = vehicles.roots[sights.vehicle_kind[row]]
@@ -812,11 +1095,26 @@ def see(
     sights: Sights,
     seen: Seen,
 ) -> None:
-    """Fill `seen`, which is blank: boxes and shares of one VRU's body in one static world.
+    """Fill boxes and shares of one VRU's body in one static world.
 
-    The VRU's `skin` and `hull_m` are in its body frame; what may hide it are the
-    `standing` scene, what is `parked` in it, and `vehicles`. Where the VRU's part of
-    the image is not `min_height_px` high, boxes are zeros.
+    Parameters
+    ----------
+    image : Image
+        The camera.
+    min_height_px : float
+        Where the VRU's part of the image is lower, boxes stay zeros. [px]
+    skin : Skin
+        Triangles of the VRU, body frame.
+    hull_m : (n, 3) float
+        Corners of its convex hull, body frame. [m]
+    standing, parked : Tree
+        The scene, and what is parked in it.
+    vehicles : Vehicles
+        All kinds of vehicles that move.
+    sights : Sights
+        Where everything is.
+    seen : Seen
+        Blank; written.
     """
     vertices_m = skin.vertices_m
     triangles = skin.triangles
@@ -824,12 +1122,12 @@ def see(
     points = np.empty((len(vertices_m), 3))
     nothing = np.empty(0)
     depth_m = nothing
-    left_m = nothing  # in the pixels of the box; infinite where it is not seen
+    # Depths in the pixels of the box; infinite where the VRU is not seen.
+    left_m = nothing
     foot_m = hull_m[:, 2].min()
     top_m = hull_m[:, 2].max()
-    for sight in range(
-        len(sights.vru.shift)
-    ):  # places of the VRU before what stands still
+    # Loop over the sights: places of the VRU among what stands still.
+    for sight in range(len(sights.vru.shift)):
         turn = sights.vru.turn[sight]
         shift = sights.vru.shift[sight]
         _to_camera(turn, shift, hull_m, hull)
@@ -850,7 +1148,8 @@ def see(
             depth_m = np.empty(area)
             left_m = np.empty(area)
         n_pixels = 0
-        n_left = -1  # not counted: the VRU's, and those that nothing static hides
+        # Pixels that nothing static occludes; -1: not counted.
+        n_left = -1
         # Between these heights is all that may hide it.
         vru_m = sights.vru.up_m[sight]
         base_m = sights.static.up_m[sight]
@@ -860,6 +1159,7 @@ def see(
         high_m = highest_m - base_m
         at = sights.static.turn[sight]
         there = sights.static.shift[sight]
+        # The scene, and what is parked: ask first, and draw the VRU only if needed.
         for tree in (standing, parked):
             if not hide(
                 image, tree, 0, at, there, box, farthest_m, low_m, high_m, nothing
@@ -881,6 +1181,7 @@ def see(
             )
             n_left = _measure(depth_m, box, seen.visible_px, sight)
             seen.visible_share[sight] = n_left / n_pixels
+        # Loop over the frames of the sight: first as if no vehicles were there.
         for frame in range(sights.frame_start[sight], sights.frame_start[sight + 1]):
             seen.frame_visible_px[frame] = seen.visible_px[sight]
             seen.frame_visible_share[frame] = seen.visible_share[sight]
@@ -902,7 +1203,7 @@ def see(
 
 # ---------- trees of boxes around triangles
 def build_tree(corners_m: FloatArray) -> Tree:
-    """Tree of triangles (n, 3, 3)."""
+    """Build the tree of boxes around triangles (n, 3, 3)."""
     n = len(corners_m)
     n_nodes = max(0, 2 * n - 1)
     tree = Tree(
@@ -916,12 +1217,13 @@ def build_tree(corners_m: FloatArray) -> Tree:
     order = np.arange(n)
     centres_m = 0.5 * (corners_m.min(axis=1) + corners_m.max(axis=1))
     n_used = _fill(tree, order, centres_m)
+    # Leaves hold several triangles: not all nodes are needed.
     used: list[Any] = [numbers[:n_used].copy() for numbers in tree[1:]]
     return Tree(corners_m[order], *used)
 
 
 def join_vehicles(trees: Sequence[Tree]) -> Vehicles:
-    """Trees of bodies, one after the other."""
+    """Put the trees of bodies one after the other."""
     roots = np.cumsum([0, *(len(tree.second) for tree in trees)])[:-1]
     firsts = np.cumsum([0, *(len(tree.corners_m) for tree in trees)])[:-1]
     moved = [
@@ -932,31 +1234,40 @@ def join_vehicles(trees: Sequence[Tree]) -> Vehicles:
         )
         for tree, root, first in zip(trees, roots, firsts, strict=True)
     ]
-    return Vehicles(
-        tree=Tree(*(np.concatenate(parts) for parts in zip(*moved, strict=True))),
-        roots=roots,
-    )
+    joined = [np.concatenate(parts) for parts in zip(*moved, strict=True)]
+    return Vehicles(tree=Tree(*joined), roots=roots)
 
 
 @kernel
 def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
-    """Fill a tree and the order of its triangles; gives the number of nodes.
+    """Fill a tree and sort the triangles; return the number of nodes.
 
-    A node is split in the middle of its triangles' centres along their largest extent;
-    in number where that would leave a side empty, or the tree grow too deep.
+    A node is split in the middle of its triangles' centres along their largest
+    extent; in number where that would leave a side empty, or the tree grow too
+    deep.
+
+    Parameters
+    ----------
+    tree : Tree
+        Its corners are given; everything else is written, with room for all nodes.
+    order : (n,) int
+        Triangles, leaf by leaf; sorted in place.
+    centres_m : (n, 3) float
+        Middles of the triangles' boxes. [m]
     """
     begins = np.empty(_MAX_OPEN, dtype=np.int64)
     ends = np.empty(_MAX_OPEN, dtype=np.int64)
-    parents = np.empty(
-        _MAX_OPEN, dtype=np.int64
-    )  # whose second child it is; -1: a first child
-    begins[0], ends[0], parents[0] = 0, len(order), -1
+    # The node whose second child each is; -1 for a first child.
+    parents = np.empty(_MAX_OPEN, dtype=np.int64)
+    begins[0] = 0
+    ends[0] = len(order)
+    parents[0] = -1
+    n_open = 0
     if len(order):
         n_open = 1
-    else:
-        n_open = 0
     n_used = 0
-    while n_open:  # nodes, parents before their children
+    # Loop over the nodes, parents before their children.
+    while n_open:
         n_open -= 1
         begin = begins[n_open]
         stop = ends[n_open]
@@ -967,6 +1278,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
             tree.second[parent] = node
         tree.start[node] = begin
         tree.end[node] = stop
+        # Bound the node, and find the axis along which its centres extend farthest.
         along = 0
         largest_m = -1.0
         middle_m = 0.0
@@ -987,6 +1299,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 middle_m = 0.5 * (least + most)
         if stop - begin <= _LEAF_SIZE:
             continue
+        # Sort the triangles by the side of the middle on which their centres lie.
         split = begin
         for place in range(begin, stop):
             row = order[place]
@@ -996,6 +1309,7 @@ def _fill(tree: Tree, order: IntArray, centres_m: FloatArray) -> int:
                 split += 1
         if split in (begin, stop) or n_open > _MAX_OPEN // 2:
             split = (begin + stop) // 2
+        # The first child comes on top, so that it follows its parent.
         begins[n_open] = split
         ends[n_open] = stop
         parents[n_open] = node

@@ -1,8 +1,8 @@
-"""Everything that can be seen in the frames of some runs, ready for pixels and for LiDAR beams.
+"""Everything that can be seen in the frames of some runs.
 
-A *road pose* is a row of four numbers: east and north in metres, yaw in degrees, and
-height of the ground in metres. It places the frame of a :class:`Solid` in the frame in
-which a sensor stands.
+Ready for pixels and for LiDAR beams. A *road pose* is a row of four numbers: east and
+north in metres, yaw in degrees, and height of the ground in metres. It places the frame
+of a :class:`Solid` in the frame in which a sensor stands.
 """
 
 from collections.abc import Sequence
@@ -34,15 +34,23 @@ if TYPE_CHECKING:
     from .pixels import Skin, Tree, Vehicles
 
 _WHERE = "vut_camera.toml"
-_POSE_DECIMALS = 6  # poses that agree to a micrometre are the same
+# Poses that agree to a micrometre are the same.
+_POSE_DECIMALS = 6
 
 
 # ---------- triangles
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles (n_triangles, 3), rows of vertices (n_vertices, 3) in metres.
+    """Triangles and their vertices.
 
-    Tree and skin are built when they are first asked for: only LiDARs do without.
+    Tree and skin are built when they are first asked for: LiDARs do without.
+
+    Attributes
+    ----------
+    vertices_m : (n_vertices, 3) float
+        [m]
+    triangles : (n_triangles, 3) int
+        Rows of vertices.
     """
 
     vertices_m: FloatArray
@@ -56,8 +64,9 @@ class Mesh:
 
     @cached_property
     def skin(self) -> "Skin":
-        """Its triangles, shuffled for drawing."""
-        from .pixels import Skin  # loads the compiler
+        """Triangles, shuffled for drawing."""
+        # Loads the compiler.
+        from .pixels import Skin
 
         rng = np.random.default_rng(0)
         n_vertices = len(self.vertices_m)
@@ -77,31 +86,41 @@ class Mesh:
 
     @property
     def tree(self) -> "Tree":
-        """Boxes around its triangles; safe to ask for from several threads."""
+        """Boxes around the triangles; several threads may ask for it."""
         with self._lock:
             return self._tree
 
     @cached_property
     def _tree(self) -> "Tree":
-        from .pixels import build_tree  # loads the compiler
+        # Loads the compiler.
+        from .pixels import build_tree
 
         return build_tree(self.corners_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solid:
-    """Triangles that keep together, in their own frame."""
+    """Triangles that keep together, in their own frame.
 
-    # One of a road user; of the static world, what always stands there and what is
-    # parked in a run. A mesh may belong to several solids.
+    Attributes
+    ----------
+    meshes : tuple of Mesh
+        One of a road user; of the static world, what always stands there and what is
+        parked in a run. A mesh may belong to several solids.
+    hull_m : (n, 3) float
+        Vertices of the convex hull; none for the static world. [m]
+    """
+
     meshes: tuple[Mesh, ...]
-    # (n, 3): vertices of the convex hull; none for the static world. [m]
     hull_m: FloatArray
     _lock: RLock = field(default_factory=RLock, repr=False)
 
     @property
     def caster(self) -> RayCaster:
-        """For rays against its triangles, mesh after mesh; safe to ask for from several threads."""
+        """Caster of rays against the triangles, mesh after mesh.
+
+        Several threads may ask for it.
+        """
         with self._lock:
             return self._caster
 
@@ -125,8 +144,12 @@ class Solid:
 
 @lru_cache(maxsize=256)
 def build_body(shape: Shape) -> Solid:
-    """A road user at one instant of its gait, in its body frame; every evaluation has the same."""
-    from scipy.spatial import ConvexHull  # loaded when something is drawn
+    """A road user at one instant of its gait, in its body frame.
+
+    Cached: every evaluation has the same bodies.
+    """
+    # Loaded when something is drawn.
+    from scipy.spatial import ConvexHull
 
     hull = ConvexHull(shape.vertices_m).vertices
     mesh = Mesh(
@@ -137,10 +160,17 @@ def build_body(shape: Shape) -> Solid:
 
 
 def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
-    """The scene's triangles, with the origin at `middle_m`, (2,) in the world frame [m].
+    r"""Triangles of the scene, with the origin near the VRUs.
 
-    So coordinates are small where rays are cast in single precision: its road pose in
-    the world is (*middle_m, 0, 0).
+    Coordinates are small then, where rays are cast in single precision: the road
+    pose of the mesh in the world is (\*middle_m, 0, 0).
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    middle_m : (2,) float
+        New origin, world frame. [m]
     """
     return Mesh(
         vertices_m=scene.vertices_m - [*middle_m, 0.0],
@@ -151,7 +181,17 @@ def build_scene_mesh(scene: Scene, *, middle_m: FloatArray) -> Mesh:
 def build_static(
     standing: Mesh, obstruction: Sequence[PlacedActor], *, middle_m: FloatArray
 ) -> Solid:
-    """Everything that stands still: a scene's mesh with the same origin, and parked bodies."""
+    """Everything that stands still in a run.
+
+    Parameters
+    ----------
+    standing : Mesh
+        The scene, with its origin at `middle_m`.
+    obstruction : sequence of PlacedActor
+        Parked bodies.
+    middle_m : (2,) float
+        Origin, world frame. [m]
+    """
     parked = _build_parked(tuple(obstruction), tuple(middle_m.tolist()))
     return Solid(meshes=(standing, parked), hull_m=np.empty((0, 3)))
 
@@ -160,7 +200,10 @@ def build_static(
 def _build_parked(
     obstruction: tuple[PlacedActor, ...], middle_m: tuple[float, float]
 ) -> Mesh:
-    """Parked bodies; layouts that are judged one after the other meet the same ones."""
+    """Mesh of parked bodies, relative to an origin.
+
+    Cached: layouts that are judged one after the other meet the same ones.
+    """
     nothing = np.empty((0, 3)), np.empty((0, 3), dtype=np.int32)
     placed = [(body.actor.shapes[0], body.pose) for body in obstruction]
     bodies = [
@@ -174,32 +217,60 @@ def _build_parked(
 # ---------- surroundings of runs
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surroundings:
-    """Everything that can be seen in the frames of some runs, laid end to end."""
+    """Everything that can be seen in the frames of some runs, laid end to end.
 
-    # statics, vrus: distinct static worlds (one per obstruction) and shapes of VRUs
+    Attributes
+    ----------
+    statics : tuple of Solid
+        Distinct static worlds, one per obstruction.
+    vrus : tuple of Solid
+        Distinct shapes of VRUs.
+    vehicles : tuple of Solid
+        Distinct bodies that move, the VUT first.
+    vehicle_trees : Vehicles
+        The same for drawing.
+    vut_actor : Actor
+        The VUT.
+    static_index, vru_index : (n_frames,) int
+        Which static world and which shape is there.
+    sight_index : (n_frames,) int
+        See :func:`find_sights`.
+    static_poses, vru_poses, vut_poses : (n_frames, 4) float
+        Road poses: east, north, yaw, height. World frame. [m], [m], [deg], [m]
+    vut_pitch_deg : (n_frames,) float
+        Pitch along the road below its axles. [deg]
+    traffic_index : (n_frames, n) int
+        Which of the vehicles drive by; -1 for none.
+    traffic_poses : (n_frames, n, 4) float
+        Their road poses.
+    draw_index : (n_frames,) int
+        See :class:`placement.detectors.Evidence`.
+    vru_class : (n_frames,) int
+        Into ``VRU_CLASSES``.
+    weathers : tuple of Weather
+        Distinct weathers.
+    weather_index : (n_frames,) int
+        Weather of each frame.
+    """
+
     statics: tuple[Solid, ...]
     vrus: tuple[Solid, ...]
-    vehicles: tuple[Solid, ...]  # distinct bodies that move: the VUT first
-    vehicle_trees: "Vehicles"  # the same for drawing
+    vehicles: tuple[Solid, ...]
+    vehicle_trees: "Vehicles"
     vut_actor: Actor
-    # static_index, vru_index: (n_frames,): which of them is there
     static_index: IntArray
     vru_index: IntArray
-    sight_index: IntArray  # (n_frames,): see :func:`find_sights`
-    # static_poses, vru_poses, vut_poses: (n_frames, 4): road poses: east, north, yaw,
-    # height. World frame. [m], [m], [deg], [m]
+    sight_index: IntArray
     static_poses: FloatArray
     vru_poses: FloatArray
     vut_poses: FloatArray
-    vut_pitch_deg: FloatArray  # (n_frames,): along the road below its axles
-    # traffic_index, traffic_poses: (n_frames, n), (n_frames, n, 4): which of the
-    # vehicles drive by, -1 for none, and their road poses
+    vut_pitch_deg: FloatArray
     traffic_index: IntArray
     traffic_poses: FloatArray
-    draw_index: IntArray  # (n_frames,): see :class:`placement.detectors.Evidence`
-    vru_class: IntArray  # (n_frames,): into ``VRU_CLASSES``
-    weathers: tuple[Weather, ...]  # distinct weathers
-    weather_index: IntArray  # (n_frames,): which of them it is
+    draw_index: IntArray
+    vru_class: IntArray
+    weathers: tuple[Weather, ...]
+    weather_index: IntArray
 
     def take(self, frames: IntArray) -> "Surroundings":
         """Keep some frames, by index."""
@@ -212,7 +283,17 @@ class Surroundings:
         return replace(self, **per_frame)
 
     def contrast(self, distance_m: FloatArray) -> FloatArray:
-        """Contrast of the VRU at a distance in every frame's weather, (n_frames,)."""
+        """Contrast of the VRU in the weather of every frame.
+
+        Parameters
+        ----------
+        distance_m : (n_frames,) float
+            To the VRU. [m]
+
+        Returns
+        -------
+        contrast : (n_frames,) float
+        """
         contrast = np.empty(len(distance_m))
         for index, weather in enumerate(self.weathers):
             frames = self.weather_index == index
@@ -223,11 +304,18 @@ class Surroundings:
 
 
 def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
-    """Prepare a scene and runs for all sensors; InputError if there is more than one VUT."""
+    """Prepare a scene and runs for all sensors.
+
+    Raises
+    ------
+    InputError
+        The runs have more than one VUT.
+    """
     vuts = {run.encounter.vut.name: run.encounter.vut for run in runs}
     if len(vuts) != 1:
         raise InputError("runs: VUT", sorted(vuts), "the same vehicle in all runs")
-    from .pixels import join_vehicles  # loads the compiler
+    # Loads the compiler.
+    from .pixels import join_vehicles
 
     vut_actor = next(iter(vuts.values()))
     vru_of_frame = [
@@ -243,15 +331,16 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
     n_frames = [len(run.time_s) for run in runs]
     weathers = list(dict.fromkeys(run.weather for run in runs))
     classes = [VRU_CLASSES.index(vru_class(run.encounter.vru)) for run in runs]
+    # The scene once; each obstruction is added to it.
     standing = build_scene_mesh(scene, middle_m=middle_m)
     static_index = np.repeat(
         [list(obstructions).index(obstruction_key(run)) for run in runs], n_frames
     )
     vru_index = np.array([vrus[key] for key in vru_of_frame])
     static_poses = np.tile([*middle_m, 0.0, 0.0], (sum(n_frames), 1))
-    vehicles = list(
-        dict.fromkeys([vut_actor, *(b.actor for run in runs for b in run.traffic)])
-    )
+    # Distinct vehicles, the VUT first.
+    driving = [body.actor for run in runs for body in run.traffic]
+    vehicles = list(dict.fromkeys([vut_actor, *driving]))
     solids = tuple(build_body(actor.shapes[0]) for actor in vehicles)
     traffic_index, traffic_poses = _lay_traffic(runs, vehicles, terrain)
     return Surroundings(
@@ -291,7 +380,24 @@ def build_surroundings(scene: Scene, runs: Sequence[Run]) -> Surroundings:
 def _lay_traffic(
     runs: Sequence[Run], vehicles: list[Actor], terrain: Terrain | None
 ) -> tuple[IntArray, FloatArray]:
-    """Vehicles that drive by in each frame, (n_frames, n); their road poses, (n_frames, n, 4)."""
+    """Vehicles that drive by in each frame.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All runs, n_frames in all.
+    vehicles : list of Actor
+        Kinds of vehicles.
+    terrain : Terrain or None
+        The ground.
+
+    Returns
+    -------
+    index : (n_frames, n) int
+        Into `vehicles`; -1 for none.
+    poses : (n_frames, n, 4) float
+        Road poses.
+    """
     n_most = max(len(run.traffic) for run in runs)
     indices = []
     poses = []
@@ -315,10 +421,19 @@ def find_sights(
     static_poses: FloatArray,
     vru_poses: FloatArray,
 ) -> IntArray:
-    """Numbers of sights, (n_frames,): equal where everything but the VUT is at the same place.
+    """Numbers of sights: equal where all but the vehicles is at the same place.
 
-    They grow with `static_index`, then with `vru_index`. Who is at the same place is at
-    the same height.
+    Parameters
+    ----------
+    static_index, vru_index : (n_frames,) int
+        Which static world and which shape of the VRU is there.
+    static_poses, vru_poses : (n_frames, 4) float
+        Their road poses. Bodies at the same place are at the same height.
+
+    Returns
+    -------
+    sight_index : (n_frames,) int
+        They grow with `static_index`, then with `vru_index`.
     """
     poses = np.concatenate([static_poses[:, :3], vru_poses[:, :3]], axis=1)
     columns = [
@@ -326,6 +441,7 @@ def find_sights(
         vru_index,
         *(poses * 10**_POSE_DECIMALS).round().astype(np.int64).T,
     ]
+    # Frames sorted by all columns: a sight ends where any of them changes.
     order = np.lexsort(columns[::-1])
     is_new = np.any(
         [np.diff(column[order], prepend=0) != 0 for column in columns], axis=0
@@ -338,11 +454,24 @@ def find_sights(
 def relative_road_poses(
     road_poses: FloatArray, carrier_poses: FloatArray
 ) -> FloatArray:
-    """Road poses (n, ..., 4) - east, north, yaw, height - as ahead, left, ... of carriers (n, 4).
+    """Road poses relative to carriers.
 
-    In metres and degrees.
+    Parameters
+    ----------
+    road_poses : (n, ..., 4) float
+        East, north, yaw, height.
+    carrier_poses : (n, 4) float
+        Road pose of the carrier of each row.
 
-    >>> road, vut = np.array([[0.0, 5.0, 90.0, 0.5]]), np.array([[0.0, 2.0, 90.0, 0.0]])
+    Returns
+    -------
+    relative : (n, ..., 4) float
+        Ahead, left, yaw and up, in metres and degrees.
+
+    Examples
+    --------
+    >>> road = np.array([[0.0, 5.0, 90.0, 0.5]])
+    >>> vut = np.array([[0.0, 2.0, 90.0, 0.0]])
     >>> relative_road_poses(road, vut).round(9)
     array([[3. , 0. , 0. , 0.5]])
     """
@@ -359,17 +488,24 @@ def relative_road_poses(
 
 
 def draw_index(runs: Sequence[Run]) -> IntArray:
-    """Number of each frame: the same in all weathers, with a gap between two runs."""
-    known: dict[int, int] = {}  # encounters: one and the same in all weathers
-    which = (known.setdefault(id(run.encounter), len(known)) for run in runs)
-    return _numbered(
-        tuple(zip(which, (len(run.time_s) for run in runs), strict=True))
-    ).copy()
+    """Number of each frame for random draws, (n_frames,).
+
+    The same in all weathers, with a gap between two runs.
+    """
+    # Numbers of the encounters, which all weathers share.
+    known: dict[int, int] = {}
+    encounters = []
+    for run in runs:
+        number = known.setdefault(id(run.encounter), len(known))
+        encounters.append((number, len(run.time_s)))
+    # A copy, since the cached array is shared.
+    return _numbered(tuple(encounters)).copy()
 
 
-@lru_cache(maxsize=4)  # sampled worlds ask again and again
+# Cached, since all sampled worlds ask for the same.
+@lru_cache(maxsize=4)
 def _numbered(runs: tuple[tuple[int, int], ...]) -> IntArray:
-    """As above, of runs by the number of their encounter and that of their frames."""
+    """Numbers of the frames of runs, each an encounter and its number of frames."""
     start: dict[int, int] = {}
     numbers = []
     free = 0
@@ -391,7 +527,10 @@ def _road_poses(
 def vut_pitch_deg(
     vut: Actor, position_m: FloatArray, yaw_deg: ArrayLike, terrain: Terrain | None
 ) -> FloatArray:
-    """Pitch of a VUT on its way, (n,); see :func:`geometry.terrain.pitch_on_ground_deg`."""
+    """Pitch of a VUT on its way, (n,), in degrees.
+
+    See :func:`geometry.terrain.pitch_on_ground_deg`.
+    """
     return pitch_on_ground_deg(
         position_m,
         yaw_deg,
@@ -402,9 +541,20 @@ def vut_pitch_deg(
 
 
 def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
-    """Road poses (n, 4) of carriers that are level, on which the VUT's mount is where it is.
+    """Road poses of level carriers that hold the VUT's mount where it is.
 
     Then the sensor's direction alone tilts with the VUT.
+
+    Parameters
+    ----------
+    surroundings : Surroundings
+        Poses and pitch of the VUT.
+    mount : Pose
+        Of the sensor, body frame of the VUT.
+
+    Returns
+    -------
+    carriers : (n_frames, 4) float
     """
     tilted = (
         body_rotation(0.0, surroundings.vut_pitch_deg) @ mount.position_m
@@ -419,33 +569,40 @@ def level_carriers(surroundings: Surroundings, mount: Pose) -> FloatArray:
 
 
 def obstruction_key(run: Run) -> tuple[object, ...]:
-    """Equal for runs in which the same is parked at the same places."""
+    """Key that is equal for runs with the same bodies parked at the same places."""
     return tuple(parked.key for parked in run.obstruction)
 
 
 # ---------- the VUT's own camera
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VutCamera:
-    """A camera on the VUT, facing ahead: level where the road is, else along its grade."""
+    """A camera on the VUT, facing ahead: level where the road is.
 
-    camera: CameraModel  # what is mounted
-    ahead_per_half_length: (
-        float  # distance ahead of the VUT's middle, as share of half its length
-    )
-    up_per_half_height: (
-        float  # height above the road, as a share of half the VUT's height
-    )
+    On a grade it looks along the road.
+
+    Attributes
+    ----------
+    camera : CameraModel
+        What is mounted.
+    ahead_per_half_length : float
+        Distance ahead of the VUT's middle, as a share of half its length.
+    up_per_half_height : float
+        Height above the road, as a share of half the VUT's height.
+    """
+
+    camera: CameraModel
+    ahead_per_half_length: float
+    up_per_half_height: float
 
     def pose_on(self, vut: Actor) -> Pose:
-        """Where it is in the body frame of a vehicle."""
+        """Pose in the body frame of a vehicle."""
         ahead_m = self.ahead_per_half_length * 0.5 * vut.length_m
         up_m = self.up_per_half_height * 0.5 * vut.height_m
         return Pose(position_m=np.array([ahead_m, 0.0, up_m]), yaw_deg=0.0)
 
 
-FrameCamera = (
-    VutCamera | tuple[Pose, CameraModel]
-)  # the VUT's own camera, or a fixed one
+# The VUT's own camera, or a fixed one.
+FrameCamera = VutCamera | tuple[Pose, CameraModel]
 
 
 @cache

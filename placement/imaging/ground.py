@@ -1,5 +1,6 @@
-"""The road plane: lanes, markings, and a map of distances to road and paint, of skylight and noise.
+"""The road plane: lanes, markings, and a map of it.
 
+The map holds distances to road and paint, the share of skylight, and noise.
 Rectangles (n, 5) stand for lanes and markings: east and north of the middle, yaw in
 radians, half length, half width.
 """
@@ -20,15 +21,22 @@ from geometry.scene import Lane, Scene
 from .mesh import Thing, build_scene_mesh
 
 # ---------- lanes and markings
-_NEIGHBOUR_M = 0.4  # so far beyond a lane's edge lies its neighbour
-_MOUTH_M = 2.5  # a lane that ends so near the junction's outline ends at a stop line
+# How far beyond a lane's edge its neighbour is looked for.
+_NEIGHBOUR_M = 0.4
+# A lane that ends so near the junction's outline ends at a stop line.
+_MOUTH_M = 2.5
 _OVERLAP_M = 0.06
 
 
 def build_road(scene: Scene) -> FloatArray:
-    """Rectangles (n, 5) that together cover all lanes.
+    """Rectangles that together cover all lanes.
 
     What the junction's outline encloses is road, too, but is no rectangle.
+
+    Returns
+    -------
+    rectangles : (n, 5) float
+        [m], [rad]
     """
     rectangles: list[list[float]] = []
     for lane in scene.lanes:
@@ -39,9 +47,19 @@ def build_road(scene: Scene) -> FloatArray:
 
 
 def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
-    """Rectangles (n, 5) that are painted: lane lines, stop lines, zebra crossings.
+    """Rectangles that are painted: lane lines, stop lines, zebra crossings.
 
-    `marks` is ``[markings]`` of ``data/materials.toml``.
+    Parameters
+    ----------
+    scene : Scene
+        Its lanes, outline and crosswalks.
+    marks : mapping of str to float
+        ``[markings]`` of ``data/materials.toml``.
+
+    Returns
+    -------
+    rectangles : (n, 5) float
+        [m], [rad]
     """
     parts = (
         _lane_lines(scene, marks),
@@ -52,11 +70,13 @@ def build_markings(scene: Scene, marks: Mapping[str, float]) -> FloatArray:
 
 
 def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
+    """Rectangles of the lines between lanes, both sides of every driving lane."""
     for lane in scene.lanes:
         if lane.kind != "driving":
             continue
         line = lane.centreline_m
-        for side in (1.0, -1.0):  # left, right
+        # Left side, then right side.
+        for side in (1.0, -1.0):
             offset_m = side * 0.5 * lane.width_m
             neighbour, is_along = _neighbour(scene, lane, side)
             if neighbour is None:
@@ -65,7 +85,8 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
                 dashes = _dashes(line, marks["parking_dash_m"], marks["parking_gap_m"])
             elif is_along:
                 if side < 0.0:
-                    continue  # drawn by the lane on the other side
+                    # Drawn by the lane on the other side.
+                    continue
                 dashes = _dashes(line, marks["dash_m"], marks["gap_m"])
             else:  # oncoming: each draws its line of two
                 offset_m -= side * 0.5 * marks["double_line_apart_m"]
@@ -74,7 +95,24 @@ def _lane_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
 
 
 def _neighbour(scene: Scene, lane: Lane, side: float) -> tuple[Lane | None, bool]:
-    """The neighbour of a lane at its middle; True if it leads the same way."""
+    """The neighbour of a lane at its middle, on one side.
+
+    Parameters
+    ----------
+    scene : Scene
+        All lanes.
+    lane : Lane
+        One of them.
+    side : float
+        1 for left, -1 for right.
+
+    Returns
+    -------
+    neighbour : Lane or None
+        None if there is none.
+    is_along : bool
+        It leads the same way.
+    """
     at_m = 0.5 * along_m(lane.centreline_m)[-1]
     point, ahead = _at(
         lane.centreline_m, at_m, side * (0.5 * lane.width_m + _NEIGHBOUR_M)
@@ -96,6 +134,7 @@ def _neighbour(scene: Scene, lane: Lane, side: float) -> tuple[Lane | None, bool
 
 
 def _stop_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
+    """Rectangles of stop lines: where driving lanes end at the junction."""
     if not len(scene.outline_m):
         return
     for lane in scene.lanes:
@@ -110,6 +149,7 @@ def _stop_lines(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float
 
 
 def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
+    """Rectangles of the bars of zebra crossings."""
     pitch_m = marks["zebra_bar_m"] + marks["zebra_gap_m"]
     for start, end in scene.crosswalks_m:
         length_m = float(np.linalg.norm(end - start))
@@ -125,6 +165,7 @@ def _zebras(scene: Scene, marks: Mapping[str, float]) -> Iterator[list[float]]:
 def _rectangle(
     middle: FloatArray, ahead: FloatArray, half_length: float, half_width: float
 ) -> list[float]:
+    """A rectangle (5,) around a middle (2,), along a unit vector (2,)."""
     return [
         *middle.tolist(),
         float(np.arctan2(ahead[1], ahead[0])),
@@ -136,11 +177,29 @@ def _rectangle(
 def _at(
     line: FloatArray, length_m: float, offset_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Point at an offset from a line, left positive, and the line's direction there."""
+    """Point at an offset from a line, and the line's direction there.
+
+    Parameters
+    ----------
+    line : (n, 2) float
+        Points of the line. [m]
+    length_m : float
+        Distance along it. [m]
+    offset_m : float
+        To the left of it. [m]
+
+    Returns
+    -------
+    point : (2,) float
+        [m]
+    ahead : (2,) float
+        Unit vector.
+    """
     lengths = along_m(line)
     piece = int(np.clip(np.searchsorted(lengths, length_m) - 1, 0, len(line) - 2))
     step = line[piece + 1] - line[piece]
-    if not step.any():  # a point that is there twice: the nearest other step
+    # The point is there twice: take the nearest step that is not zero.
+    if not step.any():
         steps = np.diff(line, axis=0)
         other = np.flatnonzero(steps.any(axis=1))
         step = steps[other[np.argmin(np.abs(other - piece))]]
@@ -150,11 +209,13 @@ def _at(
 
 
 def _solid(line: FloatArray) -> list[tuple[float, float]]:
+    """Begin and end of each piece of a solid line, along it, in metres."""
     lengths = along_m(line).tolist()
     return [(start - _OVERLAP_M, end + _OVERLAP_M) for start, end in pairwise(lengths)]
 
 
 def _dashes(line: FloatArray, dash_m: float, gap_m: float) -> list[tuple[float, float]]:
+    """Begin and end of each dash of a broken line, along it, in metres."""
     starts = np.arange(0.5 * gap_m, along_m(line)[-1] - dash_m, dash_m + gap_m)
     return [(start, start + dash_m) for start in starts.tolist()]
 
@@ -162,52 +223,84 @@ def _dashes(line: FloatArray, dash_m: float, gap_m: float) -> list[tuple[float, 
 def _strip(
     line: FloatArray, offset_m: float, width_m: float, dashes: list[tuple[float, float]]
 ) -> Iterator[list[float]]:
-    """Pieces of a strip along a line."""
+    """Rectangles of the pieces of a strip along a line.
+
+    Parameters
+    ----------
+    line : (n, 2) float
+        Points of the line. [m]
+    offset_m, width_m : float
+        How far left of the line the strip lies, and how wide it is. [m]
+    dashes : list of (float, float)
+        Begin and end of each piece along the line. [m]
+    """
     for start_m, end_m in dashes:
         middle, ahead = _at(line, 0.5 * (start_m + end_m), offset_m)
         yield _rectangle(middle, ahead, 0.5 * (end_m - start_m), 0.5 * width_m)
 
 
 # ---------- the map
+# Layers of a map.
 ROAD = 0
 PAINT = 1
-SKY = 2  # layers of a map
+SKY = 2
 
 _STEP_M = 0.1
-_ROAD_REACH_M = 4.5  # distances are stored up to here
+# Distances are stored up to here.
+_ROAD_REACH_M = 4.5
 _PAINT_REACH_M = 0.4
 _SHADE_REACH_M = 12.0
-_CLEARANCE_M = 0.18  # of vehicles above the road: light gets in below them
+# Height of vehicles above the road: light gets in below them.
+_CLEARANCE_M = 0.18
 _ON_ROAD = ("parked vehicle", "vehicle", "pedestrian", "cyclist", "motorcyclist", "car")
 _SHADERS = ("building", "wall", "vegetation", *_ON_ROAD)
-_NOISE_SIZE = 1024  # texels; a power of two
-_NOISE_SEED = 5  # the road looks the same in every picture
+# Texels along a side of the noise; a power of two.
+_NOISE_SIZE = 1024
+# The road looks the same in every picture.
+_NOISE_SEED = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundMap:
-    """Layers over the road plane; beyond the map's edge the values there go on."""
+    """Layers over the road plane; beyond the map's edge the values there go on.
 
-    origin_m: FloatArray  # (2,): middle of the first texel, world frame
-    # (n_north, n_east, 3): distances to the edges of road and paint, negative inside
-    # [m]; share of the sky's light that what stands around leaves, 0 .. 1
+    Attributes
+    ----------
+    origin_m : (2,) float
+        Middle of the first texel, world frame. [m]
+    layers : (n_north, n_east, 3) float32
+        Distance to the edge of the road and of paint, negative inside [m]; share of
+        the sky's light that surrounding things leave, 0 to 1.
+    grain : (1024 * 1024,) float32
+        Noise of single texels, with mean 0 and a standard deviation of about 1.
+    patches : (1024 * 1024,) float32
+        The same, but soft.
+    """
+
+    origin_m: FloatArray
     layers: FloatRays
-    grain: FloatRays  # (1024 * 1024,): noise of single texels, mean 0, spread about 1
-    patches: FloatRays  # (1024 * 1024,): the same, but soft
+    grain: FloatRays
+    patches: FloatRays
 
     def sample(self, east_m: FloatRays, north_m: FloatRays) -> FloatRays:
-        """Layers at points (n,) and (n,) in the world frame, linear between texels, (n, 3)."""
+        """Layers at points, linear between texels.
+
+        Parameters
+        ----------
+        east_m, north_m : (n,) float32
+            World frame. [m]
+
+        Returns
+        -------
+        layers : (n, 3) float32
+            As in `layers`.
+        """
         n_north, n_east = self.layers.shape[:2]
-        x = np.clip(
-            (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M),
-            0,
-            n_east - 1.001,
-        )
-        y = np.clip(
-            (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M),
-            0,
-            n_north - 1.001,
-        )
+        # Position in texels, as far as the map goes.
+        x = (east_m - np.float32(self.origin_m[0])) / np.float32(_STEP_M)
+        y = (north_m - np.float32(self.origin_m[1])) / np.float32(_STEP_M)
+        x = np.clip(x, 0, n_east - 1.001)
+        y = np.clip(y, 0, n_north - 1.001)
         column = x.astype(np.int32)
         row = y.astype(np.int32)
         x -= column
@@ -216,6 +309,7 @@ class GroundMap:
         first = row * np.int32(n_east) + column
         x = x[:, None]
         y = y[:, None]
+        # Between the two texels of the lower row, of the upper row, then of both.
         low: FloatRays = flat.take(first, axis=0)
         low += x * (flat.take(first + 1, axis=0) - low)
         high = flat.take(first + np.int32(n_east), axis=0)
@@ -231,8 +325,14 @@ def build_ground_map(
 ) -> GroundMap:
     """Draw the map of a scene, as large as its lanes and outline.
 
-    The scene's things and those that park take light from the sky; `marks` is
-    ``[markings]`` of ``data/materials.toml``.
+    Parameters
+    ----------
+    scene : Scene
+        Its things take light from the sky.
+    parked : sequence of Thing
+        Parked vehicles, which take light, too.
+    marks : mapping of str to float
+        ``[markings]`` of ``data/materials.toml``.
     """
     origin_m, layers = _scene_layers(scene, tuple(marks.items()))
     layers = layers.copy()
@@ -246,31 +346,46 @@ def build_ground_map(
 
 
 def _shade(origin_m: FloatArray, layers: FloatRays, things: Sequence[Thing]) -> None:
-    """Take the light from the sky that things keep from the ground around them."""
+    """Reduce the light from the sky around things, in the layers of a map."""
     for thing in things:
         if thing.class_name in _SHADERS:
             yaw = np.radians(thing.pose.yaw_deg)
-            rectangle = np.array(
-                [*thing.pose.position_m[:2], yaw, *(0.5 * thing.size_m[:2])]
-            )
-            window, points = _window(
-                origin_m, layers, _corners(rectangle), _SHADE_REACH_M
-            )
+            half_size_m = 0.5 * thing.size_m[:2]
+            rectangle = np.array([*thing.pose.position_m[:2], yaw, *half_size_m])
+            corners = _corners(rectangle)
+            window, points = _window(origin_m, layers, corners, _SHADE_REACH_M)
             distance = rectangle_distance(points, rectangle)
             layers[*window, SKY] *= sky_left(distance, thing)
 
 
-@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+# Cached, since pictures of a scene differ only in what parks there.
+@lru_cache(maxsize=1)
 def _scene_layers(
     scene: Scene, marks: tuple[tuple[str, float], ...]
 ) -> tuple[FloatArray, FloatRays]:
-    """Origin and layers of a scene's map where nothing parks: not to be changed."""
+    """Origin and layers of a scene's map without parked vehicles, read-only.
+
+    Parameters
+    ----------
+    scene : Scene
+        Lanes, outline and things.
+    marks : tuple of (str, float)
+        ``[markings]`` of ``data/materials.toml``, as the cache needs them.
+
+    Returns
+    -------
+    origin_m : (2,) float
+        [m]
+    layers : (n_north, n_east, 3) float32
+        As in :class:`GroundMap`.
+    """
     corners = np.concatenate(
         [scene.outline_m, *(lane.centreline_m for lane in scene.lanes)]
     )
     if not len(corners):
         corners = np.zeros((1, 2))
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     n_east, n_north = (np.ceil((high - low) / _STEP_M).astype(int) + 2).tolist()
     layers = np.empty((n_north, n_east, 3), dtype=np.float32)
     layers[...] = [_ROAD_REACH_M, _PAINT_REACH_M, 1.0]
@@ -280,6 +395,7 @@ def _scene_layers(
         stored = layers[*window, layer]
         stored[...] = np.minimum(stored, rectangle_distance(points, rectangle))
 
+    # Each layer holds the distance to the nearest of its rectangles.
     for rectangle in build_road(scene):
         keep_least(ROAD, rectangle, _ROAD_REACH_M)
     if len(scene.outline_m):
@@ -296,12 +412,24 @@ def _scene_layers(
 
 
 def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
-    """Share of the sky's light that a thing leaves to the ground around and below it, (...).
+    """Share of the sky's light that a thing leaves to the ground around it.
 
-    `distance_m` (...) is that from the footprint's edge, negative inside.
+    Parameters
+    ----------
+    distance_m : (...) float
+        From the edge of the thing's footprint, negative below it. [m]
+    thing : Thing
+        Its size counts.
 
-    Source: J. Howell, "A catalog of radiation configuration factors": from level ground
-    to an upright plane of height h at distance x: (1 - x / sqrt(x^2 + h^2)) / 2.
+    Returns
+    -------
+    share : (...) float32
+        0 to 1.
+
+    References
+    ----------
+    J. Howell, "A catalog of radiation configuration factors": from level ground to an
+    upright plane of height h at distance x, (1 - x / sqrt(x^2 + h^2)) / 2.
     """
     height = float(thing.size_m[2])
     # A plane without end takes more than a body of this length does.
@@ -316,10 +444,22 @@ def sky_left(distance_m: FloatArray, thing: Thing) -> FloatRays:
 def grain_at(
     noise: FloatRays, east: FloatRays, north: FloatRays, per_m: FloatRays
 ) -> FloatRays:
-    """Noise (n,) at points of a plane, from the nearest texel; it repeats like tiles.
+    """Noise at points of a plane, from the nearest texel.
 
-    `noise` is one of :class:`GroundMap`; `per_m` (n,) says how many texels make a
-    metre.
+    The noise repeats like tiles.
+
+    Parameters
+    ----------
+    noise : (1024 * 1024,) float32
+        `grain` or `patches` of a :class:`GroundMap`.
+    east, north : (n,) float32
+        Points of the plane. [m]
+    per_m : (n,) float32
+        How many texels make a metre.
+
+    Returns
+    -------
+    noise : (n,) float32
     """
     mask = np.int32(_NOISE_SIZE - 1)
     column = np.floor(east * per_m).astype(np.int32) & mask
@@ -330,7 +470,10 @@ def grain_at(
 def soft_noise_at(
     noise: FloatRays, east: FloatRays, north: FloatRays, *, texel_m: float
 ) -> FloatRays:
-    """Noise (n,) at points of a plane, linear between texels; see :func:`grain_at`."""
+    """Noise at points of a plane, linear between texels of one size.
+
+    Parameters and result as in :func:`grain_at`; `texel_m` is the size. [m]
+    """
     mask = np.int32(_NOISE_SIZE - 1)
     size = np.int32(_NOISE_SIZE)
     x = east * np.float32(1.0 / texel_m)
@@ -356,7 +499,17 @@ def soft_noise_at(
 
 @cache
 def _noise(exponent: float, *, sigma: int) -> FloatRays:
-    """Periodic noise whose amplitude falls with frequency, made by filtering white noise."""
+    """Periodic noise whose amplitude falls with frequency, (1024 * 1024,).
+
+    White noise is filtered in the frequency domain.
+
+    Parameters
+    ----------
+    exponent : float
+        The amplitude falls with this power of the frequency; 0 leaves it white.
+    sigma : int
+        Part of the seed.
+    """
     white = np.random.default_rng([_NOISE_SEED, sigma]).standard_normal(
         (_NOISE_SIZE, _NOISE_SIZE)
     )
@@ -372,6 +525,7 @@ def _noise(exponent: float, *, sigma: int) -> FloatRays:
 
 
 def _corners(rectangle: FloatArray) -> FloatArray:
+    """Corners of a rectangle (5,), (4, 2), in metres."""
     east, north, yaw, half_length, half_width = rectangle.tolist()
     ahead = half_length * np.array([np.cos(yaw), np.sin(yaw)])
     left = half_width * np.array([-np.sin(yaw), np.cos(yaw)])
@@ -382,7 +536,26 @@ def _corners(rectangle: FloatArray) -> FloatArray:
 def _window(
     origin_m: FloatArray, layers: FloatRays, corners_m: FloatArray, reach_m: float
 ) -> tuple[tuple[slice, slice], FloatArray]:
-    """Part of a map around corners, and the middles of its texels, (.., .., 2)."""
+    """Part of a map around corners, and the middles of its texels.
+
+    Parameters
+    ----------
+    origin_m : (2,) float
+        Of the map. [m]
+    layers : (n_north, n_east, 3) float32
+        Gives the size of the map.
+    corners_m : (n, 2) float
+        Points that the part holds. [m]
+    reach_m : float
+        How far beyond them it reaches. [m]
+
+    Returns
+    -------
+    window : (slice, slice)
+        Rows and columns.
+    points : (n_rows, n_columns, 2) float
+        East and north of the texels. [m]
+    """
     low = np.floor((corners_m.min(axis=0) - reach_m - origin_m) / _STEP_M).astype(int)
     high = np.ceil((corners_m.max(axis=0) + reach_m - origin_m) / _STEP_M).astype(int)
     n_north, n_east = layers.shape[:2]
@@ -395,9 +568,24 @@ def _window(
 
 # ---------- distances on the road plane
 def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArray:
-    """Distance of points (..., 2) from the edge of a rectangle (5,), in metres, negative inside.
+    """Distance from the edge of a rectangle, negative inside.
 
-    >>> rectangle_distance(np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
+    Parameters
+    ----------
+    points_m : (..., 2) float
+        [m]
+    rectangle : (5,) float
+        East and north of the middle, yaw in radians, half length, half width. [m]
+
+    Returns
+    -------
+    distance_m : (...) float
+        [m]
+
+    Examples
+    --------
+    >>> points = np.array([[0.0, 0.0], [5.0, 5.0]])
+    >>> rectangle_distance(points, np.array([0.0, 0.0, 0.0, 2.0, 1.0]))
     array([-1.,  5.])
     """
     east, north, yaw, half_length, half_width = rectangle.tolist()
@@ -410,7 +598,20 @@ def rectangle_distance(points_m: FloatArray, rectangle: FloatArray) -> FloatArra
 
 
 def polygon_distance(points_m: FloatArray, polygon_m: FloatArray) -> FloatArray:
-    """Distance of points (..., 2) from the edge of a polygon (n, 2), in metres, negative inside."""
+    """Distance of points (..., 2) from the edge of a polygon, negative inside.
+
+    Parameters
+    ----------
+    points_m : (..., 2) float
+        [m]
+    polygon_m : (n, 2) float
+        Corners. [m]
+
+    Returns
+    -------
+    distance_m : (...) float
+        [m]
+    """
     polygon = shapely.Polygon(polygon_m)
     shapely.prepare(polygon)
     distance = shapely.distance(shapely.points(points_m), polygon.exterior)

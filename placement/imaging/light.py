@@ -19,35 +19,69 @@ from geometry.weather import Weather
 
 from .materials import Hits
 
-LUMINANCE = np.array(
-    [0.2126, 0.7152, 0.0722]
-)  # of linear red, green, blue (ITU-R BT.709)
+# Luminance of linear red, green and blue (ITU-R BT.709).
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _FILE = "lamps.toml"
-_AHEAD_M = 0.03  # headlights shine from just before the body
+# Headlights shine from just before the body.
+_AHEAD_M = 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetLamp:
-    """A lamp that shines straight down, evenly within a cone."""
+    """A lamp that shines straight down, evenly within a cone.
 
-    position_m: FloatArray  # (3,), world frame
-    colour: FloatArray  # (3,): linear red, green, blue; luminance 1
-    reach_m: float  # farther away its light does not count
-    radius_m: float  # of the lit area
-    flux_lm: float  # all its light
-    inner_deg: float  # full intensity up to here from straight down
-    outer_deg: float  # nothing but the spill from here on
-    spill: float  # share of the full intensity that goes into all directions
+    Attributes
+    ----------
+    position_m : (3,) float
+        World frame. [m]
+    colour : (3,) float
+        Linear red, green, blue, with a luminance of 1.
+    reach_m : float
+        Farther away its light does not count. [m]
+    radius_m : float
+        Of the lit area. [m]
+    flux_lm : float
+        All its light. [lm]
+    inner_deg : float
+        Full intensity up to here from straight down. [deg]
+    outer_deg : float
+        Nothing but the spill from here on. [deg]
+    spill : float
+        Share of the full intensity that goes in all directions.
+    """
+
+    position_m: FloatArray
+    colour: FloatArray
+    reach_m: float
+    radius_m: float
+    flux_lm: float
+    inner_deg: float
+    outer_deg: float
+    spill: float
 
     @property
     def peak_cd(self) -> float:
-        """Intensity straight down: the flux over the solid angle of the cone and of the spill."""
+        """Intensity straight down, in candela.
+
+        The flux over the solid angle of the cone and of the spill.
+        """
         inner, outer = self._cosines
         cone = (1.0 - self.spill) * (1.0 - 0.5 * (inner + outer))
         return self.flux_lm / (2.0 * math.pi * (cone + 2.0 * self.spill))
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
+        """Luminous intensity along directions.
+
+        Parameters
+        ----------
+        directions : (3, n) float32
+            Unit vectors, world frame.
+
+        Returns
+        -------
+        intensity : (n,) float32
+            [cd]
+        """
         inner, outer = self._cosines
         share: FloatRays = (directions[2] + np.float32(outer)) * np.float32(
             1.0 / (outer - inner)
@@ -60,24 +94,39 @@ class StreetLamp:
 
     @property
     def _cosines(self) -> tuple[float, float]:
-        return math.cos(math.radians(self.inner_deg)), math.cos(
-            math.radians(self.outer_deg)
-        )
+        """Cosines of the inner and the outer angle."""
+        inner = math.cos(math.radians(self.inner_deg))
+        outer = math.cos(math.radians(self.outer_deg))
+        return inner, outer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeadLamp:
-    """A low beam; the first four are as of :class:`StreetLamp`."""
+    """A low beam.
+
+    Attributes
+    ----------
+    position_m, colour, reach_m, radius_m
+        As of :class:`StreetLamp`.
+    R_world_lamp : (3, 3) float
+        Columns ahead, to the oncoming lane, up.
+    beam : mapping of str to float
+        ``[head_lamp]`` of ``data/lamps.toml``.
+    """
 
     position_m: FloatArray
     colour: FloatArray
     reach_m: float
     radius_m: float
-    R_world_lamp: FloatArray  # (3, 3): columns ahead, to the oncoming lane, up
-    beam: Mapping[str, float]  # [head_lamp] of data/lamps.toml
+    R_world_lamp: FloatArray
+    beam: Mapping[str, float]
 
     def intensity_cd(self, directions: FloatRays) -> FloatRays:
-        """Luminous intensity (n,) in candela along unit vectors (3, n) of the world frame."""
+        """Luminous intensity along directions; see :meth:`StreetLamp.intensity_cd`.
+
+        Below the cut-off, which rises towards the kerb, the intensity falls off
+        with the angle down and to either side.
+        """
         beam = self.beam
         ahead, aside, up = self.R_world_lamp.T.astype(np.float32) @ directions
         is_ahead = ahead > 0.05
@@ -89,25 +138,21 @@ class HeadLamp:
             beam["kink_max_deg"],
         )
         below_deg = np.float32(beam["cut_off_deg"]) + rise_deg - up_deg
-        share = 1.0 / (
-            1.0
-            + np.exp(np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30))
-        )
+        # A soft cut-off, then what falls off downwards and to either side.
+        above_soft = np.clip(-below_deg / np.float32(beam["softness_deg"]), -30, 30)
+        share = 1.0 / (1.0 + np.exp(above_soft))
         share *= np.exp(-np.maximum(below_deg, 0.0) / np.float32(beam["depth_deg"]))
         share *= np.exp(-0.5 * (to_kerb_deg / np.float32(beam["width_deg"])) ** 2)
         above = np.float32(beam["above_cd"])
-        return np.where(
-            is_ahead,
-            above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share,
-            np.float32(0),
-        )
+        intensity = above + np.float32(beam["peak_cd"] - beam["above_cd"]) * share
+        return np.where(is_ahead, intensity, np.float32(0))
 
 
 Lamp = StreetLamp | HeadLamp
 
 
 def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
-    """A lamp on an arm towards the road, at the top of every site of kind "lamp post"."""
+    """Lamps on arms towards the road, one at every site of kind "lamp post"."""
     numbers, colour = _read_lamp("street_lamp")
     arm_m = numbers.pop("arm_m")
     road = np.concatenate(
@@ -135,15 +180,27 @@ def build_street_lamps(scene: Scene) -> tuple[StreetLamp, ...]:
 def build_headlights(
     vut: Actor, pose: Pose, *, keeps_left: bool
 ) -> tuple[HeadLamp, ...]:
-    """The two low beams of a vehicle whose body frame is at `pose`, left and right.
+    """The two low beams of a vehicle, left and right.
 
-    They reach farther along the kerb, which is on the side that traffic keeps.
+    Parameters
+    ----------
+    vut : Actor
+        The vehicle.
+    pose : Pose
+        Of its body frame.
+    keeps_left : bool
+        Traffic keeps left. The beams reach farther along the kerb, which is on the
+        side that traffic keeps.
     """
     beam, colour = _read_lamp("head_lamp")
     ahead_m = 0.5 * vut.length_m + _AHEAD_M
     side_m = 0.5 * beam["apart_m"]
     places = to_world([[ahead_m, y, beam["height_m"]] for y in (side_m, -side_m)], pose)
-    to_oncoming = np.array([1.0, -1.0 if keeps_left else 1.0, 1.0])
+    # The oncoming lane is on the left where traffic keeps right.
+    side = 1.0
+    if keeps_left:
+        side = -1.0
+    to_oncoming = np.array([1.0, side, 1.0])
     return tuple(
         HeadLamp(
             position_m=place,
@@ -159,23 +216,22 @@ def build_headlights(
 
 @cache
 def load_lamp_table() -> dict[str, Any]:
-    """``data/lamps.toml``."""
+    """Tables of ``data/lamps.toml``."""
     return load_data(__package__, _FILE)
 
 
 def _points_along(line: FloatArray) -> FloatArray:
-    """Points of a line, about a metre apart."""
-    pieces = [
-        start
-        + np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end - start))))[:, None]
-        * (end - start)
-        for start, end in pairwise(line)
-    ]
+    """Points of a line (n, 2), about a metre apart."""
+    pieces = []
+    for start, end in pairwise(line):
+        n_points = max(2, int(np.linalg.norm(end - start)))
+        shares = np.linspace(0.0, 1.0, n_points)
+        pieces.append(start + shares[:, None] * (end - start))
     return np.concatenate(pieces)
 
 
 def _read_lamp(name: str) -> tuple[dict[str, float], FloatArray]:
-    """Numbers and colour of a lamp of ``data/lamps.toml``."""
+    """Numbers and colour (3,) of a lamp of ``data/lamps.toml``."""
     table = dict(load_lamp_table()[name])
     colour = _colour(table, "colour", f"{_FILE}: {name}")
     del table["colour"]
@@ -189,28 +245,58 @@ def _colour(table: Mapping[str, object], key: str, where: str) -> FloatArray:
 
 
 # ---------- the sky and the air
-_EXPONENT = 0.6  # of the sine of the elevation, from horizon to zenith
+# Exponent of the sine of the elevation, from horizon to zenith.
+_EXPONENT = 0.6
 _SKY = f"{_FILE}: sky"
-_FOG_VISIBILITY_M = 1000.0  # below it is fog (WMO-No. 407)
+# A lower visibility is fog (WMO-No. 407).
+_FOG_VISIBILITY_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky:
-    """Light from above, without the sun, and the air; colours are linear red, green, blue."""
+    """Light from above, without the sun, and the air.
 
-    horizon_cdpm2: FloatArray  # (3,)
-    zenith_cdpm2: FloatArray  # (3,)
-    air_cdpm2: FloatArray  # (3,): of endless air, into which distant things fade
-    sky_lux: FloatArray  # (3,), on level ground
-    sun_lux: FloatArray  # (3,), on what faces the sun
-    to_sun: FloatArray  # (3,), unit, world frame
-    haze_height_m: float  # depth of the layer of air that takes the contrast
+    Colours are linear red, green, blue.
+
+    Attributes
+    ----------
+    horizon_cdpm2, zenith_cdpm2 : (3,) float
+        Luminance of the sky. [cd/m^2]
+    air_cdpm2 : (3,) float
+        Luminance of endless air, into which distant things fade. [cd/m^2]
+    sky_lux : (3,) float
+        Light of the sky on level ground. [lx]
+    sun_lux : (3,) float
+        Light of the sun on a surface that faces it. [lx]
+    to_sun : (3,) float
+        Unit vector, world frame.
+    haze_height_m : float
+        Depth of the layer of air that takes the contrast. [m]
+    extinction_per_m : float
+        Of the air. [1/m]
+    """
+
+    horizon_cdpm2: FloatArray
+    zenith_cdpm2: FloatArray
+    air_cdpm2: FloatArray
+    sky_lux: FloatArray
+    sun_lux: FloatArray
+    to_sun: FloatArray
+    haze_height_m: float
     extinction_per_m: float
 
     def luminance(self, up: FloatRays) -> FloatRays:
-        """Luminance (n, 3) of the sky as seen through the air, in cd/m^2.
+        """Luminance of the sky as seen through the air.
 
-        `up` (n,) is the sine of the elevation.
+        Parameters
+        ----------
+        up : (n,) float32
+            Sine of the elevation.
+
+        Returns
+        -------
+        luminance : (n, 3) float32
+            [cd/m^2]
         """
         sine = np.maximum(up, np.float32(1e-4))
         share = (sine ** np.float32(_EXPONENT))[:, None]
@@ -225,9 +311,18 @@ class Sky:
         return np.asarray(air + left * (bright - air))
 
     def fade(self, luminance: FloatRays, distance_m: FloatRays) -> None:
-        """Take from luminances (n, 3) what the air takes over distances (n,), in place.
+        """Take from luminances what the air takes, in place.
 
-        Source: H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924.
+        Parameters
+        ----------
+        luminance : (n, 3) float32
+            Written. [cd/m^2]
+        distance_m : (n,) float32
+            Length of the way through the air. [m]
+
+        References
+        ----------
+        H. Koschmieder, "Theorie der horizontalen Sichtweite", 1924.
         """
         air = self.air_cdpm2.astype(np.float32)
         luminance -= air
@@ -236,7 +331,7 @@ class Sky:
 
 
 def build_sky(weather: Weather) -> Sky:
-    """The sky of a weather, scaled so that level ground gets ``weather.sky_lux``."""
+    """The sky of a weather, scaled so that level ground gets its `sky_lux`."""
     table = load_lamp_table()["sky"]
     if weather.sun_lux > 0.0 or weather.has_lamps:
         kind = "clear"
@@ -261,7 +356,8 @@ def build_sky(weather: Weather) -> Sky:
     return Sky(
         horizon_cdpm2=scale * horizon,
         zenith_cdpm2=scale * zenith,
-        air_cdpm2=scale * horizon,  # the sky at the horizon is nothing but air
+        # The sky at the horizon is nothing but air.
+        air_cdpm2=scale * horizon,
         sky_lux=scale * level,
         sun_lux=weather.sun_lux * _colour(table, "sun", _SKY),
         to_sun=np.array(
@@ -279,11 +375,12 @@ def build_sky(weather: Weather) -> Sky:
 
 
 # ---------- light on surfaces
-_OFF_SURFACE_M = 4.0e-3  # where rays towards the light start
-_SUN_WAY_M = 500.0  # what is farther away throws no shadow here
-_SHADOW_SHARE = (
-    0.08  # lamps that give less than this of a point's light throw no shadow there
-)
+# How far off a surface rays towards the light start.
+_OFF_SURFACE_M = 4.0e-3
+# Farther things throw no shadow.
+_SUN_WAY_M = 500.0
+# Lamps that give less than this of a point's light throw no shadow there.
+_SHADOW_SHARE = 0.08
 
 
 def illuminance(
@@ -296,13 +393,33 @@ def illuminance(
     sky_share: FloatRays | None = None,
     ground_albedo: float = 0.0,
 ) -> FloatRays:
-    """Light that falls on surfaces, (n, 3), linear red, green, blue, in lux.
+    """Light that falls on surfaces, by sun, sky and lamps.
 
-    The caster throws the shadows; its origin is at `origin_m` (3,) of the world frame.
-    `sky_share` (n,) is the share of the sky that nothing hides (by default all),
-    `ground_albedo` the share of light that comes back from below.
+    Parameters
+    ----------
+    hits : Hits
+        n points on surfaces.
+    caster : RayCaster
+        Throws the shadows.
+    origin_m : (3,) float32
+        Origin of the caster, world frame. [m]
+    sky : Sky
+        Sky and sun.
+    lamps : sequence of Lamp
+        Lamps that are on.
+    sky_share : (n,) float32, optional
+        Share of the sky that nothing occludes; by default all of it.
+    ground_albedo : float
+        Share of light that comes back from below.
 
-    Source: J. H. Lambert, "Photometria", 1760: the cosine, and the inverse square.
+    Returns
+    -------
+    lux : (n, 3) float32
+        Linear red, green, blue. [lx]
+
+    References
+    ----------
+    J. H. Lambert, "Photometria", 1760: the cosine, and the inverse square.
     """
     upness = hits.normals[:, 2]
     above = 0.5 + 0.5 * upness
@@ -312,6 +429,7 @@ def illuminance(
     level = sky.sky_lux + max(float(sky.to_sun[2]), 0.0) * sky.sun_lux
     below = np.float32(ground_albedo) * (0.5 - 0.5 * upness)
     starts = _off_surfaces(hits, origin_m)
+    # Light that comes back from the ground, to all that does not face straight up.
     if (level > 0.0).any() and not (upness > 0.999).all():
         lux += below[:, None] * level.astype(np.float32)
     if (sky.sun_lux > 0.0).any() and sky.to_sun[2] > 0.0:
@@ -339,13 +457,26 @@ def add_headlights(
     origin_m: FloatRays,
     ground_albedo: float,
 ) -> None:
-    """Add the light of headlights to what falls on surfaces without them, (n, 3), in place."""
+    """Add the light of headlights to the light that falls on surfaces.
+
+    Parameters
+    ----------
+    lux : (n, 3) float32
+        Light without headlights; written. [lx]
+    hits, caster, origin_m, ground_albedo
+        As in :func:`illuminance`.
+    headlights : sequence of HeadLamp
+        Those that are on.
+    """
     below = np.float32(ground_albedo) * (0.5 - 0.5 * hits.normals[:, 2])
     _add_lamps(lux, hits, _off_surfaces(hits, origin_m), caster, headlights, below)
 
 
 def _off_surfaces(hits: Hits, origin_m: FloatRays) -> FloatRays:
-    """Points just off surfaces, (n, 3), from an origin (3,): rays towards the light start there."""
+    """Points just off surfaces, (n, 3), at which rays towards the light start.
+
+    Relative to an origin (3,), in metres.
+    """
     starts: FloatRays = hits.points_m - origin_m
     starts += np.float32(_OFF_SURFACE_M) * hits.normals
     return starts
@@ -359,7 +490,23 @@ def _add_lamps(
     lamps: Sequence[Lamp],
     below: FloatRays,
 ) -> None:
-    """Add the light of lamps; shadow rays are cast only where a lamp matters."""
+    """Add the light of lamps; shadow rays are cast only where a lamp matters.
+
+    Parameters
+    ----------
+    lux : (n, 3) float32
+        Written. [lx]
+    hits : Hits
+        n points on surfaces.
+    starts : (n, 3) float32
+        Where shadow rays start, in the frame of the caster. [m]
+    caster : RayCaster
+        Throws the shadows.
+    lamps : sequence of Lamp
+        Lamps that are on.
+    below : (n,) float32
+        Share of the light on the ground below that comes back to each point.
+    """
     points = np.ascontiguousarray(hits.points_m.T)
     normals = np.ascontiguousarray(hits.normals.T)
     low = points.min(axis=1)
@@ -383,9 +530,10 @@ def _add_lamps(
         strength *= np.maximum(-cosine, 0.0)
         total += strength
         direct.append((lamp, strength))
-        by_colour.setdefault(tuple(lamp.colour.tolist()), np.zeros_like(total))[
-            ...
-        ] -= glow
+        colour = tuple(lamp.colour.tolist())
+        by_colour.setdefault(colour, np.zeros_like(total))
+        by_colour[colour] -= glow
+    # Shadows, only of lamps that give enough of the light of a point.
     total *= np.float32(_SHADOW_SHARE)
     for lamp, strength in direct:
         rays = np.flatnonzero(strength > total)

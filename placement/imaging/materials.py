@@ -1,4 +1,4 @@
-"""Look of surfaces: albedo, gloss and patterns of ground, houses, vehicles and people."""
+"""Look of surfaces: albedo, gloss and patterns of ground, houses and bodies."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,41 +21,79 @@ _WHERE = "materials.toml"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Materials:
-    """Albedos, paints, patterns of ``data/materials.toml``; colours are linear red, green, blue."""
+    """Albedos, paints and patterns of ``data/materials.toml``.
 
-    albedo: Mapping[str, FloatRays]  # (3,) by surface: share of light sent back
-    clothes: Mapping[str, FloatRays]  # (2, 3) by body: albedo of top and legs
-    vut_paint: FloatRays  # (3,)
-    car_paint: FloatRays  # (3,), of the car that the VUT meets
-    parked_paints: FloatRays  # (n, 3)
+    Colours are linear red, green, blue.
+
+    Attributes
+    ----------
+    albedo : mapping of str to (3,) float32
+        Share of light that each surface sends back.
+    clothes : mapping of str to (2, 3) float32
+        Albedo of top and legs of each body.
+    vut_paint, car_paint : (3,) float32
+        Albedo of the VUT, and of the car that it meets.
+    parked_paints : (n, 3) float32
+        Albedos that parked vehicles take in turn.
+    markings, pattern, gloss : mapping of str to float
+        Tables of the file.
+    lit_window_colour : (3,) float32
+        Colour of windows with light behind them.
+    """
+
+    albedo: Mapping[str, FloatRays]
+    clothes: Mapping[str, FloatRays]
+    vut_paint: FloatRays
+    car_paint: FloatRays
+    parked_paints: FloatRays
     markings: Mapping[str, float]
     pattern: Mapping[str, float]
     gloss: Mapping[str, float]
-    lit_window_colour: FloatRays  # (3,)
+    lit_window_colour: FloatRays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hits:
-    """Where rays have met triangles."""
+    """Points at which rays have met triangles.
 
-    points_m: FloatRays  # (n, 3), world frame
-    normals: FloatRays  # (n, 3), unit, on the side from which the ray came
-    thing: Index  # (n,): index of the thing
-    pixel_m: (
-        FloatRays  # (n,): size of a pixel on the surface, the mean of its two sides
-    )
+    Attributes
+    ----------
+    points_m : (n, 3) float32
+        World frame. [m]
+    normals : (n, 3) float32
+        Unit normals, on the side from which the ray came.
+    thing : (n,) int32
+        Index of the thing.
+    pixel_m : (n,) float32
+        Size of a pixel on the surface, the mean of its two sides. [m]
+    """
+
+    points_m: FloatRays
+    normals: FloatRays
+    thing: Index
+    pixel_m: FloatRays
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coat:
-    """Albedo and gloss of surfaces; written to in parts."""
+    """Albedo and gloss of surfaces; written to in parts.
 
-    albedo: FloatRays  # (n, 3): share sent back evenly into all directions
-    mirror: FloatRays  # (n,): share mirrored head-on; 0 is dull
-    rough: (
-        FloatRays  # (n,): by how much a mirrored ray of unit length is bent up or down
-    )
-    glow: FloatRays  # (n, 3): luminance of its own [cd/m^2]
+    Attributes
+    ----------
+    albedo : (n, 3) float32
+        Share sent back evenly in all directions.
+    mirror : (n,) float32
+        Share mirrored head-on; 0 is dull.
+    rough : (n,) float32
+        How much a mirrored ray of unit length is bent up or down.
+    glow : (n, 3) float32
+        Luminance of its own. [cd/m^2]
+    """
+
+    albedo: FloatRays
+    mirror: FloatRays
+    rough: FloatRays
+    glow: FloatRays
 
 
 def blank_coat(n_hits: int) -> Coat:
@@ -69,25 +107,64 @@ def blank_coat(n_hits: int) -> Coat:
 
 
 def cover(distance_m: FloatRays, pixel_m: FloatRays) -> FloatRays:
-    """Share (n,) of each pixel inside an edge, by its distance (negative inside) and size."""
+    """Share of each pixel that lies inside an edge.
+
+    Parameters
+    ----------
+    distance_m : (n,) float32
+        From the edge to the middle of the pixel, negative inside. [m]
+    pixel_m : (n,) float32
+        Size of the pixel. [m]
+
+    Returns
+    -------
+    share : (n,) float32
+        0 to 1.
+    """
     return np.asarray(np.clip(np.float32(0.5) - distance_m / pixel_m, 0.0, 1.0))
 
 
 def blend(under: FloatRays, over: FloatRays, share: FloatRays) -> None:
-    """Lay a colour over others, in place: ``under`` (n, 3), ``over`` (3,) or (n, 3)."""
+    """Lay a colour over others, in place.
+
+    Parameters
+    ----------
+    under : (n, 3) float32
+        Colours below; written.
+    over : (3,) or (n, 3) float32
+        Colour on top.
+    share : (n,) float32
+        How much of it is laid on.
+    """
     under += share[:, None] * (over - under)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Things:
-    """Things as arrays, one row each."""
+    """Things as arrays, one row each.
 
-    middle_m: FloatRays  # (n, 3): foot of the middle, world frame
-    size_m: FloatRays  # (n, 3): length, width, height
-    ahead: FloatRays  # (n, 2): cosine and sine of the yaw
-    axles_m: FloatRays  # (n, 2): front and rear axle of vehicles, ahead of the middle
-    colours: FloatRays  # (n, 2, 3): albedo of top and legs, or twice the paint
-    mean_albedo: FloatRays  # (n, 3): as seen in a blurred mirror
+    Attributes
+    ----------
+    middle_m : (n, 3) float32
+        Foot of the middle, world frame. [m]
+    size_m : (n, 3) float32
+        Length, width, height. [m]
+    ahead : (n, 2) float32
+        Cosine and sine of the yaw.
+    axles_m : (n, 2) float32
+        Front and rear axle of vehicles, ahead of the middle. [m]
+    colours : (n, 2, 3) float32
+        Albedo of top and legs, or twice the paint.
+    mean_albedo : (n, 3) float32
+        Albedo as seen in a blurred mirror.
+    """
+
+    middle_m: FloatRays
+    size_m: FloatRays
+    ahead: FloatRays
+    axles_m: FloatRays
+    colours: FloatRays
+    mean_albedo: FloatRays
 
 
 def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
@@ -109,55 +186,75 @@ def build_things(things: tuple[Thing, ...], materials: Materials) -> Things:
 
 
 def _axles(thing: Thing) -> tuple[float, float]:
-    if thing.actor is not None and thing.actor.wheelbase_m > 0.0:
-        front_m = thing.actor.front_axle_ahead_m
-        return front_m, front_m - thing.actor.wheelbase_m
-    return 0.3 * float(thing.size_m[0]), -0.3 * float(thing.size_m[0])
+    """Front and rear axle of a thing, ahead of its middle, in metres.
+
+    Of things without a wheelbase each is 0.3 of the length from the middle.
+    """
+    actor = thing.actor
+    if actor is not None and actor.wheelbase_m > 0.0:
+        front_m = actor.front_axle_ahead_m
+        return front_m, front_m - actor.wheelbase_m
+    length_m = float(thing.size_m[0])
+    return 0.3 * length_m, -0.3 * length_m
 
 
 def _colours(number: int, thing: Thing, materials: Materials) -> FloatRays:
+    """Albedo of top and legs of a thing, (2, 3); twice the same if it has one colour.
+
+    Parameters
+    ----------
+    number : int
+        The thing's number, by which parked vehicles take the paints in turn.
+    """
+    kind = thing.class_name
     if thing.name == "vut":
         return np.stack([materials.vut_paint] * 2)
-    if thing.class_name == "car":
+    if kind == "car":
         return np.stack([materials.car_paint] * 2)
-    if thing.class_name in ("parked vehicle", "vehicle"):
-        return np.stack(
-            [materials.parked_paints[number % len(materials.parked_paints)]] * 2
-        )
-    if thing.class_name in ("pedestrian", "cyclist", "motorcyclist"):
+    if kind in ("parked vehicle", "vehicle"):
+        paint = materials.parked_paints[number % len(materials.parked_paints)]
+        return np.stack([paint] * 2)
+    if kind in ("pedestrian", "cyclist", "motorcyclist"):
+        # Clothes of this very actor, or else of anyone of its class.
+        fallback = kind
+        if kind == "pedestrian":
+            fallback = "adult"
+        name = ""
         if thing.actor is not None:
             name = thing.actor.name
-        else:
-            name = ""
-        if thing.class_name == "pedestrian":
-            fallback = "adult"
-        else:
-            fallback = thing.class_name
         return materials.clothes.get(name, materials.clothes[fallback])
-    surface = {"ground": "asphalt", "building": "facade"}.get(
-        thing.class_name, thing.class_name
-    )
-    return np.stack([materials.albedo[surface.replace(" ", "-")]] * 2)
+    surface = {"ground": "asphalt", "building": "facade"}.get(kind, kind)
+    albedo = materials.albedo[surface.replace(" ", "-")]
+    return np.stack([albedo] * 2)
 
 
 @cache
 def load_materials() -> Materials:
-    """All materials, from ``data/materials.toml``."""
+    """Materials of ``data/materials.toml``.
+
+    Raises
+    ------
+    InputError
+        An albedo is not a share, 0 to 1.
+    """
     table = load_data(__package__, _WHERE)
+    paints = table["paints"]
     pattern = dict(table["pattern"])
     colour = pattern.pop("lit_window_colour")
+    albedo = {
+        name: _albedo(entry["albedo"], (3,), name)
+        for name, entry in table["surfaces"].items()
+    }
+    clothes = {}
+    for name, entry in table["clothes"].items():
+        top_and_legs = [entry["top"], entry["legs"]]
+        clothes[name] = _albedo(top_and_legs, (2, 3), f"clothes.{name}")
     return Materials(
-        albedo={
-            name: _albedo(entry["albedo"], (3,), name)
-            for name, entry in table["surfaces"].items()
-        },
-        clothes={
-            name: _albedo([entry["top"], entry["legs"]], (2, 3), f"clothes.{name}")
-            for name, entry in table["clothes"].items()
-        },
-        vut_paint=_albedo(table["paints"]["vut"], (3,), "paints.vut"),
-        car_paint=_albedo(table["paints"]["car"], (3,), "paints.car"),
-        parked_paints=_albedo(table["paints"]["parked"], (-1, 3), "paints.parked"),
+        albedo=albedo,
+        clothes=clothes,
+        vut_paint=_albedo(paints["vut"], (3,), "paints.vut"),
+        car_paint=_albedo(paints["car"], (3,), "paints.car"),
+        parked_paints=_albedo(paints["parked"], (-1, 3), "paints.parked"),
         markings=read_table(table["markings"], dict[str, float], f"{_WHERE}: markings"),
         pattern=read_table(pattern, dict[str, float], f"{_WHERE}: pattern"),
         gloss=read_table(table["gloss"], dict[str, float], f"{_WHERE}: gloss"),
@@ -166,11 +263,12 @@ def load_materials() -> Materials:
 
 
 def vary_materials(materials: Materials, rng: np.random.Generator) -> Materials:
-    """Other clothes, skins, paints and facades, drawn at random.
+    """Materials with clothes, skins, paints and facades drawn at random.
 
     Clothes and paints have any hue, little colour as often as much, and a lightness
-    from black to white; hair and skin run from the darkest to the lightest that people
-    have; all other surfaces keep their hue and are up to a half lighter or darker.
+    from black to white. Hair and skin run from the darkest to the lightest that
+    people have. All other surfaces keep their hue and are up to a half lighter or
+    darker.
     """
     lights = {name: rng.uniform(0.6, 1.5) for name in materials.albedo}
     albedo = {
@@ -203,6 +301,7 @@ def _any_colours(n_colours: int, rng: np.random.Generator) -> FloatRays:
 
 
 def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
+    """Read albedos of a shape; InputError unless all are shares, 0 to 1."""
     where = f"{_WHERE}: {name}"
     array = float_array(values, shape, where).astype(np.float32)
     if not ((array >= 0.0) & (array <= 1.0)).all():
@@ -211,17 +310,36 @@ def _albedo(values: Any, shape: tuple[int, ...], name: str) -> FloatRays:
 
 
 # ---------- ground, houses, walls and posts: patterns by position in the world
-_GRAIN_PER_M = (48.0, 384.0)  # texels of the grain, coarsest and finest
-_PATCH_M = 0.06  # size of the patches' texels
-_TEXELS = np.float32(2.7)  # of noise per window
+# Texels of the grain, coarsest and finest.
+_GRAIN_PER_M = (48.0, 384.0)
+# Size of the patches' texels.
+_PATCH_M = 0.06
+# Texels of noise per window.
+_TEXELS = np.float32(2.7)
 
 
 def coat_ground(
     hits: Hits, ground: GroundMap, materials: Materials, *, wetness: float
 ) -> tuple[Coat, FloatRays]:
-    """Road, paint, kerb, pavement, grass: coat, and share (n,) of skylight that reaches them.
+    """Coat of the road plane: road, paint, kerb, pavement, grass.
 
-    `wetness` is the weather's, 0 .. 1.
+    Parameters
+    ----------
+    hits : Hits
+        n points on the ground.
+    ground : GroundMap
+        Distances to road and paint, skylight and noise.
+    materials : Materials
+        Albedos, patterns, gloss.
+    wetness : float
+        Of the weather, 0 to 1.
+
+    Returns
+    -------
+    coat : Coat
+        Of the n points.
+    sky_share : (n,) float32
+        Share of the skylight that reaches them.
     """
     east = np.ascontiguousarray(hits.points_m[:, 0])
     north = hits.points_m[:, 1].copy()
@@ -233,48 +351,48 @@ def coat_ground(
         np.float32
     )
     grain = grain_at(ground.grain, east, north, per_m)
+    # What is finer than a pixel fades.
     grain *= np.minimum(np.float32(1.0 / _GRAIN_PER_M[0]) / pixel, 1.0)
     patches = soft_noise_at(ground.patches, east, north, texel_m=_PATCH_M)
     albedo = materials.albedo
     pattern = materials.pattern
     colour = np.empty((len(east), 3), dtype=np.float32)
     colour[...] = albedo["asphalt"]
-    wear = 1.0 - np.float32(materials.markings["wear"]) * np.clip(
-        0.5 + 0.4 * patches, 0.0, 1.0
-    )
+    # Paint on the road, worn in patches.
+    worn = np.clip(0.5 + 0.4 * patches, 0.0, 1.0)
+    wear = 1.0 - np.float32(materials.markings["wear"]) * worn
     painted = np.flatnonzero(layers[:, PAINT] < pixel)
     share = cover(layers[painted, PAINT], pixel[painted]) * wear[painted]
     under = colour[painted]
     blend(under, albedo["paint"], share)
     colour[painted] = under
+    # Off the road: kerb, then pavement of slabs, then grass.
     off = np.flatnonzero(road > -pixel)
     if len(off):
         at = road[off]
         size = pixel[off]
         spot = colour[off]
         blend(spot, albedo["kerb"], 1.0 - cover(at, size))
-        blend(
-            spot,
-            albedo["pavement"],
-            1.0 - cover(at - np.float32(pattern["kerb_m"]), size),
-        )
+        beyond_kerb = at - np.float32(pattern["kerb_m"])
+        blend(spot, albedo["pavement"], 1.0 - cover(beyond_kerb, size))
         joints = _joints(east[off], north[off], pattern["slab_m"], size)
         spot *= 1.0 - 0.25 * (joints * (at > pattern["kerb_m"]))[:, None]
-        verge = 1.0 - cover(
-            at - np.float32(pattern["pavement_m"]), size + np.float32(0.1)
-        )
-        blend(spot, albedo["verge"] * (1.0 + 0.25 * patches[off, None]), verge)
+        beyond_pavement = at - np.float32(pattern["pavement_m"])
+        verge = 1.0 - cover(beyond_pavement, size + np.float32(0.1))
+        grass = albedo["verge"] * (1.0 + 0.25 * patches[off, None])
+        blend(spot, grass, verge)
         colour[off] = spot
-    colour *= (1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain).clip(
-        0.5, 1.6
-    )[:, None]
+    # Uneven brightness everywhere; what is wet is darker.
+    uneven = 1.0 + np.float32(0.07) * patches + np.float32(0.10) * grain
+    colour *= uneven.clip(0.5, 1.6)[:, None]
     colour *= np.float32(1.0 - wetness * materials.gloss["wet_darkening"])
+    # Puddles: water lies where the patches are low.
+    water = np.clip(1.2 - 0.5 * patches, 0.2, 2.0)
+    ripples = patches + 0.5 * grain
     coat = Coat(
         albedo=colour,
-        # Puddles: water lies where the patches are low.
-        mirror=np.float32(wetness * materials.gloss["water"])
-        * np.clip(1.2 - 0.5 * patches, 0.2, 2.0),
-        rough=np.float32(materials.gloss["wet_roughness"]) * (patches + 0.5 * grain),
+        mirror=np.float32(wetness * materials.gloss["water"]) * water,
+        rough=np.float32(materials.gloss["wet_roughness"]) * ripples,
         glow=np.zeros_like(colour),
     )
     return coat, layers[:, SKY]
@@ -283,7 +401,17 @@ def coat_ground(
 def _joints(
     u: FloatRays, v: FloatRays, pitch_m: float, pixel_m: FloatRays
 ) -> FloatRays:
-    """Share of each pixel that is joint in a square grid."""
+    """Share of each pixel that is joint in a square grid.
+
+    Parameters
+    ----------
+    u, v : (n,) float32
+        Position on the surface. [m]
+    pitch_m : float
+        Side of the squares. [m]
+    pixel_m : (n,) float32
+        Size of the pixels. [m]
+    """
     half = np.float32(0.006)
     share = np.zeros_like(u)
     for axis in (u, v):
@@ -297,7 +425,10 @@ def _joints(
 def coat_facade(
     hits: Hits, ground: GroundMap, materials: Materials, *, has_lamps: bool
 ) -> Coat:
-    """Storeys of windows over a plinth; some are lit where lamps are on."""
+    """Coat of houses: storeys of windows over a plinth.
+
+    With `has_lamps` some windows are lit.
+    """
     along, up = _wall_coordinates(hits)
     pattern = materials.pattern
     albedo = materials.albedo
@@ -305,16 +436,18 @@ def coat_facade(
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.04)
     coat = _plain(albedo["facade"], 1.0 + 0.035 * dirt)
     blend(coat.albedo, albedo["plinth"], cover(up - 0.6, pixel))
+    # Position in the grid of windows, from the middle of one and from its floor.
     column = np.floor(along / np.float32(pattern["window_pitch_m"]))
     storey = np.floor(up / np.float32(pattern["storey_m"]))
     across = along - (column + np.float32(0.5)) * np.float32(pattern["window_pitch_m"])
     above = up - storey * np.float32(pattern["storey_m"])
     sill = pattern["window_sill_m"]
     top = pattern["window_top_m"]
-    edge = np.maximum(
-        np.abs(across) - np.float32(0.5 * pattern["window_width_m"]),
-        np.abs(above - np.float32(0.5 * (sill + top))) - np.float32(0.5 * (top - sill)),
-    )
+    # Distance from the edge of the window, negative inside; roofs have no windows.
+    beside = np.abs(across) - np.float32(0.5 * pattern["window_width_m"])
+    middle_m = np.float32(0.5 * (sill + top))
+    over = np.abs(above - middle_m) - np.float32(0.5 * (top - sill))
+    edge = np.maximum(beside, over)
     is_wall = np.abs(hits.normals[:, 2]) < 0.5
     away: FloatRays = np.where(is_wall, edge, np.float32(9.0)).astype(np.float32)
     blend(coat.albedo, albedo["frame"], cover(away - np.float32(0.07), pixel))
@@ -324,23 +457,22 @@ def coat_facade(
     coat.mirror[...] = share * np.float32(materials.gloss["pane"])
     if has_lamps:
         # One value of noise per window.
-        chance = grain_at(
-            ground.grain, column + 7.0 * storey, storey, np.full_like(along, _TEXELS)
-        )
-        is_lit = chance > np.float32(
-            NormalDist().inv_cdf(1.0 - pattern["lit_window_share"])
-        )
+        texels = np.full_like(along, _TEXELS)
+        chance = grain_at(ground.grain, column + 7.0 * storey, storey, texels)
+        limit = NormalDist().inv_cdf(1.0 - pattern["lit_window_share"])
+        is_lit = chance > np.float32(limit)
         light = materials.lit_window_colour * np.float32(pattern["lit_window_cdpm2"])
         coat.glow[...] = (share * is_lit)[:, None] * light
     return coat
 
 
 def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
-    """Concrete panels with a coping."""
+    """Coat of walls: concrete panels with a coping."""
     along, up = _wall_coordinates(hits)
     pitch = np.float32(materials.pattern["wall_panel_m"])
     dirt = soft_noise_at(ground.patches, along, up, texel_m=0.03)
     coat = _plain(materials.albedo["wall"], 1.0 + 0.10 * dirt)
+    # Joints between the panels, fainter where they are narrower than a pixel.
     away = np.abs(along / pitch - np.rint(along / pitch)) * pitch - np.float32(0.012)
     thin = np.minimum(np.float32(0.024) / hits.pixel_m, 1.0)
     coat.albedo[...] *= 1.0 - 0.45 * (cover(away, hits.pixel_m) * thin)[:, None]
@@ -350,21 +482,21 @@ def coat_wall(hits: Hits, ground: GroundMap, materials: Materials) -> Coat:
 
 
 def coat_plain(hits: Hits, ground: GroundMap, albedo: FloatRays) -> Coat:
-    """One colour with a little dirt: posts, plants."""
+    """Coat of posts and plants: one colour with a little dirt."""
     along, up = _wall_coordinates(hits)
-    return _plain(
-        albedo, 1.0 + 0.06 * soft_noise_at(ground.patches, along, up, texel_m=0.05)
-    )
+    dirt = soft_noise_at(ground.patches, along, up, texel_m=0.05)
+    return _plain(albedo, 1.0 + 0.06 * dirt)
 
 
 def _plain(albedo: FloatRays, factor: FloatRays) -> Coat:
+    """A dull coat of one colour times a factor (n,), clipped to 0.5 to 1.5."""
     coat = blank_coat(len(factor))
     coat.albedo[...] = np.clip(factor, 0.5, 1.5)[:, None] * albedo
     return coat
 
 
 def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
-    """Along an upright face, and up."""
+    """Coordinates along an upright face, and up, (n,) each, in metres."""
     normals = hits.normals
     points = hits.points_m
     level: FloatRays = np.sqrt(
@@ -377,12 +509,17 @@ def _wall_coordinates(hits: Hits) -> tuple[FloatRays, FloatRays]:
 
 
 # ---------- vehicles and people: colours by position in their own frames
-_WHEEL_M = 0.335  # radius of ordinary tyres
+# Radius of ordinary tyres.
+_WHEEL_M = 0.335
 _RIM_SHARE = 0.60
 
 
 def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
-    """Lacquer, glass, wheels, lamps, plates."""
+    """Coat of vehicles: lacquer, glass, wheels, lamps, plates.
+
+    Parts are found by the position in the vehicle's own frame, most of them by
+    shares of its length, width and height.
+    """
     x, y, z, facing = _into_body(hits, things)
     length, width, height = things.size_m[hits.thing].T
     side = np.abs(y)
@@ -402,6 +539,7 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
     closed = is_van & (x < 0.16 * length)
     pane &= np.where(is_side, ~(pillar | closed), side < 0.385 * width)
     pane &= is_side | front | (rear & ~is_van)
+    # Lamps, plates and grille, by shares of the vehicle's size.
     head = (
         front
         & (x > 0.36 * length)
@@ -432,7 +570,7 @@ def coat_vehicle(hits: Hits, things: Things, materials: Materials) -> Coat:
 
 
 def coat_pedestrian(hits: Hits, things: Things, materials: Materials) -> Coat:
-    """Shoes, trousers, top, hands, face, hair: by height."""
+    """Coat of pedestrians by height: shoes, trousers, top, hands, face, hair."""
     x, y, z, _ = _into_body(hits, things)
     _, width, height = things.size_m[hits.thing].T
     level = z / height
@@ -446,15 +584,15 @@ def coat_pedestrian(hits: Hits, things: Things, materials: Materials) -> Coat:
 
 
 def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
-    """Bicycle, shoes, trousers, top, hands, face, helmet."""
+    """Coat of cyclists: bicycle, shoes, trousers, top, hands, face, helmet.
+
+    The limits are metres in the frame of the body, whose size is that of the target.
+    """
     x, y, z, _ = _into_body(hits, things)
     side = np.abs(y)
     is_bicycle = (z < 0.86) & ((side < 0.055) | (x > 0.30))
-    is_tyre = (
-        is_bicycle
-        & (np.minimum(np.abs(x - 0.59), np.abs(x + 0.62)) < 0.37)
-        & (side < 0.03)
-    )
+    from_wheel = np.minimum(np.abs(x - 0.59), np.abs(x + 0.62))
+    is_tyre = is_bicycle & (from_wheel < 0.37) & (side < 0.03)
     is_grip = (x > 0.30) & (z < 1.2)
     coat = _dressed(hits, things, is_leg=(z < 1.06) & (x < 0.30))
     shoes = (z < 0.32) & (side > 0.055)
@@ -466,7 +604,10 @@ def coat_cyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
 
 
 def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
-    """Motorcycle, its tyres, tank, lamps and plate; boots, trousers, jacket, gloves, helmet."""
+    """Coat of motorcyclists: machine, boots, trousers, jacket, gloves, helmet.
+
+    The limits are metres in the frame of the body, whose size is that of the target.
+    """
     x, y, z, facing = _into_body(hits, things)
     side = np.abs(y)
     # Legs hang outside the engine, from the seat to the foot rests.
@@ -478,9 +619,8 @@ def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
     tank = (
         is_machine & (z > 0.62) & (z < 0.95) & (x > -0.02) & (x < 0.50) & (side < 0.19)
     )
-    is_painted = tank | (
-        is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55)
-    )  # and the tail
+    # Tank and tail have the colour of the motorcycle.
+    is_painted = tank | (is_machine & (z > 0.70) & (z < 0.90) & (x < -0.55))
     is_rear = is_machine & (facing[:, 0] < -0.3) & (x < -0.90)
     is_head = is_machine & (x > 0.55) & (z > 0.72) & (z < 0.96)
     shoes = is_leg & (z < 0.42)
@@ -506,7 +646,13 @@ def coat_motorcyclist(hits: Hits, things: Things, materials: Materials) -> Coat:
 
 
 def _dressed(hits: Hits, things: Things, *, is_leg: BoolArray | None = None) -> Coat:
-    """A coat in the colours of things: of the top, and of legs where these are."""
+    """A coat in the colours of things: of the top, and of legs where these are.
+
+    Parameters
+    ----------
+    is_leg : (n,) bool, optional
+        Hits on legs.
+    """
     coat = blank_coat(len(hits.thing))
     coat.albedo[...] = things.colours[hits.thing, 0]
     if is_leg is not None:
@@ -515,7 +661,13 @@ def _dressed(hits: Hits, things: Things, *, is_leg: BoolArray | None = None) -> 
 
 
 def _paint(coat: Coat, materials: Materials, **parts: BoolArray) -> None:
-    """Paint masks of hits, one over the other, each with the albedo of its name."""
+    """Paint masks of hits, one over the other.
+
+    Parameters
+    ----------
+    **parts : (n,) bool
+        Hits that get the albedo of this name.
+    """
     for name, where in parts.items():
         coat.albedo[where] = materials.albedo[name.replace("_", "-")]
 
@@ -523,7 +675,15 @@ def _paint(coat: Coat, materials: Materials, **parts: BoolArray) -> None:
 def _into_body(
     hits: Hits, things: Things
 ) -> tuple[FloatRays, FloatRays, FloatRays, FloatRays]:
-    """Ahead, left and up in the body's frame, and the normals there."""
+    """Position and normals of hits in the frames of their things.
+
+    Returns
+    -------
+    x, y, z : (n,) float32
+        Ahead, left and up. [m]
+    facing : (n, 3) float32
+        Unit normals.
+    """
     offset = hits.points_m - things.middle_m[hits.thing]
     cos, sin = things.ahead[hits.thing].T
     facing = np.empty_like(hits.normals)

@@ -35,41 +35,85 @@ Index = NDArray[np.int32]
 
 # Classes whose faces are shaded as if they were curved.
 ROUND = ("pedestrian", "cyclist", "motorcyclist")
-_CREASE_COS = (
-    0.6  # people's faces that meet at less than about 50 degrees are shaded as one
-)
+# People's faces that meet at less than about 50 degrees are shaded as one.
+_CREASE_COS = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """One thing in a picture."""
+    """One thing in a picture.
 
-    name: str  # the scene's instance, "parked-1" .. , "vut" or "vru"
+    Attributes
+    ----------
+    name : str
+        The scene's instance, "parked-1" .., "driving-1" .., "vut" or "vru".
+    class_name : str
+        Class of the scene's instance, or of the road user.
+    pose : Pose
+        Body frame: on the road under the middle.
+    size_m : (3,) float
+        Length, width, height. [m]
+    actor : Actor, optional
+        None for what only the scene knows.
+    """
+
+    name: str
     class_name: str
-    pose: Pose  # body frame: on the road under the middle
-    size_m: FloatArray  # (3,): length, width, height
-    actor: Actor | None = None  # None for what only the scene knows
+    pose: Pose
+    size_m: FloatArray
+    actor: Actor | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles of things, in the world frame."""
+    """Triangles of things, in the world frame.
 
-    vertices_m: FloatArray  # (n, 3)
-    triangles: Index  # (m, 3), into the vertices
-    triangle_thing: Index  # (m,), into `things`
-    # (m, 3, 3): unit, at the corners of each triangle; equal where shaded flat
+    Attributes
+    ----------
+    vertices_m : (n, 3) float
+        [m]
+    triangles : (m, 3) int32
+        Into the vertices.
+    triangle_thing : (m,) int32
+        Into `things`.
+    normals : (m, 3, 3) float32
+        Unit normals at the corners of each triangle; equal where shaded flat.
+    things : tuple of Thing
+        All things.
+    """
+
+    vertices_m: FloatArray
+    triangles: Index
+    triangle_thing: Index
     normals: FloatRays
     things: tuple[Thing, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameMesh:
-    """All triangles of one frame, ready for rays; origin at the camera, axes as the world's."""
+    """Triangles of one frame, ready for rays.
 
-    origin_m: FloatArray  # (3,), world frame
-    corners_m: FloatRays  # (m, 3, 3)
-    normals: FloatRays  # as in Mesh
+    The origin is at the camera, the axes are those of the world.
+
+    Attributes
+    ----------
+    origin_m : (3,) float
+        World frame. [m]
+    corners_m : (m, 3, 3) float32
+        Corners of the triangles. [m]
+    normals : (m, 3, 3) float32
+        As in :class:`Mesh`.
+    triangle_thing : (m,) int32
+        Into `things`.
+    things : tuple of Thing
+        All things.
+    caster : RayCaster
+        For rays against the triangles.
+    """
+
+    origin_m: FloatArray
+    corners_m: FloatRays
+    normals: FloatRays
     triangle_thing: Index
     things: tuple[Thing, ...]
     caster: RayCaster
@@ -78,7 +122,12 @@ class FrameMesh:
 def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
     """Triangles of what stands still in a run.
 
-    The things are the scene's instances in their order, then "parked-1" and so on.
+    Parameters
+    ----------
+    scene : Scene
+        Its instances are the first things, in their order.
+    obstruction : sequence of PlacedActor
+        Parked bodies: things "parked-1" and so on.
     """
     parked = [
         _body_mesh(
@@ -89,7 +138,8 @@ def build_static_mesh(scene: Scene, obstruction: Sequence[PlacedActor]) -> Mesh:
     return _join([build_scene_mesh(scene), *parked])
 
 
-@lru_cache(maxsize=1)  # pictures of a scene differ in what parks there
+# Cached, since pictures of a scene differ only in what parks there.
+@lru_cache(maxsize=1)
 def build_scene_mesh(scene: Scene) -> Mesh:
     """Triangles of a scene, whose things are its instances in their order."""
     return Mesh(
@@ -106,10 +156,24 @@ def build_scene_mesh(scene: Scene) -> Mesh:
 def build_frame_mesh(
     static: Mesh, run: Run, frame_index: int, origin_m: FloatArray, *, with_vut: bool
 ) -> FrameMesh:
-    """Triangles of one frame, in a frame of coordinates with its origin at `origin_m` (3,).
+    """Triangles of one frame, ready for rays.
 
-    What drives by is "driving-1" and so on; the last things are "vut", if it is to be
-    seen, and "vru".
+    Parameters
+    ----------
+    static : Mesh
+        What stands still; see :func:`build_static_mesh`.
+    run, frame_index : Run, int
+        The frame.
+    origin_m : (3,) float
+        New origin, world frame. [m]
+    with_vut : bool
+        The VUT is seen.
+
+    Returns
+    -------
+    mesh : FrameMesh
+        Vehicles that drive by are "driving-1" and so on; the last things are "vut", if
+        it is seen, and "vru".
     """
     moving = build_moving_meshes(run, frame_index, with_vut=with_vut)
     return place_mesh(_join([static, *moving]), origin_m)
@@ -118,7 +182,10 @@ def build_frame_mesh(
 def build_moving_meshes(
     run: Run, frame_index: int, *, with_vut: bool
 ) -> tuple[Mesh, ...]:
-    """Moving things of a frame, each in a mesh of its own; see :func:`build_frame_mesh`."""
+    """Moving things of a frame, each in a mesh of its own.
+
+    Their order and names are those of :func:`build_frame_mesh`.
+    """
     bodies = [
         (
             f"driving-{n}",
@@ -132,6 +199,7 @@ def build_moving_meshes(
     ]
     vut = run.encounter.vut
     vru = run.encounter.vru
+    # The VUT, then the VRU come last.
     if with_vut:
         where = run.vut_position_m[frame_index], run.vut_yaw_deg[frame_index]
         bodies.append(("vut", vut, 0, *where))
@@ -146,7 +214,7 @@ def build_moving_meshes(
 
 
 def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
-    """A mesh in a frame of coordinates with its origin at `origin_m` (3,), ready for rays."""
+    """A mesh relative to an origin (3,), ready for rays."""
     vertices = (mesh.vertices_m - origin_m).astype(np.float32)
     return FrameMesh(
         origin_m=origin_m,
@@ -159,7 +227,10 @@ def place_mesh(mesh: Mesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
-    """Triangles that are ready for rays already, in a frame with another origin (3,)."""
+    """Triangles that are ready for rays, relative to another origin (3,).
+
+    The caster is used again.
+    """
     shift = (origin_m - mesh.origin_m).astype(np.float32)
     return replace(
         mesh,
@@ -170,7 +241,10 @@ def move_origin(mesh: FrameMesh, origin_m: FloatArray) -> FrameMesh:
 
 
 def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
-    """Standing and moving triangles, for rays; only moving ones are prepared anew."""
+    """Standing and moving triangles together, ready for rays.
+
+    Only the moving ones are prepared anew.
+    """
     bodies = place_mesh(_join(moving), still.origin_m)
     return FrameMesh(
         origin_m=still.origin_m,
@@ -185,23 +259,25 @@ def add_moving_meshes(still: FrameMesh, moving: Sequence[Mesh]) -> FrameMesh:
 
 
 class _MovedCaster:
-    """Rays whose origins are given from another origin, (3,)."""
+    """Caster of rays whose origins are relative to another origin, (3,)."""
 
     def __init__(self, caster: RayCaster, shift: FloatRays) -> None:
         self._caster = caster
         self._shift = shift
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """Mask of rays that meet a triangle; see :class:`RayCaster`."""
         return self._caster.is_blocked(origins_m + self._shift, vectors_m)
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
+        """Share of each ray up to its first hit, and the triangle."""
         return self._caster.first_triangle(origins_m + self._shift, vectors_m)
 
 
 class _TwoCasters:
-    """Rays against two sets of triangles, one behind the other."""
+    """Caster of rays against two sets of triangles, numbered one after the other."""
 
     def __init__(self, first: RayCaster, second: RayCaster, n_first: int) -> None:
         self._first = first
@@ -209,6 +285,7 @@ class _TwoCasters:
         self._n_first = n_first
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
+        """Mask of rays that meet a triangle of either set."""
         blocked = self._first.is_blocked(origins_m, vectors_m)
         free = np.flatnonzero(~blocked)
         blocked[free] = self._second.is_blocked(origins_m[free], vectors_m[free])
@@ -217,6 +294,7 @@ class _TwoCasters:
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
+        """Share of each ray up to its first hit in either set, and the triangle."""
         share, triangle = self._first.first_triangle(origins_m, vectors_m)
         other_share, other = self._second.first_triangle(origins_m, vectors_m)
         is_nearer = other_share < share
@@ -234,10 +312,12 @@ def vut_pose(run: Run, frame_index: int) -> Pose:
 
 
 def _road_pose(run: Run, position_m: FloatArray, yaw_deg: float) -> Pose:
+    """Pose of a body on the ground of a run."""
     return Pose(position_m=on_ground(position_m, run.terrain), yaw_deg=float(yaw_deg))
 
 
 def _scene_thing(scene: Scene, index: int) -> Thing:
+    """An instance of the scene as a thing, in the smallest rectangle around it."""
     instance = scene.instances[index]
     used = np.unique(scene.triangles[scene.triangle_instance == index])
     if len(used):
@@ -258,12 +338,26 @@ def _scene_thing(scene: Scene, index: int) -> Thing:
 
 
 def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float, float]:
-    """The oriented rectangle of least area around points (n, 2): middle (2,), yaw, length, width.
+    """The oriented rectangle of least area around points.
 
-    The yaw is that of the longer side, counter-clockwise from east. [rad], [m]
+    Parameters
+    ----------
+    points_m : (n, 2) float
+        [m]
 
-    Source: H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle",
-    1975: one side lies along an edge of the convex hull.
+    Returns
+    -------
+    middle : (2,) float
+        [m]
+    yaw_rad : float
+        Of the longer side, counter-clockwise from east. [rad]
+    length_m, width_m : float
+        [m]
+
+    References
+    ----------
+    H. Freeman, R. Shapira, "Determining the minimum-area encasing rectangle", 1975: one
+    side lies along an edge of the convex hull.
     """
     try:
         hull = points_m[ConvexHull(points_m).vertices]
@@ -288,6 +382,7 @@ def _smallest_rectangle(points_m: FloatArray) -> tuple[FloatArray, float, float,
 
 
 def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
+    """Mesh of one body at a pose."""
     size_m = np.array([actor.length_m, actor.width_m, actor.height_m])
     normals = _body_normals(shape, is_round=actor.class_name in ROUND)
     R_world_body = body_rotation(pose.yaw_deg, pose.pitch_deg).astype(np.float32)
@@ -308,7 +403,8 @@ def _body_mesh(name: str, actor: Actor, shape: Shape, pose: Pose) -> Mesh:
     )
 
 
-@lru_cache(maxsize=128)  # the steps of a gait come again and again; some 100 kB each
+# Cached, since the steps of a gait repeat; some 100 kB each.
+@lru_cache(maxsize=128)
 def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
     """Normals of a body's triangles in its own frame, (m, 3, 3)."""
     if is_round:
@@ -319,6 +415,7 @@ def _body_normals(shape: Shape, *, is_round: bool) -> FloatRays:
 
 
 def _join(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several; triangles and things keep their order."""
     vertices, triangles = join([(mesh.vertices_m, mesh.triangles) for mesh in meshes])
     n_things = np.cumsum([0, *(len(mesh.things) for mesh in meshes)])
     return Mesh(
@@ -336,11 +433,15 @@ def _join(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def _flat_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
+    """The face's unit normal at each corner, (m, 3, 3)."""
     return np.repeat(_unit(_face_normals(vertices_m, triangles))[:, None], 3, axis=1)
 
 
 def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
-    """At each corner the mean of the faces around it that turn away little, by their areas."""
+    """Smooth unit normals at each corner, (m, 3, 3).
+
+    The mean of the faces around the corner that turn away little, weighted by area.
+    """
     by_area = _face_normals(vertices_m, triangles)
     faces = _unit(by_area)
     corner_vertex = triangles.ravel()
@@ -349,7 +450,8 @@ def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
         (np.ones(n_corners, dtype=np.int8), (corner_vertex, np.arange(n_corners))),
         shape=(len(vertices_m), n_corners),
     )
-    pairs = (at_vertex.T @ at_vertex).tocoo()  # corners that share a vertex
+    # Corners that share a vertex.
+    pairs = (at_vertex.T @ at_vertex).tocoo()
     own = pairs.row // 3
     other = pairs.col // 3
     is_one = np.einsum("ij,ij->i", faces[own], faces[other]) > _CREASE_COS
@@ -364,11 +466,13 @@ def _round_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
 
 
 def _face_normals(vertices_m: FloatArray, triangles: Index) -> FloatRays:
+    """Normals of triangles, (m, 3), as long as twice their area."""
     a, b, c = np.swapaxes(vertices_m[triangles], 0, 1)
     return np.cross(b - a, c - a).astype(np.float32)
 
 
 def _unit(vectors: FloatRays) -> FloatRays:
+    """Vectors (n, 3) at unit length; zeros stay zeros."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, np.float32(1e-20)))
 
@@ -389,16 +493,10 @@ class PointCloud:
         The scene's instances, "parked-1" .., "vut" if it is there, "vru".
     """
 
-    points_m: NDArray[
-        np.float32
-    ]  # (n, 3): frame of the LiDAR: x ahead, y left, z up. [m]
-    intensity: NDArray[
-        np.float32
-    ]  # (n,): reflectivity times the cosine of incidence, 0 .. 1.
-    instance: NDArray[np.int32]  # (n,): index into `names`
-    names: tuple[
-        str, ...
-    ]  # the scene's instances, "parked-1" .., "vut" if it is there, "vru"
+    points_m: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    instance: NDArray[np.int32]
+    names: tuple[str, ...]
 
 
 def scan_mesh(
@@ -410,9 +508,22 @@ def scan_mesh(
     weather: Weather,
     seed: int | Sequence[int] = 0,
 ) -> PointCloud:
-    """Scan a frame's mesh, whose origin is at the LiDAR: one point for each pulse that comes back.
+    """Scan a frame's mesh by a LiDAR: one point for each pulse that comes back.
 
-    The seed is that of noise, and of which pulses come back.
+    Parameters
+    ----------
+    mesh : FrameMesh
+        Its origin is at the LiDAR.
+    run : Run
+        Its VRU has a reflectivity of its own.
+    pose : Pose
+        Of the LiDAR.
+    lidar : LidarModel
+        Its beams, range and noise.
+    weather : Weather
+        Extinction in the air.
+    seed : int or sequence of int
+        Of noise, and of which pulses come back.
     """
     beams = beam_directions(lidar).reshape(-1, 3)
     ways = beams @ body_rotation(pose.yaw_deg, pose.pitch_deg).T
@@ -426,14 +537,19 @@ def scan_mesh(
     instance = mesh.triangle_thing[triangle]
     by_class = load_surface_reflectivity()
     of_vru = load_lidar_detection().reflectivity[vru_class(run.encounter.vru)]
-    of_things = [
-        of_vru if t.name == "vru" else by_class[t.class_name] for t in mesh.things
-    ]
+    of_things = []
+    for thing in mesh.things:
+        if thing.name == "vru":
+            of_things.append(of_vru)
+        else:
+            of_things.append(by_class[thing.class_name])
     reflectivity = np.array(of_things)[instance]
+    # Cosine of incidence on each triangle that is hit.
     a, b, c = np.moveaxis(mesh.corners_m[triangle].astype(np.float64), 1, 0)
     across = np.cross(b - a, c - a)
     normals = across / np.linalg.norm(across, axis=1, keepdims=True).clip(1.0e-12)
     cosine = np.abs(np.einsum("ni,ni->n", normals, ways[hits]))
+    # Which pulses come back, and what they report.
     rng = np.random.default_rng(seed)
     probability = return_probability(
         lidar,

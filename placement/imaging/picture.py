@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,9 +61,12 @@ from .mesh import (
 )
 
 _JPEG_QUALITY = 85
-_OFF_SURFACE_M = 4.0e-3  # where mirrored rays start
-_LEAST_MIRROR = 0.012  # share; less is not worth a ray
-_GRAZING = np.float32(0.02)  # cosine: no pixel is longer on a surface
+# How far off a surface mirrored rays start.
+_OFF_SURFACE_M = 4.0e-3
+# Surfaces that mirror a smaller share are not worth a ray.
+_LEAST_MIRROR = 0.012
+# Least cosine: limits how long a pixel is on a surface.
+_GRAZING = np.float32(0.02)
 # Schlick: towards grazing angles everything is mirrored; of glass, 24 times what is
 # head-on.
 _GRAZING_GAIN = np.float32(24.0)
@@ -85,16 +88,38 @@ _CLASSES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """All that a picture is made from."""
+    """Everything that a picture is made from.
+
+    Attributes
+    ----------
+    pose : Pose
+        Of the camera.
+    camera : CameraModel
+        Its lens and image.
+    mesh : FrameMesh
+        Its origin is at the camera.
+    things : Things
+        Things of the mesh, as arrays.
+    materials : Materials
+        Colours and patterns.
+    ground : GroundMap
+        The road plane.
+    sky : Sky
+        Sky, sun and air.
+    lamps : tuple of Lamp
+        Those that are on.
+    weather : Weather
+        Wetness, rain, and whether lamps are on.
+    """
 
     pose: Pose
     camera: CameraModel
-    mesh: FrameMesh  # its origin is at the camera
-    things: Things  # of the mesh, as arrays
+    mesh: FrameMesh
+    things: Things
     materials: Materials
     ground: GroundMap
     sky: Sky
-    lamps: tuple[Lamp, ...]  # those that are on
+    lamps: tuple[Lamp, ...]
     weather: Weather
 
 
@@ -103,7 +128,15 @@ Each = Callable[[Callable[[IntArray], None], Sequence[IntArray]], Iterable[None]
 
 
 class Window(NamedTuple):
-    """A part of an image, in whole pixels."""
+    """A part of an image, in whole pixels.
+
+    Attributes
+    ----------
+    left, top : int
+        First column and row. [px]
+    width, height : int
+        [px]
+    """
 
     left: int
     top: int
@@ -112,16 +145,29 @@ class Window(NamedTuple):
 
     @property
     def rows(self) -> slice:
-        """Of the whole image."""
+        """Rows of the whole image."""
         return slice(self.top, self.top + self.height)
 
     @property
     def columns(self) -> slice:
-        """Of the whole image."""
+        """Columns of the whole image."""
         return slice(self.left, self.left + self.width)
 
     def in_whole(self, pixels: IntArray, camera: CameraModel) -> IntArray:
-        """Pixels of the window, row * width + column, as pixels of the camera's whole image."""
+        """Numbers of pixels in the whole image, from those in the window.
+
+        Parameters
+        ----------
+        pixels : (n,) int
+            Row * width + column, in the window.
+        camera : CameraModel
+            Its whole image.
+
+        Returns
+        -------
+        pixels : (n,) int
+            Row * width + column, in the whole image.
+        """
         down, across = np.divmod(pixels, self.width)
         return (down + self.top) * camera.width_px + across + self.left
 
@@ -132,41 +178,76 @@ def whole_image(camera: CameraModel) -> Window:
 
 
 class Shades(NamedTuple):
-    """Light, things and depths that rays meet."""
+    """Light, things and depths that rays meet.
 
-    radiance: FloatRays  # (n, 3), cd/m^2
-    instance: Index  # (n,): index of the thing; -1 where there is sky
-    depth_m: FloatRays  # (n,); infinite where there is sky
+    Attributes
+    ----------
+    radiance : (n, 3) float32
+        [cd/m^2]
+    instance : (n,) int32
+        Index of the thing; -1 where there is sky.
+    depth_m : (n,) float32
+        Along the optical axis; infinite where there is sky. [m]
+    """
+
+    radiance: FloatRays
+    instance: Index
+    depth_m: FloatRays
 
 
 class Surfaces(NamedTuple):
-    """Surfaces that rays meet, to add light to later: arrays (n, 3), zeros where there is sky."""
+    """Surfaces that rays meet, to add light to later; zeros where there is sky.
+
+    Attributes
+    ----------
+    albedo : (n, 3) float32
+        Of the surface.
+    lux : (n, 3) float32
+        Light that falls on it. [lx]
+    normals : (n, 3) float32
+        Unit normals.
+    mirrored : (n, 3) float32
+        Where the mirrored ray goes; zeros where none is cast.
+    """
 
     albedo: FloatRays
-    lux: FloatRays  # the light that falls on it
+    lux: FloatRays
     normals: FloatRays
-    mirrored: FloatRays  # where the mirrored ray goes; zeros where none is cast
+    mirrored: FloatRays
 
 
 def blank_surfaces(*size: int) -> Surfaces:
-    """Surfaces, (size, 3), of which nothing is known yet."""
+    r"""Surfaces of which nothing is known yet, (\*size, 3) each."""
     return Surfaces(*(np.zeros((*size, 3), dtype=np.float32) for _ in Surfaces._fields))
 
 
 def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
-    """Shades and surfaces of rays (n, 3) from the camera, one metre deep, in the world's axes.
+    """Shades and surfaces that rays from the camera meet.
 
-    Where a lens shows nothing rays are zeros, and it is dark.
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    ways : (n, 3) float32
+        Rays one metre deep, in the world's axes. Where a lens shows nothing they are
+        zeros, and it is dark.
+
+    Returns
+    -------
+    shades : Shades
+    surfaces : Surfaces
     """
     dark = np.flatnonzero(~ways.any(axis=1))
     if len(dark):
         ways = ways.copy()
-        ways[dark, 2] = 1.0  # up, for now
+        # Up, for now: their light is removed below.
+        ways[dark, 2] = 1.0
     camera = shot.camera
     mesh = shot.mesh
     sky = shot.sky
     length = np.sqrt(np.einsum("ij,ij->i", ways, ways))
-    near = np.float32(camera.near_m) / length  # rays start where drawing starts
+    # Rays start where drawing starts.
+    near = np.float32(camera.near_m) / length
     depth, triangle = mesh.caster.first_triangle(near[:, None] * ways, ways)
     depth = depth + near
     is_hit = triangle >= 0
@@ -179,6 +260,7 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
     instance[met] = mesh.triangle_thing.take(triangle[met])
     classes = [_CLASSES.index(thing.class_name) for thing in mesh.things]
     kinds = np.array(classes, dtype=np.int8)[instance]
+    # Surfaces of one class at a time: each class has a coat of its own.
     for kind in np.unique(kinds[met]).tolist():
         index = np.flatnonzero(is_hit & (kinds == kind))
         ahead = ways[index] / length[index, None]
@@ -191,7 +273,9 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
             whole[index] = part
         sky.fade(light, distance)
         radiance[index] = light
-    radiance[dark], instance[dark], depth[dark] = 0.0, -1, np.inf
+    radiance[dark] = 0.0
+    instance[dark] = -1
+    depth[dark] = np.inf
     for whole in surfaces:
         whole[dark] = 0.0
     return Shades(radiance, instance, depth), surfaces
@@ -200,7 +284,22 @@ def shade_rays(shot: Shot, ways: FloatRays) -> tuple[Shades, Surfaces]:
 def tile_rays(
     pose: Pose, camera: CameraModel, rows: slice, columns: slice
 ) -> FloatRays:
-    """Rays through the middles of a tile's pixels, one metre deep, (n, 3)."""
+    """Rays through the middles of a tile's pixels.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the camera.
+    camera : CameraModel
+        Its lens and image.
+    rows, columns : slice
+        The tile, in the whole image.
+
+    Returns
+    -------
+    rays : (n_rows * n_columns, 3) float32
+        One metre deep, in the world's axes.
+    """
     if not camera.is_pinhole:
         return _lens_rays(pose, pixel_grid(camera)[rows, columns].reshape(-1, 2))
     focal = camera.focal_length_px
@@ -215,7 +314,20 @@ def tile_rays(
 
 
 def pixel_rays(shot: Shot, columns_px: FloatRays, rows_px: FloatRays) -> FloatRays:
-    """Rays through points of the image, one metre deep, (n, 3)."""
+    """Rays through points of the image.
+
+    Parameters
+    ----------
+    shot : Shot
+        Its camera counts.
+    columns_px, rows_px : (n,) float32
+        Points of the image. [px]
+
+    Returns
+    -------
+    rays : (n, 3) float32
+        One metre deep, in the world's axes.
+    """
     camera = shot.camera
     if not camera.is_pinhole:
         return _lens_rays(shot.pose, picture_rays(columns_px, rows_px, camera))
@@ -243,7 +355,21 @@ def _find_hits(
     *,
     is_round: bool,
 ) -> Hits:
-    """Points and normals where rays have hit, and the size of pixels there."""
+    """Points and normals where rays have hit, and the size of pixels there.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    ahead : (n, 3) float32
+        Unit vectors along the rays.
+    distance : (n,) float32
+        From the camera to the hits. [m]
+    triangle : (n,) int
+        Triangles that are hit.
+    is_round : bool
+        Normals are interpolated between corners.
+    """
     mesh = shot.mesh
     local = ahead * distance[:, None]
     flat = mesh.normals[:, 0].take(triangle, axis=0)
@@ -266,7 +392,10 @@ def _find_hits(
 def _interpolated_normals(
     mesh: FrameMesh, triangle: IntArray, points: FloatRays
 ) -> FloatRays:
-    """Normals at points in triangles, interpolated between those of the corners, (n, 3)."""
+    """Normals at points in triangles, between those of the corners, (n, 3).
+
+    Barycentric shares weight the corners.
+    """
     corners = mesh.corners_m.take(triangle, axis=0)
     normals = mesh.normals.take(triangle, axis=0)
     a, b, c = np.swapaxes(corners, 0, 1)
@@ -288,7 +417,26 @@ def _interpolated_normals(
 def _shade(
     shot: Shot, class_name: str, hits: Hits, ahead: FloatRays
 ) -> tuple[FloatRays, Surfaces]:
-    """Luminance of surfaces towards the camera, (n, 3), in cd/m^2."""
+    """Luminance of surfaces of one class towards the camera.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    class_name : str
+        Class of all things that are hit.
+    hits : Hits
+        n points on them.
+    ahead : (n, 3) float32
+        Unit vectors along the rays.
+
+    Returns
+    -------
+    light : (n, 3) float32
+        [cd/m^2]
+    surfaces : Surfaces
+        The surfaces there.
+    """
     coat, sky_share = _coat(shot, class_name, hits)
     lux = illuminance(
         hits,
@@ -305,7 +453,14 @@ def _shade(
 
 
 def _coat(shot: Shot, class_name: str, hits: Hits) -> tuple[Coat, FloatRays | None]:
-    """Coat of surfaces, and the share of skylight that reaches them, (n,), where not all does."""
+    """Coat of surfaces of one class, and the share of skylight there.
+
+    Returns
+    -------
+    coat : Coat
+    sky_share : (n,) float32 or None
+        None where all of the skylight reaches them.
+    """
     materials = shot.materials
     ground = shot.ground
     if class_name == "ground":
@@ -335,12 +490,18 @@ _BODY_COATS = {
 def _add_mirrored(
     shot: Shot, light: FloatRays, coat: Coat, hits: Hits, ahead: FloatRays
 ) -> FloatRays:
-    """Add what glass, lacquer and water mirror: the sky, or things without their own shadows.
+    """Add the light that glass, lacquer and water mirror, in place.
 
-    Mirrored rays are given back, (n, 3); zeros where none is cast.
+    They mirror the sky, or things without their own shadows.
+
+    Returns
+    -------
+    mirrored : (n, 3) float32
+        Rays that were cast; zeros where there is none.
     """
     mirrored = np.zeros_like(light)
-    cosine = np.einsum("ij,ij->i", hits.normals, ahead)  # negative
+    # Cosine of the angle of incidence, negative.
+    cosine = np.einsum("ij,ij->i", hits.normals, ahead)
     away = 1.0 + cosine
     share = coat.mirror * (1.0 + _GRAZING_GAIN * away**5)
     mirrors = np.flatnonzero(share > _LEAST_MIRROR)
@@ -360,13 +521,12 @@ def _add_mirrored(
     upness = facing[:, 2:]
     sun = np.maximum(facing @ shot.sky.to_sun.astype(np.float32), 0.0)[:, None]
     sky_lux = shot.sky.sky_lux.astype(np.float32)
-    lux = (0.5 + 0.5 * upness) * sky_lux + ground_albedo() * (
-        0.5 - 0.5 * upness
-    ) * sky_lux
+    from_above = (0.5 + 0.5 * upness) * sky_lux
+    from_below = ground_albedo() * (0.5 - 0.5 * upness) * sky_lux
+    lux = from_above + from_below
     lux += sun * shot.sky.sun_lux.astype(np.float32)
-    lux *= shot.things.mean_albedo[shot.mesh.triangle_thing[met]] * np.float32(
-        1.0 / np.pi
-    )
+    mean_albedo = shot.things.mean_albedo[shot.mesh.triangle_thing[met]]
+    lux *= mean_albedo * np.float32(1.0 / np.pi)
     shot.sky.fade(lux, distance[things])
     seen[things] = lux
     light[mirrors] += np.minimum(share[mirrors], 0.9)[:, None] * seen
@@ -380,11 +540,13 @@ def ground_albedo() -> float:
 
 
 # ---------- whole pictures
-_EDGES = 12_000  # pixels that are smoothed at a time
+# Pixels that are smoothed at once.
+_EDGES = 12_000
+# Rows, columns drawn at a time: fit into a cache, and are near few lamps.
 _TILE_PX = (
     90,
     480,
-)  # rows, columns drawn at a time: fit into a cache, and are near few lamps
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -404,28 +566,39 @@ class Picture:
         drawn, "vru".
     """
 
-    rgb: NDArray[np.uint8]  # (h, w, 3): sRGB
-    instance: NDArray[np.int32]  # (h, w): index into `names`; -1 where there is sky
-    depth_m: (
-        FloatRays  # (h, w): along the optical axis; infinite where there is sky. [m]
-    )
-    # the scene's instances, "parked-1" .. for what parks in the run, "vut" if it is
-    # drawn, "vru".
+    rgb: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+    depth_m: FloatRays
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Backdrop:
-    """Standing things of all frames of a run, ready to be drawn many times."""
+    """Standing things of all frames of a run, ready to be drawn many times.
 
-    mesh: Mesh  # scene and obstruction
+    Attributes
+    ----------
+    mesh : Mesh
+        Scene and obstruction.
+    ground : GroundMap
+        The road plane.
+    street_lamps : tuple of StreetLamp
+        All of the scene.
+    keeps_left : bool
+        Traffic keeps left.
+    """
+
+    mesh: Mesh
     ground: GroundMap
     street_lamps: tuple[StreetLamp, ...]
     keeps_left: bool
 
 
 def build_backdrop(scene: Scene, obstruction: Sequence[PlacedActor]) -> Backdrop:
-    """Prepare a scene, with what parks in a run, for pictures of all runs with this obstruction."""
+    """Prepare a scene, with what parks in a run, for pictures.
+
+    The result serves all runs with this obstruction.
+    """
     mesh = build_static_mesh(scene, obstruction)
     parked = mesh.things[len(scene.instances) :]
     return Backdrop(
@@ -451,9 +624,28 @@ def draw_picture(
 ) -> Picture:
     """Render one frame of a run, at the camera's resolution.
 
-    The VUT's own camera does not see the VUT (`with_vut`); its headlights shine in any
-    case. The seed is that of sensor noise and drops. Where edges need not be smooth
-    (`is_smooth`), one ray is cast for each pixel, in about half the time.
+    Parameters
+    ----------
+    backdrop : Backdrop
+        Scene and obstruction of the run.
+    run, frame_index : Run, int
+        The frame.
+    pose : Pose
+        Of the camera.
+    camera : CameraModel
+        Its lens and image.
+    weather : Weather
+        Light and air.
+    with_vut : bool
+        The VUT is seen; its own camera does not see it. Its headlights shine in any
+        case.
+    is_smooth : bool
+        Several rays are cast for pixels at edges; without, one ray for each pixel, in
+        about half the time.
+    materials : Materials, optional
+        By default those of ``data/materials.toml``.
+    compute : Compute
+        Threads, and the seed of sensor noise and drops.
     """
     mesh = build_frame_mesh(
         backdrop.mesh, run, frame_index, pose.position_m, with_vut=with_vut
@@ -480,7 +672,7 @@ def draw_picture(
 
 
 def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
-    """An image (h, w, 3) as a file."""
+    """An image (h, w, 3) as the bytes of a JPEG file."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -489,7 +681,7 @@ def to_jpeg(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def names_of(mesh: FrameMesh) -> tuple[str, ...]:
-    """Names of a mesh's things."""
+    """Names of a mesh's things, in their order."""
     return tuple(thing.name for thing in mesh.things)
 
 
@@ -504,7 +696,23 @@ def build_shot(
     frame_index: int = 0,
     materials: Materials | None = None,
 ) -> Shot:
-    """Inputs of a picture of a mesh; with the VUT's headlights in a frame of a run."""
+    """Gather the inputs of a picture of a mesh.
+
+    Parameters
+    ----------
+    backdrop : Backdrop
+        Ground and street lamps.
+    mesh : FrameMesh
+        Its origin is at the camera.
+    pose, camera : Pose, CameraModel
+        The camera.
+    weather : Weather
+        Light and air.
+    run, frame_index : Run, int, optional
+        The frame whose VUT has its headlights on; by default there are none.
+    materials : Materials, optional
+        By default those of ``data/materials.toml``.
+    """
     lamps: tuple[Lamp, ...] = ()
     if weather.has_lamps:
         lamps = backdrop.street_lamps
@@ -529,7 +737,10 @@ def build_shot(
 
 @contextmanager
 def start_pool(compute: Compute) -> Iterator[ThreadPoolExecutor]:
-    """Threads for the parts of a picture, one BLAS thread each: the matrices are small."""
+    """Threads for the parts of a picture, one BLAS thread each.
+
+    The matrices are small.
+    """
     with one_blas_thread(), ThreadPoolExecutor(compute.workers) as pool:
         yield pool
 
@@ -540,9 +751,23 @@ def shade_image(
     pool: ThreadPoolExecutor,
     surfaces: Surfaces | None = None,
 ) -> Shades:
-    """Shades through the middles of a window's pixels, before lens and noise, (h, w).
+    """Shades through the middles of a window's pixels, before lens and noise.
 
-    The surfaces there are filled in, where asked for.
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    window : Window
+        The part of the image, h x w.
+    pool : ThreadPoolExecutor
+        Draws tiles side by side.
+    surfaces : Surfaces, optional
+        (h, w, 3) each; written.
+
+    Returns
+    -------
+    image : Shades
+        (h, w)
     """
     size = (window.height, window.width)
     image = Shades(
@@ -552,14 +777,15 @@ def shade_image(
     )
 
     def shade(tile: tuple[slice, slice]) -> None:
-        rows, columns = (
-            slice(part.start + first, part.stop + first)
-            for part, first in zip(tile, (window.top, window.left), strict=True)
-        )
+        down, across = tile
+        rows = slice(down.start + window.top, down.stop + window.top)
+        columns = slice(across.start + window.left, across.stop + window.left)
         shades, met = shade_rays(shot, tile_rays(shot.pose, shot.camera, rows, columns))
-        wholes, parts = (
-            (image, shades) if surfaces is None else (image + surfaces, shades + met)
-        )
+        wholes: tuple[NDArray[Any], ...] = image
+        parts: tuple[NDArray[Any], ...] = shades
+        if surfaces is not None:
+            wholes = (*image, *surfaces)
+            parts = (*shades, *met)
         for whole, part in zip(wholes, parts, strict=True):
             whole[tile] = part.reshape(whole[tile].shape)
 
@@ -570,7 +796,21 @@ def shade_image(
 def smooth_image(
     shot: Shot, window: Window, radiance: FloatRays, pixels: IntArray, each: Each
 ) -> None:
-    """Replace pixels (n,) of a window, row * w + column, by means over several rays, in place."""
+    """Replace pixels of a window by means over several rays, in place.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    window : Window
+        The part of the image, h x w.
+    radiance : (h, w, 3) float32
+        What the rays through the middles of all pixels saw; written. [cd/m^2]
+    pixels : (n,) int
+        Row * w + column in the window.
+    each : callable
+        ``map``, or that of a pool.
+    """
     flat = radiance.reshape(-1, 3)
 
     def smooth(part: IntArray) -> None:
@@ -587,7 +827,19 @@ def add_glare_and_rain(
     *,
     corner_px: tuple[int, int] = (0, 0),
 ) -> None:
-    """Add them to an image (h, w, 3), or to a part that begins at a column and row, in place."""
+    """Add glare and rain to an image, in place.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    radiance : (h, w, 3) float32
+        The image, or a part of it; written. [cd/m^2]
+    rng : Generator
+        Of the drops.
+    corner_px : (int, int)
+        Column and row at which the part begins.
+    """
     camera = shot.camera
     pose = shot.pose
     exposure.add_glare(
@@ -607,12 +859,29 @@ def add_glare_and_rain(
 def expose_image(
     shot: Shot, radiance: FloatRays, seed: list[int], pool: ThreadPoolExecutor
 ) -> NDArray[np.uint8]:
-    """Colours (h, w, 3) of radiances that are written over: glare, rain, exposure and noise."""
+    """Colours of an image: glare, rain, exposure and noise.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    radiance : (h, w, 3) float32
+        Of the whole image; written over. [cd/m^2]
+    seed : list of int
+        Of drops and noise.
+    pool : ThreadPoolExecutor
+        Exposes tiles side by side.
+
+    Returns
+    -------
+    rgb : (h, w, 3) uint8
+    """
     size = radiance.shape[:2]
     imager = exposure.load_imager()
     add_glare_and_rain(shot, radiance, np.random.default_rng([*seed, *size]))
     metered = radiance
-    if not shot.camera.is_pinhole:  # what the lens leaves dark does not count
+    # What the lens leaves dark does not count.
+    if not shot.camera.is_pinhole:
         metered = radiance[None, np.isfinite(pixel_grid(shot.camera)[..., 0])]
     white_cdpm2 = exposure.white_luminance(metered, imager)
     rgb = np.empty((*size, 3), dtype=np.uint8)
@@ -626,6 +895,7 @@ def expose_image(
 
 
 def _tiles(size: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """Rows and columns of the tiles of an image (h, w)."""
     height, width = size
     return [
         (
@@ -643,10 +913,21 @@ _OFFSETS_PX = ((0.125, 0.375), (-0.375, 0.125), (0.375, -0.125), (-0.125, -0.375
 
 
 def smooth_pixels(shot: Shot, pixels: IntArray, radiance: FloatRays) -> FloatRays:
-    """Luminance (n, 3) of pixels as the mean over the ray that was cast and four more, in cd/m^2.
+    """Luminance of pixels as the mean over five rays.
 
-    `pixels` (n,) are row * w + column, `radiance` (n, 3) what the rays through their
-    middles saw.
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    pixels : (n,) int
+        Row * w + column in the whole image.
+    radiance : (n, 3) float32
+        What the rays through their middles saw. [cd/m^2]
+
+    Returns
+    -------
+    radiance : (n, 3) float32
+        Mean over these rays and four more of each pixel. [cd/m^2]
     """
     rows, columns = np.divmod(pixels, shot.camera.width_px)
     ways = [

@@ -1,12 +1,12 @@
-"""Many pictures by one fixed camera, and parts of them: what stands still is drawn once.
+"""Many pictures by one fixed camera, and parts of them.
 
-In each frame only those pixels are drawn anew that what moves can change: it is seen
-there, throws a shadow there, is mirrored there, or its headlights shine there. What can
-be changed is found by boxes around the bodies, which hold more than the bodies do; the
-picture is the one that :func:`placement.imaging.draw_picture` draws. A crop is a part
-of it around what matters, to train networks with and to show to them, but for its
-sensor noise, its raindrops, and an exposure that is set by fewer pixels of the whole
-image.
+What stands still is drawn once. In each frame only those pixels are drawn anew that
+moving things can change: they are seen there, throw a shadow there, are mirrored there,
+or their headlights shine there. Boxes around the bodies find these pixels, and hold
+more than the bodies do; the picture is the one that
+:func:`placement.imaging.draw_picture` draws. A crop is a part of it around what
+matters, to train networks with and to show to them, but for its sensor noise, its
+raindrops, and an exposure that is set by fewer pixels of the whole image.
 """
 
 import math
@@ -61,29 +61,61 @@ from .picture import (
     whole_image,
 )
 
-_MARGIN_M = 0.15  # added to boxes: more than a pixel's smoothing reaches at 150 m
-_CHUNK = 40_000  # pixels drawn at a time: fit into a cache
-_BLOCK_PX = 12  # sides of the blocks of pixels that are tried as a whole
-_SUN_M = 1.0e6  # so far it is taken to be: its rays are parallel to a hair
+# Added to boxes: more than a pixel's smoothing reaches at 150 m.
+_MARGIN_M = 0.15
+# Pixels drawn at a time: fit into a cache.
+_CHUNK = 40_000
+# Sides of the blocks of pixels that are tried as a whole.
+_BLOCK_PX = 12
+# Distance at which the sun is put: its rays are as good as parallel.
+_SUN_M = 1.0e6
 _FAR_M = 1.0e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Still:
-    """Image of what stands still, in one weather; drawn by :func:`draw_still`."""
+    """Image of what stands still, in one weather; drawn by :func:`draw_still`.
+
+    Attributes
+    ----------
+    backdrop : Backdrop
+        Scene and obstruction.
+    shot : Shot
+        What the image is made from.
+    rays : (h * w, 3) float32
+        Through the middles of the pixels, one metre deep.
+    raw : Shades
+        What they see, (h, w).
+    surfaces : Surfaces or None
+        (h, w, 3), where headlights may shine.
+    is_edge : (h, w) bool
+        Pixels that are smoothed.
+    smooth : (h, w, 3) float32
+        Radiance with smooth edges. [cd/m^2]
+    mirrors : (n,) int
+        Pixels with a mirrored ray, row * w + column, ascending.
+    mirror_m : (n, 3) float32
+        Where the mirrored ray begins, from the camera. [m]
+    mirrored : (n, 3) float32
+        Where it goes.
+    ways : _Spheres
+        Around the rays of blocks of pixels, one metre deep.
+    things : _Spheres
+        Around what they see, but for the sky.
+    """
 
     backdrop: Backdrop
     shot: Shot
-    rays: FloatRays  # (h * w, 3): through the middles of the pixels, one metre deep
-    raw: Shades  # (h, w): what they see
-    surfaces: Surfaces | None  # (h, w, 3), where headlights may shine
-    is_edge: BoolArray  # (h, w): pixels that are smoothed
-    smooth: FloatRays  # (h, w, 3): radiance with smooth edges, cd/m^2
-    mirrors: IntArray  # (n,): pixels with a mirrored ray, row * w + column, ascending
-    mirror_m: FloatRays  # (n, 3): where it begins, from the camera
-    mirrored: FloatRays  # (n, 3): where it goes
-    ways: "_Spheres"  # around the rays of blocks of pixels, one metre deep
-    things: "_Spheres"  # around what they see, but for the sky
+    rays: FloatRays
+    raw: Shades
+    surfaces: Surfaces | None
+    is_edge: BoolArray
+    smooth: FloatRays
+    mirrors: IntArray
+    mirror_m: FloatRays
+    mirrored: FloatRays
+    ways: "_Spheres"
+    things: "_Spheres"
 
 
 def draw_still(
@@ -95,7 +127,21 @@ def draw_still(
     materials: Materials | None = None,
     compute: Compute = DEFAULT_COMPUTE,
 ) -> Still:
-    """Draw what stands still, for many frames by :func:`draw_onto`."""
+    """Draw what stands still, for many frames by :func:`draw_onto`.
+
+    Parameters
+    ----------
+    backdrop : Backdrop
+        Scene and obstruction.
+    pose, camera : Pose, CameraModel
+        The fixed camera.
+    weather : Weather
+        Light and air.
+    materials : Materials, optional
+        By default those of ``data/materials.toml``.
+    compute : Compute
+        Threads.
+    """
     window = whole_image(camera)
     mesh = place_mesh(backdrop.mesh, pose.position_m)
     shot = build_shot(backdrop, mesh, pose, camera, weather, materials=materials)
@@ -105,6 +151,10 @@ def draw_still(
         is_edge = find_edges(raw.radiance)
         smooth = raw.radiance.copy()
         smooth_image(shot, window, smooth, np.flatnonzero(is_edge), pool.map)
+    # Headlights shine only where lamps are on.
+    lit_surfaces = None
+    if weather.has_lamps:
+        lit_surfaces = surfaces
     mirrored = surfaces.mirrored.reshape(-1, 3)
     mirrors = np.flatnonzero(mirrored.any(axis=1))
     rays = tile_rays(pose, camera, window.rows, window.columns)
@@ -117,7 +167,7 @@ def draw_still(
         shot=shot,
         rays=rays,
         raw=raw,
-        surfaces=surfaces if weather.has_lamps else None,
+        surfaces=lit_surfaces,
         is_edge=is_edge,
         smooth=smooth,
         mirrors=mirrors,
@@ -145,10 +195,19 @@ def scan_onto(
 def draw_onto(
     still: Still, run: Run, frame_index: int, *, compute: Compute = DEFAULT_COMPUTE
 ) -> Picture:
-    """Draw what moves in a frame of a run onto a still, whose obstruction must be the run's.
+    """Draw what moves in a frame of a run onto a still.
 
     Where headlights shine on an edge of what stands still, their light is that on the
     pixel's middle; all else is as in :func:`placement.imaging.draw_picture`.
+
+    Parameters
+    ----------
+    still : Still
+        Its obstruction must be the run's.
+    run, frame_index : Run, int
+        The frame.
+    compute : Compute
+        Threads, and the seed of sensor noise and drops.
     """
     with start_pool(compute) as pool:
         shot, image, smooth = _add_moving(still, run, frame_index, pool.map)
@@ -166,8 +225,23 @@ def _add_moving(
 ) -> tuple[Shot, Shades, FloatRays]:
     """Image of a frame before lens and noise, with what moves.
 
-    Gives the frame's shot, shades through the middles of the pixels, (h, w), and
-    radiance with smooth edges, (h, w, 3), in cd/m^2.
+    Parameters
+    ----------
+    still : Still
+        What stands still.
+    run, frame_index : Run, int
+        The frame.
+    each : callable
+        ``map``, or that of a pool.
+
+    Returns
+    -------
+    shot : Shot
+        Of the frame.
+    image : Shades
+        Through the middles of the pixels, (h, w).
+    smooth : (h, w, 3) float32
+        Radiance with smooth edges. [cd/m^2]
     """
     base = still.shot
     window = whole_image(still.shot.camera)
@@ -185,7 +259,8 @@ def _add_moving(
     rays = still.rays
     raw = still.raw
     image = Shades(raw.radiance.copy(), raw.instance.copy(), raw.depth_m.copy())
-    radiance, smooth = image.radiance.reshape(-1, 3), still.smooth.copy()
+    radiance = image.radiance.reshape(-1, 3)
+    smooth = still.smooth.copy()
 
     def shade(part: IntArray) -> None:
         shades, _ = shade_rays(shot, rays[part])
@@ -208,13 +283,15 @@ def _add_moving(
     )
     around = _grown(changed)
     smooth[around] = image.radiance[around]
-    unlike = around | (lit & ~still.is_edge)  # what the still says nothing of
+    # Pixels that the still says nothing about.
+    unlike = around | (lit & ~still.is_edge)
     edges = np.flatnonzero(unlike & find_edges(image.radiance))
     smooth_image(shot, window, smooth, edges, each)
     return shot, image, smooth
 
 
 def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) -> None:
+    """Do some work on pixels (n,), part by part."""
     if len(pixels):
         list(each(work, np.array_split(pixels, 1 + len(pixels) // _CHUNK)))
 
@@ -222,7 +299,24 @@ def _in_parts(each: Each, work: Callable[[IntArray], None], pixels: IntArray) ->
 def _headlight_radiance(
     still: Still, shot: Shot, pixels: IntArray, local: FloatRays
 ) -> FloatRays:
-    """Radiance (n, 3) that headlights add to pixels (n,) of a still, at points (n, 3)."""
+    """Radiance that headlights add to pixels of a still.
+
+    Parameters
+    ----------
+    still : Still
+        Its surfaces count.
+    shot : Shot
+        Of the frame, with the headlights.
+    pixels : (n,) int
+        Row * w + column.
+    local : (n, 3) float32
+        What the pixels show, from the camera. [m]
+
+    Returns
+    -------
+    radiance : (n, 3) float32
+        [cd/m^2]
+    """
     assert still.surfaces is not None
     surfaces = Surfaces(*(array.reshape(-1, 3)[pixels] for array in still.surfaces))
     origin = shot.mesh.origin_m.astype(np.float32)
@@ -251,7 +345,7 @@ def _headlight_radiance(
 
 
 def _grown(mask: BoolArray) -> BoolArray:
-    """A mask (h, w) and the pixels next to it, above and below."""
+    """A mask (h, w), widened by one pixel to all four sides."""
     grown = mask.copy()
     grown[1:] |= mask[:-1]
     grown[:-1] |= mask[1:]
@@ -262,23 +356,51 @@ def _grown(mask: BoolArray) -> BoolArray:
 
 # ---------- pixels that what moves may change
 class _Box(NamedTuple):
-    """The box around a body; it holds more than the body does."""
+    """The box around a body; it holds more than the body does.
 
-    middle_m: FloatRays  # (3,): from the camera, in the axes of the world
-    turn: FloatRays  # (3, 3): columns ahead, left, up
-    half_m: FloatRays  # (3,): half its length, width and height
-    radius_m: FloatRays  # ()
+    Attributes
+    ----------
+    middle_m : (3,) float32
+        From the camera, in the axes of the world. [m]
+    turn : (3, 3) float32
+        Columns ahead, left, up.
+    half_m : (3,) float32
+        Half its length, width and height. [m]
+    radius_m : () float32
+        Of the sphere around the box. [m]
+    """
+
+    middle_m: FloatRays
+    turn: FloatRays
+    half_m: FloatRays
+    radius_m: FloatRays
 
 
 class _Spheres(NamedTuple):
-    """Spheres around points that belong to the pixels of each block, row by row."""
+    """Spheres around points that belong to the pixels of blocks, row by row.
 
-    middle_m: FloatRays  # (n, 3): from the camera
-    radius_m: FloatRays  # (n,)
+    Attributes
+    ----------
+    middle_m : (n, 3) float32
+        From the camera. [m]
+    radius_m : (n,) float32
+        [m]
+    """
+
+    middle_m: FloatRays
+    radius_m: FloatRays
 
 
 def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
-    """Spheres around the points (h, w, 3) that are there; far away where none is."""
+    """Spheres around the points of each block of pixels.
+
+    Parameters
+    ----------
+    points_m : (h, w, 3) float32
+        From the camera. [m]
+    is_there : (h, w) bool
+        Points that count. Where none does, the sphere is far away.
+    """
     rows, columns = (np.arange(0, side, _BLOCK_PX) for side in is_there.shape)
     low, high = (
         bound.reduceat(bound.reduceat(values, rows, axis=0), columns, axis=1).reshape(
@@ -292,7 +414,15 @@ def _bound(points_m: FloatRays, is_there: BoolArray) -> _Spheres:
 
 
 def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
-    """The box around a body, (9,): middle, cosine and sine of its yaw, half sizes, radius."""
+    """The box around a body, a little larger than it.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of the body alone.
+    origin_m : (3,) float
+        The camera, world frame. [m]
+    """
     yaw = math.radians(mesh.things[0].pose.yaw_deg)
     cos = math.cos(yaw)
     sin = math.sin(yaw)
@@ -307,16 +437,30 @@ def _box(mesh: Mesh, origin_m: FloatArray) -> _Box:
 
 
 def _dot(one: FloatRays, other: FloatRays) -> FloatRays:
+    """Scalar products (...,) of vectors (..., 3)."""
     return np.asarray(np.einsum("...i,...i->...", one, other))
 
 
 def _may_meet(
     box: _Box, points_m: FloatRays, ways: FloatRays, radius_m: FloatRays | float
 ) -> BoolArray:
-    """True (...,) if rays along ways (..., 3) may meet the sphere around a box.
+    """Mask of rays that may meet the sphere around a box.
 
-    They begin within a radius (...,) of points (..., 3). All rays of a point are
-    parallel, or all end where point + way is: then they come nearer to one another.
+    Parameters
+    ----------
+    box : _Box
+        The box.
+    points_m : (..., 3) float32
+        Rays begin within `radius_m` of these points. [m]
+    ways : (..., 3) float32
+        Along the rays. All rays of a point are parallel, or all end where point + way
+        is: then they come nearer to one another.
+    radius_m : (...,) float32 or float
+        [m]
+
+    Returns
+    -------
+    may_meet : (...,) bool
     """
     to_box = box.middle_m - points_m
     along = _dot(to_box, ways)
@@ -327,12 +471,29 @@ def _may_meet(
 def _meets(
     box: _Box, points_m: FloatRays, ways: FloatRays, most: FloatRays | float
 ) -> BoolArray:
-    """True (n,) if rays from points along ways, (n, 3) each, meet a box before `most` times it."""
+    """Mask of rays that meet a box.
+
+    Parameters
+    ----------
+    box : _Box
+        The box.
+    points_m : (3,) or (n, 3) float32
+        Where the rays begin. [m]
+    ways : (n, 3) float32
+        Along the rays. [m]
+    most : (n,) float32 or float
+        Only hits before this many times the way count.
+
+    Returns
+    -------
+    meets : (n,) bool
+    """
     found = _may_meet(box, points_m, ways, 0.0)
     some = np.flatnonzero(found)
     to_box = (box.middle_m - np.broadcast_to(points_m, ways.shape)[some]) @ box.turn
     turned = ways[some] @ box.turn
-    with np.errstate(divide="ignore", invalid="ignore"):  # along a face
+    # A ray along a face divides by zero.
+    with np.errstate(divide="ignore", invalid="ignore"):
         one = (to_box - box.half_m) / turned
         other = (to_box + box.half_m) / turned
     near = np.minimum(one, other).max(axis=1)
@@ -343,7 +504,13 @@ def _meets(
 
 
 def _lights(shot: Shot) -> list[tuple[FloatRays, float]]:
-    """Places of lamps that stand, and of the sun, from the camera, and how far their light goes."""
+    """Places of standing lamps and of the sun, and how far their light goes.
+
+    Returns
+    -------
+    lights : list of ((3,) float32, float)
+        Place, from the camera, and reach. [m]
+    """
     lamps = [lamp for lamp in shot.lamps if not isinstance(lamp, HeadLamp)]
     lights = [(lamp.position_m - shot.mesh.origin_m, lamp.reach_m) for lamp in lamps]
     if shot.sky.sun_lux.any() and shot.sky.to_sun[2] > 0.0:
@@ -354,21 +521,38 @@ def _lights(shot: Shot) -> list[tuple[FloatRays, float]]:
 def _find_changed(
     still: Still, shot: Shot, moving: Sequence[Mesh], each: Each
 ) -> BoolArray:
-    """Pixels (h, w) that what moves may change, but for the light of its headlights.
+    """Mask of pixels that moving things may change.
 
-    Those where a box around it is seen, throws a shadow, or is mirrored. Blocks of
-    pixels are tried as a whole first: what moves changes few of them.
+    That is where a box around one is seen, throws a shadow, or is mirrored; the
+    light of headlights is left out. Blocks of pixels are tried as a whole first:
+    moving things change few of them.
+
+    Parameters
+    ----------
+    still : Still
+        What stands still.
+    shot : Shot
+        Of the frame.
+    moving : sequence of Mesh
+        What moves.
+    each : callable
+        ``map``, or that of a pool.
+
+    Returns
+    -------
+    changed : (h, w) bool
     """
     boxes = [_box(mesh, shot.mesh.origin_m) for mesh in moving]
     (middle, radius) = still.things
     far_m = max(1.0, *(float(np.linalg.norm(b.middle_m) + b.radius_m) for b in boxes))
-    ahead, spread = (
-        np.float32(1.01 * far_m) * one for one in still.ways
-    )  # beyond all boxes
+    # Points on the rays beyond all boxes.
+    ahead, spread = (np.float32(1.01 * far_m) * one for one in still.ways)
     may_show = np.array([_may_meet(box, ahead, -ahead, spread) for box in boxes])
-    shades = []  # lights, and the blocks that each of the boxes may keep theirs from
+    # Lights, and the blocks of pixels that each box may shade from them.
+    shades = []
     for place, reach_m in _lights(shot):
-        ways, may_shade = place - middle, np.zeros(may_show.shape, dtype=np.bool_)
+        ways = place - middle
+        may_shade = np.zeros(may_show.shape, dtype=np.bool_)
         near = np.flatnonzero(_dot(ways, ways) <= (reach_m + radius) ** 2)
         for box, mask in zip(boxes, may_shade, strict=True):
             mask[near] = _may_meet(box, middle[near], ways[near], radius[near])
@@ -388,9 +572,8 @@ def _find_changed(
         for box, possible in zip(boxes, may_show, strict=True):
             some = np.flatnonzero(possible[block])
             found[some] |= _meets(box, np.zeros(3, np.float32), ways[some], depth[some])
-        left = np.flatnonzero(
-            ~found & np.isfinite(depth)
-        )  # nothing is shaded in the sky
+        # Nothing is shaded in the sky.
+        left = np.flatnonzero(~found & np.isfinite(depth))
         at = ways[left] * depth[left, None]
         block = block[left]
         for place, reach_m, may_shade in shades:
@@ -412,7 +595,7 @@ def _find_changed(
 
 
 def _of_blocks(mask: BoolArray, like: BoolArray) -> BoolArray:
-    """Pixels (h, w) of the blocks in a mask (n,)."""
+    """Pixels (h, w) of the blocks in a mask (n,), of an image like another."""
     height, width = like.shape
     whole = mask.reshape(-1, -(-width // _BLOCK_PX)).repeat(_BLOCK_PX, axis=0)
     return whole.repeat(_BLOCK_PX, axis=1)[:height, :width]
@@ -421,7 +604,21 @@ def _of_blocks(mask: BoolArray, like: BoolArray) -> BoolArray:
 def _find_lit(
     shot: Shot, points_m: FloatRays, radius_m: FloatRays | float
 ) -> BoolArray:
-    """True (...,) of points (..., 3) within a radius of which a headlight may shine."""
+    """Mask of points on which a headlight may shine.
+
+    Parameters
+    ----------
+    shot : Shot
+        Its headlights count.
+    points_m : (..., 3) float32
+        From the camera. [m]
+    radius_m : (...,) float32 or float
+        Light within this distance of a point counts. [m]
+
+    Returns
+    -------
+    lit : (...,) bool
+    """
     lit = np.zeros(points_m.shape[:-1], dtype=np.bool_)
     for lamp in shot.lamps:
         if isinstance(lamp, HeadLamp):
@@ -432,13 +629,23 @@ def _find_lit(
 
 
 # ---------- crops
-_METERED_PX = (48, 27)  # columns and rows of the whole image that set the exposure
+# Columns and rows of the whole image that set the exposure.
+_METERED_PX = (48, 27)
 
 
 def window_around(box_px: FloatArray, camera: CameraModel, *, side_px: int) -> Window:
-    """The square with a box (4,) in its middle, as far as it lies in the image.
+    """The square with a box in its middle, as far as it lies in the image.
 
-    Where the image ends it is moved inwards, so that it keeps its side.
+    Where the image ends the square is moved inwards, so that it keeps its side.
+
+    Parameters
+    ----------
+    box_px : (4,) float
+        [px]
+    camera : CameraModel
+        Its whole image.
+    side_px : int
+        Side of the square. [px]
     """
     width = min(side_px, camera.width_px)
     height = min(side_px, camera.height_px)
@@ -524,7 +731,21 @@ def _expose(
     white_cd_m2: float | None,
     seeds: list[int],
 ) -> Picture:
-    """A picture of radiances (h, w, 3) that are written over: glare, rain, exposure and noise."""
+    """A picture of a window: glare, rain, exposure and noise.
+
+    Parameters
+    ----------
+    shot : Shot
+        What the picture is made from.
+    image : Shades
+        (h, w); its radiance is written over.
+    window : Window
+        Where it lies in the whole image.
+    white_cd_m2 : float or None
+        Luminance that is white; None measures it. [cd/m^2]
+    seeds : list of int
+        Of drops and noise.
+    """
     rng = np.random.default_rng([*seeds, *window])
     radiance = image.radiance
     add_glare_and_rain(shot, radiance, rng, corner_px=(window.left, window.top))
@@ -543,7 +764,12 @@ def _expose(
 def silhouette(
     run: Run, frame_index: int, pose: Pose, camera: CameraModel, window: Window
 ) -> BoolArray:
-    """Pixels (h, w) of a window that the VRU covers where nothing hides it."""
+    """Mask of a window's pixels that the VRU would cover without occluders.
+
+    Returns
+    -------
+    covered : (h, w) bool
+    """
     vru = place_mesh(
         build_moving_meshes(run, frame_index, with_vut=False)[-1], pose.position_m
     )
@@ -565,7 +791,10 @@ def meter(
 
 
 def _meter(shot: Shot) -> float:
-    """Luminance that is white, from a coarse grid over the whole image."""
+    """Luminance that is white, from a coarse grid over the whole image.
+
+    In cd/m^2.
+    """
     camera = shot.camera
     (n_columns, n_rows) = _METERED_PX
     across = (np.arange(n_columns, dtype=np.float32) + 0.5) * (
@@ -577,7 +806,8 @@ def _meter(shot: Shot) -> float:
     )
     ways = pixel_rays(shot, grid[:, 0], grid[:, 1])
     seen: FloatRays = shade_rays(shot, ways)[0].radiance
-    seen = seen[ways.any(axis=1)]  # what a lens leaves dark does not count
+    # What a lens leaves dark does not count.
+    seen = seen[ways.any(axis=1)]
     if len(seen) != len(ways):
         n_rows = 1
     return white_luminance(seen.reshape(n_rows, -1, 3), load_imager(), every=1)

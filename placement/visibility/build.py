@@ -26,7 +26,8 @@ from ..setting import Setting
 from .casting import SharedScene, World, build_world
 from .sensing import build_sensing, cast_for
 
-N_POINTS = 160  # per VRU: neighbouring points are about 10 cm apart
+# Points on each VRU: neighbours are about 10 cm apart.
+N_POINTS = 160
 
 STAGE = Phrase("detection table")
 
@@ -41,11 +42,24 @@ def build_detection_table(
     compute: Compute = DEFAULT_COMPUTE,
     shared: SharedScene | None = None,
 ) -> DetectionTable:
-    """Detections V[c, f] of every candidate pose in every frame; all runs have the same VUT.
+    """Detections V[c, f] of every candidate pose in every frame.
 
-    The detector says what counts as a detection of a camera; a LiDAR counts points.
-    Progress counts mount positions. `shared` is what this world has in common with
-    others, if there are any.
+    Parameters
+    ----------
+    scene : Scene
+        What stands there in all runs.
+    candidates : sequence of CandidatePose
+        A row of the table each.
+    runs : sequence of Run
+        All have the same VUT.
+    axis : FrameAxis
+        Frames of all runs, the columns of the table.
+    detector : PlanningDetector
+        Says what counts as a detection of a camera; a LiDAR counts points.
+    compute : Compute
+        Seed, ray library, threads. Progress counts mount positions.
+    shared : SharedScene, optional
+        What this world has in common with others.
     """
     world = build_world(
         scene,
@@ -69,7 +83,13 @@ Look = tuple[CandidatePose, PlanningDetector]
 def _pack_rows(
     world: World, looks: Sequence[Look], compute: Compute
 ) -> NDArray[np.uint8]:
-    """Rows of all looks, as bits; rays are cast once for all from one place."""
+    """Rows of all looks, as bits; rays are cast once for each place.
+
+    Returns
+    -------
+    packed : (n_looks, ceil(n_frames / 8)) uint8
+        The first frame in the lowest bit.
+    """
     packed = np.zeros(
         (len(looks), -(-len(world.views.view_of_frame) // 8)), dtype=np.uint8
     )
@@ -77,9 +97,9 @@ def _pack_rows(
     def fill(rows: list[int]) -> None:
         here = [looks[row] for row in rows]
         position_m = here[0][0].pose.position_m
-        sensing = build_sensing(
-            world, cast_for(world, position_m, here), position_m, here[0][1]
-        )
+        sight = cast_for(world, position_m, here)
+        sensing = build_sensing(world, sight, position_m, here[0][1])
+        # Each detector once: what is seen is the same for all of them.
         rows_of: dict[PlanningDetector, list[int]] = {}
         for row in rows:
             rows_of.setdefault(looks[row][1], []).append(row)
@@ -100,7 +120,19 @@ def at_each_mount(
     stage: str,
     compute: Compute,
 ) -> None:
-    """Call `work` for the rows of all candidates at one place with one near limit, in threads."""
+    """Call a function for the candidates of each mount, in threads.
+
+    Parameters
+    ----------
+    candidates : sequence of CandidatePose
+        All candidates.
+    work : callable
+        Called with the rows of all candidates at one place with one near limit.
+    stage : str
+        Stage whose progress is reported, mount by mount.
+    compute : Compute
+        Number of threads, and where progress goes.
+    """
     mounts: dict[tuple[float, ...], list[int]] = {}
     for row, candidate in enumerate(candidates):
         key = (*candidate.pose.position_m.tolist(), candidate.sensor.near_m)
@@ -117,12 +149,26 @@ def at_each_mount(
 def detected_frames(
     setting: Setting, looks: Sequence[Look], *, stage: str, compute: Compute
 ) -> BoolArray:
-    """Frames in which units detect, each with a detector of its own, (n_looks, n_frames) bool.
+    """Frames in which units detect, each with a detector of its own.
 
-    These are the rows that :func:`build_detection_table` has for each. Rays are cast
-    once for all from one place, and only to what any of them has in its view. Frames
-    that are cached by an earlier call are not looked for again. Progress is that of the
-    `stage`.
+    These are the rows that :func:`build_detection_table` has for each unit. Rays are
+    cast once for all units at one place, and only to what any of them has in view.
+    Frames that an earlier call has cached are not computed again.
+
+    Parameters
+    ----------
+    setting : Setting
+        Scene, runs and frame axis.
+    looks : sequence of (CandidatePose, PlanningDetector)
+        The units, each with its detector.
+    stage : str
+        Stage whose progress is reported.
+    compute : Compute
+        Seed, ray library, threads and cache folder.
+
+    Returns
+    -------
+    detected : (n_looks, n_frames) bool
     """
     compute.progress(stage, 0, 0)
     hashes = Fingerprints()
@@ -162,7 +208,8 @@ def detected_frames(
 
 
 # ---------- tables on disk, under a hash of everything that went into them
-_FORMAT = "place-rsus/table/7"  # raise it whenever the same inputs give another table
+# Raise it whenever the same inputs give another table.
+_FORMAT = "place-rsus/table/7"
 _WHAT = "detection table"
 
 
@@ -178,30 +225,33 @@ def table_fingerprint(
     sensors = list(dict.fromkeys(candidate.sensor for candidate in candidates))
     has_lidar = any(isinstance(sensor, LidarModel) for sensor in sensors)
     poses = [candidate.pose for candidate in candidates]
+    lidar_detection = None
+    if has_lidar:
+        lidar_detection = load_lidar_detection()
+    weathers = dict.fromkeys(run.weather for run in runs)
     return Fingerprints().of(
         (_FORMAT, N_POINTS, seed, detector.fingerprint()),
         (scene.vertices_m, scene.triangles, scene.outline_m),
-        (sensors, load_lidar_detection() if has_lidar else None),
+        (sensors, lidar_detection),
         # By number, not by name: names may be equal.
         [(candidate.id, sensors.index(candidate.sensor)) for candidate in candidates],
         np.array([pose.position_m for pose in poses]),
         np.array([(pose.yaw_deg, pose.pitch_deg) for pose in poses]),
-        [
-            pick_weather(name, "runs: weather")
-            for name in dict.fromkeys(r.weather for r in runs)
-        ],
+        [pick_weather(name, "runs: weather") for name in weathers],
         [
             (
-                *(
-                    run.id,
-                    run.weather,
-                    run.encounter.vut,
-                    run.encounter.vru,
-                    run.time_s,
-                ),
-                *(run.vut_position_m, run.vut_yaw_deg),
-                *(run.vru_position_m, run.vru_yaw_deg, run.vru_shape),
-                *(run.obstruction, run.traffic),
+                run.id,
+                run.weather,
+                run.encounter.vut,
+                run.encounter.vru,
+                run.time_s,
+                run.vut_position_m,
+                run.vut_yaw_deg,
+                run.vru_position_m,
+                run.vru_yaw_deg,
+                run.vru_shape,
+                run.obstruction,
+                run.traffic,
             )
             for run in runs
         ],
@@ -209,7 +259,19 @@ def table_fingerprint(
 
 
 def save_table(path: Path, table: DetectionTable, *, fingerprint: str) -> None:
-    """Write a table, whole or not at all; a folder that cannot be written to is only logged."""
+    """Write a table, whole or not at all.
+
+    A folder that cannot be written to is only logged.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    table : DetectionTable
+        The table.
+    fingerprint : str
+        From :func:`table_fingerprint`; :func:`load_table` compares it.
+    """
     save_arrays(
         path,
         {"packed": table.packed},
@@ -226,7 +288,24 @@ def load_table(
     candidates: Sequence[CandidatePose],
     axis: FrameAxis,
 ) -> DetectionTable | None:
-    """Read a table of a fingerprint; None, and logged, if the file is damaged or foreign."""
+    """Read a table with a fingerprint.
+
+    Parameters
+    ----------
+    path : Path
+        A file that :func:`save_table` wrote.
+    fingerprint : str
+        The one that it must have.
+    candidates : sequence of CandidatePose
+        Rows of the table.
+    axis : FrameAxis
+        Columns of the table.
+
+    Returns
+    -------
+    table : DetectionTable or None
+        None, and a line in the log, if the file is damaged or foreign.
+    """
     arrays = load_arrays(path, what=_WHAT, kind=_FORMAT, fingerprint=fingerprint)
     if arrays is None:
         return None

@@ -1,4 +1,4 @@
-"""Rays from a mount position to the VRU's points: once per position and unique VRU pose.
+"""Rays from a mount position to the VRU's points, once per distinct VRU pose.
 
 A ray does not depend on where the camera looks, and the VRU's pose and gait depend on
 the time to impact only, not on the VUT's speed. Few kinds of bodies stand or drive in
@@ -32,75 +32,125 @@ from .views import (
     look,
 )
 
-AROUND_BODY_M = 2.0e-3  # rays that pass a body this near are cast
+# Rays that pass a body this near are cast.
+AROUND_BODY_M = 2.0e-3
 _OFF_SURFACE_M = 1.0e-3
-_ROWS_TOGETHER = 4096  # of bodies, whose rays are cast in one go
+# Rows of bodies whose rays are cast at once.
+_ROWS_TOGETHER = 4096
 
 
 # ---------- bodies
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bodies:
-    """Bodies that are there in some of the runs, or in some frames; in groups.
+    """Bodies that are there in some runs or in some frames, in groups.
 
-    Of what stands, a group is an obstruction, as some of the runs have it; of what
-    drives, the VUT among it, a group is a frame of the frame axis.
+    A group of standing bodies is an obstruction, as some of the runs have it. A group
+    of driving bodies, the VUT among them, is a frame of the frame axis.
+
+    Attributes
+    ----------
+    actors : tuple of Actor
+        Distinct kinds of bodies. Among driving bodies the VUT comes first.
+    casters : tuple of RayCaster
+        One for each kind, in its own frame.
+    kind : (n,) int
+        Into `actors`.
+    position_m : (n, 3) float
+        On the ground, relative to the origin of `World`. [m]
+    rotation : (n, 3, 3) float
+        From the frame of each body to the world's.
+    members : (m,) int
+        Bodies, one group after the other.
+    first : (n_groups + 1,) int
+        Where each group begins in `members`.
     """
 
-    actors: tuple[
-        Actor, ...
-    ]  # distinct kinds of bodies; of what drives the VUT comes first
-    casters: tuple[RayCaster, ...]  # of each kind, in its own frame
-    kind: IntArray  # (n,): into `actors`
-    position_m: (
-        FloatArray  # (n, 3): on the ground, relative to the origin of `World`. [m]
-    )
-    rotation: FloatArray  # (n, 3, 3): from the frame of each into the world's
-    members: IntArray  # (m,): bodies, group by group
-    first: IntArray  # (n_groups + 1,): where each group begins in `members`
+    actors: tuple[Actor, ...]
+    casters: tuple[RayCaster, ...]
+    kind: IntArray
+    position_m: FloatArray
+    rotation: FloatArray
+    members: IntArray
+    first: IntArray
 
     def first_hits(
         self, group: int, origins_m: FloatRays, vectors_m: FloatRays
     ) -> Iterator[tuple[int, FloatRays]]:
-        """Bodies of a group, each with the share of every ray up to its first hit on it."""
+        """Cast rays at every body of a group.
+
+        Parameters
+        ----------
+        group : int
+            Index of the group.
+        origins_m, vectors_m : (n_rays, 3) float
+            Rays, relative to the origin of `World`. [m]
+
+        Yields
+        ------
+        body : int
+            A body of the group.
+        share : (n_rays,) float32
+            Share of each ray up to its first hit on that body.
+        """
         for body in self.members[self.first[group] : self.first[group + 1]].tolist():
+            # Row vectors times the rotation are coordinates in the body's frame.
             rotation = self.rotation[body]
-            yield (
-                body,
-                self.casters[self.kind[body]].first_triangle(
-                    ((origins_m - self.position_m[body]) @ rotation).astype(np.float32),
-                    (vectors_m @ rotation).astype(np.float32),
-                )[0],
+            origins = ((origins_m - self.position_m[body]) @ rotation).astype(
+                np.float32
             )
+            vectors = (vectors_m @ rotation).astype(np.float32)
+            caster = self.casters[self.kind[body]]
+            share, _ = caster.first_triangle(origins, vectors)
+            yield body, share
 
 
 @lru_cache(maxsize=256)
 def shape_caster(shape: Shape, rays: str) -> RayCaster:
-    """Caster of a body in its own frame; tables of many worlds ask for the same ones."""
+    """Caster of a body in its own frame; cached, since many worlds share it.
+
+    Parameters
+    ----------
+    shape : Shape
+        Triangles of the body.
+    rays : str
+        Library that casts the rays; see :func:`geometry.raycast.build_caster`.
+    """
     return build_caster(shape.vertices_m, shape.triangles, library=rays)
 
 
 @lru_cache(maxsize=256)
 def _shape_box_m(shape: Shape) -> FloatArray:
+    """Lowest and highest coordinates of a shape, (2, 3), in metres."""
     return freeze(
         np.array([shape.vertices_m.min(axis=0), shape.vertices_m.max(axis=0)])
     )
 
 
 def _box_m(shape: Shape) -> FloatArray:
-    """Lowest and highest coordinates, (2, 3), of all ways that are cast against a shape."""
+    """Box around a shape within which rays are cast against it, (2, 3).
+
+    Lowest and highest coordinates in the frame of the shape, in metres.
+    """
     return _shape_box_m(shape) + [[-AROUND_BODY_M], [AROUND_BODY_M]]
 
 
 def find_obstructions(
     runs: Sequence[Run],
 ) -> tuple[list[tuple[PlacedActor, ...]], IntArray]:
-    """Distinct obstructions in the order of their groups, and which each run has, (n_runs,).
+    """Distinct obstructions, and which of them each run has.
 
-    Those are equal that have the same bodies at the same places.
+    Obstructions are equal if they have the same bodies at the same places.
+
+    Returns
+    -------
+    obstructions : list of tuple of PlacedActor
+        In the order of their groups.
+    index : (n_runs,) int
+        Obstruction of each run.
     """
-    keys = {
-        body: body.key for body in {body for run in runs for body in run.obstruction}
-    }
+    # The key of each body once: bodies are in many runs.
+    bodies = {body for run in runs for body in run.obstruction}
+    keys = {body: body.key for body in bodies}
     of_runs = [tuple(keys[body] for body in run.obstruction) for run in runs]
     found: dict[tuple[object, ...], tuple[PlacedActor, ...]] = {}
     for key, run in zip(of_runs, runs, strict=True):
@@ -112,6 +162,17 @@ def find_obstructions(
 def _build_standing(
     obstructions: Sequence[tuple[PlacedActor, ...]], origin_m: FloatArray, rays: str
 ) -> Bodies:
+    """Standing bodies, a group for each obstruction.
+
+    Parameters
+    ----------
+    obstructions : sequence of tuple of PlacedActor
+        As :func:`find_obstructions` returns them.
+    origin_m : (3,) float
+        Subtracted from all coordinates. [m]
+    rays : str
+        Library that casts the rays.
+    """
     found: dict[tuple[object, ...], PlacedActor] = {}
     for body in chain(*obstructions):
         found.setdefault(body.key, body)
@@ -123,16 +184,16 @@ def _build_standing(
     actors = {body.actor.shapes[0]: body.actor for body in placed}
     kinds = {shape: kind for kind, shape in enumerate(actors)}
     poses = [body.pose for body in placed]
+    kind = [kinds[body.actor.shapes[0]] for body in placed]
+    positions_m = [pose.position_m - origin_m for pose in poses]
+    yaw_deg = [pose.yaw_deg for pose in poses]
+    pitch_deg = [pose.pitch_deg for pose in poses]
     return Bodies(
         actors=tuple(actors.values()),
         casters=tuple(shape_caster(shape, rays) for shape in actors),
-        kind=np.array([kinds[body.actor.shapes[0]] for body in placed], dtype=np.int64),
-        position_m=np.array([pose.position_m - origin_m for pose in poses]).reshape(
-            -1, 3
-        ),
-        rotation=body_rotation(
-            [p.yaw_deg for p in poses], [p.pitch_deg for p in poses]
-        ),
+        kind=np.array(kind, dtype=np.int64),
+        position_m=np.array(positions_m).reshape(-1, 3),
+        rotation=body_rotation(yaw_deg, pitch_deg),
         members=np.array([body for group in groups for body in group], dtype=np.int64),
         first=np.cumsum([0, *map(len, groups)]),
     )
@@ -141,6 +202,19 @@ def _build_standing(
 def _build_vehicles(
     runs: Sequence[Run], origin_m: FloatArray, rays: str, terrain: Terrain | None
 ) -> Bodies:
+    """Driving bodies, a group for each frame of the frame axis.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        All have the same VUT.
+    origin_m : (3,) float
+        Subtracted from all coordinates. [m]
+    rays : str
+        Library that casts the rays.
+    terrain : Terrain, optional
+        Ground that bodies stand on; without one it is level.
+    """
     actors = {runs[0].encounter.vut: 0}
     kind = []
     frame = []
@@ -176,21 +250,36 @@ def _build_vehicles(
 # ---------- all that rays meet
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedScene:
-    """Everything that all sampled worlds of a scene have in common."""
+    """Everything that all sampled worlds of a scene have in common.
 
-    # (3,): subtracted from all coordinates: rays have single precision. [m]
+    Attributes
+    ----------
+    origin_m : (3,) float
+        Subtracted from all coordinates, since rays have single precision. [m]
+    caster : RayCaster
+        What stands there in all runs.
+    triangles_m : (n, 3, 3) float
+        Corners of its triangles, relative to `origin_m`. [m]
+    places : Places
+        Where VRUs are looked at.
+    bodies : tuple of RayCaster
+        Shape of each surface of `places`, in its own frame.
+    vehicles : Bodies, optional
+        What drives, if it is the same in all worlds.
+    hidden_by_scene : HiddenPoints, optional
+        Cache of points of places that the scene occludes.
+    hidden_by_itself : HiddenPoints, optional
+        Cache of points of places that the VRU's own body occludes.
+    hidden_by_vehicles : HiddenPoints, optional
+        Cache of points that `vehicles` occlude in each frame.
+    """
+
     origin_m: FloatArray
-    caster: RayCaster  # what stands there in all runs
-    triangles_m: (
-        FloatArray  # (n, 3, 3): corners of its triangles, relative to `origin_m`. [m]
-    )
-    places: Places  # where VRUs are looked at
-    bodies: tuple[
-        RayCaster, ...
-    ]  # their shapes in their own frame, of each of the surfaces
-    vehicles: Bodies | None = None  # what drives, if that is the same in all of them
-    # Caches: points of places that the scene hides, or the body itself; and points that
-    # `vehicles` hide in each frame.
+    caster: RayCaster
+    triangles_m: FloatArray
+    places: Places
+    bodies: tuple[RayCaster, ...]
+    vehicles: Bodies | None = None
     hidden_by_scene: HiddenPoints | None = None
     hidden_by_itself: HiddenPoints | None = None
     hidden_by_vehicles: HiddenPoints | None = None
@@ -198,50 +287,80 @@ class SharedScene:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class World:
-    """All that rays are cast against, and all that they are cast to."""
+    """All that rays are cast against, and all that they are cast to.
+
+    Attributes
+    ----------
+    shared : SharedScene
+        What other worlds of the same scene have, too.
+    standing : Bodies
+        What stands there in some runs.
+    vehicles : Bodies
+        What drives.
+    views : VruViews
+        What is looked at.
+    """
 
     shared: SharedScene
-    standing: Bodies  # what stands there in some runs
-    vehicles: Bodies  # what drives
-    views: VruViews  # what is looked at
+    standing: Bodies
+    vehicles: Bodies
+    views: VruViews
 
     @property
     def origin_m(self) -> FloatArray:
-        """Subtracted from every coordinate, (3,), in metres."""
+        """Point subtracted from every coordinate, (3,), in metres."""
         return self.shared.origin_m
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """Each distinct shape of a VRU."""
+        """Distinct shapes of the VRUs."""
         return self.shared.places.surfaces
 
     @property
     def radius_m(self) -> float:
-        """All points of any VRU lie this near to their mean, in metres."""
+        """Distance from their mean within which all points of any VRU lie.
+
+        In metres.
+        """
         return max(surface.radius_m for surface in self.surfaces)
 
     @property
     def height_limits_m(self) -> tuple[float, float]:
-        """Heights of the lowest and the highest point of any VRU, in metres."""
+        """Bounds on the height of all points of any VRU, low and high.
+
+        In metres; each bound adds the extremes of the bodies and of the ground.
+        """
         heights = [surface.points_m[:, 2] for surface in self.surfaces]
         ground = self.views.up_m
-        return float(np.min(heights) + ground.min()), float(
-            np.max(heights) + ground.max()
-        )
+        low = float(np.min(heights) + ground.min())
+        high = float(np.max(heights) + ground.max())
+        return low, high
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sight:
-    """Visible points of the VRU from one mount position, whatever the camera's direction."""
+    """Visible points of the VRU from one mount position, in any direction.
 
-    view_index: IntArray  # (n,): view of each entry
-    # (n, n_points): points that the rays reach; of a whole VRU maybe all, see
-    # :func:`cast_sight`
+    Attributes
+    ----------
+    view_index : (n,) int
+        View of each entry.
+    is_visible : (n, n_points) bool
+        Points that the rays reach. Of a whole VRU it may be all points; see
+        :func:`cast_sight`.
+    is_whole : (n,) bool
+        Nothing but the VRU itself occludes any of its points.
+    visible_share : (n,) float
+        Of the points that the VRU itself does not occlude, the share that nothing
+        occludes.
+    entry_of_frame : (n_frames,) int
+        Entry that each frame shows; -1 where nothing of the VRU is seen.
+    """
+
+    view_index: IntArray
     is_visible: BoolArray
-    is_whole: BoolArray  # (n,): nothing but the VRU itself hides any of its points
-    # (n,): of the points that the VRU itself does not hide, those that nothing hides
+    is_whole: BoolArray
     visible_share: FloatArray
-    # (n_frames,): entry that a frame shows; -1 where nothing of the VRU is seen
     entry_of_frame: IntArray
 
 
@@ -254,10 +373,24 @@ def build_world(
     rays: str = "auto",
     shared: SharedScene | None = None,
 ) -> World:
-    """Prepare scene, bodies and views for :func:`cast_sight`, from any thread.
+    """Prepare scene, bodies and views for :func:`cast_sight`.
 
-    All runs have the same VUT. `rays` names the library that casts them. `shared` is
-    what another world of the same scene and VRUs was built from, where there is one.
+    The result may be used from any thread.
+
+    Parameters
+    ----------
+    scene : Scene
+        What stands there in all runs.
+    runs : sequence of Run
+        All have the same VUT.
+    n_points : int
+        Points on each VRU.
+    seed : int
+        Of the random samples among which the points are chosen.
+    rays : str
+        Library that casts the rays.
+    shared : SharedScene, optional
+        What another world of the same scene and VRUs was built from.
     """
     if shared is None:
         shared = build_shared_scene(
@@ -283,39 +416,46 @@ def build_shared_scene(
     rays: str = "auto",
     caches: Literal["nothing", "still", "all"] = "nothing",
 ) -> SharedScene:
-    """Prepare everything that worlds of one scene share whose VRUs walk as in these runs.
+    """Prepare everything that worlds of one scene share.
 
-    It caches the points that are hidden in all of them, where mounts come up again: by
-    what stands "still", or by "all" if vehicles drive the same way, too.
+    Parameters
+    ----------
+    scene : Scene
+        What stands there in all runs.
+    runs : sequence of Run
+        VRUs walk in all worlds as they do in these.
+    n_points, seed, rays
+        As in :func:`build_world`.
+    caches : {"nothing", "still", "all"}
+        What to cache, for mounts that come up again: the points that standing
+        things occlude ("still"), or also those behind vehicles, which then drive
+        the same way in all worlds ("all").
     """
     origin = np.append(scene.outline_m.mean(axis=0), 0.0)
     places = build_places(scene, runs, origin, n_points=n_points, seed=seed)
-    n_places, n_frames = len(places.yaw_deg), len(places.place_of_frame)
-
-    def of_places() -> HiddenPoints | None:
-        if caches == "nothing":
-            return None
-        return HiddenPoints(n_places, n_points)
-
+    vertices_m = scene.vertices_m - origin
+    shapes = [one.actor.shapes[one.shape_index] for one in places.surfaces]
+    vehicles = None
+    hidden_by_scene = None
+    hidden_by_itself = None
+    hidden_by_vehicles = None
+    if caches != "nothing":
+        n_places = len(places.yaw_deg)
+        hidden_by_scene = HiddenPoints(n_places, n_points)
+        hidden_by_itself = HiddenPoints(n_places, n_points)
+    if caches == "all":
+        vehicles = _build_vehicles(runs, origin, rays, terrain_of(scene))
+        hidden_by_vehicles = HiddenPoints(len(places.place_of_frame), n_points)
     return SharedScene(
         origin_m=origin,
-        caster=build_caster(scene.vertices_m - origin, scene.triangles, library=rays),
-        triangles_m=(scene.vertices_m - origin)[scene.triangles],
+        caster=build_caster(vertices_m, scene.triangles, library=rays),
+        triangles_m=vertices_m[scene.triangles],
         places=places,
-        bodies=tuple(
-            shape_caster(surface.actor.shapes[surface.shape_index], rays)
-            for surface in places.surfaces
-        ),
-        vehicles=(
-            _build_vehicles(runs, origin, rays, terrain_of(scene))
-            if caches == "all"
-            else None
-        ),
-        hidden_by_scene=of_places(),
-        hidden_by_itself=of_places(),
-        hidden_by_vehicles=(
-            HiddenPoints(n_frames, n_points) if caches == "all" else None
-        ),
+        bodies=tuple(shape_caster(shape, rays) for shape in shapes),
+        vehicles=vehicles,
+        hidden_by_scene=hidden_by_scene,
+        hidden_by_itself=hidden_by_itself,
+        hidden_by_vehicles=hidden_by_vehicles,
     )
 
 
@@ -329,32 +469,59 @@ def cast_sight(
     is_foreseen: BoolArray | None = None,
     for_lidar: bool = True,
 ) -> Sight:
-    """Find the visible points from a mount position; entries without any are left out.
+    """Find the visible points of all VRUs from a mount position.
 
-    Things nearer than `near_m` to the lens hide nothing; VRUs farther than
-    `max_distance_m`, and views that are not asked for, (n_views,), are not looked at.
-    Rays are cast where something may stand in their way. Points that a body itself
-    hides are of no account for a camera as long as nothing else hides anything: with
-    `for_lidar` false, no rays are cast for it, and all points of such a body are taken
-    to be visible. Views that are foreseen, (n_views,), may be asked for later, from the
-    same eye: it costs less to find out about them now, where that is cached.
+    Parameters
+    ----------
+    world : World
+        What rays are cast against and to.
+    position_m : (3,) float
+        The mount, world frame. [m]
+    near_m : float
+        Things nearer to the lens occlude nothing. [m]
+    max_distance_m : float
+        VRUs farther away are not looked at. [m]
+    is_asked : (n_views,) bool, optional
+        Views to look at; by default all.
+    is_foreseen : (n_views,) bool, optional
+        Views that may be asked for later from the same eye. Where hidden points are
+        cached, it costs less to find them now.
+    for_lidar : bool
+        Points that a body itself occludes do not matter to a camera as long as
+        nothing else occludes anything. If False, no rays are cast for them, and all
+        points of such a body count as visible.
+
+    Returns
+    -------
+    sight : Sight
+        Without the views of which nothing is seen.
+
+    Notes
+    -----
+    Rays are cast only where something may stand in their way. First come things that
+    occlude a view in every frame: the scene, then standing bodies. Then come the
+    vehicles of each frame; a frame in which they occlude something more gets an entry
+    of its own.
     """
     views = world.views
     eye = np.asarray(position_m, dtype=np.float64) - world.origin_m
     ground_distance = np.hypot(*(views.position_m - eye[:2]).T)
     distance = np.hypot(ground_distance, eye[2] - views.up_m)
     is_near = distance <= max_distance_m
-    near_views = np.flatnonzero(is_near if is_asked is None else is_near & is_asked)
-    if is_foreseen is None:
-        foreseen = None
-    else:
+    if is_asked is not None:
+        is_near = is_near & is_asked
+    near_views = np.flatnonzero(is_near)
+    foreseen = None
+    if is_foreseen is not None:
         foreseen = np.flatnonzero(is_foreseen)
+    # Points that the scene occludes, and bodies that stand in some of the runs.
     blocked = _hidden_by_scene(world, eye, near_views, foreseen, near_m=near_m)
     obstruction = views.obstruction_index[near_views]
     row, body = _find_between(world, eye, world.standing, near_views, obstruction)
     _add_hidden_by_bodies(
         world, eye, world.standing, body, near_views[row], row, blocked, near_m=near_m
     )
+    # Rows of which something is left, and what vehicles occlude of them in each frame.
     n_blocked = blocked.sum(axis=1)
     row_of_view = np.full(len(views.yaw_deg), -1)
     is_left = n_blocked < blocked.shape[1]
@@ -374,13 +541,13 @@ def cast_sight(
     asked = np.flatnonzero(is_cast)
     faces_eye[asked] = _is_self_visible(world, eye, near_views[asked])
 
+    # Entries: first a row each, as it is seen where no vehicle is in the way.
     is_visible = faces_eye & ~blocked
     n_visible = is_visible.sum(axis=1)
     n_facing = faces_eye.sum(axis=1)
     is_seen = n_visible > 0
-    entry_of_row: IntArray = np.full(
-        len(near_views) + 1, -1
-    )  # one more, for frames without a row
+    # One entry more, for frames without a row.
+    entry_of_row: IntArray = np.full(len(near_views) + 1, -1)
     entry_of_row[np.flatnonzero(is_seen)] = np.arange(int(is_seen.sum()))
     entry_of_frame: IntArray = entry_of_row[row_of_frame]
     # A vehicle hides a part only if it is one that would be seen.
@@ -389,6 +556,7 @@ def cast_sight(
     frames = frames[is_less]
     rows = rows[is_less]
     left_visible = left_visible[is_less]
+    # More entries: frames of which vehicles leave something; the others show nothing.
     is_more = left_visible.any(axis=1)
     n_seen = int(is_seen.sum())
     entry_of_frame[frames] = -1
@@ -409,7 +577,21 @@ def cast_sight(
 def _is_self_visible(
     world: World, eye_m: FloatArray, view_index: IntArray
 ) -> BoolArray:
-    """Points that the VRU's own body does not hide, (n, n_points)."""
+    """Mask of points that the VRU's own body does not occlude.
+
+    Parameters
+    ----------
+    world : World
+        All bodies.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    view_index : (n,) int
+        Views to look at.
+
+    Returns
+    -------
+    is_visible : (n, n_points) bool
+    """
     shared = world.shared
     places = shared.places
 
@@ -423,9 +605,8 @@ def _is_self_visible(
         for number in np.unique(places.surface_index[index]).tolist():
             rows = np.flatnonzero(places.surface_index[index] == number)
             starts, vectors = _rays_to_own_points(places.surfaces[number], eyes_m[rows])
-            hidden[rows] = (
-                shared.bodies[number].is_blocked(starts, vectors).reshape(len(rows), -1)
-            )
+            is_blocked = shared.bodies[number].is_blocked(starts, vectors)
+            hidden[rows] = is_blocked.reshape(len(rows), -1)
         return hidden
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
@@ -435,8 +616,22 @@ def _is_self_visible(
 def _rays_to_own_points(
     surface: Surface, eyes_m: FloatArray
 ) -> tuple[FloatRays, FloatRays]:
-    """Rays (n * n_points, 3) from eyes (n, 3) to just before a body's points, in its frame."""
-    distance_m = np.sqrt((eyes_m**2).sum(axis=1))  # to the body's origin
+    """Rays from eyes to just before a body's points, in the body's frame.
+
+    Parameters
+    ----------
+    surface : Surface
+        The body.
+    eyes_m : (n, 3) float
+        Frame of the body. [m]
+
+    Returns
+    -------
+    starts, vectors : (n * n_points, 3) float32
+        [m]
+    """
+    # From each eye to the body's origin.
+    distance_m = np.sqrt((eyes_m**2).sum(axis=1))
     share = (1.0 - _OFF_SURFACE_M / np.maximum(distance_m, 1.0e-9)).astype(np.float32)
     eyes = eyes_m.astype(np.float32)[:, None]
     vectors: FloatRays = (surface.points_m.astype(np.float32) - eyes) * share[
@@ -453,7 +648,25 @@ def _hidden_by_scene(
     *,
     near_m: float,
 ) -> BoolArray:
-    """Points hidden by what stands there in all runs, (n, n_points); `foreseen`: more views."""
+    """Mask of points that the scene occludes in all runs.
+
+    Parameters
+    ----------
+    world : World
+        Scene and views.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    view_index : (n,) int
+        Views to look at.
+    foreseen : (k,) int, optional
+        More views whose hidden points are cached.
+    near_m : float
+        Things nearer to the eye occlude nothing. [m]
+
+    Returns
+    -------
+    hidden : (n, n_points) bool
+    """
     from .ray_kernels import (
         N_AROUND,
         N_UP,
@@ -486,17 +699,16 @@ def _hidden_by_scene(
         vectors = np.empty(room, np.float32)
         rays = Rays(near_m, _OFF_SURFACE_M, starts, vectors)
         fill_rays(places.axes_m, index, unclear, eye_m, rays)
+        # Rays are in the order of the points that are unclear.
         unclear[unclear] = shared.caster.is_blocked(starts, vectors)
         return unclear
 
     asked, row = np.unique(world.views.place_index[view_index], return_inverse=True)
-    if foreseen is None:
-        later = None
-    else:
+    later = None
+    if foreseen is not None:
         later = world.views.place_index[foreseen]
-    return look(
-        shared.hidden_by_scene, (near_m, eye_m.tobytes()), asked, find, foreseen=later
-    )[row]
+    eye = (near_m, eye_m.tobytes())
+    return look(shared.hidden_by_scene, eye, asked, find, foreseen=later)[row]
 
 
 def _find_between(
@@ -506,7 +718,26 @@ def _find_between(
     view_index: IntArray,
     group: IntArray,
 ) -> tuple[IntArray, IntArray]:
-    """Rows and bodies (n_pairs,): body m of group `group[n]` may hide points of view n."""
+    """Find the bodies that may occlude points of views.
+
+    Parameters
+    ----------
+    world : World
+        All views.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    bodies : Bodies
+        Bodies in groups.
+    view_index : (n,) int
+        View of each row.
+    group : (n,) int
+        Group of bodies that are there in each row.
+
+    Returns
+    -------
+    row, body : (n_pairs,) int
+        The body may occlude points of the view of the row.
+    """
     from .ray_kernels import Occluders, Views, find_bodies_between
 
     if not len(bodies.kind):
@@ -538,10 +769,26 @@ def _add_hidden_by_bodies(
     *,
     near_m: float,
 ) -> None:
-    """Add the points that bodies hide to rows of `hidden`, (n_rows, n_points).
+    """Mark the points that bodies occlude, in place.
 
-    Body `body_index[n]` is there while view `view_index[n]` is looked at, whose points
-    have row `row_index[n]`.
+    Parameters
+    ----------
+    world : World
+        All views.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    bodies : Bodies
+        What occludes.
+    body_index : (n_pairs,) int
+        Body that is there ...
+    view_index : (n_pairs,) int
+        ... while this view is looked at,
+    row_index : (n_pairs,) int
+        whose points have this row of `hidden`.
+    hidden : (n_rows, n_points) bool
+        Points that are occluded; True is added. Points that are True need no ray.
+    near_m : float
+        Things nearer to the eye occlude nothing. [m]
     """
     from .ray_kernels import OneKind, Rays, find_rays_at_body
 
@@ -567,6 +814,7 @@ def _add_hidden_by_bodies(
                 Rays(near_m, _OFF_SURFACE_M, starts, vectors),
                 blocked,
             )
+            # So far `blocked` says which points got a ray, in the order of the rays.
             blocked[blocked] = caster.is_blocked(starts[:n_rays], vectors[:n_rays])
             shown, first = np.unique(row, return_index=True)
             hidden[shown] |= np.logical_or.reduceat(blocked, first, axis=0)
@@ -580,10 +828,27 @@ def _hidden_by_vehicles(
     *,
     near_m: float,
 ) -> tuple[IntArray, BoolArray]:
-    """Frames (n,) in which vehicles hide points, and all that is hidden then, (n, n_points).
+    """Frames in which vehicles occlude points, and all points hidden then.
 
-    Points of a view that are `hidden` (n_rows, n_points) in any case are among these;
-    frames whose row is -1 are left out.
+    Parameters
+    ----------
+    world : World
+        Vehicles and views.
+    eye_m : (3,) float
+        The mount, relative to the origin of `world`. [m]
+    row_of_frame : (n_frames,) int
+        Row of `hidden` that each frame shows; frames with -1 are left out.
+    hidden : (n_rows, n_points) bool
+        Points that are occluded in any case.
+    near_m : float
+        Things nearer to the eye occlude nothing. [m]
+
+    Returns
+    -------
+    frames : (n,) int
+        Frames in which vehicles occlude at least one more point.
+    behind : (n, n_points) bool
+        Points occluded in those frames, by anything.
     """
     vehicles = world.vehicles
     cache = world.shared.hidden_by_vehicles
@@ -612,15 +877,13 @@ def _hidden_by_vehicles(
         )
         return behind
 
+    def find(asked: IntArray) -> BoolArray:
+        """Points behind vehicles alone: what else hides a point differs by world."""
+        return add_behind(asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool))
+
     if cache is None:
         behind = add_behind(frames, before.copy())
     else:
-        behind = before | cache.look(
-            (near_m, eye_m.tobytes()),
-            frames,
-            lambda asked: add_behind(
-                asked, np.zeros((len(asked), hidden.shape[1]), dtype=bool)
-            ),
-        )
+        behind = before | cache.look((near_m, eye_m.tobytes()), frames, find)
     is_hit = (behind != before).any(axis=1)
     return frames[is_hit], behind[is_hit]

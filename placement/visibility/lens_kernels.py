@@ -17,7 +17,8 @@ from geometry.sensors import SEEN_RAD, CameraModel, rolled
 
 from .point_kernels import Array, BodyPoints, Found, Least, Seen
 
-_SLACK = 1.0e-6  # of a cosine
+# Slack of a cosine.
+_SLACK = 1.0e-6
 # By so much of its size and so many pixels a body may reach beyond its corners.
 _BULGE = 0.1
 _MARGIN_PX = 2.0
@@ -26,9 +27,12 @@ LENS = np.dtype(
     [
         # In columns and rows. [px]
         ("focal", float, 2),
-        ("middle", float, 2),  # where the lens looks straight ahead
-        ("size", float, 2),  # of the picture
-        ("tangential", float, 2),  # p1 and p2 of Brown and Conrady
+        # Where the lens looks straight ahead.
+        ("middle", float, 2),
+        # Width and height of the picture.
+        ("size", float, 2),
+        # Coefficients p1 and p2 of Brown and Conrady.
+        ("tangential", float, 2),
         # The radial part: tangent of the farthest angle that is shown, 1 / square of
         # its sine, and how far out a point is shown over how far out it lies, in even
         # steps (`_pack_model`).
@@ -38,25 +42,48 @@ LENS = np.dtype(
         # Half angle of the cone that holds the picture.
         ("cone_cos", float),
         ("cone_sin", float),
-        ("axes", float, (3, 3)),  # right, down and ahead, in the world's axes
+        # Right, down and ahead, in the world's axes.
+        ("axes", float, (3, 3)),
     ]
 )
 """One camera with a lens."""
 
 
 class _Boxes(NamedTuple):
-    """Boxes of some of a body's points: left, top, right and bottom, (4,) each, in pixels."""
+    """Boxes of some of a body's points: left, top, right and bottom.
+
+    Attributes
+    ----------
+    every : (4,) float
+        Around all points. [px]
+    seen : (4,) float
+        Around the points that nothing occludes. [px]
+    shown : (4,) float
+        Around the points inside the image. [px]
+    seen_shown : (4,) float
+        Around the points inside the image that nothing occludes. [px]
+    """
 
     every: FloatArray
-    seen: FloatArray  # points that nothing hides
-    shown: FloatArray  # points in the picture
-    seen_shown: FloatArray  # points that nothing hides, in the picture
+    seen: FloatArray
+    shown: FloatArray
+    seen_shown: FloatArray
 
 
 def pack_lens(camera: CameraModel, rotation: FloatArray) -> Array:
-    """A camera for :func:`box_through_lenses`, one `LENS`.
+    """A camera in the form that :func:`box_through_lenses` takes.
 
-    `rotation` (3, 3) takes offsets, as rows, into the camera's frame, the roll aside.
+    Parameters
+    ----------
+    camera : CameraModel
+        Its lens may distort.
+    rotation : (3, 3) float
+        Takes offsets, as rows, into the camera's frame, the roll aside.
+
+    Returns
+    -------
+    lens : () `LENS`
+        One structured value.
     """
     lens = _pack_model(camera).copy()
     lens["axes"] = rolled(rotation, camera).T
@@ -65,11 +92,11 @@ def pack_lens(camera: CameraModel, rotation: FloatArray) -> Array:
 
 @lru_cache(maxsize=64)
 def _pack_model(camera: CameraModel) -> Array:
-    """A camera that looks along z, as `LENS`.
+    """A camera that looks along z, as a read-only `LENS`.
 
     The radial part of the lens is a table: how far out a point is shown over how far
-    out it lies, by even steps of sqrt(1 - sin^2(angle) / sin^2(largest angle)). There
-    it is smooth up to the fold.
+    out it lies, in even steps of sqrt(1 - sin^2(angle) / sin^2(largest angle)). In
+    these steps it is smooth up to the fold of the lens.
     """
     lens = camera.lens or BrownConrady()
     tangential = (0.0, 0.0)
@@ -89,9 +116,8 @@ def _pack_model(camera: CameraModel) -> Array:
     packed["tangential"] = tangential
     packed["limit"] = reach
     packed["per_most"] = 1.0 / most
-    packed["shares"] = np.append(
-        shares, shares[-1]
-    )  # one more, to interpolate at the last one
+    # One value more, to interpolate at the last one.
+    packed["shares"] = np.append(shares, shares[-1])
     packed["cone_cos"] = math.cos(half_rad)
     packed["cone_sin"] = math.sin(half_rad)
     packed["axes"] = np.eye(3)
@@ -102,9 +128,31 @@ def _pack_model(camera: CameraModel) -> Array:
 def _project(
     lens: Any, x: float, y: float, z: float, min_depth_m: float
 ) -> tuple[float, float, bool, bool]:
-    """Column and row of an offset; if it is ahead of the lens, and if the picture shows it.
+    """Project an offset through a lens.
 
-    As :func:`geometry.sensors.shown_points`; what is not ahead is taken to be a little.
+    Parameters
+    ----------
+    lens : `LENS`
+        The camera.
+    x, y, z : float
+        Offset of the point from the eye, in the world's axes. [m]
+    min_depth_m : float
+        Points nearer than this ahead of the lens are projected as if they were
+        there. [m]
+
+    Returns
+    -------
+    column, row : float
+        Where the image would show it. [px]
+    is_ahead : bool
+        The point is ahead of the lens.
+    is_shown : bool
+        The point is ahead, within the lens' reach and inside the image.
+
+    Notes
+    -----
+    The same as :func:`geometry.sensors.shown_points`. Beyond the farthest angle that
+    the lens shows, the projection goes on in a straight line.
     """
     axes = lens.axes
     limit = lens.limit
@@ -116,18 +164,21 @@ def _project(
     square = right * right + down * down
     beyond = 1.0
     is_shown = is_ahead
-    if square > limit * limit:  # straight on from the farthest that is shown
+    # Beyond the farthest angle that is shown: straight on from there.
+    if square > limit * limit:
         beyond = math.sqrt(square) / limit
         right = right / beyond
         down = down / beyond
         square = limit * limit
         is_shown = False
+    # Radial part, interpolated between the values of the table.
     place = 1.0 - square / (1.0 + square) * lens.per_most
     place = math.sqrt(max(place, 0.0)) * (_N_SHARES - 1)
     step = int(place)
     first = lens.shares[step]
     second = lens.shares[step + 1]
     share = first + (place - step) * (second - first)
+    # Tangential part, after Brown and Conrady.
     p1 = lens.tangential[0]
     p2 = lens.tangential[1]
     across = 2.0 * right * down
@@ -167,10 +218,33 @@ def _box_points(
     min_depth_m: float,
     boxes: _Boxes,
 ) -> tuple[bool, bool, bool]:
-    """If a body is ahead, if the picture cuts it off, and if the lens folds where it would show it.
+    """Compute the boxes around a body's points in one image.
 
-    Boxes of its points `axes` (3, n) go to `boxes`; all are seen if it `is_whole`, else
-    those that `is_seen` (n,) says.
+    Parameters
+    ----------
+    lens : `LENS`
+        The camera.
+    axes : (3, n) float32
+        Points of the body, by axis. [m]
+    eye : (3,) float
+        The mount. [m]
+    is_seen : (n,) bool
+        Points that nothing occludes.
+    is_whole : bool
+        Nothing occludes any point; `is_seen` is not read.
+    min_depth_m : float
+        As in :func:`_project`. [m]
+    boxes : _Boxes
+        Written.
+
+    Returns
+    -------
+    is_all_ahead : bool
+        All points are ahead of the lens.
+    is_cut : bool
+        Some point lies outside the image.
+    is_folded : bool
+        Some point ahead lands inside the image only because the lens folds there.
     """
     _empty(boxes.every)
     _empty(boxes.seen)
@@ -201,34 +275,71 @@ def _box_points(
 
 @kernel
 def _is_out(lens: Any, box: FloatArray, min_height_px: float) -> bool:
-    """True if a body ahead, with its corners in a box, is not so high in the picture."""
+    """True if a body is outside the image, or not high enough in it.
+
+    Parameters
+    ----------
+    lens : `LENS`
+        The camera.
+    box : (4,) float
+        Box around the corners of the body's hull, all ahead of the lens. [px]
+    min_height_px : float
+        Least height that counts. [px]
+    """
     # Its edges are bent: it may reach a little farther than its corners.
     beyond = _BULGE * max(box[2] - box[0], box[3] - box[1]) + _MARGIN_PX
     high = min(box[3], lens.size[1]) - max(box[1], 0.0) + 2.0 * beyond
-    return bool(
-        box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0] or high < min_height_px
-    )
+    is_beside = box[2] + beyond < 0.0 or box[0] - beyond > lens.size[0]
+    return bool(is_beside or high < min_height_px)
 
 
 @kernel
 def _share_inside(lens: Any, is_folded: bool, boxes: _Boxes) -> float:
-    """Share of a body's box in the picture, of the boxes of :func:`_box_points`."""
+    """Share of a body's box that is inside the image, 0 to 1.
+
+    Parameters
+    ----------
+    lens : `LENS`
+        The camera.
+    is_folded : bool
+        As :func:`_box_points` returns it.
+    boxes : _Boxes
+        As :func:`_box_points` fills them; `shown` is overwritten unless the lens
+        folds.
+    """
     every = boxes.every
     shown = boxes.shown
-    if not is_folded:  # cut off by the picture's edges alone
+    # Only the picture's edges cut the box off.
+    if not is_folded:
         shown[0] = max(every[0], 0.0)
         shown[1] = max(every[1], 0.0)
         shown[2] = min(every[2], lens.size[0])
         shown[3] = min(every[3], lens.size[1])
     inside = max(shown[2] - shown[0], 0.0) * max(shown[3] - shown[1], 0.0)
-    return float(
-        min(inside / max((every[2] - every[0]) * (every[3] - every[1]), 1.0e-9), 1.0)
-    )
+    area = (every[2] - every[0]) * (every[3] - every[1])
+    return float(min(inside / max(area, 1.0e-9), 1.0))
 
 
 @kernel
 def _is_near(lens: Any, middle: FloatArray, eye: FloatArray, radius: float) -> bool:
-    """True if a sphere around a middle, seen from the lens, reaches into the picture's cone."""
+    """True if a sphere reaches into the cone around a camera's image.
+
+    Parameters
+    ----------
+    lens : `LENS`
+        The camera.
+    middle : (3,) float
+        Centre of the sphere. [m]
+    eye : (3,) float
+        The mount. [m]
+    radius : float
+        Radius of the sphere. [m]
+
+    Notes
+    -----
+    Compares cosines: the angle off the axis is at most the half angle of the cone
+    plus that of the sphere.
+    """
     x = middle[0] - eye[0]
     y = middle[1] - eye[1]
     z = middle[2] - eye[2]
@@ -237,12 +348,12 @@ def _is_near(lens: Any, middle: FloatArray, eye: FloatArray, radius: float) -> b
         return True
     sine = radius / away
     cosine = math.sqrt(1.0 - sine * sine)
-    if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:  # wider than half a turn
+    # Cone and sphere together are wider than half a turn.
+    if lens.cone_sin * cosine + lens.cone_cos * sine < 0.0:
         return True
     along = x * lens.axes[2, 0] + y * lens.axes[2, 1] + z * lens.axes[2, 2]
-    return bool(
-        along >= (lens.cone_cos * cosine - lens.cone_sin * sine - _SLACK) * away
-    )
+    cos_of_both = lens.cone_cos * cosine - lens.cone_sin * sine
+    return bool(along >= (cos_of_both - _SLACK) * away)
 
 
 @kernel
@@ -254,19 +365,36 @@ def box_through_lenses(
     least: Least,
     found: Found,
 ) -> tuple[int, int]:
-    """Boxes of bodies through lenses, of those that are seen whole apart from the others.
+    """Compute the boxes of bodies in cameras whose lenses distort.
 
-    Returns how many plain pairs and how many others were written to `found`, as
-    :func:`.point_kernels.box_bodies` does. `lenses` are (k,) of `LENS`.
+    Parameters
+    ----------
+    bodies : BodyPoints
+        All bodies.
+    eye : (3,) float
+        The mount. [m]
+    sight : Seen
+        Which bodies are seen from there, and which points of each.
+    lenses : (k,) `LENS`
+        The cameras.
+    least : Least
+        From where on a body counts.
+    found : Found
+        Written: bodies seen whole in `plain`, all others in `part`.
+
+    Returns
+    -------
+    n_plain, n_part : int
+        Number of pairs of either kind, as :func:`.point_kernels.box_bodies` counts
+        them.
     """
     min_depth = least.depth
     min_height_px = least.height_px
     boxes = _Boxes(np.empty(4), np.empty(4), np.empty(4), np.empty(4))
     n_plain = 0
     n_part = 0
-    for entry in range(
-        len(sight.view_index)
-    ):  # bodies, and the cameras that may see each
+    # Loop over the bodies, and the cameras that may see each.
+    for entry in range(len(sight.view_index)):
         view = sight.view_index[entry]
         is_seen = sight.is_visible[entry]
         is_whole = sight.is_whole[entry]
@@ -291,14 +419,12 @@ def box_through_lenses(
             _, is_cut, is_folded = _box_points(
                 lens, bodies.points[view], eye, is_seen, is_whole, min_depth, boxes
             )
+            # Of a body that the image cuts off, only points inside the image count.
+            seen = boxes.seen
+            whole = boxes.every
             if is_cut:
                 seen = boxes.seen_shown
-            else:
-                seen = boxes.seen
-            if is_cut:
                 whole = boxes.shown
-            else:
-                whole = boxes.every
             high = seen[3] - seen[1]
             if not (high >= min_height_px and high > 0.0):
                 continue

@@ -1,13 +1,13 @@
-"""Numba kernels: points of bodies, spread over them, projected into cameras, counted by LiDARs.
+"""Numba kernels: points of bodies in pinhole cameras and in LiDARs.
 
-Most bodies are seen whole, and inside the image: the corners of their convex hulls say
-all. Many cameras are projected into at once, side by side in lanes. The others are
-looked at one by one, point by point, many points at once.
+Most bodies are seen whole, and inside the image: the corners of their convex hulls
+say all. Many cameras are projected into at once, side by side in lanes. The others
+are looked at one by one, point by point, many points at once.
 
 Whatever is handled side by side lies in a structured array: each field holds that
 number of all lanes, ``(LANES,)``, one after the other in memory, so that loops over
-lanes become vector instructions. It is one array, not one for each number: the compiler
-would have to prove that many arrays do not overlap, and gives up.
+lanes become vector instructions. It is one array, not one for each number: the
+compiler would have to prove that many arrays do not overlap, and gives up.
 """
 
 from typing import Any, NamedTuple
@@ -19,9 +19,11 @@ from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.kernels import kernel
 
 Array = NDArray[Any]
-Box = tuple[Any, Any, Any, Any]  # left, top, right, bottom [px], in single precision
+# Left, top, right and bottom, in single precision. [px]
+Box = tuple[Any, Any, Any, Any]
 
-LANES = 16  # cameras, or points, that are handled at once
+# How many cameras, or points, are handled at once.
+LANES = 16
 
 
 def _in_lanes(*names: str) -> Any:
@@ -56,84 +58,158 @@ LIMITS = _in_lanes("left", "top", "right", "bottom", "depth")
 """Least and greatest columns and rows side by side [px], and least depths [m]."""
 
 _FAR = np.float32(3.0e38)
-_NEARLY = 0.999  # for the rounding of single precision
+# Factor that allows for the rounding of single precision.
+_NEARLY = 0.999
 _SLACK_PX = 0.01
-_SLACK_M = np.float32(
-    1.0e-3
-)  # of a sphere in single precision: nobody at the edge is left out
+# Added to a sphere in single precision, so that no body is left out.
+_SLACK_M = np.float32(1.0e-3)
 
 
 class BodyPoints(NamedTuple):
-    """Bodies to be looked at; one view is one body at one place."""
+    """Bodies to be looked at; one view is one body at one place.
 
-    points: (
-        Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
-    )
-    hull: Array  # (n_views, 3, n_corners): of its convex hull, single precision. [m]
-    middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
-    radius: FloatArray  # (n_views,): of that sphere. [m]
+    Attributes
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points spread over each body. [m]
+    hull : (n_views, 3, n_corners) float32
+        Corners of its convex hull. [m]
+    middle : (n_views, 3) float
+        Centre of a sphere around it. [m]
+    radius : (n_views,) float
+        Radius of that sphere. [m]
+    """
+
+    points: Array
+    hull: Array
+    middle: FloatArray
+    radius: FloatArray
 
 
 class Seen(NamedTuple):
-    """What is seen from a mount; an entry is a body, some of whose points may be hidden."""
+    """What is seen from a mount; an entry is one body.
 
-    view_index: IntArray  # (n_entries,): into the views
-    is_visible: BoolArray  # (n_entries, n_points)
-    is_whole: BoolArray  # (n_entries,): nothing else hides any point of it
+    Attributes
+    ----------
+    view_index : (n_entries,) int
+        View of each entry.
+    is_visible : (n_entries, n_points) bool
+        Points that nothing occludes.
+    is_whole : (n_entries,) bool
+        Nothing else occludes any point of the body.
+    """
+
+    view_index: IntArray
+    is_visible: BoolArray
+    is_whole: BoolArray
 
 
 class Cameras(NamedTuple):
-    """Cameras at one mount."""
+    """Cameras at one mount.
 
-    lenses: Array  # (n_blocks,) of `LENSES`; what is left of the last block is zeros
+    Attributes
+    ----------
+    lenses : (n_blocks,) `LENSES`
+        The cameras in lanes; the unused lanes of the last block are zero.
+    n : int
+        Number of cameras.
+    """
+
+    lenses: Array
     n: int
 
 
 class Least(NamedTuple):
-    """From where on a body counts."""
+    """Limits from which on a body counts.
 
-    depth: (
-        Any  # ahead of a lens; nearer points are projected as if they were there. [m]
-    )
-    height_px: float  # of the box of what is visible. [px]
+    Attributes
+    ----------
+    depth : float
+        Distance ahead of a lens; nearer points are projected as if they were
+        there. In single precision for pinholes. [m]
+    height_px : float
+        Height of the box of what is visible. [px]
+    """
+
+    depth: Any
+    height_px: float
 
 
 class Found(NamedTuple):
-    """Room for all boxes that there may be; pairs are a camera and an entry."""
+    """Room for all boxes that there may be; a pair is a camera and an entry.
 
-    plain: IntArray  # (n, 2): pairs where a whole body is inside the image
-    plain_px: Array  # (n, 4): box of it. [px]
-    part: IntArray  # (n, 2): all other pairs
-    part_px: Array  # (n, 8): box of the visible points, then of all. [px]
-    inside_share: FloatArray  # (n,): how much of the latter is inside the image
+    Attributes
+    ----------
+    plain : (n, 2) int
+        Pairs where a whole body is inside the image.
+    plain_px : (n, 4) float32
+        Box of that body. [px]
+    part : (n, 2) int
+        All other pairs.
+    part_px : (n, 8) float32
+        Box of the visible points, then of all points. [px]
+    inside_share : (n,) float
+        How much of the latter box is inside the image.
+    """
+
+    plain: IntArray
+    plain_px: Array
+    part: IntArray
+    part_px: Array
+    inside_share: FloatArray
 
 
 class _Work(NamedTuple):
-    """Room for one body at a time."""
+    """Room for one body at a time.
 
-    lens: Array  # (1,) of `LENSES`: cameras that are near it
-    hull_limits: Array  # (1,) of `LIMITS`: of its hull in each of these
-    limits: Array  # (1,) of `LIMITS`: anything else
-    every: Array  # (n_blocks,) of `OFFSETS`: all of its points
-    seen: Array  # (n_blocks,) of `OFFSETS`: visible points
+    Attributes
+    ----------
+    lens : (1,) `LENSES`
+        Cameras that are near the body.
+    hull_limits : (1,) `LIMITS`
+        Limits of its hull in each of these.
+    limits : (1,) `LIMITS`
+        Limits of anything else.
+    every : (n_blocks,) `OFFSETS`
+        All of its points.
+    seen : (n_blocks,) `OFFSETS`
+        Its visible points.
+    """
+
+    lens: Array
+    hull_limits: Array
+    limits: Array
+    every: Array
+    seen: Array
 
 
 def pack_lenses(
     rotation: FloatArray, focal_px: FloatArray, size_px: FloatArray
 ) -> Array:
-    """Cameras side by side for :func:`box_bodies`, (n_blocks,) of `LENSES`.
+    """Pinhole cameras side by side in lanes, for :func:`box_bodies`.
 
-    `rotation` (k, 3, 3) takes offsets into the cameras; `focal_px` (k,), `size_px` (k,
-    2).
+    Parameters
+    ----------
+    rotation : (k, 3, 3) float
+        Takes offsets, as rows, into the frame of each camera.
+    focal_px : (k,) float
+        Focal lengths. [px]
+    size_px : (k, 2) float
+        Width and height of the images. [px]
+
+    Returns
+    -------
+    lenses : (n_blocks,) `LENSES`
     """
     half = 0.5 * size_px
     angle = np.arctan2(half, focal_px[:, None])
     cosine = np.cos(angle)
     sine = np.sin(angle)
+    # A column for each field of `LENSES`, in their order.
     numbers = np.column_stack([rotation.reshape(-1, 9), focal_px, half])
-    numbers = np.column_stack(
-        [numbers, cosine[:, 0], sine[:, 0], cosine[:, 1], sine[:, 1]]
-    )
+    across = [cosine[:, 0], sine[:, 0]]
+    up = [cosine[:, 1], sine[:, 1]]
+    numbers = np.column_stack([numbers, *across, *up])
     lenses = np.zeros(-(-len(focal_px) // LANES), LENSES)
     for name, values in zip(LENSES.names or (), numbers.T, strict=True):
         in_lanes = np.zeros(len(lenses) * LANES, np.float32)
@@ -153,21 +229,42 @@ def _is_any_near(
     least_px: Any,
     is_near: Array,
 ) -> bool:
-    """Set `is_near` (LANES,) where a sphere may be so high in a camera's image.
+    """Find the cameras of one block in which a sphere may be high enough.
 
-    The sphere is at x, y, z from the eye; `lens` is a block of `LENSES`, of which the
-    first `n` count. Rows that it reaches lie between the tangents from the eye; next to
-    and behind the lens it may reach any.
+    Parameters
+    ----------
+    x, y, z : float32
+        Middle of the sphere, from the eye. [m]
+    radius : float32
+        Its radius. [m]
+    lens : block of `LENSES`
+        The cameras.
+    n : int
+        How many of the lanes are cameras.
+    least_px : float32
+        Least height in the image. [px]
+    is_near : (LANES,) bool
+        Written: the sphere may be so high in the image of each camera.
+
+    Returns
+    -------
+    found : bool
+        Any of the first `n` is near.
+
+    Notes
+    -----
+    The rows that the sphere reaches lie between the tangents from the eye; next to and
+    behind the lens it may reach any.
     """
-    for j in range(LANES):  # cameras in the lanes
+    # Loop over the cameras in the lanes.
+    for j in range(LANES):
         right = x * lens.x_right[j] + y * lens.y_right[j] + z * lens.z_right[j]
         down = x * lens.x_down[j] + y * lens.y_down[j] + z * lens.z_down[j]
         ahead = x * lens.x_ahead[j] + y * lens.y_ahead[j] + z * lens.z_ahead[j]
         across = abs(right) * lens.cos_across[j] - ahead * lens.sin_across[j]
         up = abs(down) * lens.cos_up[j] - ahead * lens.sin_up[j]
-        half = radius / np.sqrt(
-            down * down + ahead * ahead - radius * radius
-        )  # tangents
+        # Tangents from the eye to the sphere, in the plane of its middle.
+        half = radius / np.sqrt(down * down + ahead * ahead - radius * radius)
         middle = down / ahead
         focal = lens.focal[j]
         half_height = lens.half_height[j]
@@ -187,7 +284,7 @@ def _is_any_near(
 
 @kernel
 def _least(min_height_px: float) -> Any:
-    """Height in single precision below which nothing is near `min_height_px`."""
+    """Height in single precision that no box of `min_height_px` falls below."""
     return np.float32(_NEARLY * min_height_px - _SLACK_PX)
 
 
@@ -200,14 +297,27 @@ def find_views(
     min_height_px: float,
     found: BoolArray,
 ) -> None:
-    """Set `found` (n_views,) where a body may be `min_height_px` high in a camera's image.
+    """Mark the views whose body may be high enough in a camera's image.
 
-    `middle` (n_views, 3) and `radius` (n_views,) are of spheres around the bodies, in
-    metres, `eye` (3,) is the mount in single precision.
+    Parameters
+    ----------
+    middle : (n_views, 3) float
+        Centres of spheres around the bodies. [m]
+    radius : (n_views,) float
+        Their radii. [m]
+    eye : (3,) float32
+        The mount. [m]
+    cameras : Cameras
+        Cameras at the mount.
+    min_height_px : float
+        Least height. [px]
+    found : (n_views,) bool
+        Set to True for those views.
     """
     is_near = np.empty(LANES, np.bool_)
     least_px = _least(min_height_px)
-    for view in range(len(middle)):  # views, and blocks of cameras until one is near
+    # Loop over the views, and blocks of cameras until one is near.
+    for view in range(len(middle)):
         x = np.float32(middle[view, 0] - eye[0])
         y = np.float32(middle[view, 1] - eye[1])
         z = np.float32(middle[view, 2] - eye[2])
@@ -225,10 +335,26 @@ def find_views(
 def _project_into_all(
     points: Array, view: int, eye: Array, lens: Any, min_depth: Any, limits: Any
 ) -> None:
-    """Least and greatest column and row of a view's points in every camera, and the least depth.
+    """Compute the limits of a view's points in every camera of a block.
 
-    `points` (n_views, 3, n), `eye` (3,), `lens` a block of `LENSES`, into a block of
-    `LIMITS`. Each number is computed as in :func:`_box_points`.
+    Parameters
+    ----------
+    points : (n_views, 3, n) float32
+        Points of all views. [m]
+    view : int
+        The view.
+    eye : (3,) float32
+        The mount. [m]
+    lens : block of `LENSES`
+        The cameras.
+    min_depth : float32
+        Nearer points are projected as if they were there. [m]
+    limits : block of `LIMITS`
+        Written: least and greatest column and row, and the least depth.
+
+    Notes
+    -----
+    Each number is computed as in :func:`_box_points`.
     """
     ex = eye[0]
     ey = eye[1]
@@ -239,9 +365,8 @@ def _project_into_all(
         limits.depth[j] = _FAR
         limits.right[j] = -_FAR
         limits.bottom[j] = -_FAR
-    for point in range(
-        0, points.shape[2], 2
-    ):  # points, two at a time, in all cameras at once
+    # Loop over the points, two at a time, in all cameras at once.
+    for point in range(0, points.shape[2], 2):
         other_point = min(point + 1, points.shape[2] - 1)
         x = points[view, 0, point] - ex
         y = points[view, 1, point] - ey
@@ -271,6 +396,8 @@ def _project_into_all(
             x_right = lens.x_right[j]
             y_right = lens.y_right[j]
             z_right = lens.z_right[j]
+            # Columns of both points. Two branches, for the compiler turns only
+            # branches that choose a single number into vector instructions.
             one = (x * x_right + y * y_right + z * z_right) * scale
             two = (a * x_right + b * y_right + c * z_right) * other_scale
             if one < two:
@@ -295,6 +422,7 @@ def _project_into_all(
             x_down = lens.x_down[j]
             y_down = lens.y_down[j]
             z_down = lens.z_down[j]
+            # Rows of both points.
             one = (x * x_down + y * y_down + z * z_down) * scale
             two = (a * x_down + b * y_down + c * z_down) * other_scale
             if one < two:
@@ -315,7 +443,8 @@ def _project_into_all(
                 limits.bottom[j] = high
             else:
                 limits.bottom[j] = bottom
-    for j in range(LANES):  # rounding leaves the order of numbers as it is
+    # Shift only now: rounding leaves the order of numbers as it is.
+    for j in range(LANES):
         limits.left[j] += lens.half_width[j]
         limits.right[j] += lens.half_width[j]
         limits.top[j] += lens.half_height[j]
@@ -326,14 +455,30 @@ def _project_into_all(
 def _set_out(
     points: Array, view: int, eye: Array, shown: BoolArray, offsets: Array
 ) -> int:
-    """Put a view's points into lanes, (n_blocks,) of `OFFSETS`; how many blocks they fill.
+    """Put some of a view's points into lanes.
 
-    Of `points` (n_views, 3, n_points), those that are `shown` (n_points,).
+    Parameters
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points of all views. [m]
+    view : int
+        The view.
+    eye : (3,) float32
+        Offsets are from here. [m]
+    shown : (n_points,) bool
+        Points to put into lanes.
+    offsets : (n_blocks,) `OFFSETS`
+        Written.
+
+    Returns
+    -------
+    n_blocks : int
+        How many blocks the points fill. The last point is repeated to the end of the
+        last block.
     """
     count = 0
-    for point in range(
-        points.shape[2]
-    ):  # points that are shown go to the next free lane
+    # Points that are shown go to the next free lane.
+    for point in range(points.shape[2]):
         if shown[point]:
             block = offsets[count // LANES]
             block.x[count % LANES] = points[view, 0, point] - eye[0]
@@ -341,9 +486,8 @@ def _set_out(
             block.z[count % LANES] = points[view, 2, point] - eye[2]
             count += 1
     n_blocks = -(-count // LANES)
-    for place in range(
-        count, n_blocks * LANES
-    ):  # the last one fills what is left of the lanes
+    # The last point fills the rest of the lanes.
+    for place in range(count, n_blocks * LANES):
         block = offsets[n_blocks - 1]
         last = (count - 1) % LANES
         block.x[place % LANES] = block.x[last]
@@ -356,10 +500,27 @@ def _set_out(
 def _box_points(
     offsets: Array, lens: Any, camera: int, min_depth: Any, is_cut: bool, limits: Any
 ) -> Box:
-    """Box of points, (n_blocks,) of `OFFSETS`, in one camera of the lanes.
+    """Box of points in one camera of the lanes.
 
-    Zeros if no point counts. If the image cuts the body off, only points inside the
-    image count. `limits` is a block of `LIMITS` to work with.
+    Parameters
+    ----------
+    offsets : (n_blocks,) `OFFSETS`
+        The points.
+    lens : block of `LENSES`
+        Cameras.
+    camera : int
+        Lane of the camera.
+    min_depth : float32
+        Nearer points are projected as if they were there. [m]
+    is_cut : bool
+        The image cuts the body off: only points inside the image count.
+    limits : block of `LIMITS`
+        Room to work in.
+
+    Returns
+    -------
+    left, top, right, bottom : float32
+        Zeros if no point counts. [px]
     """
     x_right = lens.x_right[camera]
     y_right = lens.y_right[camera]
@@ -373,24 +534,21 @@ def _box_points(
     focal = lens.focal[camera]
     half_width = lens.half_width[camera]
     half_height = lens.half_height[camera]
+    # Points count that are at most so far from the middle of the image, and deeper.
+    widest = _FAR
+    highest = _FAR
+    nearest = -_FAR
     if is_cut:
         widest = half_width
-    else:
-        widest = _FAR
-    if is_cut:
         highest = half_height
-    else:
-        highest = _FAR
-    if is_cut:
         nearest = min_depth
-    else:
-        nearest = -_FAR
     for j in range(LANES):
         limits.left[j] = _FAR
         limits.top[j] = _FAR
         limits.right[j] = -_FAR
         limits.bottom[j] = -_FAR
-    for block in range(len(offsets)):  # points, as many at a time as there are lanes
+    # Loop over the points, as many at a time as there are lanes.
+    for block in range(len(offsets)):
         offset = offsets[block]
         for j in range(LANES):
             x = offset.x[j]
@@ -405,6 +563,8 @@ def _box_points(
                 & (abs(column - half_width) <= widest)
                 & (abs(row - half_height) <= highest)
             )
+            # A point that does not count changes no limit. Here, too, each branch
+            # chooses a single number.
             if counts:
                 low = column
             else:
@@ -441,6 +601,7 @@ def _box_points(
                 limits.bottom[j] = high
             else:
                 limits.bottom[j] = bottom
+    # Loop over the lanes: the extremes of all of them.
     left = _FAR
     top = _FAR
     right = -_FAR
@@ -469,9 +630,27 @@ def _find_near(
     least_px: Any,
     near: IntArray,
 ) -> int:
-    """Cameras in whose images a view's body may be high enough, into `near`; their number.
+    """Find the cameras in whose images a view's body may be high enough.
 
-    The body lies around `middle` (3,) as far as `reach`.
+    Parameters
+    ----------
+    middle : (3,) float
+        Centre of a sphere around the body. [m]
+    reach : float32
+        Its radius. [m]
+    eye : (3,) float32
+        The mount. [m]
+    cameras : Cameras
+        Cameras at the mount.
+    least_px : float32
+        Least height. [px]
+    near : (n + 1,) int
+        Written: indices of those cameras.
+
+    Returns
+    -------
+    n_near : int
+        How many they are.
     """
     x = np.float32(middle[0] - eye[0])
     y = np.float32(middle[1] - eye[1])
@@ -489,19 +668,20 @@ def _find_near(
 
 @kernel
 def _is_high(box: Box, min_height_px: float) -> bool:
-    """True if the box of what is visible has the height that is asked for."""
+    """True if a visible box has at least the height that is asked for."""
     high = np.float64(box[3]) - np.float64(box[1])
     return bool(high >= min_height_px and high > 0.0)
 
 
 @kernel
 def _share_inside(box: Box, width: Any, height: Any) -> float:
-    """Share of a box inside an image."""
+    """Share of a box that is inside an image of some width and height."""
     left, top, right, bottom = box
     zero = np.float32(0.0)
     area = (np.float64(right) - left) * (np.float64(bottom) - top)
     across = np.float64(max(zero, min(right, width))) - max(zero, min(left, width))
     up = np.float64(max(zero, min(bottom, height))) - max(zero, min(top, height))
+    # An empty box has no area to divide by.
     return float(across * up / max(area, 1.0e-9))
 
 
@@ -527,7 +707,7 @@ def _gather_lanes(lenses: Array, cameras: IntArray, lens: Any) -> None:
 
 @kernel
 def _box_of(limits: Any, camera: int) -> Box:
-    """Left, top, right and bottom of what one camera of the lanes shows."""
+    """Box of what one camera of the lanes shows."""
     return (
         limits.left[camera],
         limits.top[camera],
@@ -538,7 +718,7 @@ def _box_of(limits: Any, camera: int) -> Box:
 
 @kernel
 def _put(boxes: Array, row: int, first: int, box: Box) -> None:
-    """Write a box into a row of boxes, (n, 4 or 8), from one column on."""
+    """Write a box into a row of boxes, (n, 4 or 8), from a column on."""
     boxes[row, first] = box[0]
     boxes[row, first + 1] = box[1]
     boxes[row, first + 2] = box[2]
@@ -554,12 +734,30 @@ def box_bodies(
     least: Least,
     found: Found,
 ) -> tuple[int, int]:
-    """Boxes of bodies in cameras, those of whole bodies inside the image apart from the others.
+    """Compute the boxes of bodies in pinhole cameras.
 
-    Returns how many plain pairs and how many others were written to `found`. Pairs
-    whose visible box is not as high as `least` says are left out. `eye` (3,) is in
-    single precision.
+    Parameters
+    ----------
+    bodies : BodyPoints
+        All bodies.
+    eye : (3,) float32
+        The mount. [m]
+    sight : Seen
+        Which bodies are seen from there, and which points of each.
+    cameras : Cameras
+        Cameras at the mount.
+    least : Least
+        From where on a body counts: pairs whose visible box is lower are left out.
+    found : Found
+        Written: whole bodies inside the image in `plain`, all others in `part`.
 
+    Returns
+    -------
+    n_plain, n_part : int
+        Number of pairs of either kind.
+
+    Notes
+    -----
     For each entry, the cameras that may show it are gathered into lanes, and its hull
     is projected into all of them at once. That is enough for a whole body inside the
     image. For the others the visible points, or all of them, are put into lanes, and
@@ -582,16 +780,17 @@ def box_bodies(
     least_px = _least(least.height_px)
     n_plain = 0
     n_part = 0
-    for entry in range(len(sight.view_index)):  # bodies that are seen from the mount
+    # Loop over the bodies that are seen from the mount.
+    for entry in range(len(sight.view_index)):
         view = sight.view_index[entry]
         is_whole = sight.is_whole[entry]
-        n_every = -1  # blocks of points; not yet set out
+        # Blocks of points in lanes; -1: not yet put there.
+        n_every = -1
         n_seen = -1
         reach = np.float32(bodies.radius[view]) + _SLACK_M
         n_near = _find_near(bodies.middle[view], reach, eye, cameras, least_px, near)
-        for first in range(
-            0, n_near, LANES
-        ):  # near cameras, as many as there are lanes
+        # Loop over the near cameras, as many at a time as there are lanes.
+        for first in range(0, n_near, LANES):
             n = min(LANES, n_near - first)
             _gather_lanes(cameras.lenses, near[first : first + n], lens)
             _project_into_all(bodies.hull, view, eye, lens, least.depth, limits)
@@ -601,6 +800,7 @@ def box_bodies(
                 left, top, right, bottom = hull_box
                 width = lens.half_width[j] + lens.half_width[j]
                 height = lens.half_height[j] + lens.half_height[j]
+                # Leave out what the image does not show, or not high enough.
                 is_behind = limits.depth[j] <= least.depth
                 high = np.float64(min(bottom, height)) - np.float64(max(top, zero))
                 is_out = high < _NEARLY * least.height_px or high < 0.0
@@ -613,6 +813,7 @@ def box_bodies(
                     or right > width
                     or bottom > height
                 )
+                # A whole body inside the image: its hull says everything.
                 if is_whole and not is_cut:
                     if high >= least.height_px and high > 0.0:
                         found.plain[n_plain, 0] = camera
@@ -650,9 +851,8 @@ def box_bodies(
                 found.part[n_part, 1] = entry
                 _put(found.part_px, n_part, 0, seen_box)
                 _put(found.part_px, n_part, 4, whole_box)
-                if (
-                    is_behind
-                ):  # next to and behind the lens points are not projected as bodies are
+                # Next to and behind the lens the hull does not bound all points.
+                if is_behind:
                     _project_into_all(
                         points, view, eye, lens, least.depth, work.limits[0]
                     )
@@ -668,20 +868,39 @@ def box_bodies(
 
 # ---------- LiDARs
 class Echoes(NamedTuple):
-    """Visible points of entries, as a LiDAR at the mount sees them; k in all."""
+    """Visible points of entries, as a LiDAR at the mount sees them; k in all.
 
-    first: IntArray  # (n_entries + 1,): where the points of each entry begin
-    directions: FloatArray  # (k, 3): unit vectors from the mount
-    # (n_weathers, k): points that come back, if beams are as dense as level
+    Attributes
+    ----------
+    first : (n_entries + 1,) int
+        Where the points of each entry begin.
+    directions : (k, 3) float
+        Unit vectors from the mount.
+    expected : (n_weathers, k) float
+        Number of points that come back, if beams were as dense as on the level.
+    needed : (n_entries,) float
+        Number of points that a detection takes.
+    """
+
+    first: IntArray
+    directions: FloatArray
     expected: FloatArray
-    needed: FloatArray  # (n_entries,): points that it takes
+    needed: FloatArray
 
 
 class LidarView(NamedTuple):
-    """Limits of a LiDAR's field of view, which belong to it."""
+    """Limits of a LiDAR's field of view, which belong to it.
 
-    cos_across: float  # cosine of the half angle across
-    sin_up: float  # sine of that up and down
+    Attributes
+    ----------
+    cos_across : float
+        Cosine of half the horizontal field of view.
+    sin_up : float
+        Sine of half the vertical field of view.
+    """
+
+    cos_across: float
+    sin_up: float
 
 
 @kernel
@@ -692,16 +911,30 @@ def count_echoes(
     limits: LidarView,
     detected: Array,
 ) -> None:
-    """Set `detected` (m, n_weathers, n_entries) where points that come back are as many as needed.
+    """Mark the entries from which enough points come back.
 
-    `rotations` (m, 3, 3) have the axes ahead, left and up of each LiDAR as columns;
-    `is_near` (m, n_entries): entries that may be in view. Beams grow denser as the
-    circles of latitude shrink.
+    Parameters
+    ----------
+    rotations : (m, 3, 3) float
+        Axes ahead, left and up of each LiDAR, as columns.
+    is_near : (m, n_entries) bool
+        Entries that may be in view.
+    echoes : Echoes
+        Visible points of the entries.
+    limits : LidarView
+        Field of view of all LiDARs.
+    detected : (m, n_weathers, n_entries) bool
+        Written.
+
+    Notes
+    -----
+    Beams grow denser as the circles of latitude shrink.
     """
     n_weathers = len(echoes.expected)
     directions = echoes.directions
     total = np.zeros(n_weathers)
-    for row in range(len(rotations)):  # LiDARs, entries, and the points on each
+    # Loop over the LiDARs, the entries, and the points on each.
+    for row in range(len(rotations)):
         r = rotations[row]
         for entry in range(len(echoes.needed)):
             if not is_near[row, entry]:

@@ -19,59 +19,111 @@ from geometry.kernels import kernel
 Array = NDArray[Any]
 Point = tuple[float, float, float]
 
-N_AROUND = 1024  # cells of azimuth
-N_UP = 512  # cells of elevation
-_PIECE_SIN = 0.04  # sine of the angle within which a piece lies around its middle
-_SMALLEST_M = 0.005  # pieces are not cut any smaller
-_SLACK_M = 1.0e-3  # for rays in single precision
+# Number of cells around, by azimuth.
+N_AROUND = 1024
+# Number of cells up, by elevation.
+N_UP = 512
+# Sine of the angle within which a piece lies around its middle.
+_PIECE_SIN = 0.04
+# Pieces are not cut any smaller.
+_SMALLEST_M = 0.005
+# Allow for rays in single precision.
+_SLACK_M = 1.0e-3
 _SLACK_SIN = 1.0e-5
 _MOST_CUTS = 64
-_BLOCK = 8  # cells along either side of a block whose nearest thing is looked at first
+# Cells along either side of a block whose nearest thing is looked at first.
+_BLOCK = 8
 
 
 class Views(NamedTuple):
-    """Bodies to be looked at; one view is one body at one place."""
+    """Bodies to be looked at; one view is one body at one place.
 
-    points: (
-        Array  # (n_views, 3, n_points): spread over each body, single precision. [m]
-    )
-    middle: FloatArray  # (n_views, 3): of a sphere around it. [m]
-    radius: FloatArray  # (n_views,): of that sphere. [m]
+    Attributes
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points spread over each body. [m]
+    middle : (n_views, 3) float
+        Centre of a sphere around the points. [m]
+    radius : (n_views,) float
+        Radius of that sphere. [m]
+    """
+
+    points: Array
+    middle: FloatArray
+    radius: FloatArray
 
 
 class Occluders(NamedTuple):
-    """Bodies that stand or drive in the way, in groups; each has a frame of its own."""
+    """Bodies that may occlude a view, in groups; each has its own frame.
 
-    members: IntArray  # (m,): bodies, group by group
-    first: IntArray  # (n_groups + 1,): where each group begins in `members`
-    position: FloatArray  # (n_bodies, 3): of each. [m]
-    rotation: FloatArray  # (n_bodies, 3, 3): from its frame into the world's
-    boxes: (
-        FloatArray  # (n_bodies, 2, 3): lowest and highest coordinates in its frame. [m]
-    )
+    Attributes
+    ----------
+    members : (m,) int
+        Bodies, one group after the other.
+    first : (n_groups + 1,) int
+        Where each group begins in `members`.
+    position : (n_bodies, 3) float
+        Origin of each body's frame. [m]
+    rotation : (n_bodies, 3, 3) float
+        From the frame of each body to the world's.
+    boxes : (n_bodies, 2, 3) float
+        Lowest and highest coordinates in the body's frame. [m]
+    """
+
+    members: IntArray
+    first: IntArray
+    position: FloatArray
+    rotation: FloatArray
+    boxes: FloatArray
 
 
 class OneKind(NamedTuple):
-    """Bodies of one shape, a row for each view that one of them may hide."""
+    """Bodies of one shape, a row for each view that one may occlude.
 
-    position: FloatArray  # (n, 3). [m]
-    rotation: FloatArray  # (n, 3, 3): from the body's frame into the world's
-    lowest: FloatArray  # (3,): of the box around the shape, in its frame. [m]
-    highest: FloatArray  # (3,). [m]
+    Attributes
+    ----------
+    position : (n, 3) float
+        Origin of each body's frame. [m]
+    rotation : (n, 3, 3) float
+        From the frame of each body to the world's.
+    lowest, highest : (3,) float
+        Corners of the box around the shape, in its frame. [m]
+    """
+
+    position: FloatArray
+    rotation: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
 
 
 class Rays(NamedTuple):
-    """Rays to points of bodies, and room for them."""
+    """Rays to points of bodies, and the arrays that they are written to.
 
-    near_m: float  # from the eye to where they start
-    off_surface_m: float  # before the point, where they end
-    starts: Array  # (n, 3), single precision. [m]
-    vectors: Array  # (n, 3): from start to end, single precision. [m]
+    Attributes
+    ----------
+    near_m : float
+        Distance from the eye to the start of every ray. [m]
+    off_surface_m : float
+        Distance from the end of every ray to its point. [m]
+    starts : (n, 3) float32
+        Where each ray starts. [m]
+    vectors : (n, 3) float32
+        From the start of each ray to its end. [m]
+    """
+
+    near_m: float
+    off_surface_m: float
+    starts: Array
+    vectors: Array
 
 
 @kernel
 def _diamond(x: float, y: float) -> float:
-    """Azimuth as a number from 0 to 4 that grows with the angle."""
+    """Diamond angle of a direction: 0 to 4, growing with the azimuth.
+
+    The position along the square |x| + |y| = 1, which orders directions as the
+    azimuth does and needs no trigonometric function. 0 where x = y = 0.
+    """
     size = abs(x) + abs(y)
     if size == 0.0:
         return 0.0
@@ -85,13 +137,29 @@ def _diamond(x: float, y: float) -> float:
 
 @kernel
 def cell_around(x: float, y: float, n_around: int) -> int:
-    """Column of cells of an azimuth."""
+    """Column of cells that holds an azimuth.
+
+    Parameters
+    ----------
+    x, y : float
+        Horizontal direction, of any length.
+    n_around : int
+        Number of columns.
+    """
     return min(int(_diamond(x, y) * (0.25 * n_around)), n_around - 1)
 
 
 @kernel
 def cell_up(sine: float, n_up: int) -> int:
-    """Row of cells of an elevation."""
+    """Row of cells that holds an elevation.
+
+    Parameters
+    ----------
+    sine : float
+        Sine of the elevation, -1 to 1.
+    n_up : int
+        Number of rows; the first one looks straight down.
+    """
     return max(0, min(int((sine + 1.0) * (0.5 * n_up)), n_up - 1))
 
 
@@ -99,7 +167,28 @@ def cell_up(sine: float, n_up: int) -> int:
 def _window(
     x: float, y: float, z: float, radius: float, shape: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Cells that a sphere touches, the eye outside of it: rows, columns; the end may be > N."""
+    """Window of cells that a sphere around a point touches.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Middle of the sphere, from the eye. [m]
+    radius : float
+        Its radius; the eye is outside. [m]
+    shape : (n_up, n_around)
+        Number of rows and columns of cells.
+
+    Returns
+    -------
+    low, high, first, last : int
+        First and last row, first and last column, all inclusive. `last` may exceed
+        the number of columns: the window then wraps round.
+
+    Notes
+    -----
+    A sphere of sine s = radius / distance reaches from the sine of (elevation -
+    asin s) to that of (elevation + asin s): sin(a -+ b) = sin a cos b -+ cos a sin b.
+    """
     n_up, n_around = shape
     level = np.sqrt(x * x + y * y)
     distance = np.sqrt(x * x + y * y + z * z)
@@ -109,12 +198,14 @@ def _window(
     flat = level / distance
     low = up * cosine - flat * sine
     high = up * cosine + flat * sine
-    if level <= radius:  # straight above or below: all azimuths
+    # Straight above or below: all azimuths.
+    if level <= radius:
         if z < 0.0:
             low = -1.0
         else:
             high = 1.0
         return cell_up(low, n_up), cell_up(high, n_up), 0, n_around - 1
+    # Turn the direction by the half angle of the sphere, seen from above, either way.
     turn = radius / level
     keep = np.sqrt(1.0 - turn * turn)
     first = cell_around(x * keep + y * turn, y * keep - x * turn, n_around)
@@ -128,15 +219,35 @@ def _window(
 def _piece_window(
     corners: Any, x: float, y: float, sine: float, shape: tuple[int, int]
 ) -> tuple[int, int, int, int]:
-    """Cells that a triangle touches, as `_window`: `sine` is that of its half angle at least.
+    """Window of cells that a triangle touches, in the form of `_window`.
 
-    Azimuth on a triangle is between those of its corners. Of a point p = sum of shares
-    t of the corners c, height / |p| is at most the greatest such ratio of a corner
-    times sum t |c| / |p|, which is 1 .. 1 / cos(the triangle's angle); and at least the
-    least one likewise.
+    Parameters
+    ----------
+    corners : 3 tuples of 3 floats
+        Corners of the triangle, from the eye. [m]
+    x, y : float
+        Its middle. [m]
+    sine : float
+        At least the sine of the triangle's half angle, seen from the eye.
+    shape : (n_up, n_around)
+        Number of rows and columns of cells.
+
+    Returns
+    -------
+    low, high, first, last : int
+        As `_window` returns them.
+
+    Notes
+    -----
+    The azimuth on a triangle lies between those of its corners. Let p be the sum of
+    shares t of the corners c. The ratio height / |p| is at most the greatest such
+    ratio of a corner times sum t |c| / |p|, which lies between 1 and 1 / cos(the
+    triangle's angle); and it is at least the least ratio likewise.
     """
+    # Extremes of the corners: azimuth from the middle, and sine of the elevation.
     middle = _diamond(x, y)
-    left = right = 0.0
+    left = 0.0
+    right = 0.0
     bottom = 1.0
     top = -1.0
     for cx, cy, cz in corners:
@@ -150,6 +261,7 @@ def _piece_window(
         ratio = cz / np.sqrt(cx * cx + cy * cy + cz * cz)
         bottom = min(bottom, ratio)
         top = max(top, ratio)
+    # Between corners the ratio may exceed theirs by 1 / cos(2 a) = 1 / (1 - 2 sin^2 a).
     bulge = 1.0 / (1.0 - 2.0 * sine * sine)
     if bottom < 0.0:
         bottom = bottom * bulge
@@ -167,6 +279,20 @@ def _piece_window(
 
 
 @kernel
+def _put_piece(piece: Array, a: Point, b: Point, c: Point) -> None:
+    """Write the corners of a triangle into nine numbers, corner by corner."""
+    piece[0] = a[0]
+    piece[1] = a[1]
+    piece[2] = a[2]
+    piece[3] = b[0]
+    piece[4] = b[1]
+    piece[5] = b[2]
+    piece[6] = c[0]
+    piece[7] = c[1]
+    piece[8] = c[2]
+
+
+@kernel
 def mark_nearest(
     nearest: Array,
     triangles: Array,
@@ -176,28 +302,49 @@ def mark_nearest(
     low_m: float,
     high_m: float,
 ) -> None:
-    """Enter triangles (n, 3, 3) into cells (n_up, n_around) of distances from the eye.
+    """Enter triangles into cells that hold the nearest distance from the eye.
 
-    Left out is what is nearer than `near_m`, farther than `far_m`, and what no way from
-    the eye to a point whose height is `low_m` .. `high_m` can meet.
+    Parameters
+    ----------
+    nearest : (n_up, n_around) float32
+        Distance of the nearest thing in each cell; lowered in place. [m]
+    triangles : (n, 3, 3) float
+        Corners of the scene's triangles. [m]
+    eye : (3,) float
+        Where they are seen from. [m]
+    near_m, far_m : float
+        Triangles nearer or farther than these are left out. [m]
+    low_m, high_m : float
+        Lowest and highest point that is looked at. Triangles that no way from the
+        eye to such a height can meet are left out. [m]
+
+    Notes
+    -----
+    Triangles are cut in two across their longest side until each piece is small as
+    seen from the eye. Pieces that are still to be handled lie on a stack, nine
+    coordinates each.
     """
     floor = min(eye[2], low_m)
     ceiling = max(eye[2], high_m)
     shape = nearest.shape
     n_around = shape[1]
     stack = np.empty((_MOST_CUTS + 1, 9))
-    for number in range(len(triangles)):  # triangles of the scene
+    # Loop over the triangles of the scene.
+    for number in range(len(triangles)):
         for corner in range(3):
             for axis in range(3):
                 stack[0, 3 * corner + axis] = (
                     triangles[number, corner, axis] - eye[axis]
                 )
         height = 1
-        while height > 0:  # pieces of the triangle that are still to be cut or entered
+        # Loop over its pieces that are still to be cut or entered.
+        while height > 0:
             height -= 1
             ax, ay, az, bx, by, bz, cx, cy, cz = stack[height]
-            if max(az, bz, cz) + eye[2] <= floor or min(az, bz, cz) + eye[2] >= ceiling:
+            is_below = max(az, bz, cz) + eye[2] <= floor
+            if is_below or min(az, bz, cz) + eye[2] >= ceiling:
                 continue
+            # The sphere around the piece, and how far away it is.
             x = (ax + bx + cx) / 3.0
             y = (ay + by + cy) / 3.0
             z = (az + bz + cz) / 3.0
@@ -213,66 +360,52 @@ def mark_nearest(
                 continue
             is_piece = radius <= _PIECE_SIN * distance or radius <= _SMALLEST_M
             if not is_piece and height + 2 <= _MOST_CUTS:
+                # Cut the piece in two across its longest side, from `begin` to `end`.
                 ab = (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2
                 bc = (bx - cx) ** 2 + (by - cy) ** 2 + (bz - cz) ** 2
                 ca = (cx - ax) ** 2 + (cy - ay) ** 2 + (cz - az) ** 2
-                # Turned so that the longest side leads from a to b.
                 if bc >= ab and bc >= ca:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = (
-                        bx,
-                        by,
-                        bz,
-                        cx,
-                        cy,
-                        cz,
-                        ax,
-                        ay,
-                        az,
-                    )
+                    begin_corner = (bx, by, bz)
+                    end_corner = (cx, cy, cz)
+                    other_corner = (ax, ay, az)
                 elif ca >= ab and ca >= bc:
-                    ax, ay, az, bx, by, bz, cx, cy, cz = (
-                        cx,
-                        cy,
-                        cz,
-                        ax,
-                        ay,
-                        az,
-                        bx,
-                        by,
-                        bz,
-                    )
-                mx = 0.5 * (ax + bx)
-                my = 0.5 * (ay + by)
-                mz = 0.5 * (az + bz)
-                for first, (px, py, pz) in enumerate(((ax, ay, az), (bx, by, bz))):
-                    part = stack[height + first]
-                    part[0] = px
-                    part[1] = py
-                    part[2] = pz
-                    part[3] = mx
-                    part[4] = my
-                    part[5] = mz
-                    part[6] = cx
-                    part[7] = cy
-                    part[8] = cz
+                    begin_corner = (cx, cy, cz)
+                    end_corner = (ax, ay, az)
+                    other_corner = (bx, by, bz)
+                else:
+                    begin_corner = (ax, ay, az)
+                    end_corner = (bx, by, bz)
+                    other_corner = (cx, cy, cz)
+                # Both halves share the middle of that side and the other corner.
+                middle = (
+                    0.5 * (begin_corner[0] + end_corner[0]),
+                    0.5 * (begin_corner[1] + end_corner[1]),
+                    0.5 * (begin_corner[2] + end_corner[2]),
+                )
+                _put_piece(stack[height], begin_corner, middle, other_corner)
+                _put_piece(stack[height + 1], end_corner, middle, other_corner)
                 height += 2
                 continue
+            # The piece is small enough: enter it into the cells that it touches.
             wide = radius + _SLACK_M + _SLACK_SIN * distance
+            # The eye is as good as in the piece, which then may be in every cell.
             if distance <= wide:
                 nearest[:] = 0.0
                 return
             least = np.float32(max(0.0, distance - wide))
-            if np.sqrt(x * x + y * y) <= wide:  # straight above or below
+            # Straight above or below.
+            if np.sqrt(x * x + y * y) <= wide:
                 low, high, begin, end = _window(x, y, z, wide, shape)
             else:
                 corners = ((ax, ay, az), (bx, by, bz), (cx, cy, cz))
-                low, high, begin, end = _piece_window(
-                    corners, x, y, wide / distance, shape
-                )
-            for up in range(low, high + 1):  # cells that the piece touches
+                sine = wide / distance
+                low, high, begin, end = _piece_window(corners, x, y, sine, shape)
+            # Loop over the cells that the piece touches.
+            for up in range(low, high + 1):
                 row = nearest[up]
                 for column in range(begin, min(end, n_around - 1) + 1):
                     row[column] = min(row[column], least)
+                # Columns beyond the last go on from the first.
                 for column in range(0, end - n_around + 1):
                     row[column] = min(row[column], least)
 
@@ -281,7 +414,19 @@ def mark_nearest(
 def _is_clear(
     nearest: Array, size: int, window: tuple[int, int, int, int], far: Any
 ) -> bool:
-    """True if no block of `size` x `size` cells in a window knows of anything as near as `far`."""
+    """True if nothing in a window of blocks is as near as `far`.
+
+    Parameters
+    ----------
+    nearest : (n_rows, n_columns) float32
+        Distance of the nearest thing in each block of cells. [m]
+    size : int
+        Cells along one side of a block.
+    window : tuple of 4 int
+        Cells, as :func:`_window` returns them.
+    far : float32
+        Distance up to which things count. [m]
+    """
     low, high, begin, end = window
     for up in range(low // size, high // size + 1):
         for around in range(begin // size, end // size + 1):
@@ -302,10 +447,20 @@ def find_unclear_points(
     view_index: IntArray,
     unclear: BoolArray,
 ) -> None:
-    """Set `unclear` (n, n_points) where something may stand before a point of a view.
+    """Mark the points of views that something may occlude.
 
-    `nearest` (n_up, n_around) are cells of :func:`mark_nearest`, `eye` (3,) is where
-    they are seen from; `view_index` (n,): which views are asked for.
+    Parameters
+    ----------
+    nearest : (n_up, n_around) float32
+        Cells filled by :func:`mark_nearest`. [m]
+    views : Views
+        All bodies.
+    eye : (3,) float
+        Where they are seen from; the same as for `nearest`. [m]
+    view_index : (n,) int
+        Views that are asked for.
+    unclear : (n, n_points) bool
+        Set to True where something may stand in front of a point.
     """
     points = views.points
     middle = views.middle
@@ -314,13 +469,13 @@ def find_unclear_points(
     ez = eye[2]
     blocks = np.empty((N_UP // _BLOCK, N_AROUND // _BLOCK), np.float32)
     blocks[:] = np.inf
-    for up in range(N_UP):  # all cells: the nearest thing of each block of them
+    # Find the nearest thing of each block of cells.
+    for up in range(N_UP):
         for column in range(N_AROUND):
             block = blocks[up // _BLOCK, column // _BLOCK]
             blocks[up // _BLOCK, column // _BLOCK] = min(block, nearest[up, column])
-    for row in range(
-        len(view_index)
-    ):  # views: first as a whole, by the sphere around them
+    # Look at each view as a whole first, by the sphere around it.
+    for row in range(len(view_index)):
         view = view_index[row]
         x = middle[view, 0] - ex
         y = middle[view, 1] - ey
@@ -330,11 +485,13 @@ def find_unclear_points(
         if distance > wide:
             window = _window(x, y, z, wide, nearest.shape)
             far = np.float32(distance + wide)
-            if _is_clear(blocks, _BLOCK, window, far) or _is_clear(
-                nearest, 1, window, far
-            ):
+            # Blocks of cells first: fewer of them answer most views.
+            if _is_clear(blocks, _BLOCK, window, far):
                 continue
-        for point in range(points.shape[2]):  # then point by point, by its cell
+            if _is_clear(nearest, 1, window, far):
+                continue
+        # Then look at the cell of each point.
+        for point in range(points.shape[2]):
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
@@ -349,7 +506,21 @@ def find_unclear_points(
 
 @kernel
 def misses(eye: Point, target: Point, low: Point, high: Point) -> bool:
-    """True if the way from one place to another passes a box along the axes."""
+    """True if the way from one place to another passes a box along the axes.
+
+    Clips the way to the three pairs of planes of the box, one axis after another.
+
+    Parameters
+    ----------
+    eye, target : tuple of 3 floats
+        Both ends of the way. [m]
+    low, high : tuple of 3 floats
+        Lowest and highest corner of the box. [m]
+
+    References
+    ----------
+    T. Kay, J. Kajiya, "Ray tracing complex scenes", SIGGRAPH 1986 (slabs).
+    """
     first = 0.0
     last = 1.0
     for axis in range(3):
@@ -380,27 +551,52 @@ def shorten(
     start: Array,
     vector: Array,
 ) -> None:
-    """The ray along the way from the eye to a point: it starts `near` and is `cut` shorter."""
+    """Write the ray from an eye to a point, shortened at both ends.
+
+    Parameters
+    ----------
+    eye : tuple of 3 float32
+        Where the way begins. [m]
+    way : tuple of 3 float32
+        From the eye to the point. [m]
+    near : float32
+        How far from the eye the ray starts. [m]
+    cut : float32
+        How much shorter than the way the ray is. [m]
+    start, vector : (3,) float32
+        Written: start of the ray, and the vector from there to its end. [m]
+    """
     x, y, z = way
     one = np.float32(1.0)
     per_length = one / np.sqrt(x * x + y * y + z * z)
     begin = near * per_length
     share = one - cut * per_length
-    start[0], start[1], start[2] = (
-        x * begin + eye[0],
-        y * begin + eye[1],
-        z * begin + eye[2],
-    )
-    vector[0], vector[1], vector[2] = x * share, y * share, z * share
+    start[0] = x * begin + eye[0]
+    start[1] = y * begin + eye[1]
+    start[2] = z * begin + eye[2]
+    vector[0] = x * share
+    vector[1] = y * share
+    vector[2] = z * share
 
 
 @kernel
 def fill_rays(
     points: Array, view_index: IntArray, asked: BoolArray, eye: FloatArray, rays: Rays
 ) -> None:
-    """Fill in rays from the eye (3,) to the points asked for (n, n_points), row by row.
+    """Write the rays from an eye to the points that are asked for.
 
-    Row n is about view `view_index[n]` of `points` (n_views, 3, n_points).
+    Parameters
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points of all bodies. [m]
+    view_index : (n,) int
+        View of each row of `asked`.
+    asked : (n, n_points) bool
+        Points that get a ray, row by row.
+    eye : (3,) float
+        Where all rays come from. [m]
+    rays : Rays
+        Written to; it has room for all points that are asked for.
     """
     near = np.float32(rays.near_m)
     cut = np.float32(rays.near_m + rays.off_surface_m)
@@ -408,9 +604,8 @@ def fill_rays(
     ey = np.float32(eye[1])
     ez = np.float32(eye[2])
     ray = 0
-    for row in range(
-        len(view_index)
-    ):  # views, and the points of each that are asked for
+    # Loop over the views, and the points of each that are asked for.
+    for row in range(len(view_index)):
         view = view_index[row]
         for point in range(points.shape[2]):
             if not asked[row, point]:
@@ -418,9 +613,9 @@ def fill_rays(
             x = points[view, 0, point] - ex
             y = points[view, 1, point] - ey
             z = points[view, 2, point] - ez
-            shorten(
-                (ex, ey, ez), (x, y, z), near, cut, rays.starts[ray], rays.vectors[ray]
-            )
+            start = rays.starts[ray]
+            vector = rays.vectors[ray]
+            shorten((ex, ey, ez), (x, y, z), near, cut, start, vector)
             ray += 1
 
 
@@ -433,18 +628,44 @@ def find_bodies_between(
     bodies: Occluders,
     pairs: Array,
 ) -> int:
-    """Pairs (row, body) of views and bodies that may hide something of them; their number.
+    """Find the pairs of views and bodies that may occlude part of them.
 
-    Row n is view `view_index[n]`; in it there are the bodies of group `group_index[n]`.
-    Pairs go to `pairs` (n_pairs, 2). The way to the middle of the view passes all other
-    bodies at a greater distance than any way to a point has from it.
+    Parameters
+    ----------
+    views : Views
+        All bodies to be looked at.
+    eye : (3,) float
+        Where they are seen from. [m]
+    view_index : (n,) int
+        View of each row.
+    group_index : (n,) int
+        Group of bodies that are there in each row.
+    bodies : Occluders
+        All bodies that may be in the way.
+    pairs : (n_pairs, 2) int
+        Written: row and body of each pair.
+
+    Returns
+    -------
+    n_pairs : int
+        Number of pairs written.
+
+    Notes
+    -----
+    All other bodies are farther from the way to the middle of the view than any way
+    to one of its points is. Two tests say so, the cheaper first: the sphere around
+    the body's box, then the box itself, widened by the radius of the view.
     """
     position = bodies.position
     n_bodies = len(bodies.boxes)
     n_pairs = 0
-    centre = np.empty_like(position)  # middle of each body's box, in the world's frame
-    reach = np.empty(n_bodies)  # of that box from its middle
-    eyes = np.empty_like(position)  # the eye in each body's frame
+    # Middle of each body's box, in the world's frame.
+    centre = np.empty_like(position)
+    # Distance of the box's corners from its middle.
+    reach = np.empty(n_bodies)
+    # The eye in each body's frame.
+    eyes = np.empty_like(position)
+    # Loop over all bodies: middle and size of their boxes, and the eye in their frames.
     for body in range(n_bodies):
         low = bodies.boxes[body, 0]
         high = bodies.boxes[body, 1]
@@ -458,7 +679,8 @@ def find_bodies_between(
                 centre[body, i] += 0.5 * r[i, j] * (low[j] + high[j])
                 eyes[body, i] += r[j, i] * (eye[j] - position[body, j])
         reach[body] = np.sqrt(reach2)
-    for row in range(len(view_index)):  # views, and the bodies of the group of each
+    # Loop over the views, and the bodies of the group of each.
+    for row in range(len(view_index)):
         view = view_index[row]
         group = group_index[row]
         wide = views.radius[view]
@@ -471,12 +693,14 @@ def find_bodies_between(
             cx = centre[body, 0] - eye[0]
             cy = centre[body, 1] - eye[1]
             cz = centre[body, 2] - eye[2]
+            # The point of the way that is nearest to the middle of the body's box.
             share = min(max((cx * mx + cy * my + cz * mz) / length2, 0.0), 1.0)
             away2 = (
                 (cx - share * mx) ** 2 + (cy - share * my) ** 2 + (cz - share * mz) ** 2
             )
             if away2 > (reach[body] + wide) ** 2:
                 continue
+            # The way in the body's frame, against the box widened by the view's radius.
             r = bodies.rotation[body]
             low = bodies.boxes[body, 0]
             high = bodies.boxes[body, 1]
@@ -500,7 +724,7 @@ def find_bodies_between(
 
 @kernel
 def _into_body(rotation: Array, x: float, y: float, z: float) -> Point:
-    """A way in the world's axes, in a body's."""
+    """A vector of the world's axes in those of a body, by R transposed."""
     r = rotation
     return (
         r[0, 0] * x + r[1, 0] * y + r[2, 0] * z,
@@ -519,21 +743,37 @@ def find_rays_at_body(
     rays: Rays,
     asked: BoolArray,
 ) -> int:
-    """Rays to points of some views that meet the box around a body, in the body's frame.
+    """Write the rays that meet the box around a body, in the body's frame.
 
-    Row n asks for the points of view `view_index[n]`, of `points` (n_views, 3,
-    n_points), that are not `hidden[n]`, while a body is at `bodies.position[n]`. Sets
-    `asked` (n, n_points) and returns the number of rays; there must be room for all
-    points of all rows.
+    Parameters
+    ----------
+    points : (n_views, 3, n_points) float32
+        Points of all views. [m]
+    view_index : (n,) int
+        View of each row.
+    hidden : (n, n_points) bool
+        Points that need no ray: something else occludes them.
+    eye : (3,) float
+        Where all rays come from, world frame. [m]
+    bodies : OneKind
+        The body in the way of each row.
+    rays : Rays
+        Written to; it has room for all points of all rows.
+    asked : (n, n_points) bool
+        Set to True for the points that get a ray.
+
+    Returns
+    -------
+    n_rays : int
+        Number of rays written.
     """
     near = np.float32(rays.near_m)
     cut = np.float32(rays.near_m + rays.off_surface_m)
     least = (bodies.lowest[0], bodies.lowest[1], bodies.lowest[2])
     most = (bodies.highest[0], bodies.highest[1], bodies.highest[2])
     ray = 0
-    for row in range(
-        len(view_index)
-    ):  # views with a body each; the eye goes into its frame
+    # Loop over the views with a body each, and take the eye into its frame.
+    for row in range(len(view_index)):
         view = view_index[row]
         r = bodies.rotation[row]
         px = bodies.position[row, 0]
@@ -541,7 +781,8 @@ def find_rays_at_body(
         pz = bodies.position[row, 2]
         origin = _into_body(r, eye[0] - px, eye[1] - py, eye[2] - pz)
         start = (np.float32(origin[0]), np.float32(origin[1]), np.float32(origin[2]))
-        for point in range(points.shape[2]):  # points that nothing hides yet
+        # Loop over the points that nothing occludes yet.
+        for point in range(points.shape[2]):
             if hidden[row, point]:
                 continue
             x = points[view, 0, point]

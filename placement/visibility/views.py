@@ -24,37 +24,65 @@ from scenarios.runs import Run
 
 # ---------- points on the outside of bodies
 _SAMPLES_PER_POINT = 30
-_TURN_M = 0.3  # a normal turned by a radian counts as much as a way of this length
+# A normal turned by a radian counts as much as a way of this length.
+_TURN_M = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surface:
-    """Points on the outside of a body at one instant of its gait."""
+    """Points on the outside of a body at one instant of its gait.
+
+    Attributes
+    ----------
+    actor : Actor
+        The body.
+    shape_index : int
+        Which of its shapes.
+    points_m : (n, 3) float
+        Body frame; the extremes of the shape are among them. [m]
+    area_m2 : (n, 3) float
+        Part of the surface around each point: its area along its mean outward
+        normal. [m^2]
+    hull_index : (n_corners,) int
+        Points at the corners of the convex hull of all points.
+    radius_m : float
+        Distance from their mean within which all points lie. [m]
+    """
 
     actor: Actor
-    shape_index: int  # which of its shapes
-    points_m: FloatArray  # (n, 3): body frame; the shape's extremes are among them. [m]
-    # (n, 3): the part of the surface around each point: its area along its mean outward
-    # normal. [m^2]
+    shape_index: int
+    points_m: FloatArray
     area_m2: FloatArray
-    hull_index: (
-        IntArray  # (n_corners,): points at the corners of the convex hull of all
-    )
-    radius_m: float  # all points lie this near to their mean. [m]
+    hull_index: IntArray
+    radius_m: float
 
 
-@cache  # tables of variants ask for the same bodies again
+# Cached, since tables of variants ask for the same bodies.
+@cache
 def build_surface(
     actor: Actor, shape_index: int, *, n_points: int, seed: int
 ) -> Surface:
-    """Spread points evenly over the outside of a body's shape, a closed mesh.
+    """Spread points evenly over the outside of a body's shape.
 
     The extremes along 26 directions come first, so that boxes around the points are
-    boxes around the shape; then, one by one, the random sample farthest from all points
-    so far.
+    boxes around the shape; then, one by one, the random sample farthest from all
+    points so far.
 
-    Source: Y. Eldar et al., "The farthest point strategy for progressive image
-    sampling", 1997.
+    Parameters
+    ----------
+    actor : Actor
+        The body.
+    shape_index : int
+        Which of its shapes, a closed mesh.
+    n_points : int
+        How many points.
+    seed : int
+        Of the random samples.
+
+    References
+    ----------
+    Y. Eldar et al., "The farthest point strategy for progressive image sampling",
+    1997.
     """
     import trimesh
     from scipy.spatial import cKDTree
@@ -67,17 +95,14 @@ def build_surface(
     signs = np.array(
         [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
     )
-    extremes = np.unique(
-        np.argmax(shape.vertices_m @ signs[signs.any(axis=1)].T, axis=0)
-    )
+    directions = signs[signs.any(axis=1)]
+    extremes = np.unique(np.argmax(shape.vertices_m @ directions.T, axis=0))
     corners = extremes[:n_points]
-    spread = farthest_samples(
-        samples, shape.vertices_m[corners], n_points - len(corners)
-    )
-    points = np.concatenate([shape.vertices_m[corners], samples[spread]])
-    normals = np.concatenate(
-        [mesh.vertex_normals[corners], mesh.face_normals[faces[spread]]]
-    )
+    corners_m = shape.vertices_m[corners]
+    spread = farthest_samples(samples, corners_m, n_points - len(corners))
+    points = np.concatenate([corners_m, samples[spread]])
+    spread_normals = mesh.face_normals[faces[spread]]
+    normals = np.concatenate([mesh.vertex_normals[corners], spread_normals])
     # A sample belongs to the nearest point that faces the same way: not to one around
     # the corner.
     tree = cKDTree(np.hstack([points, _TURN_M * normals]))
@@ -96,9 +121,21 @@ def build_surface(
 
 
 def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray:
-    """Indices (n,) of samples (m, 3): one by one the farthest from all points so far.
+    """Choose samples, one by one the farthest from all points so far.
 
-    The points `first` (k, 3) are there from the beginning.
+    Parameters
+    ----------
+    samples : (m, 3) float
+        Points to choose from.
+    first : (k, 3) float
+        Points that are there from the beginning.
+    n : int
+        How many to choose.
+
+    Returns
+    -------
+    chosen : (n,) int
+        Indices of samples, in the order in which they are chosen.
     """
     distance = np.full(len(samples), np.inf)
     chosen = np.empty(n, dtype=np.int64)
@@ -113,7 +150,10 @@ def farthest_samples(samples: FloatArray, first: FloatArray, n: int) -> IntArray
 
 
 def _hull_corners(points_m: FloatArray) -> IntArray:
-    """Points at the corners of the convex hull; all of them if they lie in a plane."""
+    """Indices of the points at the corners of the convex hull.
+
+    All points if they are fewer than four or lie in a plane.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -125,38 +165,73 @@ def _hull_corners(points_m: FloatArray) -> IntArray:
 # ---------- places and views
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Bodies:
-    """Bodies of VRUs at their places, a row each."""
+    """Bodies of VRUs at their places, a row each.
 
-    # (n, 2): middle of the footprint, relative to the origin. [m]
+    Attributes
+    ----------
+    position_m : (n, 2) float
+        Middle of the footprint, relative to the origin. [m]
+    up_m : (n,) float
+        Height of the ground there. [m]
+    yaw_deg : (n,) float
+        Heading. [deg]
+    surface_index : (n,) int
+        Into the surfaces of :class:`Places`.
+    axes_m : (n, 3, n_points) float32
+        Points of the body by axis, relative to the origin. [m]
+    hull_m : (n, 3, n_corners) float32
+        Points at the corners of the body's convex hull, by axis; some stand there
+        twice. [m]
+    middle_m : (n, 3) float
+        Mean of the points. [m]
+    radius_m : (n,) float
+        Distance of the farthest point from it. [m]
+    """
+
     position_m: FloatArray
-    up_m: FloatArray  # (n,): height of the ground there. [m]
-    yaw_deg: FloatArray  # (n,): heading. [deg]
-    surface_index: IntArray  # (n,): into `surfaces`
-    # (n, 3, n_points): by axis, the body's points, relative to the origin. [m]
+    up_m: FloatArray
+    yaw_deg: FloatArray
+    surface_index: IntArray
     axes_m: FloatRays
-    # (n, 3, n_corners): by axis, the points at the corners of the body's convex hull;
-    # some stand there twice. [m]
     hull_m: FloatRays
-    # middle_m, radius_m: (n, 3), (n,): mean of the points, and how far the farthest is
-    # from it. [m]
     middle_m: FloatArray
     radius_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places(_Bodies):
-    """Every distinct (body, shape, pose) in which a VRU is looked at, whatever stands around."""
+    """Distinct (body, shape, pose) in which VRUs are looked at.
 
-    surfaces: tuple[Surface, ...]  # each distinct shape of a VRU
-    place_of_frame: (
-        IntArray  # (n_frames,): where the VRU is in each frame of the frame axis
-    )
+    Whatever stands around them. A row of the inherited attributes is a place.
+
+    Attributes
+    ----------
+    surfaces : tuple of Surface
+        Distinct shapes of the VRUs.
+    place_of_frame : (n_frames,) int
+        Where the VRU is in each frame of the frame axis.
+    """
+
+    surfaces: tuple[Surface, ...]
+    place_of_frame: IntArray
 
 
 def build_places(
     scene: Scene, runs: Sequence[Run], origin_m: FloatArray, *, n_points: int, seed: int
 ) -> Places:
-    """Find the poses in which the VRUs of runs are looked at, relative to an origin."""
+    """Find the poses in which the VRUs of runs are looked at.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its terrain says how high the VRUs stand.
+    runs : sequence of Run
+        How VRUs walk.
+    origin_m : (3,) float
+        Subtracted from all coordinates. [m]
+    n_points, seed : int
+        As in :func:`build_surface`.
+    """
     shapes = {
         (run.encounter.vru, index): None
         for run in runs
@@ -210,29 +285,57 @@ def build_places(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VruViews(_Bodies):
-    """Every distinct (place, obstruction) in which a VRU is looked at; see :class:`Places`."""
+    """Distinct (place, obstruction) in which VRUs are looked at.
 
-    # (n_views,) each: place, and what stands around, into the obstructions of `World`
+    A row of the inherited attributes is a view; see :class:`Places`.
+
+    Attributes
+    ----------
+    place_index : (n_views,) int
+        Place of each view.
+    obstruction_index : (n_views,) int
+        What stands around, into the obstructions of `World`.
+    view_of_frame : (n_frames,) int
+        View that each frame of the frame axis shows.
+    weathers : tuple of Weather
+        Distinct weathers.
+    weather_of_frame : (n_frames,) int
+        Weather of each frame.
+    """
+
     place_index: IntArray
     obstruction_index: IntArray
-    view_of_frame: (
-        IntArray  # (n_frames,): which view each frame of the frame axis shows
-    )
-    weathers: tuple[Weather, ...]  # distinct weathers
-    weather_of_frame: IntArray  # (n_frames,): which of them it is
+    view_of_frame: IntArray
+    weathers: tuple[Weather, ...]
+    weather_of_frame: IntArray
 
     @property
     def points_m(self) -> FloatRays:
-        """The body's points (n_views, n_points, 3), in metres from the origin of `World`."""
+        """Points of the bodies, (n_views, n_points, 3), in metres.
+
+        Relative to the origin of `World`.
+        """
         return np.swapaxes(self.axes_m, 1, 2)
 
 
 def build_views(
     places: Places, runs: Sequence[Run], obstruction_index: IntArray
 ) -> VruViews:
-    """Find out what stands around where: of the runs that the places are of, or the same VRUs'.
+    """Find out which obstruction stands around each place.
 
-    `obstruction_index`, (n_runs,), is into the obstructions of `World`.
+    Parameters
+    ----------
+    places : Places
+        Where VRUs are looked at.
+    runs : sequence of Run
+        The runs that the places are of, or others with the same VRUs.
+    obstruction_index : (n_runs,) int
+        Into the obstructions of `World`.
+
+    Raises
+    ------
+    ValueError
+        The runs have another number of frames than the places.
     """
     n_frames = [len(run.time_s) for run in runs]
     if sum(n_frames) != len(places.place_of_frame):
@@ -247,19 +350,20 @@ def build_views(
     place, obstruction = np.divmod(pairs, n_obstructions)
     # Mostly nothing but one thing stands around each: then there is nothing to copy.
     is_every = np.array_equal(place, np.arange(len(places.yaw_deg)))
-    chosen = slice(None) if is_every else place
+    chosen: slice | IntArray = place
+    if is_every:
+        chosen = slice(None)
+    names = [field.name for field in fields(_Bodies)]
+    bodies = {name: getattr(places, name)[chosen] for name in names}
     weathers = list(dict.fromkeys(run.weather for run in runs))
+    weather_of_run = [weathers.index(run.weather) for run in runs]
     return VruViews(
         place_index=place,
         obstruction_index=obstruction,
-        **{
-            field.name: getattr(places, field.name)[chosen] for field in fields(_Bodies)
-        },
+        **bodies,
         view_of_frame=view_of_frame.ravel(),
         weathers=tuple(pick_weather(name, "runs: weather") for name in weathers),
-        weather_of_frame=np.repeat(
-            [weathers.index(run.weather) for run in runs], n_frames
-        ),
+        weather_of_frame=np.repeat(weather_of_run, n_frames),
     )
 
 
@@ -269,10 +373,17 @@ Find = Callable[[IntArray], BoolArray]
 
 
 class HiddenPoints:
-    """Cache of hidden points of bodies, row by row, for eyes that come up again.
+    """Cache of hidden points of bodies, for eyes that come up again.
 
-    Rows are places, or frames. Hidden points are found once and cached, as long as
-    there is room; the cache changes no result. Several threads may ask.
+    Hidden points of a row are found once and cached, as long as there is room. The
+    cache changes no result. Several threads may use it.
+
+    Parameters
+    ----------
+    n_rows : int
+        Number of places, or of frames.
+    n_points : int
+        Points of each body.
     """
 
     def __init__(self, n_rows: int, n_points: int) -> None:
@@ -289,10 +400,22 @@ class HiddenPoints:
         *,
         foreseen: IntArray | None = None,
     ) -> BoolArray:
-        """Hidden points of rows (n,), distinct, seen from an eye by its name, (n, n_points).
+        """Hidden points of rows, seen from an eye.
 
-        `find` finds them. Where it has to, it is asked for the rows that are
-        `foreseen`, too.
+        Parameters
+        ----------
+        eye : hashable
+            Names the eye.
+        rows : (n,) int
+            Distinct rows.
+        find : callable
+            Finds the hidden points, (k, n_points), of rows (k,).
+        foreseen : (m,) int, optional
+            Where `find` has to be called, it is asked for these rows, too.
+
+        Returns
+        -------
+        hidden : (n, n_points) bool
         """
         if eye not in self._of_eye:
             if len(self._of_eye) >= self._most_eyes:
@@ -307,7 +430,8 @@ class HiddenPoints:
                 is_asked[foreseen] = True
             asked = np.flatnonzero(is_asked & ~is_known)
             bits[asked] = np.packbits(find(asked), axis=1)
-            is_known[asked] = True  # last: another thread may ask
+            # Set last, since another thread may ask.
+            is_known[asked] = True
         return np.unpackbits(bits[rows], axis=1, count=self._n_points).view(bool)
 
 
@@ -319,7 +443,10 @@ def look(
     *,
     foreseen: IntArray | None = None,
 ) -> BoolArray:
-    """Hidden points of rows: found, or those of a cache; see :meth:`HiddenPoints.look`."""
+    """Hidden points of rows, from a cache if there is one.
+
+    Parameters and result as in :meth:`HiddenPoints.look`.
+    """
     if cache is None:
         return find(rows)
     return cache.look(eye, rows, find, foreseen=foreseen)
