@@ -204,6 +204,9 @@ def cut_out(
         what = Phrase("other junctions around it")
         why = Phrase("lanes are led straight on through them on smooth curves: assumed")
         skipped.append(Note(what, why, kind="roads"))
+    zero_height_m = None
+    if relief.terrain is not None:
+        zero_height_m = round(relief.zero_m, 3)
     return Surroundings(
         frame=frame,
         lanes=(*lanes, *through),
