@@ -1,4 +1,8 @@
-"""Bodies that move or park: boxes from ``data/actors.toml``, shapes from ``data/actors.npz``."""
+"""Bodies that move or park, and the catalogue they come from.
+
+Boxes and other sizes are in ``data/actors.toml``, shapes in
+``data/actors.npz``.
+"""
 
 import hashlib
 import json
@@ -254,7 +258,10 @@ def pick_actor(name: str, where: str) -> Actor:
 
 
 class _ActorEntry(Struct, frozen=True, kw_only=True):
-    """A body in ``data/actors.toml`` but for its parts, which ``geometry.body_shapes`` reads."""
+    """A body in ``data/actors.toml`` without its parts.
+
+    Only ``geometry.body_shapes`` reads the parts.
+    """
 
     class_name: Text
     length_m: float

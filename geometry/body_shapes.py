@@ -1,4 +1,6 @@
-"""Shapes of bodies, built from ``data/actors.toml``: ``python -m geometry.body_shapes``.
+"""Build the shapes of bodies: ``python -m geometry.body_shapes``.
+
+The input is ``data/actors.toml``.
 
 A body is a few bones that turn about the axis from right to left, and the union of
 simple solids fixed to them. The result is kept in ``data/actors.npz``, so that only
@@ -72,7 +74,17 @@ def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
 
 
 def save_shapes(path: Path, table: Table) -> None:
-    """Build and save the shapes of a catalogue, for :func:`geometry.actors.read_actors`."""
+    """Build and save the shapes of a catalogue.
+
+    :func:`geometry.actors.read_actors` reads the file.
+
+    Raises
+    ------
+    InputError
+        A body is described wrongly.
+    MissingExtraError
+        manifold3d is not installed.
+    """
     arrays: dict[str, Any] = {"fingerprint": np.array(fingerprint(table))}
     for name, entry in table.items():
         shapes = build_shapes(entry, f"actors.toml: {name}")
@@ -91,7 +103,11 @@ def main() -> None:
 
 # ---------- gait
 def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
-    """Angles in degrees of the right side's joints at each instant, by name; positive: forwards."""
+    """Angles of the right side's joints, by name, in degrees.
+
+    Each array has one angle per instant, (n_shapes,). Positive angles turn
+    forwards.
+    """
     turns: dict[str, FloatArray] = {
         name: float_array(row, (_N_SHAPES,), f"{where}.turns_deg.{name}")
         for name, row in entry.get("turns_deg", {}).items()
@@ -102,7 +118,15 @@ def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
 
 
 def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
-    """Angles in degrees of a leg whose foot stays on the pedal: two bars from hip to ankle."""
+    """Angles of a leg whose foot stays on the pedal, in degrees.
+
+    The leg is two bars from hip to ankle; the knee bends forwards.
+
+    Raises
+    ------
+    InputError
+        The foot does not reach its pedal.
+    """
     points = ("crank_shaft_m", "hip_m", "ankle_from_pedal_m")
     shaft, hip, from_pedal = (
         float_array(take_list(entry, key, where), (2,), f"{where}.{key}")
@@ -136,7 +160,10 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
 
 
 def _hanging(angle_deg: FloatArray) -> FloatArray:
-    """Ahead and up, (n, 2), of a bar of length 1 that hangs down and is turned forwards."""
+    """Ahead and up, (n, 2), of a bar of length 1.
+
+    At 0 degrees the bar hangs down; positive angles turn it forwards.
+    """
     angle = np.radians(angle_deg)
     return np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
 
@@ -147,7 +174,10 @@ def _angle_deg(bar: FloatArray) -> FloatArray:
 
 
 def _turn_deg(angle_deg: float) -> FloatArray:
-    """Rotation about the axis from left to right: positive turns what hangs forwards."""
+    """Rotation about the axis from left to right, (3, 3).
+
+    A positive angle turns what hangs forwards.
+    """
     cos = np.cos(np.radians(angle_deg))
     sin = np.sin(np.radians(angle_deg))
     return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])

@@ -1,4 +1,7 @@
-"""Calibrated cameras of a file: OpenCV's and ROS's YAML, OpenCV's and Tsai's XML, KITTI's text.
+"""Read calibrated cameras from the usual calibration files.
+
+These are the YAML files of OpenCV and ROS, the XML files of OpenCV and Tsai,
+and KITTI's text files.
 
 Where a file does not say where a camera stands, it is at the origin and looks along z.
 """
@@ -89,7 +92,10 @@ def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
 
 
 def _xml_record(root: "Element") -> dict[str, Any]:
-    """Elements of OpenCV's XML by name: matrices as maps of their data, others as text."""
+    """Elements of OpenCV's XML, by name.
+
+    A matrix becomes a map of its data, every other element its text.
+    """
     found = {}
     for one in root:
         data = one.find("data")
@@ -178,7 +184,15 @@ def _lens(record: Mapping[str, Any], where: str) -> Lens:
 
 
 def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation from the world to the camera, and where it stands in the world, in metres."""
+    """Rotation from the world to the camera, and the camera's position.
+
+    The rotation is (3, 3), the position (3,) in the world frame, in metres.
+
+    Raises
+    ------
+    InputError
+        A number is missing, or the quaternion is not of length 1.
+    """
     transform = record.get("static_transform")
     if isinstance(transform, Mapping):
         inner = transform.get("transform")
@@ -228,7 +242,10 @@ def _numbers(
 def read_opencv_camera(
     intrinsic: Path, extrinsic: Path, size_px: _Size
 ) -> CalibratedCamera:
-    """A camera of OpenCV's XML: matrix and distortion in one file, rvec and tvec (cm) in another.
+    """Camera of OpenCV's XML: intrinsics in one file, pose in another.
+
+    `intrinsic` has the matrix and the distortion, `extrinsic` has rvec and
+    tvec; tvec is in centimetres.
 
     Raises InputError if numbers are missing or no camera's.
     """

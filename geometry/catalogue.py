@@ -69,7 +69,10 @@ def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
 
 
 def _check_lens(entry: Any, where: str) -> None:
-    """Refuse a lens's terms outside of its table: other fields of no meaning are passed over."""
+    """Refuse terms of a lens that stand outside its own table.
+
+    Other fields that mean nothing are ignored.
+    """
     if isinstance(entry, Mapping) and (
         named := [one for one in _LENS_FIELDS if one in entry]
     ):
@@ -104,7 +107,15 @@ def pick_camera(name: str, where: str) -> CameraModel:
 
 
 def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
-    """Sensor model by name, of one of ``SENSOR_KINDS`` or of any; InputError: it is unknown."""
+    """Sensor model by name.
+
+    `kind` is one of ``SENSOR_KINDS``; without it, models of all kinds count.
+
+    Raises
+    ------
+    InputError
+        No model has this name.
+    """
     known: dict[str, Sensor] = {}
     if kind != "lidar":
         known |= load_cameras()

@@ -41,7 +41,9 @@ def refuse(where: str, words: object, expected: str) -> NoReturn:
 
 @contextmanager
 def located(prefix: str) -> Iterator[None]:
-    """Say of what is refused within, by its place there, where that is; an empty place is `prefix`.
+    """Put a prefix before the place that an InputError names.
+
+    An error with an empty place gets `prefix` alone.
 
     >>> with located("mine.toml: latency."):
     ...     raise InputError("sd_s", -1, "at least 0")
@@ -90,7 +92,7 @@ class MissingExtraError(RuntimeError):
 
 
 def _shorten(got: object) -> str:
-    """A value as Python writes it, cut off where it would fill more than a line or two."""
+    """A value as Python writes it, cut off after 200 characters."""
     try:
         text = repr(got)
     except ValueError:  # Python refuses to write integers of thousands of digits
@@ -101,7 +103,11 @@ def _shorten(got: object) -> str:
 
 
 def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
-    """Text that may hold anything, such as a file's own names, as part of one readable line."""
+    """Text as part of one readable line, whatever characters it holds.
+
+    The text may come from a file, such as a name in it. Characters that nobody
+    sees are written as escapes.
+    """
     if (
         len(text) > max_characters
     ):  # both ends tell something: a file's folder and its name

@@ -78,7 +78,13 @@ def _kind(mode: int) -> str:
 
 
 def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
-    """Open a regular file for reading; InputError: it is none, too large, or cannot be opened."""
+    """Open a regular file for reading.
+
+    Raises
+    ------
+    InputError
+        It is no regular file, is too large, or cannot be opened.
+    """
     check_file(path, max_bytes=max_bytes)  # to open a device may already do something
 
     def at_once(
@@ -109,7 +115,11 @@ def read_bytes(path: Path, *, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 def reading(
     path: Path | str, expected: str = "", *damage: type[BaseException]
 ) -> Iterator[None]:
-    """Raise InputError in place of what the system raises, and what readers do about `damage`."""
+    """Raise InputError in place of errors of the system and of readers.
+
+    `damage` are the exceptions that readers raise about damaged content;
+    `expected` is what the message says then.
+    """
     try:
         yield
     except InputError:
@@ -126,7 +136,15 @@ def reading(
 
 
 def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Text of a UTF-8 file that holds a `kind` of text, "JSON"; raises InputError as above."""
+    """Text of a UTF-8 file.
+
+    `kind` is the kind of text that it holds, such as "JSON".
+
+    Raises
+    ------
+    InputError
+        As :func:`read_bytes`, or the text is not UTF-8.
+    """
     try:
         return read_bytes(path, max_bytes=max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -136,7 +154,9 @@ def read_text(path: Path, kind: str, *, max_bytes: int = MAX_TEXT_BYTES) -> str:
 def csv_rows(
     text: str, where: str, *, separators: str = ",", noun: str = "fields"
 ) -> Iterator[tuple[str, list[str]]]:
-    """Rows of CSV but empty ones, the header first: file and line, and the cells without spaces.
+    """Rows of CSV without empty ones: file and line, and the cells.
+
+    The header comes first. Spaces around cells are removed.
 
     The first line says which of the separators it is. Raises InputError: it is no CSV,
     or a row has other numbers of cells than the header; `noun` is what the message
@@ -162,7 +182,13 @@ def csv_rows(
 
 
 def open_new(path: Path) -> BinaryIO:
-    """Create a file for writing, in a folder of this program's own; OSError if it is there."""
+    """Create a file for writing in a folder of this program's own.
+
+    Raises
+    ------
+    OSError
+        The file is there already.
+    """
     return path.open("xb")
 
 
@@ -173,13 +199,19 @@ def write_new(path: Path, text: str) -> None:
 
 
 def check_target(path: Path) -> None:
-    """Raise InputError if a name belongs to anything but a regular file, which is replaced."""
+    """Raise InputError if a name belongs to anything but a regular file.
+
+    A regular file is replaced.
+    """
     if what := _obstacle(path):
         refuse(str(path), what, "a regular file's name, or one that is free")
 
 
 def _obstacle(path: Path) -> str:
-    """Kind of what has a name already, unless it is a regular file or a folder; else empty."""
+    """Kind of what has a name already, if it is in the way.
+
+    Empty for a regular file, for a folder and for a free name.
+    """
     try:
         mode = path.lstat().st_mode
     except (OSError, ValueError):
@@ -198,7 +230,10 @@ def write_atomically(
     *,
     is_private: bool = False,
 ) -> None:
-    """Write a file under a temporary name in the same folder, which exists, and move it into place.
+    """Write a file whole or not at all, under its name in a folder.
+
+    The content goes to a temporary file in the same folder, which must exist;
+    that file is then moved into place.
 
     Temporary files that a killed process left are removed. A callable writes the
     content to an open file; whatever it raises leaves `path` as it was. A private file
@@ -258,7 +293,13 @@ def read_data(package: str, name: str, kind: type[_T]) -> _T:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Read TOML from a text; raises InputError, which names `where`, if it is not valid."""
+    """Read TOML from a text.
+
+    Raises
+    ------
+    InputError
+        The text is not valid TOML; the message names `where`.
+    """
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -309,7 +350,13 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
 
 
 def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of its keys and values. Raises _RepeatedKeyError: it has a key twice."""
+    """An object of its keys and values.
+
+    Raises
+    ------
+    _RepeatedKeyError
+        It has a key twice.
+    """
     found = dict(pairs)
     if len(found) < len(pairs):
         seen: set[str] = set()
@@ -333,7 +380,15 @@ def float_of(value: Any) -> float:
 def parse_number(
     word: str, where: str, *, least: float = -math.inf, most: float = math.inf
 ) -> float:
-    """The finite number that a word of a file is; `where` is its file, line and field."""
+    """The finite number that a word of a file is.
+
+    `where` is the word's file, line and field.
+
+    Raises
+    ------
+    InputError
+        The word is no finite number, or outside `least` .. `most`.
+    """
     # float() would also take 1_0 and other scripts' digits.
     if word.isascii() and "_" not in word:
         value = float_of(word)
@@ -351,7 +406,10 @@ def parse_number(
 
 
 def says(description: str, **limits: Any) -> msgspec.Meta:
-    """Description of a field for the schema, and limits of its value: ge, le, min_length."""
+    """Description of a field for the schema, with limits of its value.
+
+    `limits` are those of msgspec: ge, le, min_length.
+    """
     return msgspec.Meta(extra={"description": description}, **limits)
 
 
@@ -436,7 +494,10 @@ def _read_array(kind: Any, value: object) -> Any:
 def _input_error(
     error: msgspec.ValidationError, table: object, kind: Any, where: str
 ) -> InputError:
-    """Error of msgspec in our words: it knows the place and the type, but not the value."""
+    """Error of msgspec in our words.
+
+    msgspec knows the place and the type, but not the value.
+    """
     message = str(error)
     cause = error.__cause__
     if isinstance(cause, InputError) and cause.where:  # of a field's own check
@@ -476,7 +537,10 @@ def _input_error(
 
 
 def _plain(node: Any) -> Any:
-    """A type without its description; of an optional one, what it is when it is there."""
+    """The type of table that a field of the value names.
+
+    Where only one type is possible, it is that type.
+    """
     while isinstance(node, msgspec.inspect.Metadata | msgspec.inspect.UnionType):
         if isinstance(node, msgspec.inspect.Metadata):
             node = node.type
@@ -490,7 +554,10 @@ def _members(node: msgspec.inspect.UnionType) -> list[Any]:
 
 
 def _of_tag(node: Any, value: Any) -> Any:
-    """The one of several types of tables that a field of a table names; else the same."""
+    """Values that a type accepts, in words.
+
+    Of a number that is out of range, the words tell the range.
+    """
     if not isinstance(node, msgspec.inspect.UnionType) or len(_members(node)) == 1:
         return node
     return next(one for one in _members(node) if one.tag == value[one.tag_field])
@@ -587,7 +654,9 @@ def pick(known: Mapping[str, _T], name: str, where: str) -> _T:
 # ---------- temporary files and folders: whose process is alive?
 @contextmanager
 def lock_while_alive(path: Path) -> Iterator[None]:
-    """Lock a file or folder; the system lifts the lock when the process ends, however it ends.
+    """Lock a file or folder until the block or the process ends.
+
+    The system lifts the lock when the process ends, however it ends.
 
     Where the system has no such locks, :func:`is_abandoned` never holds.
     """
@@ -606,7 +675,11 @@ def lock_while_alive(path: Path) -> Iterator[None]:
 
 
 def is_abandoned(path: Path, *, min_age_s: float = _YOUNG_S) -> bool:
-    """True if no living process holds a temporary file or folder; False where that is not known."""
+    """True if no living process holds a temporary file or folder.
+
+    False where that is not known, and for `min_age_s` after the last change:
+    its process may not have locked it yet.
+    """
     try:
         import fcntl
 
@@ -627,7 +700,10 @@ def is_abandoned(path: Path, *, min_age_s: float = _YOUNG_S) -> bool:
 
 # ---------- folders whose content is believed
 def user_cache_folder() -> Path:
-    """The program's folder in the user's cache; a relative XDG_CACHE_HOME does not count."""
+    """The program's folder in the user's cache.
+
+    A relative XDG_CACHE_HOME does not count.
+    """
     from platformdirs import user_cache_path
 
     folder = user_cache_path("place-rsus")
@@ -638,7 +714,10 @@ def user_cache_folder() -> Path:
 
 
 def trouble_with(folder: Path) -> str:
-    """Make a folder where it is missing; why it cannot hold what is believed, empty if it can."""
+    """Make a folder where it is missing; say why it is not to be trusted.
+
+    Empty if the folder can hold what is believed.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
@@ -652,7 +731,10 @@ def trouble_with(folder: Path) -> str:
 
 @cache
 def private_temporary_folder() -> Path:
-    """A temporary folder of this user alone, the same in every call if it can be, or a new one."""
+    """A temporary folder of this user alone.
+
+    It is the same in every call if it can be, otherwise a new one.
+    """
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"place-rsus-{user}"
     if not trouble_with(folder):
@@ -704,7 +786,15 @@ def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
 
 
 def open_own(path: Path) -> BinaryIO:
-    """Open a file that this user or root alone can have written; or PermissionError, or OSError."""
+    """Open a file that this user or root alone can have written.
+
+    Raises
+    ------
+    PermissionError
+        Somebody else may have written it.
+    OSError
+        The file cannot be opened.
+    """
     file = path.open("rb")
     found = os.fstat(file.fileno())  # what is judged is what is read
     if hasattr(os, "getuid") and _is_open(found, is_last=True):
@@ -720,7 +810,10 @@ class Progress(Protocol):
     """A function that is called as a computation progresses."""
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
-        """Take note of the stage that runs, and of its steps done and all; 0 of 0: not known."""
+        """Take note of the stage that runs, and of its steps done and all.
+
+        0 of 0: their number is not known.
+        """
 
 
 def silent(stage: str, done: int, total: int, /) -> None:

@@ -80,7 +80,10 @@ def gaps_between(
     *,
     sizes: FootprintSizes,
 ) -> FloatArray:
-    """Gaps between two rectangles along the length and width of a, then of b, (4, ...), in metres.
+    """Gaps between two rectangles along their own axes, (4, ...), in metres.
+
+    The first two are along length and width of a, the last two along those of
+    b.
 
     Negative where they overlap; the largest is what :func:`footprint_separation` finds
     from corners, several times as slowly. `offset_m` (..., 2) leads from the middle of

@@ -1,4 +1,7 @@
-"""A junction as traffic sees it: arms, lanes in and out, crosswalks; where things stand there."""
+"""A junction as traffic sees it: arms, lanes and crosswalks.
+
+The module also says in words where things stand at the junction.
+"""
 
 import re
 from collections.abc import Callable, Sequence
@@ -53,7 +56,10 @@ _STRAIGHT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Line:
-    """A straight line on the road through a point (2,), with a direction: a unit vector (2,)."""
+    """Straight line on the road through a point, with a direction.
+
+    Both are (2,); the direction is a unit vector.
+    """
 
     point_m: FloatArray
     direction: FloatArray
@@ -79,7 +85,10 @@ class Line:
         return self.point_m + distance_m * self.direction + left_m * self.left
 
     def coordinates(self, point_m: ArrayLike) -> FloatArray:
-        """Metres ahead of the line's point and to the left of it at which points lie, (..., 2)."""
+        """Distances of points (..., 2) ahead and to the left, in metres.
+
+        They count from the line's point.
+        """
         offset = np.asarray(point_m, dtype=np.float64) - self.point_m
         return np.stack([offset @ self.direction, offset @ self.left], axis=-1)
 
@@ -131,7 +140,10 @@ class Arm:
 
     @property
     def speed_limit_kmh(self) -> float | None:
-        """The highest speed limit of its entry lanes, in km/h; None: the map gives none."""
+        """The highest speed limit of the entry lanes, in km/h.
+
+        None: the map gives none.
+        """
         limits = [lane.speed_limit_kmh for lane in self.entry_lanes]
         return max((limit for limit in limits if limit is not None), default=None)
 
@@ -171,7 +183,10 @@ class Junction:
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
-        """True if a lane is assumed to lead to the start of an entry lane, where the map ends."""
+        """True if a lane is assumed to lead to the start of an entry lane.
+
+        That is the case where the map ends.
+        """
         return bool(self._before(entry))
 
     def followed(self, entry: Lane) -> Lane:
@@ -191,7 +206,10 @@ class Junction:
         ]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
-        """The lane through the junction from one lane into another; None if the map has none."""
+        """The lane through the junction from one lane into another.
+
+        None: the map has no such lane.
+        """
         for lane in self.connections:
             begins = np.hypot(*(lane.centreline_m[0] - entry.centreline_m[-1]))
             ends = np.hypot(*(lane.centreline_m[-1] - leaving.centreline_m[0]))
@@ -274,7 +292,10 @@ def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
 
 
 def mirrored(junction: Junction) -> Junction:
-    """A junction mirrored north to south, where traffic keeps the other side; names stay."""
+    """The arm with a lane that begins or ends next to a road.
+
+    None: no arm has one.
+    """
 
     def turn_over(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
         return tuple(
@@ -307,7 +328,7 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
+    """Line along a lane next to the junction, and the lane's deviation.
 
     The line runs through the lane's mouth in driving direction. At most `length_m` of
     the lane count, and no more than it has; the largest distance from the line is in
@@ -442,7 +463,11 @@ def _build_arm(
 def _crosswalk(
     lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene
 ) -> Line:
-    """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
+    """The scene's crosswalk over the arm's mouth.
+
+    Where there is none, it is a line 2 m inside the mouth, as at Euro NCAP's
+    junction. The line leads from the kerb of the entry lanes to the other one.
+    """
     tips = [lane.centreline_m[-1] for lane in lanes_in]
     mouths = np.array([*tips, *(lane.centreline_m[0] for lane in lanes_out)])
     is_in = bool(lanes_in)
@@ -502,7 +527,10 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
 
 
 def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
-    """How far a piece of a lane turns away from the one to which it leads, or from which."""
+    """Change of direction from one piece of a lane to the next.
+
+    It is minus the cosine of the angle: -1 for straight on.
+    """
     if is_in:
         before, after = (other, lane)
     else:
@@ -512,7 +540,11 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
 
 
 def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]:
-    """Lane ends by arm: side by side the same way, or the two carriageways of one road."""
+    """Lane ends grouped by arm.
+
+    An arm has lanes side by side that lead the same way, or the two
+    carriageways of one road.
+    """
     mouths = [_mouth(*end) for end in ends]
 
     def is_pair(one: int, other: int) -> bool:
@@ -541,7 +573,10 @@ def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]
 
 
 def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
-    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
+    """Groups of 0 to n - 1 whose members are linked by pairs.
+
+    Groups come in the order of their first members.
+    """
     group = list(range(n))
     for one in range(n):
         for other in range(one):
@@ -556,7 +591,10 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
 def _median_m(
     entering: Sequence[_End], leaving: Sequence[_End], *, keeps_left: bool
 ) -> float | None:
-    """Width of the median between two carriageways of one arm; None: they are not one arm's."""
+    """Width of the median between two carriageways of one arm, in metres.
+
+    None: they are not of one arm.
+    """
     least_m = np.inf
     for is_in, lane in entering:
         mouth = _mouth(is_in, lane)
@@ -630,7 +668,10 @@ def compass_bearing_deg(yaw_deg: float) -> float:
 
 
 def street_names(scene: Scene) -> dict[str, str]:
-    """Names of the streets of a junction's arms, by the arm; arms without a name are left out."""
+    """Names of the streets of a junction's arms, by arm.
+
+    Arms without a name are left out.
+    """
     junction = build_junction(scene)
     names: dict[str, dict[str, None]] = {}
     for road in scene.roads:
@@ -641,7 +682,9 @@ def street_names(scene: Scene) -> dict[str, str]:
 
 
 def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
-    """Places (n, 2) at a junction in words: "north-west corner, Mill Lane and High Street".
+    """Describe places (n, 2) at a junction in words.
+
+    An example: "north-west corner, Mill Lane and High Street".
 
     Within 15 m of the junction's outline a corner, with the streets of the arms on
     either side; farther out the nearest arm, with its street. Empty where the scene has

@@ -78,7 +78,7 @@ def kernel(function: F) -> F:
 
     @overload(call, jit_options=_OPTIONS, strict=False)  # type: ignore[untyped-decorator]
     def implement(*args: Any) -> Callable[..., Any]:
-        """Function that other kernels compile into themselves, where they call this one."""
+        """Function that other kernels compile into their own code."""
         return function
 
     call.on_disk = on_disk  # type: ignore[attr-defined]
@@ -96,7 +96,10 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 
 @cache
 def compiled_folder() -> Path:
-    """Where machine code is cached: NUMBA_CACHE_DIR, the user's cache or a temporary folder."""
+    """Folder in which machine code is cached.
+
+    It is NUMBA_CACHE_DIR, a folder in the user's cache or a temporary folder.
+    """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
         folder = Path(chosen)
@@ -157,7 +160,7 @@ class _OnDisk:
         return cast(Callable[..., Any], compiled)
 
     def _unpack(self, folder: Path) -> None:
-        """Give numba the files that an earlier process cached, unless they are damaged."""
+        """Write an earlier process's files for numba, unless they are damaged."""
         try:
             found = self.read()
         except (OSError, ValueError) as error:
@@ -233,7 +236,11 @@ def _hash_of_sources(path: Path) -> bytes:
 
 @cache
 def _running_folder(process_id: int) -> Path:
-    """Folder of this process alone, removed at its end, or by a later one if it was killed."""
+    """Folder of this process alone.
+
+    The process removes it at its end; a later process removes it if this one
+    was killed.
+    """
     for left in compiled_folder().glob(f"{_RUNNING}*"):
         if is_abandoned(left):
             shutil.rmtree(left, ignore_errors=True)

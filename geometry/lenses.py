@@ -1,4 +1,6 @@
-"""Lenses that distort: Brown-Conrady's model, Tsai's one term, fisheyes; and calibrated cameras.
+"""Lenses that distort, and calibrated cameras.
+
+There are Brown-Conrady's model, Tsai's one term, and fisheyes.
 
 Points are at depth 1 along the optical axis: x right and y down, over the depth. A lens
 shows what lies up to some angle off its axis, its :attr:`reach`; farther out its
@@ -31,7 +33,10 @@ class _Lens(
     forbid_unknown_fields=True,
     tag_field="model",
 ):
-    """What all lenses have in common; each has a `reach`, and shows radii at other ones."""
+    """What all lenses have in common.
+
+    Each lens has a `reach`, and shows points at other radii than they have.
+    """
 
     @property
     def reach(self) -> float:
@@ -40,11 +45,17 @@ class _Lens(
 
     @property
     def widest_rad(self) -> float:
-        """Angle off the axis up to which anything is shown; only a fisheye's may exceed 90."""
+        """Angle off the axis up to which anything is shown, in rad.
+
+        Only a fisheye's may exceed a right angle.
+        """
         return math.atan(self.reach)
 
     def shown_radius(self, radius: FloatArray) -> FloatArray:
-        """How far out radii (n,) at depth 1 are shown, tangential terms aside; NaN: nowhere."""
+        """Shown radii of radii (n,) at depth 1, without tangential terms.
+
+        NaN where the lens shows nothing.
+        """
         raise NotImplementedError
 
     def seen_radius(self, shown: FloatArray) -> FloatArray:
@@ -52,7 +63,10 @@ class _Lens(
         raise NotImplementedError
 
     def distort(self, points: FloatArray) -> FloatArray:
-        """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
+        """Points (n, 2) at depth 1 as the lens shows them.
+
+        NaN where it would fold them back.
+        """
         radius = _radius(points)
         return _moved(points, radius, self.shown_radius(radius))
 
@@ -62,11 +76,17 @@ class _Lens(
         return _moved(points, shown, self.seen_radius(shown))
 
     def shown_at(self, angle_rad: float) -> float:
-        """Distance from the middle at which a ray at an angle off the axis is shown, radially."""
+        """Shown radius of a ray at an angle off the axis.
+
+        Tangential terms do not count.
+        """
         return float(self.shown_radius(np.array([math.tan(angle_rad)]))[0])
 
     def angle_of(self, shown: float) -> float:
-        """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
+        """The inverse of :meth:`shown_at`, in rad.
+
+        Not a number where the lens shows nothing.
+        """
         return math.atan(float(self.seen_radius(np.array([shown]))[0]))
 
 
@@ -119,7 +139,9 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         return np.asarray(_Lens.distort(self, points) + np.stack(aside, axis=1))
 
     def undistort(self, points: FloatArray) -> FloatArray:
-        """With tangential terms by Newton's method, with shorter steps where they lead away.
+        """Invert :meth:`distort`; with tangential terms by Newton's method.
+
+        Steps that lead away are shortened.
 
         Within its reach the lens is the slope of a convex function: there is but one
         solution.
@@ -148,7 +170,11 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         return found
 
     def _step(self, points: FloatArray, lacks: FloatArray) -> FloatArray:
-        """Newton's steps (n, 2): derivatives of :meth:`distort`, inverted, times what it lacks."""
+        """Newton's steps (n, 2).
+
+        They are the inverted derivatives of :meth:`distort` times what it
+        lacks.
+        """
         x, y = points.T
         square = x**2 + y**2
         radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
@@ -163,7 +189,9 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
 
 
 class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
-    """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
+    """Radial distortion by one term.
+
+    undistorted = distorted x (1 + kappa r_distorted^2).
 
     R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine
     vision metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the
@@ -198,7 +226,9 @@ class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
 
 
 class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
-    """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
+    """A fisheye, whose shown radius is a polynomial of the angle.
+
+    An angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
     J. Kannala, S. Brandt, "A generic camera model and calibration method for
     conventional, wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's
@@ -260,7 +290,9 @@ def _moved(points: FloatArray, radius: FloatArray, to_radius: FloatArray) -> Flo
 
 @np.errstate(over="ignore", invalid="ignore")  # what is too far out is not found
 def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
-    """Arguments (n,) at which a polynomial has values >= 0; NaN where it does not reach them.
+    """Arguments (n,) at which a polynomial has values >= 0.
+
+    NaN where it does not reach them.
 
     By Newton's method between 0 and `most`, up to which it rises from 0. Where a step
     leaves the interval that is left, that is halved.
@@ -295,7 +327,10 @@ def _slopes(powers: Powers) -> Powers:
 
 @cache
 def _first_turn(slopes: Powers) -> float:
-    """Smallest positive root of a polynomial, highest power first; infinite if there is none."""
+    """Smallest positive root of a polynomial; infinite if there is none.
+
+    The coefficient of the highest power comes first.
+    """
     # Their inverses: the last coefficient is 1, where the first may be next to nothing.
     inverse = np.roots(slopes[::-1])
     rising = inverse[(abs(inverse.imag) < 1.0e-12) & (inverse.real > 0.0)].real
@@ -309,7 +344,13 @@ Lens = BrownConrady | TsaiRadial | Fisheye
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedCamera:
-    """A camera as its calibration file has it; a point is at R (p - position) in its frame."""
+    """A camera as its calibration file has it.
+
+    A point p of the world is at R (p - position) in the camera's frame.
+
+    A point's column is cx + fx x, its row cy + fy y, with x and y at depth 1 as
+    the lens shows them.
+    """
 
     width_px: int
     height_px: int
@@ -336,7 +377,10 @@ class CalibratedCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Focal lengths and principal point, (3, 3); the middle of the first pixel is (0, 0)."""
+        """Camera matrix with focal lengths and principal point, (3, 3).
+
+        The middle of the first pixel is (0, 0).
+        """
         rows = [
             [self.fx_px, 0.0, self.cx_px],
             [0.0, self.fy_px, self.cy_px],
@@ -346,7 +390,10 @@ class CalibratedCamera:
 
     @property
     def translation_m(self) -> FloatArray:
-        """t, (3,): the world's origin as the camera sees it; x_camera = R x_world + t. [m]."""
+        """The world's origin as the camera sees it, (3,), in metres.
+
+        It is t in x_camera = R x_world + t.
+        """
         return self.R_camera_world @ (np.zeros(3) - self.position_m)
 
 

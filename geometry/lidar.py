@@ -20,7 +20,9 @@ _FILE = "lidars.toml"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarModel:
-    """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
+    """A LiDAR on a fixed base, which takes a whole frame at one instant.
+
+    Its lines and columns are at equal steps of angle.
 
     Attributes
     ----------
@@ -129,7 +131,10 @@ class LidarModel:
 
     @property
     def scans_all_round(self) -> bool:
-        """True if its columns close to a ring: no azimuth is left out, and none is an edge."""
+        """True if its columns close to a ring.
+
+        Then no azimuth is left out, and none is an edge.
+        """
         return self.horizontal_fov_deg == 360.0
 
     @property
@@ -177,7 +182,10 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
-    """Density of beams in a direction, in 1/sr: one per cell of azimuth and elevation."""
+    """Density of beams in a direction, in 1/sr.
+
+    There is one beam per cell of azimuth and elevation.
+    """
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
     elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
     level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
@@ -262,7 +270,10 @@ def _read_detection(table: Table) -> LidarDetection:
 
 @cache
 def load_surface_reflectivity() -> dict[str, float]:
-    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
+    """Diffuse reflectivity of everything except VRUs, by class name.
+
+    It is read from ``data/lidars.toml``.
+    """
     return read_table(_load_file()["surfaces"], dict[str, float], f"{_FILE}: surfaces")
 
 

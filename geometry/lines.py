@@ -1,4 +1,7 @@
-"""Lines of points, (n, 2) or (n, 3), seen from above: lengths in metres, and places along them."""
+"""Lines of points, (n, 2) or (n, 3), seen from above.
+
+Lengths, and places along them, are in metres.
+"""
 
 import numpy as np
 
@@ -21,7 +24,10 @@ def along_m(line_m: FloatArray) -> FloatArray:
 
 
 def points_at(line_m: FloatArray, stations_m: FloatArray) -> FloatArray:
-    """Points (k, 2), or (k, 3), at distances (k,) along a line; beyond its ends these."""
+    """Points (k, 2) or (k, 3) at distances (k,) along a line.
+
+    Beyond an end it is that end.
+    """
     along = along_m(line_m)
     return np.stack([np.interp(stations_m, along, axis) for axis in line_m.T], axis=-1)
 

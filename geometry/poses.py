@@ -44,7 +44,9 @@ class Pose:
 
 
 def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation (..., 3, 3) that takes body coordinates (x ahead, y left, z up) to the world.
+    """Rotation (..., 3, 3) from body coordinates to the world frame.
+
+    Body coordinates are x ahead, y left and z up.
 
     Yaw counts counter-clockwise from east, pitch positive up.
 
@@ -69,7 +71,10 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
 
 
 def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation (..., 3, 3) from camera coordinates (x right, y down, z ahead) to the world."""
+    """Rotation (..., 3, 3) from camera coordinates to the world frame.
+
+    Camera coordinates are x right, y down and z ahead.
+    """
     return body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
 
 

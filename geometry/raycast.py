@@ -1,4 +1,6 @@
-"""Rays against triangles: trimesh's embreex, or Open3D's RaycastingScene. Both are Embree.
+"""Rays against triangles, by one of two libraries.
+
+They are trimesh's embreex and Open3D's RaycastingScene; both are Embree.
 
 embreex leaves Python's lock to others while it casts, loads in milliseconds, and needs
 no library of the system: it is taken where it loads. Open3D is imported only when it is
@@ -31,19 +33,27 @@ class RayCaster(Protocol):
     """Rays against one fixed set of triangles; safe to use from several threads."""
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
+        """True if a triangle lies between origin and origin + vector.
+
+        Arrays are (n, 3); the result is (n,).
+        """
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """How far along vectors (n, 3), of any length, the first triangle is, (n,), and its row.
+        """Distance to the first triangle as a share of the vector, and its row.
+
+        Vectors (n, 3) may have any length; both results are (n,).
 
         Infinite and -1 where nothing is hit.
         """
 
 
 class Open3dCaster:
-    """Rays by Open3D's RaycastingScene on all processors; it holds Python's lock while it casts."""
+    """Rays by Open3D's RaycastingScene, on all processors.
+
+    It holds Python's lock while it casts.
+    """
 
     name = "open3d"
     n_threads = 0  # all processors
@@ -177,7 +187,10 @@ def embreex_problem() -> str | None:
 
 
 def open3d_problem() -> str | None:
-    """Why Open3D cannot be used, in one line with the remedy; None where it can. Imports it."""
+    """Why Open3D cannot be used, in one line with the remedy.
+
+    None where it can. The call imports Open3D.
+    """
     return _open3d_or_reason()[1]
 
 
@@ -207,7 +220,10 @@ def build_caster(
 
 
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
-    """Lengths of vectors, (n, 3) -> (n,): column by column, four times as fast as row by row."""
+    """Lengths of vectors, (n, 3) -> (n,).
+
+    Column by column it is four times as fast as row by row.
+    """
     x, y, z = vectors_m.T
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 

@@ -105,7 +105,10 @@ class Site:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instance:
-    """One thing of a scene: its id, unique there, and its class, one of ``CLASS_NAMES``."""
+    """One thing of a scene.
+
+    Its id is unique there; its class is one of ``CLASS_NAMES``.
+    """
 
     id: str
     class_name: str
@@ -118,7 +121,9 @@ class Instance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+    """A road of the map that leads to a junction.
+
+    It is counted without looking at the lines of its lanes.
 
     Attributes
     ----------
@@ -263,7 +268,10 @@ def is_lane_width(width_m: float) -> bool:
 
 
 def _check_near(values_m: FloatArray, where: str) -> None:
-    """Raise InputError if a coordinate lies farther from the origin than a scene reaches."""
+    """Raise InputError if a coordinate lies too far from the origin.
+
+    ``MAX_COORDINATE_M`` is the limit along each axis.
+    """
     if not values_m.size:
         return
     farthest = float(values_m.flat[np.abs(values_m).argmax()])
@@ -306,7 +314,9 @@ def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
+    """The building, wall, plant or parked vehicle that a point lies in.
+
+    None in the open air.
 
     Posts and masts carry sensors and are not looked at.
 
@@ -355,12 +365,18 @@ def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
 
 
 def area_of(outline_m: FloatArray) -> Any:
-    """Area within an outline (n, 2), which may cross itself: a shapely geometry in metres."""
+    """Area within an outline (n, 2), which may cross itself.
+
+    It is a shapely geometry in metres.
+    """
     return shapely.make_valid(shapely.Polygon(outline_m))
 
 
 def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
-    """Surfaces of lanes, or of what is left of them some metres inside their edges: polygons."""
+    """Surfaces of lanes as polygons, `less_m` metres inside their edges.
+
+    A lane of a single point has none.
+    """
     return [
         shapely.LineString(lane.centreline_m).buffer(
             max(0.5 * lane.width_m - less_m, 0.0), cap_style="flat"
@@ -372,7 +388,9 @@ def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
 
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
-    """A thing's triangles seen from above, put together: a shapely polygon or several, with holes.
+    """A thing's triangles seen from above, put together.
+
+    The result is a shapely polygon or several, with holes.
 
     It is empty where the thing is but a line from above. World frame, metres.
     """

@@ -1,4 +1,8 @@
-"""Look for mistakes in a scene: holes, things that float or overlap, sites inside walls."""
+"""Look for mistakes in a scene.
+
+These are holes, things that float or overlap, and sites inside walls, among
+others.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -48,7 +52,10 @@ _BESIDE_M = 0.5  # along a lane, to tell its direction
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What may be wrong, and why: an error makes results wrong, a warning may be as it is."""
+    """What may be wrong, and why.
+
+    An error makes results wrong; a warning may be as it is.
+    """
 
     level: Literal["error", "warning"]
     what: str
@@ -100,7 +107,10 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
 
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
+    """Pairs of driving lanes that run against each other and cross, by id.
+
+    It is their middles that cross.
+    """
     lanes = [
         lane
         for lane in scene.lanes
@@ -135,7 +145,10 @@ def _direction(line: Any, point: Any) -> FloatArray:
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Arms that the map does not follow as far as VUT and VRU come from, and what is assumed."""
+    """Arms that the map does not follow far enough, and what is assumed.
+
+    Far enough is as far as VUT and VRU come from.
+    """
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
         ends_m = [

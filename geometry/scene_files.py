@@ -1,4 +1,6 @@
-"""Scenes from disk and to it: the study's junction, folders, archives, and maps on the way in.
+"""Scenes from disk and to it.
+
+They are the study's junction, folders, archives, and maps on the way in.
 
 A scene's folder has ``scene.toml`` for people (name, coordinate reference systems,
 lanes, crosswalks, outline, sites, the list of things and what the import left out) and
@@ -106,7 +108,10 @@ def load_scene(
 
 
 def has_scene(path: Path) -> bool:
-    """True if a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    """True if a path is a folder, or the archive of a scene.
+
+    A damaged archive counts. Maps may be .zip, too.
+    """
     if path.is_dir():
         return True
     if path.suffix.lower() != ".zip" or not path.exists():
@@ -144,7 +149,16 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
 def save_scene(
     folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()
 ) -> None:
-    """Write ``scene.toml``, to a millimetre, and ``things.glb`` into a folder that exists."""
+    """Write ``scene.toml`` and ``things.glb`` into a folder that exists.
+
+    ``scene.toml`` is exact to a millimetre. `sources` are names of the files
+    that the scene was made from.
+
+    Raises
+    ------
+    OSError
+        The system refuses to write.
+    """
     import tomlkit
 
     folder = Path(folder)
@@ -195,7 +209,9 @@ def save_scene(
 
 
 def load_scene_folder(path: Path) -> Scene:
-    """Read a scene that :func:`save_scene` has written, from its folder or the same as a .zip file.
+    """Read a scene that :func:`save_scene` has written.
+
+    `path` is the scene's folder, or the same as a .zip file.
 
     Raises
     ------
@@ -266,7 +282,10 @@ def pack_scene(folder: Path, archive: Path) -> None:
 
 @contextmanager
 def _as_folder(path: Path) -> Iterator[Path]:
-    """The folder itself, or what a .zip file of it holds, for as long as it is needed."""
+    """The folder itself, or a temporary one with what a .zip file holds.
+
+    The temporary folder is there for as long as the block runs.
+    """
     if not path.exists():
         refuse(str(path), "nothing there", "a scene: a folder or .zip file")
     if path.is_dir():
@@ -323,7 +342,10 @@ def _rounded(array: FloatArray) -> Any:
 
 
 def check_crs(crs: str, where: str) -> None:
-    """Raise InputError unless a coordinate reference system is one that pyproj takes, or none."""
+    """Raise InputError unless pyproj takes a coordinate reference system.
+
+    An empty one is none, which is fine.
+    """
     from pyproj.exceptions import CRSError
 
     try:

@@ -1,4 +1,7 @@
-"""Camera models: intrinsics, projection, field of view; and the limits of all sensors and sites."""
+"""Camera models, and the limits of all sensors and sites.
+
+Camera models have intrinsics, projection and field of view.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -27,7 +30,9 @@ _SHARES = Meta(description="[x, y] in widths and heights of the picture")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
-    """A camera: an ideal pinhole with square pixels and its axis in the middle, or a lens.
+    """A camera: an ideal pinhole, or one with a lens.
+
+    The pinhole has square pixels and its axis in the middle.
 
     With a lens the field of view is what the picture shows: half a width from the
     principal point is a ray at half of `horizontal_fov_deg`, tangential terms aside.
@@ -203,7 +208,9 @@ class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
-    """Sensor and pose of a calibrated camera; ``data/calibrated.toml`` has what its file does not.
+    """Sensor and pose of a calibrated camera.
+
+    ``data/calibrated.toml`` has what the camera's file does not tell.
 
     Raises InputError: half a width from its principal point the lens shows nothing.
     """
@@ -262,7 +269,9 @@ def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
 
 
 def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
-    """Columns and rows (n, 2) of points (n, 2) at depth 1 in the picture's axes, through the lens.
+    """Columns and rows (n, 2) of points (n, 2) seen through the lens.
+
+    The points are at depth 1 in the picture's axes.
 
     Beyond what is shown they lie straight on, as seen from the principal point: so
     boxes around bodies grow with them. :func:`is_shown` tells which these are.
@@ -278,7 +287,10 @@ def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
 
 
 def is_shown(at_depth_1: FloatArray, camera: CameraModel) -> BoolArray:
-    """True of points (n, 2) at depth 1 that a lens shows, if the picture is large enough."""
+    """True for points (n, 2) at depth 1 that a lens shows.
+
+    The picture is taken to be large enough.
+    """
     return np.asarray(np.hypot(at_depth_1[:, 0], at_depth_1[:, 1]) <= _reach(camera))
 
 
@@ -314,7 +326,9 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
 def picture_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel
 ) -> FloatArray:
-    """Points (n, 2) at depth 1, right and down, that points of a picture show; NaN: none.
+    """Points (n, 2) at depth 1 that points of a picture show.
+
+    They are right and down; NaN where the picture shows none.
 
     The inverse of :func:`shown_points`.
     """
@@ -330,7 +344,10 @@ def picture_rays(
 
 @lru_cache(maxsize=4)  # 33 MB each at 1080 rows
 def pixel_grid(camera: CameraModel) -> FloatArray:
-    """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
+    """Points (height, width, 2) at depth 1 that the middles of pixels show.
+
+    NaN where a pixel shows none.
+    """
     rows, columns = np.indices((camera.height_px, camera.width_px)).reshape(2, -1) + 0.5
     rays = picture_rays(columns, rows, camera)
     return freeze(rays.reshape(camera.height_px, camera.width_px, 2))
@@ -348,7 +365,7 @@ def _widest_fov_deg(camera: CameraModel) -> float:
 
 @lru_cache(maxsize=64)
 def sharpest_px_per_rad(camera: CameraModel) -> float:
-    """Most pixels that an angle of one radian takes up anywhere in the picture of a lens."""
+    """Most pixels per radian anywhere in the picture of a lens."""
     sides_px = (camera.width_px, camera.height_px)
     x, y = np.meshgrid(*(np.linspace(0.0, side, _N_BORDER) for side in sides_px))
     ways = []
@@ -364,7 +381,11 @@ def sharpest_px_per_rad(camera: CameraModel) -> float:
 
 
 def roll_axes(camera: CameraModel) -> FloatArray:
-    """Points (n, 2) in the axes of a level camera times this, (2, 2), are in the picture's."""
+    """Axes that turn a level camera's points into the picture's, (2, 2).
+
+    Points (n, 2) in the axes of a level camera times this matrix are in the
+    picture's.
+    """
     roll_rad = math.radians(camera.roll_deg or 0.0)
     cos = math.cos(roll_rad)
     sin = math.sin(roll_rad)
@@ -372,7 +393,10 @@ def roll_axes(camera: CameraModel) -> FloatArray:
 
 
 def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
-    """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    """Rotation (3, 3) from the frame of a camera that may be rolled.
+
+    `rotation` is that from the frame of a level one.
+    """
     if not camera.roll_deg:
         return rotation
     return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])

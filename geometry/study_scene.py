@@ -1,4 +1,6 @@
-"""The study's junction, and others described like it: boxes, walls, poles and rows of parked cars.
+"""The study's junction, and others that are described like it.
+
+They consist of boxes, walls, poles and rows of parked cars.
 
 Such a scene is one TOML file in CARLA's frame, laid out as ``data/town05.toml``.
 """

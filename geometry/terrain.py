@@ -1,4 +1,6 @@
-"""Ground that is not flat: heights on a regular grid, kept as the mesh of the scene's ground.
+"""Ground that is not flat: heights on a regular grid.
+
+The heights are kept as the mesh of the scene's ground.
 
 The mesh is what rays meet, and heights are those of its triangles: bodies stand on it
 exactly. In plan everything stays as it is: paths, lanes and braking are those of the
@@ -62,7 +64,9 @@ class Terrain:
         )
 
     def at(self, points_m: ArrayLike) -> FloatArray:
-        """Height of the ground at points (..., 2), in metres; beyond the grid that of its edge.
+        """Height of the ground at points (..., 2), in metres.
+
+        Beyond the grid it is that of the grid's edge.
 
         >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
         >>> slope.at([[5.0, 2.0], [20.0, 0.0]])
@@ -85,7 +89,9 @@ class Terrain:
     def distances(
         self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
     ) -> FloatArray:
-        """How far the ground is along unit vectors (n, 3) from a point above it, (n,), in metres.
+        """Distance to the ground along unit vectors, (n,), in metres.
+
+        Vectors are (n, 3), from a point above the ground.
 
         At most `max_range_m`; what the ground does within half a metre may be missed.
 
@@ -144,7 +150,15 @@ def _cell(
 
 @lru_cache(maxsize=64)
 def terrain_of(scene: Scene) -> Terrain | None:
-    """The terrain of a scene, from the mesh of its ground, or InputError; None: the plane z = 0."""
+    """Terrain of a scene, from the mesh of its ground.
+
+    None: the ground is the plane z = 0.
+
+    Raises
+    ------
+    InputError
+        The nodes of the ground are no grid.
+    """
     index = [
         number for number, one in enumerate(scene.instances) if one.class_name == GROUND
     ]
@@ -191,7 +205,10 @@ def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
 
 
 def standing_footprint(scene: Scene, index: int) -> Any:
-    """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
+    """Ground that a thing covers, a shapely geometry.
+
+    Empty where people pass below the thing.
+    """
     used = scene.triangles[scene.triangle_instance == index]
     if (
         len(used)
@@ -231,7 +248,10 @@ def pitch_on_ground_deg(
 
 
 def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:
-    """Bodies that stand on the ground under their middles, upright; the same ones on the plane."""
+    """Bodies set upright on the ground under their middles.
+
+    On the plane they stay the same objects.
+    """
     terrain = terrain_of(scene)
     if terrain is None:
         return tuple(bodies)

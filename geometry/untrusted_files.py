@@ -42,7 +42,9 @@ _FIXED32 = 5  # protobuf's wire types
 
 @contextmanager
 def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
-    """Unpack a .zip, and yield the path of its one readable file, with everything next to it.
+    """Unpack a .zip and yield the path of its one readable file.
+
+    Everything else in the archive lies next to that file.
 
     `suffixes` are the endings of readable files in lower case; files that belong to
     them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
@@ -106,7 +108,10 @@ def _checked_members(archive: zipfile.ZipFile, where: str) -> list[zipfile.ZipIn
 def _recognised(
     members: list[zipfile.ZipInfo], suffixes: Collection[str], where: str
 ) -> zipfile.ZipInfo:
-    """The one readable file; a description of another file (roofs.shp.xml) does not count."""
+    """The one readable file of an archive.
+
+    A description of another file (roofs.shp.xml) does not count.
+    """
     names = {entry.filename for entry in members}
     found = [
         entry
@@ -129,7 +134,10 @@ def _recognised(
 def _extract(
     archive: zipfile.ZipFile, members: list[zipfile.ZipInfo], folder: Path, where: str
 ) -> None:
-    """Write files into a folder and count their bytes: the sizes in the archive may be wrong."""
+    """Write files into a folder and count their bytes.
+
+    The sizes that the archive states may be wrong.
+    """
     n_bytes = 0
     for entry in members:
         target = folder / entry.filename
@@ -142,14 +150,23 @@ def _extract(
 
 
 def unpacked_bytes(archive: zipfile.ZipFile, where: str) -> int:
-    """Size of an archive's content as it says; raises InputError if it is beyond the budget."""
+    """Size of an archive's content, as the archive states it.
+
+    Raises
+    ------
+    InputError
+        The size is beyond the budget.
+    """
     n_bytes = sum(member.file_size for member in archive.infolist())
     check_unpacked(n_bytes, where)
     return n_bytes
 
 
 def check_unpacked(n_bytes: int, where: str) -> None:
-    """Raise InputError if more bytes come out of one packed file than the budget of all of them."""
+    """Raise InputError if more bytes are unpacked than the budget allows.
+
+    The budget is that of one packed file, whatever it is packed with.
+    """
     if n_bytes > MAX_UNPACKED_BYTES:
         expected = (
             f"at most {MAX_UNPACKED_BYTES:,}, the budget of everything that is packed"
@@ -158,7 +175,10 @@ def check_unpacked(n_bytes: int, where: str) -> None:
 
 
 def is_text(array: NDArray[Any]) -> bool:
-    """True if an array from a file has texts that Python can read: numpy looks at no character."""
+    """True if an array from a file has texts that Python can read.
+
+    numpy looks at no character itself.
+    """
     if array.dtype.kind != "U":
         return False
     if not array.dtype.itemsize or not array.size:
@@ -168,7 +188,10 @@ def is_text(array: NDArray[Any]) -> bool:
 
 
 def refuse_bomb(n_bytes: int, where: str) -> None:
-    """Raise InputError if a packed file `where` has more bytes unpacked than any honest one."""
+    """Raise InputError if a packed file unpacks to more than is honest.
+
+    `where` is the packed file, `n_bytes` its size when unpacked.
+    """
     check_unpacked(n_bytes, where)
     _refuse_ratio(n_bytes, Path(where).stat().st_size, where)
 
@@ -182,7 +205,13 @@ def _refuse_ratio(n_bytes: int, n_packed: int, where: str) -> None:
 # ---------- Parquet
 @contextmanager
 def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
-    """Open a Parquet file, texts as dictionaries; InputError: damaged, or out of too few bytes."""
+    """Open a Parquet file, with its texts as dictionaries.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or too few bytes hold too many values.
+    """
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -209,7 +238,9 @@ def open_parquet(path: Path, *, max_bytes: int, expected: str) -> Iterator[Any]:
 
 # ---------- XML
 def read_xml(path: Path, *, expected: str) -> Element:
-    """Read a whole XML document and return its root; `expected` names the format: "OpenDRIVE".
+    """Read a whole XML document and return its root.
+
+    `expected` names the format, such as "OpenDRIVE".
 
     Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
     well-formed, or has entities or other dangerous parts.
@@ -222,7 +253,13 @@ def read_xml(path: Path, *, expected: str) -> Element:
 
 
 def read_xml_root(path: Path) -> Element:
-    """The first element of an XML document without its content; raises as :func:`read_xml` does."""
+    """The first element of an XML document, without its content.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_xml`.
+    """
     from defusedxml.ElementTree import iterparse
 
     with _open_xml(path, "XML", "well-formed XML") as file:

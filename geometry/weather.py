@@ -91,7 +91,7 @@ class Weather:
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
-        """Share of light, and of contrast, that remains after a distance through the air.
+        """Share of light, and of contrast, that remains after a distance.
 
         >>> fog = load_weathers()["fog"]
         >>> float(fog.transmission(fog.visibility_m).round(12))
@@ -111,7 +111,11 @@ class Weather:
 
     @property
     def _rain_per_m(self) -> float:
-        """Drops are large against any wavelength used here: all lose the same (ITU-R P.1814)."""
+        """Extinction by rain per metre.
+
+        Drops are large against any wavelength used here, so that all lose the
+        same (ITU-R P.1814).
+        """
         return float(1.076 * self.rain_rate_mmph**0.67 / _DB_PER_NEPER / 1000.0)
 
 

@@ -1,4 +1,6 @@
-"""Accidents around a place, from the files in which Germany and Great Britain publish them.
+"""Accidents around a place, from published files.
+
+Germany and Great Britain publish them.
 
 Each becomes a road user, an event and a light, in words of ``data/accidents.toml``,
 which says what the files' codes mean and which cases stand for which event. What cannot
@@ -69,7 +71,10 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
     types: tuple[AccidentType, ...]
 
     def cases_of(self, road_user: str, event: str) -> tuple[str, ...]:
-        """What names of cases that stand for an event begin with; none: nothing stands for it."""
+        """How names of cases that stand for an event begin.
+
+        Empty: nothing stands for it.
+        """
         return next(
             one.cases.get(event, ()) for one in self.types if one.road_user == road_user
         )
@@ -83,7 +88,10 @@ def load_accident_rules() -> AccidentRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accident:
-    """What an accident was; `unused` says why it cannot stand for a case, else it is empty."""
+    """What an accident was.
+
+    `unused` says why it cannot stand for a case, otherwise it is empty.
+    """
 
     road_user: str  # one of the types of ``data/accidents.toml``
     event: str
@@ -129,7 +137,10 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
 
 
 def reasons(unused: Mapping[str, int]) -> str:
-    """Why accidents are not used, the most frequent reason first, with commas between."""
+    """Reasons why accidents are not used, the most frequent one first.
+
+    There are commas between them.
+    """
     known = sorted(unused.items(), key=lambda item: (-item[1], item[0]))
     more = [f"{sum(n for _, n in known[_MAX_REASONS:])} for other reasons"]
     told = [f"{count} {reason}" for reason, count in known[:_MAX_REASONS]]
@@ -348,7 +359,15 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 def _rows(
     path: Path, columns: _Columns, *, optional: _Columns | None = None
 ) -> Iterator[dict[str, str]]:
-    """Cells of the rows by our names; each column has one of several names in the file."""
+    """Cells of the rows, by our names of columns.
+
+    Each column has one of several names in the file.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or there are no rows.
+    """
     data = read_bytes(path)
     try:
         text = data.decode("utf-8-sig")

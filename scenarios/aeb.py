@@ -1,4 +1,7 @@
-"""Emergency braking: how the VUT brakes, its last moment for it, and the tracks it brakes for."""
+"""Emergency braking of the VUT, and its last moment.
+
+How the VUT brakes, when braking is too late, and what it leaves of the speed.
+"""
 
 import math
 from collections.abc import Sequence
@@ -80,7 +83,10 @@ def load_aeb_rule() -> AebRule:
 
 @cache
 def load_track_memory_s() -> float:
-    """How long tracks live without detections where they are not the study's, in seconds."""
+    """Time for which a track lives without detections, in seconds.
+
+    It holds where tracks are not the study's.
+    """
     return float(_load_tables()["live_tracks"]["track_memory_s"])
 
 
@@ -126,7 +132,9 @@ def braking_speed_mps(
 def braking_distance_m(
     time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
 ) -> FloatArray:
-    """Distance covered in the time since the onset of braking, until standstill and after.
+    """Distance covered since the onset of braking, in metres.
+
+    After standstill it stays the same.
 
     With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up
     and, r after its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
@@ -245,7 +253,10 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """First contacts of the footprints for onsets of braking, each of the onsets' shape."""
+    """First contacts of the footprints for onsets of braking.
+
+    Each array has the onsets' shape.
+    """
 
     # (...,): relative to the impact without braking; infinite where the footprints
     # never touch. [s]
@@ -257,7 +268,7 @@ class Contacts:
 
 
 def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
-    """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
+    """First contacts of the footprints if the VUT brakes from onsets on.
 
     An onset at or after the impact, or none, leaves the VUT its speed.
 
@@ -329,7 +340,9 @@ def last_onsets_s(
     below_mps: Sequence[float],
     avoids_until_s: float,
 ) -> FloatArray:
-    """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
+    """Latest onsets up to which the closing speed stays below each limit.
+
+    An onset and all earlier ones leave less than the limit.
 
     `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake
     time. Returns (n_limits,): not before `avoids_until_s`, and 10 microseconds later it
@@ -376,7 +389,10 @@ def _narrowed_s(
     safe_mps: FloatArray,
     late_mps: FloatArray,
 ) -> FloatArray:
-    """Last onsets between two, of which the first leaves less than a speed, in s; (n,) each.
+    """Last onsets between two, in s, (n,).
+
+    All arrays are (n,). The first onset leaves less than a speed, the second
+    does not.
 
     Where braking in full decides alone, the square of the speed is linear in the onset.
     """
@@ -403,7 +419,10 @@ def _narrowed_s(
 def _contact_looks(
     encounter: Encounter, onset_s: FloatArray, rule: AebRule
 ) -> tuple[FloatArray, FloatArray]:
-    """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
+    """Times since the onset just before and at a contact, (n,) each.
+
+    Onsets are before the impact; infinite where there is no contact.
+    """
     vut = encounter.vut_motion
     vru = encounter.vru_motion
     closing_mps = (

@@ -384,7 +384,10 @@ class _UnlaidEntry(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_unlaid_cases() -> dict[str, Case]:
-    """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
+    """Cases of the protocols that cannot be laid, by name.
+
+    They are read from ``data/unlaid_cases.toml``.
+    """
     where = "unlaid_cases.toml"
     entries = read_tables(load_data(__package__, where), _UnlaidEntry, where)
     return {
@@ -459,7 +462,10 @@ def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Cas
 def _each_impact(
     name: str, entry: dict[str, Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Cases that differ in where the VRU meets the VUT, from a table with a list of places."""
+    """Cases of a table that differ in where the VRU meets the VUT.
+
+    A table with a list of places stands for one case each.
+    """
     percents = entry.get("impact_percent")
     beyond = entry.pop("extended_impact_percent", [])
     if not isinstance(percents, list):
@@ -514,7 +520,10 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
 
 
 def _named(word: str) -> tuple[Case, ...]:
-    """Cases by a name, or by what stands before their last "-", or else by how they begin."""
+    """Cases that a word names.
+
+    It is a name, what stands before the last "-" of names, or how names begin.
+    """
     cases = {**load_cases(), **load_unlaid_cases()}
     if word in cases:
         return (cases[word],)
@@ -691,7 +700,10 @@ def twins(cases: Iterable[Case]) -> dict[str, Case]:
 
 
 def _each_once(cases: Sequence[Case]) -> list[Case]:
-    """Cases without what 2026 drives as 2023 did; impact points of the same case take turns."""
+    """Cases without what 2026 drives as 2023 did.
+
+    Impact points of the same case take turns.
+    """
     twin_of = twins(cases)
     kept = []
     for case in cases:
@@ -837,7 +849,15 @@ _Pairs = list[tuple[float, float]]
 
 
 def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
-    """Speeds in the words of a user, in km/h: single ones, ranges, and pairs of both bodies."""
+    """Speeds in the words of a user, in km/h.
+
+    They are single ones, ranges, and pairs of both bodies.
+
+    Raises
+    ------
+    InputError
+        A word is no speed, or out of range.
+    """
     singles: list[float] = []
     ranges: _Pairs = []
     pairs: _Pairs = []

@@ -1,4 +1,7 @@
-"""Confirmed tracks, which the VUT brakes for: consecutive detections, memory, and just in time."""
+"""Confirmed tracks, which the VUT brakes for.
+
+Consecutive detections confirm a track, memory keeps it, and it must be in time.
+"""
 
 import math
 
@@ -11,7 +14,9 @@ from .aeb import TIME_TOLERANCE_S, AebRule
 
 
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
-    """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
+    """Frames at which the last `n_confirmations` are all detected.
+
+    All are of one run, (..., n_frames).
 
     >>> confirmation_mask([0, 1, 1, 1, 1, 0], n_confirmations=3).astype(int)
     array([0, 0, 0, 1, 1, 0])
@@ -35,7 +40,9 @@ def held_frames(
     memory_s: float,
     last_frame: ArrayLike | None = None,
 ) -> BoolArray:
-    """Detected frames since which the VRU has not been out of sight for longer than the memory.
+    """Detected frames since which the VRU was never lost.
+
+    It is lost if it is out of sight for longer than the memory.
 
     A track that is confirmed in such a frame is alive at `until_s`: neither between two
     detections from then on, nor from the last one until then, more than `memory_s` have
@@ -116,6 +123,10 @@ def live_confirmation_time_s(
 def is_in_time(
     confirmation_s: ArrayLike, last_brake_s: ArrayLike, *, latency_s: float
 ) -> BoolArray:
-    """True if braking after a confirmation avoids: confirmation + latency <= last brake time."""
+    """True if braking after a confirmation avoids the contact.
+
+    The confirmation plus the latency must not be later than the last brake
+    time.
+    """
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
     return onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S

@@ -1,4 +1,6 @@
-"""Traffic conflicts: pairs of recorded tracks that nearly met, and how they are replayed.
+"""Traffic conflicts of recorded tracks, and how they are replayed.
+
+A conflict is a pair of tracks that nearly met.
 
 A pair is an encounter if its least time to collision is short: the two would touch that
 soon if nobody changed speed or direction. It is replayed with both on their recorded
@@ -96,7 +98,9 @@ class FoundEncounter:
 def find_encounters(
     tracks: Sequence[Track], *, ttc_s: float | None, within_m: float | None = None
 ) -> tuple[tuple[FoundEncounter, ...], Counter[str]]:
-    """Pairs of a vehicle and a VRU that come near one another, and why others are left out.
+    """Pairs of a vehicle and a VRU that come near one another.
+
+    The second result says why others are left out.
 
     `tracks` are on one clock, in one frame. Pairs count whose least time to collision
     is at most `ttc_s`, and others whose bodies come at most so near, `within_m`.
@@ -131,7 +135,10 @@ def _replay(
     ttc_limit_s: float | None,
     within_m: float | None,
 ) -> FoundEncounter | str:
-    """The encounter of a pair; else why it is left out, empty where it does not come near."""
+    """The encounter of a pair, or why it is left out.
+
+    The reason is empty where the pair does not come near.
+    """
     rules = load_trajectory_rules().encounters
     vut = pick_actor("vut", "vut")
     is_common = (vehicle.time_s >= vru.time_s[0]) & (vehicle.time_s <= vru.time_s[-1])
@@ -249,7 +256,10 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
 
 
 def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> RecordedWay:
-    """A track's way up to a moment, its points so far apart that swaying does not count."""
+    """A track's way up to a moment.
+
+    Its points are so far apart that swaying does not count.
+    """
     rules = load_trajectory_rules().encounters
     first_s = max(first_s, moment_s - rules.max_known_s)
     time = track.time_s[(track.time_s >= first_s) & (track.time_s < moment_s)]
@@ -270,7 +280,15 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:
-    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each, each once."""
+    """Encounters as a TOML file of cases.
+
+    Each is a case of kind "recorded" with the name NAME-VEHICLE-VRU, once.
+
+    Raises
+    ------
+    InputError
+        A name occurs twice.
+    """
     import tomlkit
 
     table: dict[str, Any] = {}

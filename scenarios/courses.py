@@ -1,4 +1,7 @@
-"""Courses: smooth lines along the lanes of a map, by their own length; and turns of the VUT."""
+"""Courses: smooth lines along the lanes of a map, and turns.
+
+A course is measured by its own length.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -91,7 +94,13 @@ class Course:
         return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
 
     def offset(self, left_m: float) -> "Course":
-        """The line some metres to the left, with its origin; InputError: it bends too sharply."""
+        """The line some metres to the left, with its origin.
+
+        Raises
+        ------
+        InputError
+            The course bends too sharply.
+        """
         if left_m == 0.0:
             return self
         if self.max_bend_per_m * abs(left_m) >= 1.0:
@@ -163,7 +172,10 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
 
 
 def follow_way(points_m: Sequence[tuple[float, float]], yaw_deg: float) -> Course:
-    """The smooth course along a way, whose last point is the origin; it goes on in a direction."""
+    """The smooth course along a way, and on in a direction.
+
+    The way's last point is the origin.
+    """
     end = np.array(points_m[-1])
     ahead = np.radians(yaw_deg)
     beyond = end + 2.0 * _END_CHORD_M * np.array([np.cos(ahead), np.sin(ahead)])
@@ -176,7 +188,10 @@ def _follow(
     origin_m: tuple[float, ...],
     close: tuple[int, int] | None = None,
 ) -> Course:
-    """The course along points; those from one to another, `close`, are followed closely."""
+    """The course along points.
+
+    Those from one to another, `close`, are followed closely.
+    """
     chain = np.array(points, dtype=np.float64).reshape(-1, 2)
     close_m = None
     if close is not None:
@@ -217,7 +232,10 @@ def _smoothed(
     smoothing_m: float,
     weight: FloatArray | None = None,
 ) -> Course:
-    """The smoothing spline of points at even stations; its origin is nearest to a point."""
+    """The smoothing spline of points at even stations.
+
+    Its origin is the place nearest to `origin_m`.
+    """
     origin = samples_m.mean(axis=0)
     spline = _spline(at_m, samples_m - origin, smoothing_m=smoothing_m, weight=weight)
     fine = np.linspace(0.0, at_m[-1], int(at_m[-1] / _STEP_M) + 2)
@@ -356,12 +374,17 @@ class Turn:
 
     @property
     def tangent_m(self) -> float:
-        """From either end of the curve to where the straights before and after it would meet."""
+        """Distance from either end to where the straights would meet.
+
+        These are the straights before and after the curve.
+        """
         half = 0.5 * np.radians(self.angle_deg)
         return float((self._half_way() * np.exp(-1j * half)).real / np.cos(half))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 2), ahead and left of the start, and angle turned after a distance.
+        """Position (..., 2) and angle turned after a distance.
+
+        The position is ahead and left of the start.
 
         Before the curve and behind its end the path is straight. The angle counts in
         degrees, counter-clockwise.
@@ -389,7 +412,12 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Turn with the arc for lanes that meet at another angle, 0 to 180 degrees, or InputError.
+        """Turn with the arc for lanes that meet at another angle.
+
+        Raises
+        ------
+        InputError
+            The angle is not between 0 and 180 degrees.
 
         Where the clothoids alone would turn further, they are shorter and there is no
         arc.
@@ -435,7 +463,10 @@ class Turn:
 
 
 class TurnAtSpeed(Struct, frozen=True, kw_only=True):
-    """An entry of ``data/turning_paths.toml``: a turn, and how fast the VUT drives it."""
+    """A turn, and how fast the VUT drives it.
+
+    It is an entry of ``data/turning_paths.toml``.
+    """
 
     side: Literal["far", "near"] = field(name="turn")
     speed_kmh: float
@@ -455,13 +486,18 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
-    """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
+    """The protocol's turns by name, such as "far_10".
+
+    They are read from ``data/turning_paths.toml``.
+    """
     table = load_data(__package__, "turning_paths.toml")
     return read_tables(table, TurnAtSpeed, "turning_paths.toml")
 
 
 def pick_turn(side: str, speed_kmh: float) -> Turn:
-    """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
+    """Turn to a side on which the VUT drives at a speed.
+
+    The side is "far" (left) or "near" (right).
 
     Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25
     km/h. Raises InputError: the side is unknown, the speed not positive, or between two
@@ -531,7 +567,10 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
 
 
 def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
-    """The smooth course along lanes one after the other; its origin is where the first one ends."""
+    """The smooth course along lanes one after the other.
+
+    Its origin is where the first lane ends.
+    """
     points = np.concatenate(chains_m)
     return _follow(tuple(map(tuple, points.tolist())), tuple(chains_m[0][-1].tolist()))
 
@@ -543,7 +582,9 @@ def follow_connection(
     *,
     is_origin_behind: bool,
 ) -> Course:
-    """The course along a lane (n, 2), through a junction on its own lane, and along another one.
+    """The course along a lane, through a junction and along another lane.
+
+    Lines are (n, 2); the junction's own lane is the connection.
 
     The lane through the junction is smoothed over 0.4 m, the others over 2 m, see
     :func:`follow_lane`: where a straight line becomes a circle of radius R, the course
@@ -559,7 +600,9 @@ def follow_connection(
 def follow_gently(
     chains_m: Sequence[FloatArray], free_m: Sequence[float], *, origin: int
 ) -> Course:
-    """The gentlest course along lanes one after the other that leaves their middles a little.
+    """The gentlest course along lanes that leaves their middles a little.
+
+    The lanes follow one after the other.
 
     `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far
     it may leave each of them, > 0. `origin`: the lane at whose start its origin is;

@@ -1,4 +1,7 @@
-"""Two bodies that move towards one another: how far apart they are, and when they first touch."""
+"""Two bodies that move towards one another.
+
+How far apart they are, and when they first touch.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -66,7 +69,9 @@ class Encounter:
     def separation_m(
         self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
     ) -> FloatArray:
-        """Separation of the footprints after distances along their paths, which broadcast.
+        """Separation of the footprints after distances along their paths.
+
+        The distances broadcast.
 
         Zero or less means that they touch; see
         :func:`geometry.footprints.footprint_separation`.
@@ -77,7 +82,10 @@ class Encounter:
     def gaps_m(
         self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
     ) -> FloatArray:
-        """Gaps along the four normals, (4, ...); see :func:`geometry.footprints.gaps_between`."""
+        """Gaps along the four normals, (4, ...).
+
+        See :func:`geometry.footprints.gaps_between`.
+        """
         vut_position, vut_yaw = self.vut_motion.path.at(vut_distance_m)
         vru_position, vru_yaw = self.vru_motion.path.at(vru_distance_m)
         return gaps_between(
@@ -105,13 +113,15 @@ class Encounter:
 
     @property
     def small_m(self) -> float:
-        """Neither body gets past the other while they move less than this, in metres."""
+        """Move below which neither body gets past the other, in metres."""
         return 0.25 * sum(
             min(body.length_m, body.width_m) for body in (self.vut, self.vru)
         )
 
     def max_gap_bend_mps2(self, deceleration_mps2: float) -> float:
-        """Bound of the second time derivative of :meth:`gaps_m` while the bodies are near.
+        """Bound of the second time derivative of the gaps, in m/s^2.
+
+        It holds for :meth:`gaps_m` while the bodies are near.
 
         `deceleration_mps2` is the most that the VUT brakes with.
 
@@ -139,7 +149,10 @@ class Encounter:
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch without braking, to 0.1 us; infinite: not within ten minutes."""
+    """Time at which the bodies first touch without braking, in s.
+
+    It is exact to 0.1 us. Infinite: they do not touch within ten minutes.
+    """
     vut = encounter.vut_motion
     vru = encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
@@ -178,7 +191,10 @@ def first_contact_s(encounter: Encounter) -> float:
 
 
 class Cells(NamedTuple):
-    """Rectangles in the plane of two times: the middle of each and half its size, (n,) each."""
+    """Rectangles in the plane of two times.
+
+    The middle of each and half its size, (n,) each.
+    """
 
     first_s: FloatArray
     second_s: FloatArray
@@ -238,7 +254,10 @@ def find_first_touch(
 
 
 def _divide(pool: FloatArray) -> FloatArray:
-    """Cut each cell into equal parts. Rows: middles, halves, whether along the first time."""
+    """Cut each cell into equal parts.
+
+    Rows are middles, halves, and whether to cut along the first time.
+    """
     middle = pool[:2]
     half = pool[2:4]
     is_cut = np.stack([pool[4] > 0.0, pool[4] == 0.0])
@@ -252,7 +271,10 @@ def _divide(pool: FloatArray) -> FloatArray:
 def _look(
     pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
 ) -> tuple[FloatArray, float]:
-    """Cells that may hold an earlier contact, as :func:`_divide` takes them; the earliest one."""
+    """Cells that may hold an earlier contact, and the earliest contact.
+
+    The cells are as :func:`_divide` takes them.
+    """
     seen = measure(Cells(*pool[:4]))
     if seen.touches.any():
         touch_s = min(touch_s, float(pool[0][seen.touches].min()))
@@ -305,7 +327,10 @@ class RecordedEncounter:
     def as_recorded(
         self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float
     ) -> Encounter:
-        """The bodies on their ways at constant speeds, at the times that the ways say."""
+        """The bodies on their ways at constant speeds.
+
+        They are there at the times that the ways say.
+        """
         return Encounter(
             vut=vut,
             vut_motion=_motion(self.vut, vut_speed_mps, self.known_s),

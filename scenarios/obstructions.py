@@ -87,7 +87,10 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
 def is_way_free(
     body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
 ) -> bool:
-    """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
+    """True if nothing stands in a way to the impact.
+
+    Things of the scene count except poles, and so does whatever is parked.
+    """
     segments = _way(motion, body)
     if not _is_free(_solid(scene, has_poles=False), segments):
         return False
@@ -143,7 +146,9 @@ def _find_room(
 
 
 def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
-    """Cars, (..., 4, 2), behind which a lane lies that leads about the same way, (...,).
+    """Cars (..., 4, 2) that would stand on a traffic island, (...,).
+
+    Behind such a car lies a lane that leads about the same way.
 
     Behind a corner lies the lane of the road that crosses.
     """
@@ -173,7 +178,10 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
 
 @lru_cache(maxsize=8)
 def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
-    """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
+    """A tree of the straight pieces of lanes, and their directions (n, 2).
+
+    The lanes are those between junctions.
+    """
     pieces = []
     directions = []
     parking = _areas(scene).parking
@@ -270,7 +278,10 @@ def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
 
 
 def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
-    """Raise if segments end in a thing or cross it; of several that are met first, names one."""
+    """Raise if segments end in a thing or cross it.
+
+    Of several things that are met first, the error names one.
+    """
     rays = solid.rays(segments_m)
     if solid.caster.is_blocked(*rays).any():
         share, triangle = solid.caster.first_triangle(*rays)
@@ -281,7 +292,10 @@ def _check(solid: _Solid, segments_m: FloatArray, what: str) -> None:
 
 
 def _way(motion: Motion, body: Actor) -> FloatArray:
-    """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
+    """Segments along the middle and the flanks of a body, (n, 2, 2).
+
+    They lead from behind the start to the impact.
+    """
     covered_m = float(motion.distance_m(0.0))
     distances = np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
     position, yaw_deg = motion.path.at(distances)
@@ -357,7 +371,9 @@ def park(
     bumper_m: float,
     side: float,
 ) -> Staging:
-    """An encounter with a row of cars parked beside a lane, noses as the VUT's, flush to the road.
+    """An encounter with a row of cars parked beside a lane.
+
+    Their noses point as the VUT's; they are flush to the road.
 
     `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station
     of the first front bumper; `side` is +1 to the left of it, -1 to the right.
@@ -378,7 +394,10 @@ def park(
 def _row(
     obstruction: Obstruction, way: Way, bumper_m: float, left_m: Mapping[Actor, float]
 ) -> tuple[PlacedActor, ...]:
-    """Bodies one behind the other along a way, by the station of the first front bumper."""
+    """Bodies one behind the other along a way.
+
+    `bumper_m` is the station of the first front bumper.
+    """
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m
@@ -397,7 +416,9 @@ def _beside_vut(
     vru: Actor,
     side: float,
 ) -> tuple[PlacedActor, ...]:
-    """Cars parked along the VUT's way, on the side from which the VRU comes, noses as the VUT's.
+    """Cars parked along the VUT's way, noses as the VUT's.
+
+    They stand on the side from which the VRU comes.
 
     Their common centreline is such that the widest keeps the side gap.
     """
@@ -422,7 +443,10 @@ def _beside_vut(
 def _beside_vru(
     obstruction: Obstruction, *, vru_way: Way, vru_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars, noses away from the VUT's way, or a wall between the VRU's way and the coming VUT."""
+    """Cars or a wall between the VRU's way and the VUT that comes.
+
+    The cars' noses point away from the VUT's way.
+    """
     bodies = []
     rear_m = obstruction.first_gap_m
     wall = obstruction.wall_size_m

@@ -14,7 +14,10 @@ from geometry.errors import InputError, check_field
 from .courses import Course, Turn
 
 MPS_PER_KMH = 1000.0 / 3600.0
-"""Metres per second in a kilometre per hour; scipy.constants, which has it, takes long to load."""
+"""Metres per second in a kilometre per hour.
+
+scipy.constants has it, too, but takes long to load.
+"""
 
 _TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
 _ODE_TOLERANCE = 1.0e-11
@@ -43,7 +46,10 @@ class StraightPath:
         object.__setattr__(self, "direction", _unit_vector(self.yaw_deg))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Middle of the footprint (..., 2) and heading after a distance, also beyond the ends."""
+        """Middle of the footprint (..., 2) and heading after a distance.
+
+        They are given beyond the ends, too.
+        """
         distance = np.asarray(distance_m, dtype=np.float64)
         position: FloatArray = self.start_m + distance[..., None] * self.direction
         return position, np.full(distance.shape, self.yaw_deg)
@@ -94,16 +100,26 @@ class TurnPath:
 
     @property
     def max_turn_rad_per_m(self) -> float:
-        """Curvature of the arc; a car turns no faster than the path that it is dragged along."""
+        """Curvature of the arc, in rad/m.
+
+        A car turns no faster than the path that it is dragged along.
+        """
         return 1.0 / max(self.turn.radius_m, self.wheelbase_m)
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
-        """The car turns by sin(lag) / wheelbase per metre, and its lag grows by the curvature."""
+        """Bound of the change of curvature, in rad/m^2.
+
+        The car turns by sin(lag) / wheelbase per metre, and its lag grows by
+        the curvature.
+        """
         return 1.0 / (self.turn.radius_m * self.wheelbase_m)
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
+        """Middle of the footprint and heading after a distance.
+
+        See :meth:`StraightPath.at`.
+        """
         table = self._table
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
@@ -133,7 +149,9 @@ class TurnPath:
 def _aligned_rad(
     body_rad: FloatArray, exit_rad: float, half_lag_tan: float, after: FloatArray
 ) -> FloatArray:
-    """Headings of a dragged body, `after` wheelbases along a straight that follows; 0: before it.
+    """Headings of a dragged body on a straight that follows a path.
+
+    The body is `after` wheelbases along the straight; 0: before it.
 
     Dragged along a straight, the tangent of half the angle to it decays exponentially.
     """
@@ -143,7 +161,10 @@ def _aligned_rad(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoursePath:
-    """A road user's way along a course: the middle of the footprint stays on it, heading along.
+    """A road user's way along a course.
+
+    The middle of the footprint stays on the course, and the body heads along
+    it.
 
     Attributes
     ----------
@@ -206,7 +227,10 @@ class TowedPath:
 
     @property
     def max_turn_rad_per_m(self) -> float:
-        """Largest curvature of the course; so large that a third of it bounds the middle's bend.
+        """Largest curvature, also as a bound for the middle of the body.
+
+        It is that of the course, or so large that a third of it bounds the bend
+        of the middle's line.
 
         That bend is at most the course's, and that of the body around the front axle:
         the second derivative of the heading b is |curvature - b'| / wheelbase, its
@@ -219,11 +243,18 @@ class TowedPath:
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
-        """The body turns by sin(lag) / wheelbase per metre; its lag by both curvatures at most."""
+        """Bound of the change of curvature, in rad/m^2.
+
+        The body turns by sin(lag) / wheelbase per metre, and its lag changes by
+        both curvatures at most.
+        """
         return 2.0 * self.course.max_bend_per_m / self.wheelbase_m
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
+        """Middle of the footprint and heading after a distance.
+
+        See :meth:`StraightPath.at`.
+        """
         station = self.start_m + np.asarray(distance_m, dtype=np.float64)
         front, _ = self.course.at(station)
         exit_rad = self.course.yaw_rad[-1]
@@ -241,7 +272,7 @@ NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovedPath:
-    """A path that lies otherwise: in a mirror, then turned about the origin, then shifted."""
+    """A path that is mirrored, then turned about the origin, then shifted."""
 
     path: "Path"
     ahead_m: float = 0.0  # it begins so much farther on
@@ -289,7 +320,11 @@ def rotated(vectors_m: ArrayLike, angle_deg: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed, or brakes."""
+    """How a body moves along its path over time.
+
+    It stands at the path's start, sets off at `start_time_s`, and then keeps
+    its speed, or brakes.
+    """
 
     path: Path  # where to
     speed_mps: (
@@ -323,7 +358,11 @@ class Motion:
 
     @property
     def acceleration_mps2(self) -> float:
-        """The most its speed changes in a second: v^2 / (2 a) over the acceleration distance."""
+        """Most that its speed changes in a second, in m/s^2.
+
+        While it gains speed that is v^2 / (2 a) over the acceleration distance
+        a.
+        """
         if self.acceleration_distance_m == 0.0:
             return self.deceleration_mps2
         gained = self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
@@ -405,7 +444,10 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
 
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
-    """Angle from the body to the path: grows with the curvature, decays with the sine of itself."""
+    """Angle from the body to the path, (n,), in rad.
+
+    It grows with the curvature and decays with its own sine.
+    """
     from scipy.integrate import solve_ivp
 
     arc_starts = turn.clothoid_length_m
@@ -434,7 +476,10 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
 
 @lru_cache(maxsize=64)  # the same few courses are driven again and again
 def _tow(course: Course, wheelbase_m: float) -> FloatArray:
-    """Heading of a body dragged along a course, at its points, (n,): Runge and Kutta's method."""
+    """Heading of a body dragged along a course, at its points, (n,).
+
+    Runge and Kutta's method gives it.
+    """
     from scipy.interpolate import CubicHermiteSpline
 
     stride = _TOW_STEPS

@@ -115,7 +115,13 @@ class _Place:
     is_checked: bool  # the way is known to follow its lanes
 
     def meeting_point(self) -> tuple[float, FloatArray]:
-        """Station and point (2,) where a crossing VRU is met; NoRoadError: no lane is there."""
+        """Station and point (2,) where a crossing VRU is met.
+
+        Raises
+        ------
+        NoRoadError
+            No lane is there.
+        """
         station_m, point_m = self.way.crossing(self.crosswalk)
         if self.ahead_m == 0.0:
             return station_m, point_m
@@ -125,7 +131,10 @@ class _Place:
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
-        """Raise if a straight way leaves the lane within some metres before the meeting point."""
+        """Raise if a straight way leaves the lane before the meeting point.
+
+        Only the last `driven_m` metres before that point count.
+        """
         if not self.is_checked:
             ways.check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
@@ -134,7 +143,9 @@ _Lay = Callable[[], _Place]  # or raises CannotCarryError
 
 
 def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the arm from which the VUT comes, the protocol's first; then along a lane's bends.
+    """Places on the arm from which the VUT comes.
+
+    The protocol's comes first, then those along a lane's bends.
 
     Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
@@ -180,7 +191,10 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
 
 
 def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the way straight through, counted behind it from the arm ahead's crosswalk."""
+    """Places on the way straight through.
+
+    They count behind the junction from the crosswalk of the arm ahead.
+    """
     arm = asked.arm
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
@@ -204,7 +218,10 @@ def _ways_through(
     crosswalk: Line | None = None,
     ahead_m: float = 0.0,
 ) -> Iterator[_Lay]:
-    """Ways of a vehicle from one arm straight on into another, by lane from the kerb."""
+    """Ways of a vehicle from one arm straight on into another.
+
+    They come by lane from the kerb.
+    """
 
     def place(
         entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool
@@ -251,7 +268,10 @@ def _side(asked: _Asked, line: Line) -> Arm:
 def _crossings(
     asked: _Asked, places: Iterable[_Lay]
 ) -> Iterator[Callable[[], Staging]]:
-    """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
+    """Crossings with a vehicle.
+
+    They come by the lanes of the other road, then by the places of the VUT.
+    """
     side = _side(asked, asked.entry_line)
     # What counts is how the other road leads into the junction, not where it comes
     # from.
@@ -378,7 +398,9 @@ def _set_off(
 def _beside_road(
     asked: _Asked, place: _Place, vut_m: float
 ) -> tuple[ways.Way, float, float]:
-    """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
+    """The way along the lane next to which cars park.
+
+    It is on the side from which a vehicle comes, in the direction of the VUT.
 
     The station of the first one's bumper; and +1 to the left of the lane, -1 to the
     right.
@@ -461,7 +483,10 @@ def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]
 
 
 def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
-    """The lane along which cyclists come from an arm, and how far left of its middle they ride."""
+    """The lane along which cyclists come, and how far left they ride.
+
+    The distance is from the middle of the lane, in metres.
+    """
     assert case.vru_line is not None
     if side.cycleways_in:
         return side.cycleways_in[0], 0.0
@@ -513,7 +538,9 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
 
 
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
-    """How far whoever is ahead moves up to the impact, when the run begins, and when it brakes.
+    """Distance moved ahead up to the impact, start time and brake time.
+
+    They are those of whoever is ahead of the VUT, in metres and seconds.
 
     One that brakes does so for longer than the protocol's last seconds where the gap is
     wide: the run begins a second before. Its time from then to the impact is that in
@@ -538,7 +565,10 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 
 # ---------- turning cases
 def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
-    """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
+    """The VUT's ways into another arm.
+
+    Those along the junction's lanes come before those on the protocol's curve.
+    """
     case = asked.case
     junction = asked.junction
     arm = asked.arm
@@ -559,7 +589,11 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
 
 
 def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning]]:
-    """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
+    """Turns from lane to lane.
+
+    Those along the junction's own lanes come before those on the protocol's
+    curve.
+    """
     junction = asked.junction
     vut = asked.vut
     try:
@@ -608,7 +642,10 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> S
 def _turned(
     asked: _Asked, turning: ways.Turning, vut_distance_m: float, vru_s: float
 ) -> tuple[Path, float]:
-    """The VUT's path through a turn with a straight part before it, and when it begins."""
+    """The VUT's path through a turn, and when the run begins, in s.
+
+    The path has a straight part before the turn.
+    """
     speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
     curve_s = vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
     begin_s = -max(vru_s, curve_s)
@@ -664,7 +701,10 @@ def _lay_turn_across(
 def _turning_way(
     asked: _Asked, target: Arm, turning: ways.Turning
 ) -> tuple[ways.Way, float]:
-    """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
+    """The VRU's way, and its station at the lane into which the VUT turns.
+
+    There the VRU crosses that lane.
+    """
     case = asked.case
     entry = turning.entry
     rules = staging.load_way_rules()
@@ -758,7 +798,9 @@ def _is_along(way: ways.Way, line: Line, ridden_m: float, tolerance_m: float) ->
 
 
 def _travel_m(case: Case, vru_distance_m: float) -> float:
-    """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point.
+    """The VRU's way from rest to the impact, in metres.
+
+    `vru_distance_m` is how far its middle is past the line's point.
 
     Of one that comes at its speed, from where the run begins.
     """

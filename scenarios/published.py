@@ -75,7 +75,10 @@ class _File(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_placements() -> tuple[CasePlacement, ...]:
-    """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
+    """Where the study's cases are driven at its junction.
+
+    They are read from ``data/town05_runs.toml``.
+    """
     where = "town05_runs.toml"
     table = read_table(load_data(__package__, where), _File, where)
     rows = enumerate(table.parked_rows)

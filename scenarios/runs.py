@@ -1,4 +1,7 @@
-"""Runs: a case, driven from an approach at a speed, on a grid of frames that ends at the impact."""
+"""Runs: cases, driven from an approach at a speed.
+
+A run lies on a grid of frames that ends at the impact.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -138,7 +141,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameAxis:
-    """All frames of some runs, laid end to end: the second axis of every detection array.
+    """All frames of some runs, laid end to end.
+
+    They are the second axis of every detection array.
 
     Attributes
     ----------
@@ -255,7 +260,9 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
 def live_confirmation_times_s(
     detected: BoolArray, axis: FrameAxis, *, rule: AebRule
 ) -> FloatArray:
-    """When the track of each run that is alive at its last moment was confirmed, in seconds.
+    """Time at which each run's live track was confirmed, in seconds.
+
+    It is the track that is alive at the run's last moment.
 
     (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not
     avoided. The last moment is the last brake time less the rule's latency. No track
@@ -308,7 +315,9 @@ class Onsets:
 
 
 def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
-    """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
+    """When the VRU of each run is confirmed, and when the VUT knows.
+
+    Messages may take their time.
 
     `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame;
     infinite where there is none. A message that arrives after the last brake time does
@@ -343,13 +352,19 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
-    """True if a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
+    """True if a frame and those before it are of one run, (n_frames,).
+
+    They are `n_frames` in all.
+    """
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
     return np.arange(axis.n_frames) - start >= n_frames - 1
 
 
 def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
-    """Detected frames since which a track lives until the last moment of the frame's run."""
+    """Detected frames since which a track lives to the run's last moment.
+
+    The run is that of the frame.
+    """
     n_frames = np.diff(axis.run_start)
     return held_frames(
         detected,
@@ -484,7 +499,10 @@ def build_runs(
 
 
 def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, float]:
-    """The arm to whose lanes the VUT's recorded way begins nearest, and how near, in metres."""
+    """The arm at which the VUT's recorded way begins, and how near, in m.
+
+    It is the arm to whose lanes the way begins nearest.
+    """
     start = Point(recorded.vut.points_m[0])
     away_m = {
         name: min(
@@ -498,7 +516,10 @@ def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, f
 
 
 def _highest_limit_kmh(junction: Junction) -> float | None:
-    """Speed limit of the fastest road into the junction; None if one of them has no known limit."""
+    """Speed limit of the fastest road into the junction, in km/h.
+
+    None if one of the roads has no known limit.
+    """
     limits = [arm.speed_limit_kmh for arm in junction.arms.values() if arm.entry_lanes]
     known = [limit for limit in limits if limit is not None]
     if known and len(known) == len(limits):
@@ -590,7 +611,10 @@ class _Drive:
         ]
 
     def _broken_limit_kmh(self, speed_kmh: float, vru_speed_kmh: float) -> float | None:
-        """The speed limit that the VUT, or a vehicle that it meets, would break; None: none."""
+        """The speed limit that would be broken, in km/h; None: none.
+
+        The VUT, or a vehicle that it meets, would break it.
+        """
         if self.limit_kmh is not None and speed_kmh > self.limit_kmh:
             return self.limit_kmh
         is_faster = (

@@ -1,4 +1,6 @@
-"""What a run counts that is not avoided: nothing, or by what is left of the VUT's speed at contact.
+"""What a run counts that is not avoided.
+
+It counts nothing, or by what is left of the VUT's speed at contact.
 
 A score gives a run levels: closing speeds at contact, the slower the more it counts. Of
 each level there is a last onset of braking (:func:`scenarios.aeb.last_onsets_s`), so
@@ -52,7 +54,15 @@ class Criterion(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_criteria(score: str) -> tuple[Criterion, ...]:
-    """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
+    """Criteria of a score from ``data/scores.toml``.
+
+    There are none of "avoided".
+
+    Raises
+    ------
+    InputError
+        The score is unknown.
+    """
     if score == AVOIDED:
         return ()
     tables = load_data(__package__, "scores.toml")
@@ -68,7 +78,9 @@ def bands_kmh(
     *,
     unbraked_kmh: float | None = None,
 ) -> tuple[tuple[float, float], ...]:
-    """Closing speeds at contact and what counts below each, the best first: ((0, 1.0), ...).
+    """Closing speeds at contact, and what counts below each.
+
+    The best comes first: ((0, 1.0), ...).
 
     The first one, below which nothing can be, stands for runs that are avoided.
     `unbraked_kmh` is the closing speed of the impact without braking, by default the
@@ -129,13 +141,19 @@ class Levels:
         return np.asarray(np.flatnonzero(np.diff(self.run_index, prepend=-1)))
 
     def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
-        """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""
+        """What runs count by their closing speeds at contact.
+
+        Arrays are (..., n_runs), and so is the result.
+        """
         run = self.run_index
         slower = closing_kmh[..., run] < self.below_kmh - _SAME_KMH
         return self._of_levels(is_avoided[..., run] | slower)
 
     def of_onsets(self, onset_s: FloatArray, tolerance_s: float) -> FloatArray:
-        """The same by the onsets of braking in seconds, infinite where there is none."""
+        """What runs count by the onsets of braking, in seconds.
+
+        An onset is infinite where there is none.
+        """
         return self._of_levels(
             onset_s[..., self.run_index] <= self.deadline_s + tolerance_s
         )

@@ -1,4 +1,7 @@
-"""Setting up a run: who moves how, past what, before anybody brakes; and the rules for it."""
+"""Setting up a run: who moves how, past what, before anybody brakes.
+
+The rules for it are here, too.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -29,7 +32,10 @@ class CannotCarryError(Exception):
 
 
 class NoRoadError(CannotCarryError):
-    """The junction has no road for a case: from that approach it is not possible at all."""
+    """The junction has no road for a case.
+
+    From that approach the case is not possible at all.
+    """
 
 
 ON_ROAD = "would stand on"
@@ -37,7 +43,10 @@ ON_ROAD = "would stand on"
 
 
 class NoKerbError(NoRoadError):
-    """Where a case's parked bodies would stand, all is driven on: no kerb lies next to the lane."""
+    """A case's parked bodies would stand where everything is driven on.
+
+    No kerb lies next to the lane.
+    """
 
 
 BENDS = "its lanes bend"
@@ -45,7 +54,10 @@ BENDS = "its lanes bend"
 
 
 class TooFastError(NoRoadError):
-    """The VUT's way, or its target's, bends so sharply that nobody drives it at the speed."""
+    """A way bends so sharply that nobody drives it at the speed.
+
+    It is the VUT's way, or its target's.
+    """
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
@@ -93,7 +105,9 @@ def find_meeting(
     vru_line: Line,
     search_m: tuple[float, float],
 ) -> tuple[float, float]:
-    """Where the VUT's and the VRU's middle are when they meet at the case's impact position.
+    """Distances of both bodies when they meet at the impact position.
+
+    They are those of the VUT's and the VRU's middle.
 
     Along the VUT's path, and along the VRU's line from its point. Front: the VRU's
     point is `impact_percent` across the VUT's width, and the VUT's front has just
@@ -127,7 +141,9 @@ def find_meeting(
 def find_crossing(
     vut: Actor, vut_path: Path, vru_tangent: Callable[[float], Line], search_m: float
 ) -> tuple[float, float]:
-    """Where a turning VUT's front axle crosses a target's way: along its path, and the station.
+    """Where a turning VUT's front axle crosses a target's way.
+
+    Returned are the distance along the VUT's path and the station of the way.
 
     `vru_tangent`: the straight line that touches the target's way at a station, with
     its point there. `search_m`: the last distance along the VUT's path to look at.
@@ -177,7 +193,10 @@ def impact_offset_m(case: Case, vut: Actor) -> float:
 def _gap_to_front(
     case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Separation while the VRU's point is at the impact position, and where the VRU then is."""
+    """Separation at the impact position, and where the VRU then is.
+
+    The VRU's point is at the impact position then.
+    """
     position, yaw_deg = vut_path.at(distance_m)
     ahead, left = _axes(yaw_deg)
     across = left @ vru_line.direction
@@ -201,7 +220,10 @@ def _gap_to_front(
 def _gap_to_side(
     case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far the impact position on the VUT's side is from the VRU's line, and where along it."""
+    """Distance of the impact position from the VRU's line, and along it.
+
+    The impact position is on the VUT's side.
+    """
     position, yaw_deg = vut_path.at(distance_m)
     ahead, left = _axes(yaw_deg)
     ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
@@ -225,7 +247,9 @@ _ROUND_KMH = 5
 
 
 def lateral_mps2(motion: Motion, body: Actor) -> float:
-    """Largest acceleration to the side of a vehicle's front axle up to the impact, in m/s^2.
+    """Largest sideways acceleration up to the impact, in m/s^2.
+
+    It is that of a vehicle's front axle.
 
     From a car's length before the start: its rear axle still turns into what the front
     has passed.
@@ -335,7 +359,10 @@ class WayRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObstructionRules:
-    """How far parked cars and walls give way to what stands where the protocol has them."""
+    """How far parked cars and walls give way.
+
+    They give way to what stands where the protocol has them.
+    """
 
     max_aside_m: dict[str, float]  # by the kind of the obstruction
     max_nearer_m: float

@@ -1,4 +1,7 @@
-"""Recorded trajectories of road users: CSV, CommonRoad XML, and SUMO's floating car data."""
+"""Recorded trajectories of road users.
+
+They are read from CSV, CommonRoad XML, and SUMO's floating car data.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,7 +30,10 @@ class _Tracks(Struct, frozen=True, kw_only=True):
 
 
 class EncounterRules(Struct, frozen=True, kw_only=True):
-    """Which pairs of tracks are encounters; in metres, seconds and metres per second."""
+    """Which pairs of tracks are encounters.
+
+    Units are metres, seconds and metres per second.
+    """
 
     min_vut_mps: float
     min_vru_mps: float
@@ -68,7 +74,10 @@ class Track:
         return f"Track({self.id!r}, {self.class_name}, {len(self.time_s)} samples)"
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Positions (..., 2) at times, between samples linearly; at its ends it stays."""
+        """Positions (..., 2) at times, linear between samples.
+
+        Beyond its ends the track stays.
+        """
         east, north = (
             np.interp(time_s, self.time_s, axis) for axis in self.position_m.T
         )
@@ -101,7 +110,9 @@ def read_tracks(
     frame_rate_hz: float | None = None,
     class_name: str = "",
 ) -> tuple[tuple[Track, ...], int]:
-    """Tracks of a file, and how many road users are left out: of other classes, or seen briefly.
+    """Tracks of a file, and how many road users are left out.
+
+    Those are left out that are of other classes, or seen briefly.
 
     `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV
     files: `columns` gives their names by what they hold (id, time, frame, x, y,
@@ -173,7 +184,10 @@ _FEWEST = 3  # samples of a track
 def _check(
     own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: float
 ) -> None:
-    """Raise InputError at the first sample that is off the file's steps, or has jumped."""
+    """Raise InputError at the first sample that is wrong.
+
+    It is off the file's steps, or has jumped.
+    """
     off = np.abs(dt / step_s - np.maximum(np.rint(dt / step_s), 1.0))
     bad = np.flatnonzero(off > load_trajectory_rules().tracks.step_tolerance)
     if len(bad):

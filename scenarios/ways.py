@@ -1,4 +1,7 @@
-"""Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
+"""Ways of road users along lanes and through the junction.
+
+Ways are straight or bent, and lead into other arms.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -53,7 +56,13 @@ class StraightWay:
         return self.line
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """Station and point (2,) where it crosses a line, nearest to the mouth, or raises."""
+        """Station and point (2,) where it crosses a line, nearest to the mouth.
+
+        Raises
+        ------
+        CannotCarryError
+            It does not cross the line.
+        """
         try:
             point = self.line.crossing_with(line)
         except np.linalg.LinAlgError:
@@ -71,7 +80,9 @@ class StraightWay:
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """The way some metres to the left of it, and where one of its stations lies on that way.
+        """The way some metres to the left, and a station on that way.
+
+        The station is where `station_m` of this way lies.
 
         It is needed so far back from the station and so far ahead; beyond it may go
         straight.
@@ -82,7 +93,10 @@ class StraightWay:
         return StraightWay(line=beside), 0.0
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """A vehicle's path that begins with the middle of its footprint at a station."""
+        """A vehicle's path from a station on.
+
+        It begins with the middle of the vehicle's footprint there.
+        """
         return self.vru_path(station_m)
 
     def vru_path(self, station_m: float) -> Path:
@@ -153,12 +167,15 @@ Way = StraightWay | CurvedWay
 
 
 def straight_line(lane: Lane, *, is_in: bool) -> Line:
-    """The straight line along the part of a lane next to the junction, through its mouth."""
+    """Straight line along a lane next to the junction, through its mouth."""
     return lane_line(lane, is_in=is_in, length_m=STRAIGHT_M)[0]
 
 
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
-    """How far a lane leaves its straight line, over a length from its mouth, in metres."""
+    """Most that a lane leaves its straight line, in metres.
+
+    A length from the lane's mouth counts.
+    """
     # the mouth comes first
     if is_in:
         points = lane.centreline_m[::-1]
@@ -189,13 +206,19 @@ def check_straight(
 
 
 def free_aside_m(vut: Actor, *lanes: Lane) -> float:
-    """How far the VUT's middle may leave that of its lanes to take a bend, in metres."""
+    """Distance that the VUT's middle may leave that of its lanes, in m.
+
+    It does so to take a bend.
+    """
     room_m = 0.5 * (min(lane.width_m for lane in lanes) - vut.width_m)
     return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
 
 
 def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
-    """The way along a lane, in its driving direction: straight where the lane is so far."""
+    """The way along a lane, in its driving direction.
+
+    It is straight where the lane is so far.
+    """
     if (
         off_line_m(lane, is_in=is_in, length_m=length_m)
         <= load_way_rules().max_lane_bend_m
@@ -207,7 +230,9 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
 def way_across(
     entry: Lane, leaving: Lane, connection: Lane | None, *, free_m: float | None = None
 ) -> tuple[Way, float]:
-    """The way from a lane into the junction straight on into a lane out of it, and its begin.
+    """The way from a lane straight on into a lane out of the junction.
+
+    The second result is its begin.
 
     Stations count from the mouth of the lane out of it; its begin is that at which the
     first lane begins. Straight, where all its lanes stay on the first one's line; else
@@ -271,7 +296,13 @@ def reversed_way(way: Way) -> Way:
 
 
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
-    """Stations of two ways at which they cross nearest to their origins, or CannotCarryError."""
+    """Stations at which two ways cross nearest to their origins.
+
+    Raises
+    ------
+    CannotCarryError
+        They do not cross.
+    """
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
         other_station, _ = other.crossing(one.tangent(station))
@@ -290,7 +321,10 @@ Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of 
 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
+    """The arm to a side of the VUT; None: there is none.
+
+    It is the one about at a right angle, or else nearest to that.
+    """
     if to_left:
         side = vut_line.left
     else:
@@ -342,7 +376,10 @@ def _outwards(arm: Arm, length_m: float) -> FloatArray:
 
 
 def straight_lane(junction: Junction, arm: Arm) -> Lane:
-    """The lane at the kerb from which cars drive straight on; that at the kerb if none may."""
+    """The lane at the kerb from which cars drive straight on.
+
+    Where none may, it is the lane at the kerb.
+    """
     ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
     if ahead is not None and ahead.exit_lanes:
         with suppress(NoRoadError):
@@ -399,7 +436,10 @@ def joints(
 
 
 def _has_connections(junction: Junction) -> bool:
-    """True if the map has lanes through the junction itself, not only through others around it."""
+    """True if the map has lanes through the junction itself.
+
+    Lanes through others around it do not count.
+    """
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])
@@ -535,7 +575,10 @@ _OVER_M = 1.0  # bends are taken over a metre, as those of runs
 
 
 def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
-    """Warn of each arm whose lanes bend too sharply for their speed limit, or 50 km/h."""
+    """Warn of each arm whose lanes bend too sharply.
+
+    The speed is their limit, or 50 km/h.
+    """
     rules = load_way_rules()
     try:
         junction = build_junction(scene)
@@ -560,7 +603,10 @@ def _limit_kmh(lane: Lane) -> float:
 
 
 def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
-    """Speed at each lane's sharpest bend in km/h, its distance from the junction, and the lane."""
+    """Speed at each lane's sharpest bend in km/h, distance, and lane.
+
+    The distance is that of the bend from the junction.
+    """
     vut = pick_actor("vut", "vut")
     step = round(_OVER_M / 0.01)  # points of a course lie a centimetre apart
     yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]

@@ -1,4 +1,6 @@
-"""How much each run counts: equally, per case, by accidents, statistics, points, or a CSV file.
+"""How much each run counts.
+
+It counts equally, per case, by accidents, statistics, points, or a CSV file.
 
 The statistics (``data/crash_types.toml``) know types of accidents and how near to a
 junction they happen; a table of one's own, by case, approach, position and weather, may
@@ -121,7 +123,10 @@ def _read_weight(text: str, where: str) -> float:
 
 
 def _read_position(text: str, where: str) -> str:
-    """The name of a position, or a word for all; spreadsheets take a + away, or need a '."""
+    """The name of a position, or a word for all of them.
+
+    Spreadsheets take a + away, or need a ' before it.
+    """
     text = text.removeprefix("'")
     if text in _ANY:
         return text
@@ -156,7 +161,10 @@ RATING = "euroncap-rating-2026"
 
 
 class _Score(Struct, frozen=True, kw_only=True):
-    """A score of the rating, and the cases (what our names begin with) that it counts for."""
+    """A score of the rating, and the cases that it counts for.
+
+    The cases are what our names begin with.
+    """
 
     name: str
     cases: tuple[str, ...]
@@ -189,7 +197,9 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 
 @cache
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
-    """Points by cases (what our names begin with) and weather, from the installed package.
+    """Points by cases and weather, from the installed package.
+
+    The cases are what our names begin with.
 
     Raises MissingExtraError: it is not installed. InputError: it does not know a score
     any more.
@@ -217,7 +227,10 @@ CRASH_TYPES = "fhwa-crash-types"
 
 
 class CrashType(Struct, frozen=True, kw_only=True):
-    """A type of accident, and the cases (what our names begin with) that stand for it."""
+    """A type of accident, and the cases that stand for it.
+
+    The cases are what our names begin with.
+    """
 
     name: Text
     vru: Literal["pedestrian", "cyclist"]
@@ -279,7 +292,9 @@ def weight_by_accidents(
     near: tuple[float, float],
     within_m: float,
 ) -> FloatArray:
-    """Weights by the accidents that happened around a place; what is not used is logged.
+    """Weights by the accidents that happened around a place.
+
+    What is not used is logged.
 
     Each counts the same. It is shared by the cases that stand for it
     (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night, as
@@ -398,7 +413,13 @@ def weigh(
 
 
 def check_weights(how: str) -> None:
-    """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
+    """Check the word of a user as far as it goes without runs.
+
+    Raises
+    ------
+    InputError
+        As :func:`weigh`.
+    """
     if how == RATING:
         load_points()
     if how in WEIGHT_WORDS:
