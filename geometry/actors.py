@@ -69,7 +69,8 @@ class Actor:
     name : str
         Name in the catalogue.
     class_name : str
-        "vehicle", "parked vehicle", "pedestrian" or "cyclist".
+        "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or
+        "car".
     length_m, width_m, height_m : float
         Bounding box of all shapes together, along x, y, z of the body frame. [m]
     shapes : tuple of Shape
@@ -78,30 +79,23 @@ class Actor:
     cycle_m : float
         Distance covered in one cycle of the gait; 0 where nothing moves. [m]
     reference_ahead_m : float
-        Hip or crank shaft, ahead of the middle of the box (negative: behind it). [m]
+        Hip, crank shaft, or the flank's point of a car that crosses, ahead of
+        the middle of the box (negative: behind it). [m]
     wheelbase_m, front_axle_ahead_m : float
-        Of a vehicle; the front axle ahead of the middle of the box. 0 for all others.
+        Of a vehicle or motorcycle; the front axle ahead of the middle of the box. 0 for all others.
         [m]
     """
 
-    name: str  #: in the catalogue
-    #: "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car"
+    name: str
     class_name: str
-    length_m: float  #: of the bounding box of all shapes together, along x
-    width_m: float  #: along y
-    height_m: float  #: along z
-    #: evenly spaced over one cycle of the gait; the first is how it stands at rest
+    length_m: float
+    width_m: float
+    height_m: float
     shapes: tuple[Shape, ...]
-    cycle_m: float = (
-        0.0  #: distance covered in one cycle of the gait; 0 where nothing moves
-    )
-    # : hip, crank shaft or the flank's point of a car that crosses, ahead of the box's
-    # middle
+    cycle_m: float = 0.0
     reference_ahead_m: float = 0.0
-    wheelbase_m: float = (
-        0.0  #: of a vehicle or motorcycle; 0 for all others, as the next one
-    )
-    front_axle_ahead_m: float = 0.0  #: ahead of the middle of the box
+    wheelbase_m: float = 0.0
+    front_axle_ahead_m: float = 0.0
 
     def __post_init__(self) -> None:
         where = f"actor {self.name}"
@@ -170,10 +164,8 @@ class MovingActor:
     """
 
     actor: Actor
-    position_m: (
-        FloatArray  # (n_frames, 2); middle of the footprint; NaN where it is not there
-    )
-    yaw_deg: FloatArray  # (n_frames,); heading
+    position_m: FloatArray
+    yaw_deg: FloatArray
 
     def __post_init__(self) -> None:
         position = np.array(self.position_m, dtype=np.float64)

@@ -126,11 +126,11 @@ class Arm:
         lanes; from the kerb to the road's axis.
     """
 
-    name: str  # where it lies, seen from the junction: "north", "east", ..
-    lanes_in: tuple[Lane, ...]  # whole as far as the map goes; parking lanes too
+    name: str
+    lanes_in: tuple[Lane, ...]
     lanes_out: tuple[Lane, ...]
-    crosswalk: Line  # where pedestrians cross the arm
-    cycleways_in: tuple[Lane, ...] = ()  # next to or between the lanes
+    crosswalk: Line
+    cycleways_in: tuple[Lane, ...] = ()
     cycleways_out: tuple[Lane, ...] = ()
 
     @property
@@ -173,13 +173,10 @@ class Junction:
         straight ones of two points, or bent past buildings.
     """
 
-    name: str  # of the scene
-    arms: dict[str, Arm]  # by name, counter-clockwise from the east
-    keeps_left: bool = False  # traffic keeps left
-    connections: tuple[
-        Lane, ...
-    ] = ()  # lanes through the junction, and through others around it
-    # lanes that are assumed, from beyond the map to the start of an entry lane
+    name: str
+    arms: dict[str, Arm]
+    keeps_left: bool = False
+    connections: tuple[Lane, ...] = ()
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:

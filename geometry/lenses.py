@@ -350,18 +350,29 @@ class CalibratedCamera:
 
     A point's column is cx + fx x, its row cy + fy y, with x and y at depth 1 as
     the lens shows them.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of its pictures. [px]
+    fx_px, fy_px, cx_px, cy_px : float
+        Focal lengths and principal point. [px]
+    R_camera_world : (3, 3) float
+        Rotation from the world to the camera (x right, y down, z ahead).
+    position_m : (3,) float
+        Position of the lens, world frame. [m]
+    lens : Lens
+        How it distorts.
     """
 
     width_px: int
     height_px: int
-    fx_px: float  # focal lengths and principal point
+    fx_px: float
     fy_px: float
     cx_px: float
     cy_px: float
-    R_camera_world: (
-        FloatArray  # (3, 3), from the world to the camera (x right, y down, z ahead)
-    )
-    position_m: FloatArray  # (3,), of the lens, world frame
+    R_camera_world: FloatArray
+    position_m: FloatArray
     lens: Lens = field(default_factory=BrownConrady)
 
     def __post_init__(self) -> None:

@@ -56,27 +56,21 @@ class LidarModel:
         Price of one unit. [EUR]
     """
 
-    name: str  #: in the catalogue
-    horizontal_fov_deg: (
-        float  #: full angle, more than 0 and up to 360: then it scans all round
-    )
-    vertical_fov_deg: (
-        float  #: full angle, as much up as down; more than 0 and less than 180
-    )
-    n_lines: int  #: scan lines, one above the other
-    points_per_second: float  #: pulses, whether they come back or not
-    frame_rate_hz: float  #: scans per second
-    range_m: float  #: nothing farther is reported
+    name: str
+    horizontal_fov_deg: float
+    vertical_fov_deg: float
+    n_lines: int
+    points_per_second: float
+    frame_rate_hz: float
+    range_m: float
     reference_range_m: float
     reference_reflectivity: float
     reference_probability: float
-    threshold_width: (
-        float  #: of the logistic step to a return, in the logarithm of the signal
-    )
-    wavelength_nm: float  #: of the laser
-    range_noise_m: float  #: one standard deviation
-    near_m: float  #: nothing nearer is reported
-    price_eur: float  #: of one unit
+    threshold_width: float
+    wavelength_nm: float
+    range_noise_m: float
+    near_m: float
+    price_eur: float
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)

@@ -29,9 +29,9 @@ class Pose:
         Positive up. [deg]
     """
 
-    position_m: FloatArray  #: (3,), east, north, up
-    yaw_deg: float  #: counter-clockwise from east
-    pitch_deg: float = 0.0  #: positive up
+    position_m: FloatArray
+    yaw_deg: float
+    pitch_deg: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(

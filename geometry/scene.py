@@ -63,17 +63,12 @@ class Site:
         Whether it may carry units, must, or must not.
     """
 
-    id: str  #: name
-    position_m: (
-        Point3  #: (3,), foot of the pole, or the point of the road below. World frame
-    )
-    kind: str  #: "lamp post", "traffic light" or "mast arm"
-    height_range_m: Point2  #: (2,), lowest and highest mount above the road
-    capacity_units: int  #: how many units it can carry
-    cost_eur: float = (
-        0.0  #: of power, network and bracket, paid once if it carries anything
-    )
-    #: "free", "forced" or "forbidden": whether it may, must or must not carry any
+    id: str
+    position_m: Point3
+    kind: str
+    height_range_m: Point2
+    capacity_units: int
+    cost_eur: float = 0.0
     use: str = "free"
 
     def __post_init__(self) -> None:
@@ -108,11 +103,18 @@ class Instance:
     """One thing of a scene.
 
     Its id is unique there; its class is one of ``CLASS_NAMES``.
+
+    Attributes
+    ----------
+    id, class_name : str
+        Its name, and its kind.
+    is_height_assumed : bool
+        The sources do not tell its height.
     """
 
     id: str
     class_name: str
-    is_height_assumed: bool = False  # the sources do not tell it
+    is_height_assumed: bool = False
 
     def __post_init__(self) -> None:
         check_name(self.id, f"instance {self.id}.id")
@@ -137,14 +139,10 @@ class LeadingRoad:
         Driving lanes into the junction and out of it, by the map's own words.
     """
 
-    name: str  # of the street, or else the id that the map gives it
-    point_m: (
-        Point2  # (2,); where it meets the junction's outline, or a little farther out
-    )
-    direction: Point2  # (2,); unit vector away from the junction
-    lanes_in: (
-        int  # driving lanes into the junction and out of it, by the map's own words
-    )
+    name: str
+    point_m: Point2
+    direction: Point2
+    lanes_in: int
     lanes_out: int
 
     def __post_init__(self) -> None:
@@ -154,37 +152,66 @@ class LeadingRoad:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that stands still. World frame, metres."""
+    """Everything that stands still. World frame, metres.
 
-    name: str  #: of the junction
-    vertices_m: FloatArray  #: (n_vertices, 3)
-    triangles: NDArray[np.int32]  #: (n_triangles, 3), vertex indices
-    triangle_instance: NDArray[np.int32]  #: (n_triangles,), index into `instances`
-    instances: tuple[Instance, ...]  #: things of the scene
-    sites: tuple[Site, ...]  #: where sensors can be mounted
-    outline_m: FloatArray  #: (n, 2), of the junction's road surface
-    lanes: "tuple[Lane, ...]"  #: of the junction's arms
-    # : coordinate reference system of the world frame, for pyproj; empty: unknown
+    Attributes
+    ----------
+    name : str
+        Name of the junction.
+    vertices_m : (n_vertices, 3) float
+        Corners of all triangles. [m]
+    triangles : (n_triangles, 3) int32
+        Vertex indices.
+    triangle_instance : (n_triangles,) int32
+        Index into `instances`.
+    instances : tuple of Instance
+        Things of the scene.
+    sites : tuple of Site
+        Where sensors can be mounted.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    lanes : tuple of Lane
+        Lanes of the junction's arms.
+    crs : str
+        Coordinate reference system of the world frame, for pyproj; empty:
+        unknown.
+    crosswalks_m : (n, 2, 2) float
+        Lines on which pedestrians cross an arm, from end to end. [m]
+    road_network : str
+        OpenDRIVE file with the same roads in the same frame; empty: none.
+    keeps_left : bool
+        Traffic keeps left.
+    source_crs : str
+        Coordinate reference system of the map it was made from, for results;
+        empty: `crs`.
+    source_origin_m : (2,) float
+        The world frame's origin in the coordinates of a map that names no place
+        on earth. [m]
+    zero_height_m : float or None
+        Height of z = 0, such as above the sea; None: unknown. [m]
+    notes : tuple of Note
+        What was assumed or left out when it was made of maps.
+    roads : tuple of LeadingRoad
+        Roads that lead to the junction; empty: the map does not say.
+    """
+
+    name: str
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+    triangle_instance: NDArray[np.int32]
+    instances: tuple[Instance, ...]
+    sites: tuple[Site, ...]
+    outline_m: FloatArray
+    lanes: "tuple[Lane, ...]"
     crs: str
-    #: (n, 2, 2), lines on which pedestrians cross an arm, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    road_network: str = (
-        ""  #: OpenDRIVE file with the same roads in the same frame; empty: none
-    )
-    keeps_left: bool = False  #: traffic keeps left
-    source_crs: str = ""  #: that of the map it was made from, for results; empty: `crs`
-    # : (2,), the world frame's origin in the coordinates of a map that names no place
-    # on earth
+    road_network: str = ""
+    keeps_left: bool = False
+    source_crs: str = ""
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
-    zero_height_m: float | None = (
-        None  #: of z = 0, such as above the sea; None: unknown
-    )
-    notes: tuple[
-        Note, ...
-    ] = ()  #: what was assumed or left out when it was made of maps
-    roads: tuple[
-        LeadingRoad, ...
-    ] = ()  #: that lead to the junction; none: the map does not say
+    zero_height_m: float | None = None
+    notes: tuple[Note, ...] = ()
+    roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
         shapes = {
@@ -235,18 +262,33 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
-    """One lane of an arm."""
+    """One lane of an arm.
 
-    id: str  # name in the source
-    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of
-    # one lane to the start of another; or "assumed": straight on from beyond the map to
-    # the start of one
+    Attributes
+    ----------
+    id : str
+        Name in the source.
+    kind : str
+        "driving", "parking", "cycling"; "connecting": through a junction, from
+        the end of one lane to the start of another; or "assumed": straight on
+        from beyond the map to the start of one.
+    width_m : float
+        Full width, within ``LANE_WIDTH_M``. [m]
+    centreline_m : (n, 2) float
+        Points of its middle in driving direction. World frame. [m]
+    speed_limit_kmh : float or None
+        Speed limit where it leads into the junction; None: unknown, or there
+        is none. [km/h]
+    turns : tuple of Turn
+        Movements from its end, by its markings; empty: it bears none.
+    """
+
+    id: str
     kind: Annotated[str, Meta(min_length=1)]
-    width_m: float  # full width, within ``LANE_WIDTH_M``
-    centreline_m: Points2  # (n, 2); in driving direction. World frame.
-    # where it leads into the junction; None: unknown, or there is none
+    width_m: float
+    centreline_m: Points2
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
-    turns: tuple[Turn, ...] = ()  # from its end, by its markings; empty: it bears none
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"

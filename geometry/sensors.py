@@ -36,33 +36,51 @@ class CameraModel:
 
     With a lens the field of view is what the picture shows: half a width from the
     principal point is a ray at half of `horizontal_fov_deg`, tangential terms aside.
+
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    width_px, height_px : int
+        Resolution. [px]
+    horizontal_fov_deg : float
+        Full angle across the width, more than 0 and less than 180; of a fisheye
+        maybe more. [deg]
+    frame_rate_hz : float
+        Images per second. [Hz]
+    near_m : float
+        What is nearer to the lens is not drawn: housing, bracket and pole. [m]
+    price_eur : float
+        Price of one unit. [EUR]
+    fov_range_deg : (float, float) or None
+        Least and largest horizontal field of view of a varifocal lens; None:
+        the lens is fixed. [deg]
+    lens : Lens or None
+        How it distorts; None: not at all.
+    principal_point : (float, float) or None
+        Where the axis meets the picture, in widths and heights of it; None: in
+        its middle.
+    pixel_aspect : float or None
+        Focal length in rows over that in columns; None: 1.
+    roll_deg : float or None
+        Turn about the axis, clockwise seen from behind; None: 0. [deg]
     """
 
-    name: str  #: in the catalogue
+    name: str
     width_px: int
     height_px: int
-    # : full angle across the width, more than 0 and less than 180; of a fisheye maybe
-    # more
     horizontal_fov_deg: float
-    frame_rate_hz: float  #: images per second
-    near_m: float  #: what is nearer to the lens is not drawn: housing, bracket and pole
-    price_eur: float  #: of one unit
-    # : least and largest horizontal field of view of a varifocal lens; None: the lens
-    # is fixed
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
     fov_range_deg: (
         Annotated[tuple[float, float], Meta(description="[low, high] in degrees")]
         | None
     ) = None
-    lens: Lens | None = None  #: how it distorts; None: not at all
-    # : where the axis meets the picture, in widths and heights of it; None: in its
-    # middle
+    lens: Lens | None = None
     principal_point: Annotated[tuple[float, float], _SHARES] | None = None
-    pixel_aspect: float | None = (
-        None  #: focal length in rows over that in columns; None: 1
-    )
-    roll_deg: float | None = (
-        None  #: turn about the axis, clockwise seen from behind; None: 0
-    )
+    pixel_aspect: float | None = None
+    roll_deg: float | None = None
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)

@@ -43,11 +43,8 @@ class Terrain:
         Of its nodes; the ground between them is two triangles per cell. [m]
     """
 
-    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     east_m: FloatArray
     north_m: FloatArray
-    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per
-    # cell
     height_m: FloatArray
 
     def __post_init__(self) -> None:

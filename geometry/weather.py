@@ -41,20 +41,16 @@ class Weather:
         How much of a mirror the road is, 0 .. 1.
     """
 
-    name: str  # "day", "night", "rain" or "fog"
-    visibility_m: float  # meteorological optical range of haze and fog, without rain
-    rain_rate_mmph: float  # rain
-    sun_elevation_deg: (
-        float  # where the sun stands: above the horizon, counter-clockwise from east
-    )
+    name: str
+    visibility_m: float
+    rain_rate_mmph: float
+    sun_elevation_deg: float
     sun_yaw_deg: float
-    sun_lux: float  # on a surface that faces the sun, and on level ground from the sky
+    sun_lux: float
     sky_lux: float
-    has_lamps: bool  # street lamps and headlights are on
-    # of a VRU against what is behind it, before the air takes its part; 1 in full
-    # daylight
+    has_lamps: bool
     contrast: float
-    wetness: float  # how much of a mirror the road is, 0 .. 1.
+    wetness: float
 
     def __post_init__(self) -> None:
         for field, is_valid, expected in (

@@ -91,23 +91,43 @@ class Accident:
     """What an accident was.
 
     `unused` says why it cannot stand for a case, otherwise it is empty.
+
+    Attributes
+    ----------
+    road_user : str
+        One of the types of ``data/accidents.toml``.
+    event : str
+        What happened, in the words of that file.
+    light : str
+        "day", "night", or else: neither, or unknown.
+    unused : str
+        Why it cannot stand for a case; empty: it can.
     """
 
-    road_user: str  # one of the types of ``data/accidents.toml``
+    road_user: str
     event: str
-    light: str  # "day", "night", or else: neither, or unknown
+    light: str
     unused: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Accidents:
-    """Accidents of a file."""
+    """Accidents of a file.
 
-    source: str  # The file's name
-    # (n, 2): latitude and longitude, WGS 84; not a number where the file has none.
-    # [deg]
+    Attributes
+    ----------
+    source : str
+        The file's name.
+    place_deg : (n, 2) float
+        Latitude and longitude, WGS 84; not a number where the file has none.
+        [deg]
+    what : tuple of Accident
+        What each accident was.
+    """
+
+    source: str
     place_deg: FloatArray
-    what: tuple[Accident, ...]  # Of each
+    what: tuple[Accident, ...]
 
     def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
         """Accidents within so many metres of a place; InputError: there is none."""

@@ -43,15 +43,11 @@ class AebRule:
         ever, as the study reads it. [s]
     """
 
-    deceleration_mps2: float  #: Constant once it is built up. [m/s^2]
-    latency_s: float  #: From the confirming frame to the onset of braking. [s]
-    n_confirmations: int  #: Consecutive detected frames that confirm a VRU.
-    frame_rate_hz: float  #: Frames per second. [Hz]
-    build_up_s: float = (
-        0.0  #: From the onset the deceleration rises linearly for so long. [s]
-    )
-    # : A confirmed VRU stays known for so long without being detected; infinite: for
-    # ever, as the : study reads it. [s]
+    deceleration_mps2: float
+    latency_s: float
+    n_confirmations: int
+    frame_rate_hz: float
+    build_up_s: float = 0.0
     track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
@@ -256,14 +252,21 @@ class Contacts:
     """First contacts of the footprints for onsets of braking.
 
     Each array has the onsets' shape.
+
+    Attributes
+    ----------
+    time_s : (...,) float
+        Time of contact relative to the impact without braking; infinite where the footprints
+        never touch. [s]
+    speed_mps : (...,) float
+        Speed of the VUT then; 0 where they never touch. [m/s]
+    closing_mps : (...,) float
+        The same less what the target does along the VUT's heading, at least 0:
+        Euro NCAP's relative impact speed. [m/s]
     """
 
-    # (...,): relative to the impact without braking; infinite where the footprints
-    # never touch. [s]
     time_s: FloatArray
-    speed_mps: FloatArray  # (...,): of the VUT then; 0 where they never touch. [m/s]
-    # (...,): the same less what the target does along the VUT's heading, at least 0:
-    # Euro NCAP's relative impact speed. [m/s]
+    speed_mps: FloatArray
     closing_mps: FloatArray
 
 

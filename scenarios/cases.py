@@ -47,16 +47,26 @@ PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUP
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VruLine:
-    """On which line of the junction the VRU moves."""
+    """On which line of the junction the VRU moves.
 
-    # "lane": of the arm it comes from; "kerb": of the VUT's approach road; "through":
-    # the lanes by which vehicles drive straight on through the junction
+    Attributes
+    ----------
+    along : {"crosswalk", "lane", "kerb", "through"}
+        "lane": of the arm it comes from; "kerb": of the VUT's approach road;
+        "through": the lanes by which vehicles drive straight on through the
+        junction.
+    lane : {"", "inner", "outer"}
+        "outer": at the kerb; empty unless along a lane.
+    left_of_lane_centre_m : float or None
+        Along a lane. [m]
+    outside_kerb_m : float or None
+        Along a kerb; negative on the road. [m]
+    """
+
     along: Literal["crosswalk", "lane", "kerb", "through"]
-    lane: Literal["", "inner", "outer"] = (
-        ""  # "outer": at the kerb; empty unless along a lane
-    )
-    left_of_lane_centre_m: float | None = None  # along a lane
-    outside_kerb_m: float | None = None  # along a kerb; negative on the road
+    lane: Literal["", "inner", "outer"] = ""
+    left_of_lane_centre_m: float | None = None
+    outside_kerb_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.along == "lane" and (
@@ -79,34 +89,55 @@ class VruLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstruction:
-    """Parked bodies, or a wall, that belong to a case."""
+    """Parked bodies, or a wall, that belong to a case.
 
-    kind: str  # "beside-vut", "beside-road", "beside-vru" or "wall"
-    bodies: tuple[
-        Actor, ...
-    ] = ()  # from the one nearest to the meeting point; none for a wall
-    # from the first body to the VRU's flank (beside-vut) or the middle of its way
-    # (beside-road), or from the VUT's centreline to the first body or the wall
+    Attributes
+    ----------
+    kind : str
+        "beside-vut", "beside-road", "beside-vru" or "wall".
+    bodies : tuple of Actor
+        From the one nearest to the meeting point; none for a wall.
+    first_gap_m : float
+        From the first body to the VRU's flank (beside-vut) or the middle of its
+        way (beside-road), or from the VUT's centreline to the first body or the
+        wall. [m]
+    between_gap_m : float
+        From bumper to bumper. [m]
+    side_gap_m : float
+        To the side of the VUT, to the middle of the nearest lane (beside-road),
+        or to the side of the VRU's box. [m]
+    wall_size_m : tuple of float
+        Length, thickness, height of the wall; empty without one. [m]
+    max_speed_kmh : float
+        It is taken away where VUT or VRU is faster. [km/h]
+    """
+
+    kind: str
+    bodies: tuple[Actor, ...] = ()
     first_gap_m: float
-    between_gap_m: float = 0.0  # from bumper to bumper
-    # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the
-    # side of the VRU's box
+    between_gap_m: float = 0.0
     side_gap_m: float
-    wall_size_m: tuple[
-        float, ...
-    ] = ()  # length, thickness, height of the wall; empty without one
-    max_speed_kmh: float = math.inf  # taken away where VUT or VRU is faster
+    wall_size_m: tuple[float, ...] = ()
+    max_speed_kmh: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Braking:
-    """How a vehicle ahead of the VUT brakes, with the VUT so far behind it."""
+    """How a vehicle ahead of the VUT brakes, with the VUT so far behind it.
+
+    Attributes
+    ----------
+    deceleration_mps2 : float
+        Constant deceleration. [m/s^2]
+    headway_s : float
+        Free gap when it begins / the VUT's speed. [s]
+    final_speed_kmh : float
+        Speed to which it slows down. [km/h]
+    """
 
     deceleration_mps2: Annotated[float, Meta(gt=0.0)]
-    headway_s: Annotated[
-        float, Meta(gt=0.0)
-    ]  # free gap when it begins / the VUT's speed
-    final_speed_kmh: Annotated[float, Meta(ge=0.0)]  # to which it slows down
+    headway_s: Annotated[float, Meta(gt=0.0)]
+    final_speed_kmh: Annotated[float, Meta(ge=0.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,64 +145,99 @@ class Case:
     """A Euro NCAP AEB case: who meets the VUT, and how.
 
     Whoever meets it has the field names of a VRU, also where it drives a car.
+
+    Attributes
+    ----------
+    name : str
+        Name of the case.
+    title : str
+        What happens, in words.
+    source : str
+        "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    kind : str
+        "crossing", "longitudinal", "turning" or "recorded"; "not laid" where
+        `not_laid` says why.
+    vru : Actor
+        Body of the road user that is met.
+    vru_speed_kmh : float
+        Steady; 0: it stands. The first of several that go with the VUT's
+        speeds, see `pairs_kmh`; of a run, its own. [km/h]
+    vut_speeds_kmh : tuple of float
+        Speeds to be driven, ascending. [km/h]
+    speed_limits_kmh : (float, float)
+        Lowest and highest speed of the protocol. [km/h]
+    impact_percent, impact_face : float, str
+        Where the VRU meets the VUT: "front" -
+        of its width, 0 = right edge, 100 = left edge; "side" - of its length, 0
+        = rear, on the side towards which it turns or from which the VRU comes.
+        [%]
+    vru_reference_m : float
+        The VRU's point that meets the impact position, ahead of the middle of
+        its box. [m]
+    acceleration_distance_m : float
+        From rest to the steady speed; 0: it comes at its speed. [m]
+    start_distance_m, steady_distance_m, steady_time_s : float or None
+        One of the three: the reference point's way from rest to the nominal
+        meeting line (the VUT's centreline, or that of its exit lane), or the
+        way or time at steady speed before the impact. [m], [s]
+    vru_side : str
+        Crossing: "near" or "far", from where the VRU comes.
+    turn, vru_direction : str
+        Turning: "near" or "far", where the VUT turns
+        to; "same" or "opposite", as the VUT before its turn. Longitudinal: the
+        latter alone.
+    vru_line : VruLine or None
+        Line on which the VRU moves. None in longitudinal cases: the VUT's lane.
+    obstruction : Obstruction or None
+        What hides the VRU.
+    pairs_kmh, extended_pairs_kmh : tuple of (float, float)
+        Speeds of the VUT and the VRU that go
+        together, empty where the VRU has one speed; those that the extended
+        range adds. [km/h]
+    range : Range
+        The range to which it belongs: "standard", or "extended" only.
+    meets_corner : bool
+        Turning: a front corner of the VRU meets the VUT, as the protocol
+        reckons it at 45 degrees, and not the middle of its front.
+    braking : Braking or None
+        How the VRU ahead brakes.
+    impact_turn : (int, int)
+        Number of its impact point, and how many take turns along the arms; (0,
+        1), but in "all".
+    not_laid : str
+        Why it cannot be laid anywhere; empty: it can.
+    recorded : RecordedEncounter or None
+        Of kind "recorded": the ways that were taken; such a case is laid there
+        alone.
     """
 
     name: str
-    title: str  #: What happens, in words.
-    source: str  #: "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
-    # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
-    # says why.
+    title: str
+    source: str
     kind: str
-    vru: Actor  #: Body of the road user that is met.
-    # : Steady; 0: it stands. The first of several that go with the VUT's speeds, see
-    # `pairs_kmh`; of : a run, its own. [km/h]
+    vru: Actor
     vru_speed_kmh: float = 0.0
-    # : vut_speeds_kmh and speed_limits_kmh: speeds to be driven, ascending; lowest and
-    # highest one : of the protocol. [km/h]
     vut_speeds_kmh: tuple[float, ...] = ()
     speed_limits_kmh: tuple[float, float] = (0.0, 0.0)
-    # : impact_percent and impact_face: where the VRU meets the VUT: "front" - of its
-    # width, 0 = : right edge, 100 = left edge; "side" - of its length, 0 = rear, on the
-    # side towards which it : turns or from which the VRU comes. [%]
     impact_percent: float = 50.0
     impact_face: str = "front"
-    # : The VRU's point that meets the impact position, ahead of the middle of its box.
-    # [m]
     vru_reference_m: float = 0.0
-    #: From rest to the steady speed; 0: it comes at its speed. [m]
     acceleration_distance_m: float = 0.0
-    # : One of the three: the reference point's way from rest to the nominal meeting
-    # line (the VUT's : centreline, or that of its exit lane), or the way or time at
-    # steady speed before the impact. : [m], [s]
     start_distance_m: float | None = None
     steady_distance_m: float | None = None
-    vru_side: str = ""  #: Crossing: "near" or "far", from where the VRU comes.
-    # : turn and vru_direction: turning: "near" or "far", where the VUT turns to; "same"
-    # or : "opposite", as the VUT before its turn. Longitudinal: the latter alone.
+    vru_side: str = ""
     turn: str = ""
     vru_direction: str = ""
-    # : None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU
-    # ahead brakes.
     vru_line: VruLine | None = None
     obstruction: Obstruction | None = None
     steady_time_s: float | None = None
-    # : pairs_kmh and extended_pairs_kmh: speeds of the VUT and the VRU that go
-    # together, empty where : the VRU has one speed; those that the extended range adds.
-    # [km/h]
     pairs_kmh: tuple[tuple[float, float], ...] = ()
     extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
-    range: Range = (
-        "standard"  #: The range to which it belongs: "standard", or "extended" only.
-    )
-    # : Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at
-    # 45 degrees, : and not the middle of its front.
+    range: Range = "standard"
     meets_corner: bool = False
     braking: Braking | None = None
-    # : (int, int); number of its impact point, and how many take turns along the arms;
-    # (0, 1), but : in "all".
     impact_turn: tuple[int, int] = (0, 1)
-    not_laid: str = ""  #: Why it cannot be laid anywhere; empty: it can.
-    #: Of kind "recorded": the ways that were taken; such a case is laid there alone.
+    not_laid: str = ""
     recorded: RecordedEncounter | None = None
 
     def __repr__(self) -> str:
@@ -464,7 +530,7 @@ def _each_impact(
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Cases of a table that differ in where the VRU meets the VUT.
 
-    A table with a list of places stands for one case each.
+    A table with a list of places stands for a case for each place.
     """
     percents = entry.get("impact_percent")
     beyond = entry.pop("extended_impact_percent", [])
@@ -747,17 +813,25 @@ def _but_for_the_point(case: Case) -> tuple[Case, str, tuple[float, ...]]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Cases to drive."""
+    """Cases to drive.
 
-    cases: tuple[Case, ...]  # each with the speeds to be driven
-    # cases none of whose speeds were asked for; with the speeds that they have
+    Attributes
+    ----------
+    cases : tuple of Case
+        Cases, each with the speeds to be driven.
+    left_out : tuple of Case
+        Cases none of whose speeds were asked for; with the speeds that they
+        have.
+    beyond : tuple of str
+        "case: speeds" outside of what the protocol drives, which were forced.
+    unprotected : tuple of Case
+        Cases that meet somebody who is not to be protected.
+    """
+
+    cases: tuple[Case, ...]
     left_out: tuple[Case, ...]
-    beyond: tuple[
-        str, ...
-    ]  # "case: speeds" outside of what the protocol drives, which were forced
-    unprotected: tuple[
-        Case, ...
-    ] = ()  # cases that meet somebody who is not to be protected
+    beyond: tuple[str, ...]
+    unprotected: tuple[Case, ...] = ()
 
 
 def select_cases(

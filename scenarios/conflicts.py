@@ -82,14 +82,32 @@ def time_to_collision_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundEncounter:
-    """A pair of tracks and its replay."""
+    """A pair of tracks and its replay.
+
+    Attributes
+    ----------
+    vehicle, vru : Track
+        The two recorded tracks.
+    actor : Actor
+        Body that stands for the VRU.
+    ttc_s : float
+        Least time to collision; infinite: they are never on collision course. [s]
+    gap_m : float
+        Least gap between their bodies. [m]
+    moment_s : float
+        Moment to which the speeds belong, on the recording's clock. [s]
+    vut_speed_kmh, vru_speed_kmh : float
+        Speeds at that moment. [km/h]
+    recorded : RecordedEncounter
+        How the pair is replayed.
+    """
 
     vehicle: Track
     vru: Track
-    actor: Actor  # body that stands for the VRU
-    ttc_s: float  # the least; infinite: they are never on collision course
-    gap_m: float  # the least between their bodies
-    moment_s: float  # to which speeds belong, on the recording's clock
+    actor: Actor
+    ttc_s: float
+    gap_m: float
+    moment_s: float
     vut_speed_kmh: float
     vru_speed_kmh: float
     recorded: RecordedEncounter

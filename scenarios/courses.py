@@ -55,11 +55,10 @@ class Course:
         Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
     """
 
-    begin_m: float  # station of the first point
-    points_m: FloatArray  # (n, 2); every centimetre. World frame.
-    yaw_rad: FloatArray  # (n,); direction there, without jumps by full turns
-    max_bend_per_m: float  # largest curvature
-    # most that the curvature changes in a metre; infinite where it jumps
+    begin_m: float
+    points_m: FloatArray
+    yaw_rad: FloatArray
+    max_bend_per_m: float
     max_bend_change_per_m2: float
 
     @property
@@ -332,13 +331,11 @@ class Turn:
         ``LEFT`` = +1, ``RIGHT`` = -1.
     """
 
-    # where the curve begins and ends; infinite: as straight as what comes before
     first_radius_m: float
-    radius_m: float  # of the arc in the middle; smaller than the first
-    # by how much each clothoid turns: its curvature grows linearly with its length
+    radius_m: float
     clothoid_deg: float
-    arc_deg: float  # by how much the arc turns
-    side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
+    arc_deg: float
+    side: int
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, "turn")

@@ -46,10 +46,7 @@ class Encounter:
         middle of the footprint.
     """
 
-    # the bodies; only their footprints count here
     vut: Actor
-    # without braking; the VUT is up to speed when it sets off. Paths are those of the
-    # middle of the footprint.
     vut_motion: Motion
     vru: Actor
     vru_motion: Motion
@@ -113,7 +110,7 @@ class Encounter:
 
     @property
     def small_m(self) -> float:
-        """Move below which neither body gets past the other, in metres."""
+        """Largest move in which neither body gets past the other, in metres."""
         return 0.25 * sum(
             min(body.length_m, body.width_m) for body in (self.vut, self.vru)
         )
@@ -216,11 +213,9 @@ class Measures:
         Along which time to divide it: where more is unknown.
     """
 
-    may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
-    touches: BoolArray  # (n,); true: there is one at the middle of its first time
-    is_cut_along_first: (
-        BoolArray  # (n,); along which time to divide it: where more is unknown
-    )
+    may_touch: BoolArray
+    touches: BoolArray
+    is_cut_along_first: BoolArray
 
 
 def find_first_touch(
@@ -298,13 +293,21 @@ _MAX_EARLY_S = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedWay:
-    """A way as it was taken, and when."""
+    """A way as it was taken, and when.
 
-    # of the middle of the body; goes straight on before and after them. World frame.
-    # [m]
+    Attributes
+    ----------
+    points_m : tuple of (float, float)
+        Points of the middle of the body, which goes straight on before and
+        after them. World frame. [m]
+    yaw_deg : float
+        Direction in which it goes straight on. [deg]
+    end_s : float
+        Time at which the body is at the last point; the impact is at 0. [s]
+    """
+
     points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
-    yaw_deg: float  # direction in which it goes straight on
-    # when the body is at the last point; the impact is at 0. [s]
+    yaw_deg: float
     end_s: Annotated[float, Meta(ge=-60.0, le=60.0)]
 
     def __post_init__(self) -> None:
@@ -318,11 +321,19 @@ class RecordedWay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedEncounter:
-    """Two recorded ways that lead to an impact at time 0 if nobody reacts."""
+    """Two recorded ways that lead to an impact at time 0 if nobody reacts.
+
+    Attributes
+    ----------
+    vut, vru : RecordedWay
+        The two ways.
+    known_s : float
+        Both are recorded for so long before the impact. [s]
+    """
 
     vut: RecordedWay
     vru: RecordedWay
-    known_s: float  # both are recorded for so long before the impact
+    known_s: float
 
     def as_recorded(
         self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float

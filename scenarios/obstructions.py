@@ -215,11 +215,19 @@ _MAY_OVERLAP_M = 0.1
 
 
 class _Areas(NamedTuple):
-    """Areas of a scene, shapely geometries that are prepared."""
+    """Areas of a scene, shapely geometries that are prepared.
+
+    Attributes
+    ----------
+    carriageway, parking : Any
+        Where cars drive, and where they park.
+    houses : Any
+        Ground under buildings and walls.
+    """
 
     carriageway: Any
     parking: Any
-    houses: Any  # ground under buildings and walls
+    houses: Any
 
 
 @lru_cache(maxsize=8)
@@ -239,12 +247,24 @@ def _areas(scene: Scene) -> _Areas:
 
 
 class _Solid(NamedTuple):
-    """Things of a scene that may stand in a way."""
+    """Things of a scene that may stand in a way.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene itself.
+    caster : RayCaster
+        Its triangles, near the origin: rays have single precision.
+    origin_m : (2,) float
+        Point of the scene that is the caster's origin. [m]
+    instance : (n,) int32
+        Index of the thing to which each triangle belongs.
+    """
 
     scene: Scene
-    caster: RayCaster  # near the origin: rays have single precision
-    origin_m: FloatArray  # (2,)
-    instance: NDArray[np.int32]  # (n,): of each triangle
+    caster: RayCaster
+    origin_m: FloatArray
+    instance: NDArray[np.int32]
 
     def rays(self, segments_m: FloatArray) -> tuple[FloatRays, FloatRays]:
         """Starts and ways (n, 3) of segments at each height above the ground."""

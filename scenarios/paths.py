@@ -30,14 +30,25 @@ _TOW_STEPS = 10  # points of a course that one step of the integration passes
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightPath:
-    """A straight line, driven in one direction."""
+    """A straight line, driven in one direction.
 
-    start_m: FloatArray  # (2,); east, north at distance 0
-    yaw_deg: float  # direction, counter-clockwise from east
-    direction: FloatArray = field(
-        init=False, repr=False
-    )  # the same as a unit vector, (2,)
-    # how much the heading changes in a metre, and how much that changes itself, at most
+    Attributes
+    ----------
+    start_m : (2,) float
+        East, north at distance 0. [m]
+    yaw_deg : float
+        Direction, counter-clockwise from east. [deg]
+    direction : (2,) float
+        The same as a unit vector.
+    max_turn_rad_per_m : float
+        Most that the heading changes in a metre. [rad/m]
+    max_turn_change_rad_per_m2 : float
+        Most that this change itself changes in a metre. [rad/m^2]
+    """
+
+    start_m: FloatArray
+    yaw_deg: float
+    direction: FloatArray = field(init=False, repr=False)
     max_turn_rad_per_m: ClassVar[float] = 0.0
     max_turn_change_rad_per_m2: ClassVar[float] = 0.0
 
@@ -79,12 +90,12 @@ class TurnPath:
         Front axle ahead of the middle of the footprint. [m]
     """
 
-    start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
-    yaw_deg: float  # direction there, counter-clockwise from east
-    straight_m: float  # from there to the start of the turn
-    turn: Turn  # the curve
-    wheelbase_m: float  # front axle to rear axle
-    front_axle_ahead_m: float  # front axle ahead of the middle of the footprint
+    start_m: FloatArray
+    yaw_deg: float
+    straight_m: float
+    turn: Turn
+    wheelbase_m: float
+    front_axle_ahead_m: float
     _direction: FloatArray = field(init=False, repr=False)
     _table: "_TurnTable" = field(init=False, repr=False)
 
@@ -174,8 +185,8 @@ class CoursePath:
         Station of the middle of the footprint at distance 0. [m]
     """
 
-    course: Course  # the line
-    start_m: float  # station of the middle of the footprint at distance 0
+    course: Course
+    start_m: float
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -212,9 +223,8 @@ class TowedPath:
         As of a :class:`TurnPath`. [m]
     """
 
-    course: Course  # the line
-    start_m: float  # station of the front axle's centre at distance 0
-    # as of a :class:`TurnPath`
+    course: Course
+    start_m: float
     wheelbase_m: float
     front_axle_ahead_m: float
     _body_rad: FloatArray = field(init=False, repr=False)
@@ -272,13 +282,27 @@ NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovedPath:
-    """A path that is mirrored, then turned about the origin, then shifted."""
+    """A path that is mirrored, then turned about the origin, then shifted.
+
+    Attributes
+    ----------
+    path : Path
+        The path as it was.
+    ahead_m : float
+        The new path begins so much farther on. [m]
+    is_mirrored : bool
+        North and south are swapped.
+    turn_deg : float
+        Counter-clockwise. [deg]
+    shift_m : tuple[float, float]
+        East, north. [m]
+    """
 
     path: "Path"
-    ahead_m: float = 0.0  # it begins so much farther on
-    is_mirrored: bool = False  # north and south are swapped
-    turn_deg: float = 0.0  # counter-clockwise
-    shift_m: tuple[float, float] = (0.0, 0.0)  # east, north
+    ahead_m: float = 0.0
+    is_mirrored: bool = False
+    turn_deg: float = 0.0
+    shift_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -324,20 +348,35 @@ class Motion:
 
     It stands at the path's start, sets off at `start_time_s`, and then keeps
     its speed, or brakes.
+
+    Attributes
+    ----------
+    path : Path
+        The path along which it moves.
+    speed_mps : float
+        Steady speed, which is the highest; 0: it stands at the path's start.
+        [m/s]
+    start_time_s : float
+        When it sets off; the impact is at 0. [s]
+    acceleration_distance_m : float
+        Distance from rest to its speed, at constant acceleration; 0: it has its
+        speed at once. [m]
+    brake_time_s : float
+        When it begins to brake, which is not before it is up to speed;
+        infinite: it does not. [s]
+    deceleration_mps2 : float
+        How it brakes. [m/s^2]
+    final_speed_mps : float
+        Speed that it keeps after braking. [m/s]
     """
 
-    path: Path  # where to
-    speed_mps: (
-        float  # once it is reached, and the highest; 0: it stands at the path's start
-    )
-    start_time_s: float  # when it sets off; the impact is at 0
-    # from rest to its speed, at constant acceleration; 0: at once
+    path: Path
+    speed_mps: float
+    start_time_s: float
     acceleration_distance_m: float = 0.0
-    # when it begins to brake, which is not before it is up to speed, and how; infinite:
-    # it does not
     brake_time_s: float = np.inf
     deceleration_mps2: float = 0.0
-    final_speed_mps: float = 0.0  # which it keeps then
+    final_speed_mps: float = 0.0
 
     def __post_init__(self) -> None:
         if self.speed_mps != 0.0 or self.acceleration_distance_m != 0.0:
@@ -417,16 +456,28 @@ def travel_time_s(
 
 
 class _TurnTable(NamedTuple):
-    """A vehicle on a turn, ahead and left of the turn's start, whose direction is 0."""
+    """A vehicle on a turn, ahead and left of the turn's start, whose direction is 0.
 
-    distance_m: FloatArray  # (n,); from its start to its end
-    ahead_m: FloatArray  # (n,); of the front axle
+    Attributes
+    ----------
+    distance_m : (n,) float
+        From its start to its end. [m]
+    ahead_m, left_m : (n,) float
+        Of the front axle. [m]
+    body_rad : (n,) float
+        Heading of the body. [rad]
+    exit_rad : float
+        Direction of the path after the turn. [rad]
+    exit_half_lag_tan : float
+        Tangent of half the angle by which the body lags behind there.
+    """
+
+    distance_m: FloatArray
+    ahead_m: FloatArray
     left_m: FloatArray
-    body_rad: FloatArray  # (n,); heading of the body
-    exit_rad: float  # direction of the path after the turn
-    exit_half_lag_tan: (
-        float  # tangent of half the angle by which the body lags behind there
-    )
+    body_rad: FloatArray
+    exit_rad: float
+    exit_half_lag_tan: float
 
 
 @lru_cache(maxsize=64)  # the same few turns are driven again and again

@@ -31,11 +31,7 @@ class Position:
         ahead. [m]
     """
 
-    # : On the arm straight ahead, by which the VUT leaves the junction; else on the arm
-    # from which : it comes.
     is_behind: bool = False
-    # : How far before the place of the protocol, or beyond the crosswalk of the arm
-    # ahead. [m]
     distance_m: float = 0.0
 
     @property

@@ -87,11 +87,23 @@ def _comes_through(case: Case) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Asked:
-    """What is to be laid."""
+    """What is to be laid.
+
+    Attributes
+    ----------
+    case : Case
+        The case.
+    junction : Junction
+        The junction, where traffic keeps right.
+    arm : Arm
+        The arm from which the VUT comes.
+    vut, vut_speed_kmh : Actor, float
+        The VUT and its speed. [km/h]
+    """
 
     case: Case
     junction: Junction
-    arm: Arm  # from which the VUT comes
+    arm: Arm
     vut: Actor
     vut_speed_kmh: float
 
@@ -103,16 +115,34 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place:
-    """Where along the VUT's way a case is laid."""
+    """Where along the VUT's way a case is laid.
+
+    Attributes
+    ----------
+    way : Way
+        The VUT's way.
+    crosswalk : Line
+        The crosswalk from which the place counts.
+    entry_lane : Lane
+        The lane by which the VUT comes.
+    followed : Lane
+        The same, with what is assumed before it.
+    begin_m, end_m : float
+        Stations at which the mapped lanes begin and end. [m]
+    ahead_m : float
+        The VUT meets the VRU so far ahead of the crosswalk. [m]
+    is_checked : bool
+        The way is known to follow its lanes.
+    """
 
     way: ways.Way
     crosswalk: Line
     entry_lane: Lane
-    followed: Lane  # the same, with what is assumed before it
-    begin_m: float  # station at which the mapped lanes begin
-    end_m: float  # and end
-    ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
-    is_checked: bool  # the way is known to follow its lanes
+    followed: Lane
+    begin_m: float
+    end_m: float
+    ahead_m: float
+    is_checked: bool
 
     def meeting_point(self) -> tuple[float, FloatArray]:
         """Station and point (2,) where a crossing VRU is met.

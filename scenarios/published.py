@@ -41,18 +41,14 @@ class CasePlacement:
         Parked bodies that belong to this case only.
     """
 
-    # the junction, and the arm from which the VUT comes
     scene_name: str
-    case: Case  # what is driven
+    case: Case
     approach: str
-    # from the start points on
     vut_path: StraightPath
     vru_path: StraightPath
-    # distances along the paths from their starts to where the middle of the VRU is at
-    # the impact, and to the point next to it on the VUT's path
     vut_meeting_m: float
     vru_meeting_m: float
-    obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only
+    obstruction: tuple[PlacedActor, ...]
 
 
 class _Entry(Struct, frozen=True, kw_only=True):

@@ -57,9 +57,10 @@ class Run:
     id : str
         "case/approach/speed", by day; else "case/approach/speed/weather". At other
         positions than 0 the position stands behind the approach:
-        "case/approach-15/speed".
+        "case/approach-15/speed". Where the case has several speeds of whoever is
+        met, both: "case/approach/30x50".
     case : Case
-        What is driven.
+        What is driven, with the speed of whoever is met in this run.
     approach : str
         The arm from which the VUT comes.
     position : str
@@ -91,37 +92,23 @@ class Run:
         The ground on which all of them stand; None: the plane z = 0.
     """
 
-    # : "case/approach/speed", by day; else "case/approach/speed/weather". At other
-    # positions than 0 : the position stands behind the approach:
-    # "case/approach-15/speed". Where the case has several : speeds of whoever is met,
-    # both: "case/approach/30x50".
     id: str
-    case: Case  #: What is driven, with the speed of whoever is met in this run.
-    approach: str  #: The arm from which the VUT comes.
-    weather: str  #: One of ``WEATHERS``.
-    vut_speed_kmh: float  #: Constant. [km/h]
-    encounter: Encounter  #: Bodies and motions without braking.
-    # : (n_frames,); times of the frames, ascending, relative to the impact; the last
-    # one is 0, or at : most one frame before. [s]
+    case: Case
+    approach: str
+    weather: str
+    vut_speed_kmh: float
+    encounter: Encounter
     time_s: FloatArray
-    # : (n_frames, 2) and (n_frames,); middles of the footprints, world frame [m],
-    # headings [deg].
     vut_position_m: FloatArray
     vut_yaw_deg: FloatArray
     vru_position_m: FloatArray
     vru_yaw_deg: FloatArray
-    vru_shape: IntArray  #: (n_frames,); which shape of its gait the VRU has.
-    # : obstruction and traffic: parked bodies of this run, and vehicles that drive by,
-    # frame by : frame; nobody touches VUT or VRU before the impact.
+    vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
-    last_brake_time_s: float  #: Latest onset of braking that avoids. [s]
-    # : Where along its way, see :class:`scenarios.positions.Position`: "0", "-15",
-    # "+0", "+15".
+    last_brake_time_s: float
     position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
-    terrain: Terrain | None = (
-        None  #: The ground on which all of them stand; None: the plane z = 0.
-    )
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         for body in self.traffic:
@@ -159,17 +146,15 @@ class FrameAxis:
         Relative to the impact. [s]
     """
 
-    run_ids: tuple[str, ...]  #: Per run, as those that follow.
+    run_ids: tuple[str, ...]
     cases: tuple[str, ...]
     approaches: tuple[str, ...]
     weathers: tuple[str, ...]
-    vut_speed_kmh: FloatArray  #: (n_runs,), as the next two. [km/h]
-    weight: FloatArray  #: They sum to 1.
+    vut_speed_kmh: FloatArray
+    weight: FloatArray
     last_brake_time_s: FloatArray
-    # : (n_runs + 1,); frames of run r are run_start[r] .. run_start[r + 1] - 1.
     run_start: IntArray
-    time_s: FloatArray  #: (n_frames,); relative to the impact. [s]
-    #: Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
+    time_s: FloatArray
     positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -301,16 +286,8 @@ class Onsets:
         A confirmed track is alive at the last moment, and its messages have arrived.
     """
 
-    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track
-    # is alive at the last moment: when one is confirmed too late, or else the first
-    # that was lost again; infinite if none is ever confirmed.
     confirmation_s: FloatArray
-    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in;
-    # infinite if no track is confirmed, or the only ones were lost before the last
-    # moment
     onset_s: FloatArray
-    # (n_runs,); a confirmed track is alive at the last moment, and its messages have
-    # arrived
     is_in_time: BoolArray
 
 
@@ -386,26 +363,42 @@ LeftOut = Literal["", "unprotected", "not laid", "speeds"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry at some speeds, and the reason."""
+    """A case that an approach does not carry at some speeds, and the reason.
 
-    # : What is not driven, the arm from which the VUT would come, and where along its
-    # way.
+    Attributes
+    ----------
+    case : Case
+        What is not driven.
+    approach : str
+        The arm from which the VUT would come.
+    speeds_kmh : tuple of float
+        Speeds of the VUT, one for each run. [km/h]
+    reason : str
+        Why, in words.
+    is_possible : bool
+        The junction has the roads that the case needs, and it has the speeds
+        asked for: what is missing is room.
+    limit_kmh : float or None
+        The map's speed limit, where the speeds are above it; else None. [km/h]
+    position : str
+        Where along the VUT's way.
+    vru_speeds_kmh : tuple of float
+        Speeds of whoever is met that go with `speeds_kmh`; empty where the case
+        has one. [km/h]
+    left_out : LeftOut
+        Why it is not the junction's doing: whoever is met is not to be
+        protected, the case is laid nowhere, or none of its speeds was asked
+        for. Empty: the junction does not carry it.
+    """
+
     case: Case
     approach: str
-    # : speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of
-    # whoever is met : that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
-    reason: str  #: Why, in words.
-    # : The junction has the roads that the case needs, and it has the speeds asked for:
-    # what is : missing is room.
+    reason: str
     is_possible: bool = True
-    #: The map's speed limit, where the speeds are above it; else None. [km/h]
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
     vru_speeds_kmh: tuple[float, ...] = ()
-    # : Why it is not the junction's doing: whoever is met is not to be protected, the
-    # case is laid : nowhere, or none of its speeds was asked for. Empty: the junction
-    # does not carry it.
     left_out: LeftOut = ""
 
     @property
@@ -552,16 +545,37 @@ def _refusal(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Drive:
-    """A case at a place: what its runs at several speeds have in common."""
+    """A case at a place: what its runs at several speeds have in common.
+
+    Attributes
+    ----------
+    case : Case
+        The case.
+    scene : Scene
+        The scene.
+    right_hand : Junction
+        The scene's junction, mirrored where traffic keeps left.
+    approach : str
+        The arm from which the VUT comes.
+    position : Position
+        Where along its way.
+    limit_kmh : float or None
+        Nothing faster is driven; None: no limit. [km/h]
+    target_limit_kmh : float or None
+        The same for vehicles that the VUT meets: the highest limit of all roads
+        of the junction. [km/h]
+    vut : Actor
+        The VUT.
+    rule : AebRule
+        How it brakes.
+    """
 
     case: Case
     scene: Scene
-    right_hand: Junction  # of the scene, mirrored where traffic keeps left
+    right_hand: Junction
     approach: str
     position: Position
-    limit_kmh: float | None  # nothing faster is driven; None: no limit
-    # the same for vehicles that the VUT meets: the highest limit of all roads of the
-    # junction
+    limit_kmh: float | None
     target_limit_kmh: float | None
     vut: Actor
     rule: AebRule

@@ -42,12 +42,22 @@ class Bands(Struct, frozen=True, kw_only=True):
 
 
 class Criterion(Struct, frozen=True, kw_only=True):
-    """How some cases are judged."""
+    """How some cases are judged.
+
+    Attributes
+    ----------
+    criterion : str
+        Euro NCAP's name of it.
+    measure : {"below", "lost"}
+        The speed at contact, or what braking has taken of it.
+    cases : tuple of str
+        What names of cases begin with that it judges.
+    bands : tuple of Bands
+        What counts, by the VUT's speed.
+    """
 
     criterion: Text
-    measure: Literal[
-        "below", "lost"
-    ]  # the speed at contact, or what braking has taken of it
+    measure: Literal["below", "lost"]
     cases: tuple[Text, ...]
     bands: tuple[Bands, ...]
 
@@ -115,20 +125,29 @@ def bands_kmh(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Levels:
-    """Levels of runs, run by run, the best level of each first."""
+    """Levels of runs, run by run, the best level of each first.
 
-    score: str  # By which score
-    run_index: (
-        IntArray  # (n_levels,): run of each level, ascending; each run has one at least
-    )
-    # (n_levels,): reached by closing speeds at contact below this; 0: by runs that are
-    # avoided. [km/h]
+    Attributes
+    ----------
+    score : str
+        Name of the score.
+    run_index : (n_levels,) int
+        Run of each level, ascending; each run has one at least.
+    below_kmh : (n_levels,) float
+        Reached by closing speeds at contact below this; 0: by runs that are
+        avoided. [km/h]
+    gain : (n_levels,) float
+        What reaching it adds to the next worse level of its run, a share of the
+        run's weight; those of a run sum to 1.
+    deadline_s : (n_levels,) float
+        Last onset of braking that reaches it, and so does every earlier one; of
+        avoided runs the last brake time. [s]
+    """
+
+    score: str
+    run_index: IntArray
     below_kmh: FloatArray
-    # (n_levels,): what reaching it adds to the next worse level of its run, a share of
-    # the run's weight; those of a run sum to 1
     gain: FloatArray
-    # (n_levels,): last onset of braking that reaches it, and so does every earlier one;
-    # of avoided runs the last brake time. [s]
     deadline_s: FloatArray
 
     def __post_init__(self) -> None:

@@ -87,14 +87,11 @@ class Staging:
         How far it may be moved aside. [m]
     """
 
-    encounter: Encounter  # its impact is at time 0
-    obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only
-    # (2,); unit vectors in which the obstruction may give way to what stands there:
-    # away from whom it stands next to, and away from where the ways cross; zero without
-    # one
+    encounter: Encounter
+    obstruction: tuple[PlacedActor, ...]
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
-    max_aside_m: float = 0.0  # how far it may be moved aside
+    max_aside_m: float = 0.0
 
 
 def find_meeting(
@@ -362,9 +359,18 @@ class ObstructionRules:
     """How far parked cars and walls give way.
 
     They give way to what stands where the protocol has them.
+
+    Attributes
+    ----------
+    max_aside_m : dict[str, float]
+        Largest move aside, by the kind of the obstruction. [m]
+    max_nearer_m, max_back_m, step_m, max_before_m, island_m : float
+        As the comments in ``data/laying.toml`` say. [m]
+    max_island_skew_deg : float
+        As the comments there say. [deg]
     """
 
-    max_aside_m: dict[str, float]  # by the kind of the obstruction
+    max_aside_m: dict[str, float]
     max_nearer_m: float
     max_back_m: float
     step_m: float

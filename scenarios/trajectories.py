@@ -61,13 +61,27 @@ def load_trajectory_rules() -> TrajectoryRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Where a road user was."""
+    """Where a road user was.
 
-    id: str  # as in the file
-    class_name: str  # "vehicle", "pedestrian", "cyclist" or "motorcyclist"
-    time_s: FloatArray  # (n,), n >= 3; ascending, on the recording's clock
-    position_m: FloatArray  # (n, 2); middle of the body, in the recording's frame
-    # (n,); counter-clockwise from x; not a number where the file does not say
+    Attributes
+    ----------
+    id : str
+        Name as in the file.
+    class_name : str
+        "vehicle", "pedestrian", "cyclist" or "motorcyclist".
+    time_s : (n,) float
+        Times, n >= 3, ascending, on the recording's clock. [s]
+    position_m : (n, 2) float
+        Middle of the body, in the recording's frame. [m]
+    yaw_deg : (n,) float
+        Heading counter-clockwise from x; not a number where the file does not say.
+        [deg]
+    """
+
+    id: str
+    class_name: str
+    time_s: FloatArray
+    position_m: FloatArray
     yaw_deg: FloatArray
 
     def __repr__(self) -> str:

@@ -456,14 +456,30 @@ def _has_connections(junction: Junction) -> bool:
 # ---------- turns into another arm
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turning:
-    """A VUT's way into another arm."""
+    """A VUT's way into another arm.
+
+    Attributes
+    ----------
+    entry_lane : Lane
+        The lane by which it comes.
+    entry : Line
+        Line through the place where the turn begins.
+    exit_way : Way
+        The way on which it leaves the junction.
+    turn_m : float
+        Length of the turn. [m]
+    path_with : callable of float to Path
+        The VUT's path that begins so many metres before the turn.
+    is_straight : bool
+        The way is straight except in the turn.
+    """
 
     entry_lane: Lane
-    entry: Line  # where the turn begins
+    entry: Line
     exit_way: Way
-    turn_m: float  # its length
-    path_with: Callable[[float], Path]  # some metres before it
-    is_straight: bool  # but for the turn
+    turn_m: float
+    path_with: Callable[[float], Path]
+    is_straight: bool
 
 
 _AFTER_TURN_M = 10.0  # by then the VUT has met the VRU

@@ -230,12 +230,25 @@ class CrashType(Struct, frozen=True, kw_only=True):
     """A type of accident, and the cases that stand for it.
 
     The cases are what our names begin with.
+
+    Attributes
+    ----------
+    name : str
+        Name in the statistics.
+    vru : {"pedestrian", "cyclist"}
+        The road user.
+    share : float
+        Share of all accidents of such road users.
+    place : {"near", "far", "any"}
+        Where it happens, as seen from the junction.
+    cases : tuple of str
+        What our names of the cases begin with.
     """
 
     name: Text
     vru: Literal["pedestrian", "cyclist"]
-    share: Annotated[float, Meta(gt=0.0, le=1.0)]  # of all accidents of such road users
-    place: Literal["near", "far", "any"]  # to the junction
+    share: Annotated[float, Meta(gt=0.0, le=1.0)]
+    place: Literal["near", "far", "any"]
     cases: tuple[Text, ...]
 
 
