@@ -22,9 +22,8 @@ from .files import Table, Text, load_toml, pick, read_tables
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
 
-_SHAPE_DECIMALS = (
-    6  # of a shape: distances that differ in the last bits give the same one
-)
+# Of a shape: distances that differ in the last bits give the same one.
+_SHAPE_DECIMALS = 6
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 

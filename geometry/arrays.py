@@ -41,7 +41,8 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
         TypeError,
         ValueError,
         OverflowError,
-    ):  # a whole number of 400 digits overflows
+    ):
+        # A whole number of 400 digits overflows.
         raise InputError(name, values, f"numbers of shape {shape}") from None
     if array.ndim != len(shape) or any(
         want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)

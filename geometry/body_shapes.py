@@ -31,15 +31,19 @@ from .files import (
 )
 
 DATA = Path(__file__).parent / "data"
-_N_SHAPES = 8  # per cycle of a gait
-_THIN_M = 0.03  # radius below which a sphere's 12 vertices do; thicker ones have 42
-_SECTIONS = 24  # of a wheel
+# Per cycle of a gait.
+_N_SHAPES = 8
+# Radius below which a sphere's 12 vertices do; thicker ones have 42.
+_THIN_M = 0.03
+# Of a wheel.
+_SECTIONS = 24
 _TYRE_SECTIONS = 8
-_TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
-_BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-_Frame = tuple[
-    FloatArray, FloatArray
-]  # Of a bone, in the frame of the body: rotation and joint.
+# Of the surface, when small triangles are merged.
+_TOLERANCE_M = 2.0e-3
+# The bone that nothing turns: trunk, frame of a bicycle, car.
+_BODY = "body"
+# Of a bone, in the frame of the body: rotation and joint.
+_Frame = tuple[FloatArray, FloatArray]
 _SIDES = (-1.0, 1.0)
 _MAX_STRETCH = 0.04
 
@@ -226,9 +230,8 @@ def _build_mesh(
             operation = library.OpType.Add
         body = library.Manifold.batch_boolean([body, *solids], operation)
     pieces = body.simplify(_TOLERANCE_M).decompose()
-    outside = [
-        piece for piece in pieces if piece.volume() > 0.0
-    ]  # the rest are hollows inside
+    # The rest are hollows inside.
+    outside = [piece for piece in pieces if piece.volume() > 0.0]
     if len(outside) != 1:
         refuse(where, f"{len(outside)} pieces", "parts that touch")
     mesh = outside[0].to_mesh64()

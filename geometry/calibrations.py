@@ -227,7 +227,8 @@ def _numbers(
             value = [*value.values()]
     listed: list[Any] = value if isinstance(value, list) else [value]
     try:
-        numbers = np.array([float(one) for one in listed])  # a list in a list is none
+        # A list in a list is none.
+        numbers = np.array([float(one) for one in listed])
     except (TypeError, ValueError):
         numbers = np.full(0, np.nan)
     if len(numbers) not in counts or not (abs(numbers) < _MOST).all():

@@ -4,10 +4,10 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-_MAX_CHARACTERS = 200  # of a value in a message
-_MAX_WORDS = (
-    2_000  # characters of our own words, such as a list of all names that exist
-)
+# Of a value in a message.
+_MAX_CHARACTERS = 200
+# Characters of our own words, such as a list of all names that exist.
+_MAX_WORDS = 2_000
 
 
 class InputError(ValueError):
@@ -95,7 +95,8 @@ def _shorten(got: object) -> str:
     """A value as Python writes it, cut off after 200 characters."""
     try:
         text = repr(got)
-    except ValueError:  # Python refuses to write integers of thousands of digits
+    except ValueError:
+        # Python refuses to write integers of thousands of digits.
         return "a number of thousands of digits"
     if len(text) <= _MAX_CHARACTERS:
         return text
@@ -108,9 +109,8 @@ def _one_line(text: str, max_characters: int = 2 * _MAX_CHARACTERS) -> str:
     The text may come from a file, such as a name in it. Characters that nobody
     sees are written as escapes.
     """
-    if (
-        len(text) > max_characters
-    ):  # both ends tell something: a file's folder and its name
+    if len(text) > max_characters:
+        # Both ends tell something: a file's folder and its name.
         half = max_characters // 2
         text = f"{text[:half]}..{text[-half:]}"
     if text.isprintable():

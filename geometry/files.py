@@ -37,25 +37,32 @@ import msgspec
 from .errors import InputError, Unquoted, refuse
 
 Table = Mapping[str, Any]
-Text = Annotated[str, msgspec.Meta(min_length=1)]  # of a field that must not be empty
+# Of a field that must not be empty.
+Text = Annotated[str, msgspec.Meta(min_length=1)]
 _T = TypeVar("_T")
-MAX_TEXT_BYTES = 300_000_000  # of JSON or CSV that is read as a whole
-MAX_TOML_BYTES = 20_000_000  # Python's reader takes half a second per million
+# Of JSON or CSV that is read as a whole.
+MAX_TEXT_BYTES = 300_000_000
+# Python's reader takes half a second per million.
+MAX_TOML_BYTES = 20_000_000
 _PLACE = re.compile(r" - at `(key in )?\$(?P<path>.*)`$")
 _STEP = re.compile(r"\.(\w+)|\[(\d+|\.\.\.)\]")
-_YOUNG_S = 60.0  # a process may have made it and not locked it yet
+# A process may have made it and not locked it yet.
+_YOUNG_S = 60.0
 
 
 # ---------- the door: every file of a user's is opened, read and written by these functions
 def check_file(path: Path, *, max_bytes: int | None = None) -> None:
-    """Raise InputError unless a path is a regular file, and not too large to be read as a whole.
+    """Raise InputError unless a path is a regular file of a fair size.
+
+    `max_bytes` is the most that may be read as a whole.
 
     A pipe or a device could keep its reader waiting for ever. A file that does not
     exist, or may not be looked at, is left to whoever opens it.
     """
     try:
         found = path.stat()
-    except (OSError, ValueError):  # ValueError: a zero byte in the name
+    except (OSError, ValueError):
+        # ValueError: a zero byte in the name.
         return
     if not stat.S_ISDIR(found.st_mode):
         _check_found(found, str(path), max_bytes)
@@ -85,11 +92,11 @@ def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
     InputError
         It is no regular file, is too large, or cannot be opened.
     """
-    check_file(path, max_bytes=max_bytes)  # to open a device may already do something
+    # To open a device may already do something.
+    check_file(path, max_bytes=max_bytes)
 
-    def at_once(
-        name: str, flags: int
-    ) -> int:  # without waiting for who would write into a pipe
+    # Without waiting for who would write into a pipe.
+    def at_once(name: str, flags: int) -> int:
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
     try:
@@ -254,9 +261,8 @@ def write_atomically(
                 content(file)
             else:
                 file.write(content.encode() if isinstance(content, str) else content)
-        if (
-            not is_private
-        ):  # as mkstemp makes files; a result is as readable as any other new file
+        if not is_private:
+            # As mkstemp makes files; a result is as readable as any other new file.
             mask = os.umask(0)
             os.umask(mask)
             Path(temporary).chmod(0o666 & ~mask)
@@ -306,7 +312,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise InputError(
             where, Unquoted("tables nested too deeply"), "valid TOML"
         ) from None
-    except ValueError as error:  # also that of a number with thousands of digits
+    except ValueError as error:
+        # Also that of a number with thousands of digits.
         raise InputError(where, Unquoted(error), "valid TOML in UTF-8") from None
 
 
@@ -345,7 +352,8 @@ def parse_json(text: str | bytes, where: str, what: str) -> Any:
         raise InputError(
             where, Unquoted(error), "every key of an object once"
         ) from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+    except ValueError as error:
+        # No JSON, no UTF-8, or a number of thousands of digits.
         raise InputError(where, Unquoted(error), "JSON in UTF-8") from None
 
 
@@ -431,7 +439,8 @@ def read_table(table: object, kind: type[_T], where: str) -> _T:
         return msgspec.convert(table, kind, dec_hook=_read_array)
     except msgspec.ValidationError as error:
         raise _input_error(error, table, kind, where) from None
-    except UnicodeEncodeError as error:  # JSON can spell half of a surrogate pair
+    except UnicodeEncodeError as error:
+        # JSON can spell half of a surrogate pair.
         raise InputError(where, error.object, "text of whole characters") from None
 
 
@@ -476,7 +485,8 @@ def _join(where: str, path: str) -> str:
 
 def _read_array(kind: Any, value: object) -> Any:
     """Convert a list to an array of the shape that its type states; msgspec's hook."""
-    import numpy as np  # here: messages and help need no numbers
+    # Here: messages and help need no numbers.
+    import numpy as np
 
     from .arrays import float_array
 
@@ -500,7 +510,8 @@ def _input_error(
     """
     message = str(error)
     cause = error.__cause__
-    if isinstance(cause, InputError) and cause.where:  # of a field's own check
+    # Of a field's own check.
+    if isinstance(cause, InputError) and cause.where:
         return cause
     place = _PLACE.search(message)
     if place:
@@ -512,7 +523,8 @@ def _input_error(
     shown = ""
     for step in _STEP.finditer(path):
         node = _step_into(node, step, value)
-        if step[2] == "...":  # a key of a mapping, which msgspec does not name
+        # A key of a mapping, which msgspec does not name.
+        if step[2] == "...":
             break
         value = value[step[1] or int(step[2])]  # type: ignore[index]
         shown += step[0]
@@ -520,9 +532,8 @@ def _input_error(
         here = _join(where, shown)
     else:
         here = where
-    if isinstance(
-        cause, InputError
-    ):  # of an array, or of a value that leaves the place to us
+    if isinstance(cause, InputError):
+        # Of an array, or of a value that leaves the place to us.
         return InputError(here, cause.got, cause.expected)
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         return InputError(
@@ -580,7 +591,7 @@ def _step_into(node: Any, step: re.Match[str], value: Any) -> Any:
 
 
 def _expected(node: Any, *, is_other_type: bool) -> str:
-    """Values that a type accepts, in words; of a number of the wrong range, which range."""
+    """Values that a type accepts, in words; of a number, in which range."""
     if isinstance(node, msgspec.inspect.UnionType):
         node = _members(node)[0]
     if isinstance(node, msgspec.inspect.Metadata):
@@ -662,12 +673,14 @@ def lock_while_alive(path: Path) -> Iterator[None]:
     """
     try:
         import fcntl
-    except ImportError:  # Windows
+    except ImportError:
+        # Windows.
         yield
         return
     handle = os.open(path, os.O_RDONLY)
     try:
-        with suppress(OSError):  # some network file systems have no locks
+        # Some network file systems have no locks.
+        with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
@@ -751,7 +764,8 @@ def writable_by_others(path: Path) -> bool:
     own group without other members is nobody else; root may do anything. False where
     there are no such rights, or no such file.
     """
-    if not hasattr(os, "getuid"):  # Windows
+    # Windows.
+    if not hasattr(os, "getuid"):
         return False
     try:
         real = path.resolve(strict=True)
@@ -796,7 +810,8 @@ def open_own(path: Path) -> BinaryIO:
         The file cannot be opened.
     """
     file = path.open("rb")
-    found = os.fstat(file.fileno())  # what is judged is what is read
+    # What is judged is what is read.
+    found = os.fstat(file.fileno())
     if hasattr(os, "getuid") and _is_open(found, is_last=True):
         file.close()
         raise PermissionError(

@@ -51,7 +51,8 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
         for side in [corners[..., at + 1, :] - corners[..., at, :]]
     ]
     separation = np.full(np.broadcast(apart_east, apart_north).shape, -np.inf)
-    for normal_east, normal_north in sides:  # each side is the normal of its neighbour
+    # Each side is the normal of its neighbour.
+    for normal_east, normal_north in sides:
         apart = np.abs(apart_east * normal_east + apart_north * normal_north)
         for side_east, side_north in sides:
             apart = apart - 0.5 * np.abs(

@@ -26,32 +26,41 @@ ARM_NAMES = (
 )
 """Names of arms: points of the compass, counter-clockwise."""
 COMPASS = ARM_NAMES[::2]
-CONNECTING = "connecting"  # kind of a lane through the junction
-ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
-_End = tuple[bool, Lane]  # a lane at the junction, and whether it leads into it
-_AT_OUTLINE_M = (
-    1.5  # lanes end at the junction's outline but for the rounding of the map
-)
-_CYCLES_AT_OUTLINE_M = (
-    6.0  # cycleways run next to it, behind a shoulder or a strip of grass
-)
-_SAME_POINT_M = 0.5  # between one piece of a lane and the next
-_ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
-_SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
-_SAME_ARM_GAP_M = 12.0  # between their edges: a median, or tracks
-_SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
+# Kind of a lane through the junction.
+CONNECTING = "connecting"
+# Kind of a lane that leads on where the map ends.
+ASSUMED = "assumed"
+# A lane at the junction, and whether it leads into it.
+_End = tuple[bool, Lane]
+# Lanes end at the junction's outline but for the rounding of the map.
+_AT_OUTLINE_M = 1.5
+# Cycleways run next to it, behind a shoulder or a strip of grass.
+_CYCLES_AT_OUTLINE_M = 6.0
+# Between one piece of a lane and the next.
+_SAME_POINT_M = 0.5
+# A crosswalk leads across the arm within this.
+_ARM_SPREAD_DEG = 40.0
+# Between a lane and the next one of the same arm.
+_SAME_ARM_DEG = 25.0
+# Between their edges: a median, or tracks.
+_SAME_ARM_GAP_M = 12.0
+# Between their mouths, along the arm.
+_SAME_ARM_AHEAD_M = 15.0
 # between two carriageways of one arm, from lane to lane: tracks, a row of trees
 _MEDIAN_M = 25.0
-_STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
+# A lane that is shorter, with all that leads to it, is no road.
+_STUB_M = 2.0
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
-_SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
-_SAME_WAY = 0.5  # cosine of the angle between them
+# From the middle of a road to a lane of it.
+_SAME_ROAD_M = 20.0
+# Cosine of the angle between them.
+_SAME_WAY = 0.5
 _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
-_CORNER_M = 15.0  # from the outline of the junction's road surface
-_STRAIGHT = (
-    0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
-)
+# From the outline of the junction's road surface.
+_CORNER_M = 15.0
+# Length of the sum of two arms' directions: an angle of 140 degrees and more.
+_STRAIGHT = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,13 +227,15 @@ class Junction:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
 
 
-@lru_cache(maxsize=64)  # one and the same lane, by which ways along it are known
+# One and the same lane, by which ways along it are known.
+@lru_cache(maxsize=64)
 def _led_on(before: Lane, entry: Lane) -> Lane:
     chain = np.concatenate([before.centreline_m[:-1], entry.centreline_m])
     return replace(entry, centreline_m=chain)
 
 
-@lru_cache(maxsize=4)  # many ask for the junction of the scene at hand
+# Many ask for the junction of the scene at hand.
+@lru_cache(maxsize=4)
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
@@ -518,7 +529,8 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
         else:
             pieces = [*pieces, following[0]]
     if pieces[0 if is_in else -1].kind == CONNECTING:
-        del pieces[0 if is_in else -1]  # no lane of the map begins behind it
+        # No lane of the map begins behind it.
+        del pieces[0 if is_in else -1]
     points = np.concatenate([piece.centreline_m for piece in pieces])
     return replace(lane, centreline_m=apart(points, 1.0e-6))
 
@@ -656,7 +668,9 @@ def compass_point(way_m: FloatArray) -> str:
 
 
 def compass_bearing_deg(yaw_deg: float) -> float:
-    """A direction clockwise from north, at least 0 and below 360, as installers read it.
+    """A direction clockwise from north, in degrees, as installers read it.
+
+    It is at least 0 and below 360.
 
     >>> compass_bearing_deg(0.0), compass_bearing_deg(135.0)
     (90.0, 315.0)

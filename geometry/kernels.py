@@ -41,14 +41,14 @@ from .files import (
 )
 
 F = TypeVar("F", bound=Callable[..., Any])
-Files = dict[
-    str, bytes
-]  # what numba cached of a kernel: content by path below its folder
+# What numba cached of a kernel: content by path below its folder.
+Files = dict[str, bytes]
 _log = logging.getLogger(__name__)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _HASH_SIZE = 32
 _SUFFIX = ".kernel"
-_RUNNING = "running-"  # begins the names of folders of single processes
+# Begins the names of folders of single processes.
+_RUNNING = "running-"
 
 
 def kernel(function: F) -> F:
@@ -65,9 +65,8 @@ def kernel(function: F) -> F:
         compiled = on_disk.compiled or on_disk.load()
         try:
             result = compiled(*args)
-        except (
-            OSError
-        ) as error:  # numba compiled it, but could not write what it cached
+        except OSError as error:
+            # Numba compiled it, but could not write what it cached.
             on_disk.tell_not_cached(error)
             on_disk.compiled = numba.njit(**_OPTIONS)(function)
             return on_disk.compiled(*args)
@@ -152,7 +151,8 @@ class _OnDisk:
             self.tell_not_cached(error)
             compiled = numba.njit(**_OPTIONS)(self._function)
         else:
-            with _settings:  # numba looks where to cache when it makes the function
+            # Numba looks where to cache when it makes the function.
+            with _settings:
                 usual = numba.config.CACHE_DIR
                 numba.config.CACHE_DIR = str(self._folder)
                 compiled = numba.njit(cache=True, **_OPTIONS)(self._function)
@@ -250,7 +250,8 @@ def _running_folder(process_id: int) -> Path:
 
     def remove() -> None:
         held.close()
-        if os.getpid() == process_id:  # else a copy of that process ends
+        # Else a copy of that process ends.
+        if os.getpid() == process_id:
             shutil.rmtree(folder, ignore_errors=True)
 
     atexit.register(remove)
@@ -261,8 +262,10 @@ def _running_folder(process_id: int) -> Path:
 class _Compiling(threading.local):
     """What the calling thread has compiled."""
 
-    is_anything_new = False  # since a kernel was last saved
-    depth = 0  # compiling one function may begin with others that it calls
+    # Since a kernel was last saved.
+    is_anything_new = False
+    # Compiling one function may begin with others that it calls.
+    depth = 0
     begun_s = 0.0
 
 

@@ -18,12 +18,17 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, set_arrays
 from .errors import InputError
 
-Powers = tuple[float, ...]  # coefficients of a polynomial, the highest power first
+# Coefficients of a polynomial, the highest power first.
+Powers = tuple[float, ...]
 _STEPS = 100
-_MOST_STEPS = 300  # of one radius: with large terms the first is far off
-_NEAR = 1.0e-13  # of a shown point: where Newton's method ends
-_LEAST_STEP = 1.0e-4  # share of a step of its
-_FOUND = 1.0e-10  # what is farther off is not shown
+# For one radius: with large terms the first guess is far off.
+_MOST_STEPS = 300
+# Of a shown point: where Newton's method ends.
+_NEAR = 1.0e-13
+# Share of a step of Newton's method below which it ends.
+_LEAST_STEP = 1.0e-4
+# What is farther off is not shown.
+_FOUND = 1.0e-10
 
 
 class _Lens(
@@ -161,7 +166,8 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
                 break
             tried = found[left] - factor[left, None] * step[left]
             lacks = self.distort(tried) - points[left]
-            is_better = _radius(lacks) < off[left]  # not where the step left the reach
+            # Not where the step left the reach.
+            is_better = _radius(lacks) < off[left]
             better = left[is_better]
             found[better], off[better] = tried[is_better], _radius(lacks[is_better])
             step[better] = self._step(found[better], lacks[is_better])
@@ -288,7 +294,8 @@ def _moved(points: FloatArray, radius: FloatArray, to_radius: FloatArray) -> Flo
     return np.asarray(points * share[:, None])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is too far out is not found
+# What is too far out is not found.
+@np.errstate(over="ignore", invalid="ignore")
 def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
     """Arguments (n,) at which a polynomial has values >= 0.
 
@@ -411,9 +418,14 @@ class CalibratedCamera:
 def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     """Project points (n, 3) of the world frame into the image of a calibrated camera.
 
-    Returns (n, 3): column and row in the calibration's pixels, and depth along the optical axis in
-    metres; column and row are NaN where the depth is not positive, or the lens shows no such point.
     As ``cv::projectPoints`` and ``cv::fisheye`` of OpenCV.
+
+    Returns
+    -------
+    projected : (n, 3) float
+        Column and row in the calibration's pixels, and depth along the optical
+        axis in metres. Column and row are NaN where the depth is not positive,
+        or where the lens shows no such point.
     """
     offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
     in_camera = offsets @ camera.R_camera_world.T

@@ -194,14 +194,29 @@ def return_probability(
     incidence_cos: ArrayLike,
     extinction_per_m: ArrayLike,
 ) -> FloatArray:
-    """How likely a pulse that hits something comes back strong enough to be reported.
+    """Probability that a pulse which hits something is reported.
 
-    It is `reference_probability` where the signal is that of the reference, and 0
-    outside `near_m`
-    .. `range_m`. `incidence_cos` is that between beam and surface normal; the extinction of the air
-    counts one way. All arrays broadcast. LiDAR equation for a diffuse target larger
-    than the beam: R. Rasshofer et al., "Influences of weather phenomena on automotive
-    laser radar systems", 2011.
+    The pulse must come back strong enough. The probability is
+    `reference_probability` where the signal is that of the reference, and 0 outside
+    `near_m` .. `range_m`. All arrays broadcast.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        The sensor.
+    distance_m : (...) float
+        Distance of the surface. [m]
+    reflectivity : (...) float
+        Share of the light that the surface sends back diffusely, 0 .. 1.
+    incidence_cos : (...) float
+        Cosine of the angle between beam and surface normal.
+    extinction_per_m : (...) float
+        Extinction of the air, one way. [1/m]
+
+    References
+    ----------
+    .. [1] R. Rasshofer et al., "Influences of weather phenomena on automotive laser
+       radar systems", 2011: LiDAR equation for a diffuse target larger than the beam.
     """
     from scipy.special import expit, logit
 
@@ -211,7 +226,8 @@ def return_probability(
     share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(
         incidence_cos, dtype=np.float64
     )
-    with np.errstate(divide="ignore"):  # grazing or black: no signal, logarithm -inf
+    # Grazing or black: no signal, logarithm -inf.
+    with np.errstate(divide="ignore"):
         spread = 2.0 * np.log(lidar.reference_range_m / distance)
         air = 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
         log_signal = np.log(share / lidar.reference_reflectivity) + spread - air

@@ -94,4 +94,5 @@ def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     wrapped: FloatArray = (
         180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
     )
-    return wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360
+    # The remainder may round to 360.
+    return wrapped + 360.0 * (wrapped <= -180.0)

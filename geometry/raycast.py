@@ -56,7 +56,8 @@ class Open3dCaster:
     """
 
     name = "open3d"
-    n_threads = 0  # all processors
+    # All processors.
+    n_threads = 0
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         o3d, _ = _open3d_or_reason()
@@ -89,9 +90,8 @@ class Open3dCaster:
         hits = self._scene.cast_rays(rays, nthreads=self.n_threads)
         share: FloatRays = hits["t_hit"].numpy()
         index: IntArray = hits["primitive_ids"].numpy().astype(np.int64)
-        index[
-            np.isinf(share)
-        ] = -1  # Embree's own sign for nothing is the largest uint32
+        # Embree's own sign for nothing is the largest uint32.
+        index[np.isinf(share)] = -1
         return share, index
 
 
@@ -99,7 +99,8 @@ class EmbreexCaster:
     """Rays by embreex, the Embree binding that trimesh uses."""
 
     name = "embree"
-    _FAR = np.float32(1.0e6)  # where rays end
+    # Where rays end.
+    _FAR = np.float32(1.0e6)
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -269,7 +270,8 @@ def _contiguous(
 def _open3d_or_reason() -> tuple[Any, str | None]:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # those of Open3D's own imports
+            # Those of Open3D's own imports.
+            warnings.simplefilter("ignore")
             import open3d
     except (ImportError, OSError) as error:
         library = str(error).split(":")[0]

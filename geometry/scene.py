@@ -330,7 +330,8 @@ def _check_count(count: int, most: int, where: str) -> None:
 
 # One thing of a scene: instance, vertices (world frame) and triangles.
 Body = tuple[Instance, FloatArray, Any]
-Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
+# Vertices (n, 3) and triangles (m, 3).
+Mesh = tuple[FloatArray, NDArray[np.int32]]
 
 
 def join(meshes: Sequence[tuple[FloatArray, NDArray[Any]]]) -> Mesh:
@@ -397,12 +398,18 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
 
 
 def road_area(scene: Scene) -> Any:
-    """Area of a scene's lanes and its junction: a shapely geometry, world frame, metres."""
+    """Area of a scene's lanes and its junction.
+
+    It is a shapely geometry in the world frame, in metres.
+    """
     return covered_area(scene.outline_m, scene.lanes)
 
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
-    """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
+    """Area of lanes and of a junction's outline (n, 2).
+
+    It is a shapely geometry in metres.
+    """
     return shapely.union_all([area_of(outline_m), *strips_of(lanes)])
 
 

@@ -39,15 +39,17 @@ _FLOATING_M = 0.5
 _SUNK_M = 3.0
 _FLOOR_M = 0.1
 _OVERLAP_M2 = 1.0
-_SAME_SHARE = 0.8  # of the ground of two buildings that are one
+# Of the ground of two buildings that are one.
+_SAME_SHARE = 0.8
 _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
-_AT_KERB_M = 0.05  # digits of a file
-_OPPOSITE = (
-    -0.8
-)  # cosine of the angle between lanes of one road; roads that cross meet at less
-_BESIDE_M = 0.5  # along a lane, to tell its direction
+# Digits of a file.
+_AT_KERB_M = 0.05
+# Cosine of the angle between lanes of one road; roads that cross meet at less.
+_OPPOSITE = -0.8
+# Along a lane, to tell its direction.
+_BESIDE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +173,9 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
-    """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
+    """Compare a junction's arms with the roads that lead to it.
+
+    The arms were found by the junction's lanes.
 
     Parameters
     ----------
@@ -302,9 +306,8 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         _, first, count = np.unique(
             edges, axis=0, return_index=True, return_counts=True
         )
-        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(
-            axis=1
-        )  # a triangle on one side
+        # A triangle on one side.
+        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)
         if (tops > low + _FLOOR_M).any():
             found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:

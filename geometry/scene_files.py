@@ -43,10 +43,11 @@ FORMAT = "place-rsus scene"
 VERSION = 1
 SCENE_FILE = "scene.toml"
 THINGS_FILE = "things.glb"
+# Five million triangles.
 _MAX_BYTES = {
     SCENE_FILE: MAX_TOML_BYTES,
     THINGS_FILE: 300_000_000,
-}  # five million triangles
+}
 _MILLIMETRES = 3
 _HEAD = """\
 # A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
@@ -243,7 +244,8 @@ def load_scene_folder(path: Path) -> Scene:
         "crosswalks",
         "things",
         "skipped",
-    ):  # these have other forms in a scene
+    ):
+        # These have other forms in a scene.
         del fields[name]
     return Scene(
         **fields,
@@ -307,9 +309,8 @@ def _as_folder(path: Path) -> Iterator[Path]:
             zipfile.ZipFile(file) as packed,
         ):
             for name, max_bytes in _MAX_BYTES.items():
-                with packed.open(
-                    name
-                ) as member:  # of the archive only these two are read
+                with packed.open(name) as member:
+                    # Of the archive only these two are read.
                     _unpack(member, Path(temporary) / name, path, max_bytes)
         yield Path(temporary)
 
@@ -378,7 +379,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         refuse(shown, "nothing there", "the meshes of the scene")
     check_file(path, max_bytes=_MAX_BYTES[THINGS_FILE])
     try:
-        check_gltf(path)  # a header that claims more would be given memory
+        # A header that claims more would be given memory.
+        check_gltf(path)
         options = {"resolver": NoFiles(shown), "skip_materials": True, "process": False}
         with open_file(path) as file:
             loaded = trimesh.load_scene(file, file_type="glb", **options)
@@ -394,7 +396,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         raise InputError(
             where, error.got, f"glTF 2.0 (.glb): {error.expected}"
         ) from None
-    except Exception as error:  # trimesh raises whatever its parts do
+    except Exception as error:
+        # Trimesh raises whatever its parts do.
         got = Unquoted(f"{type(error).__name__}: {error}")
         raise InputError(shown, got, "glTF 2.0 (.glb)") from None
     for name, (vertices, _) in meshes.items():

@@ -20,11 +20,12 @@ from .poses import Pose, camera_rotation
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
 SEEN_RAD = 1.5
-"""Angle off the axis beyond which pictures through lenses are not looked at: about 86 degrees."""
+"""Largest angle off the axis that counts in pictures through lenses: about 86 degrees."""
 
 
 _N_BORDER = 64
-_MARGIN = 1.02  # for what lies between the points that are tried
+# For what lies between the points that are tried.
+_MARGIN = 1.02
 _SHARES = Meta(description="[x, y] in widths and heights of the picture")
 
 
@@ -147,7 +148,10 @@ class CameraModel:
 
     @property
     def is_pinhole(self) -> bool:
-        """True if it is an ideal one, with square pixels and its axis level in the middle."""
+        """True if it is an ideal pinhole.
+
+        Its pixels are square, and its axis is level and in the middle.
+        """
         is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (
             None,
             1.0,
@@ -182,7 +186,10 @@ class CameraModel:
 
     @property
     def diagonal_fov_deg(self) -> float:
-        """Full angle across the diagonal, in degrees: the image lies within this cone."""
+        """Full angle across the diagonal, in degrees.
+
+        The image lies within a cone of this angle.
+        """
         if not self.is_pinhole:
             return _widest_fov_deg(self)
         half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
@@ -360,7 +367,8 @@ def picture_rays(
     return rays
 
 
-@lru_cache(maxsize=4)  # 33 MB each at 1080 rows
+# 33 MB each at 1080 rows.
+@lru_cache(maxsize=4)
 def pixel_grid(camera: CameraModel) -> FloatArray:
     """Points (height, width, 2) at depth 1 that the middles of pixels show.
 

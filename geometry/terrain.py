@@ -27,8 +27,10 @@ GROUND = "ground"
 HEADROOM_M = 2.0
 """People, cyclists and cars pass below what begins higher above the ground."""
 _GRID_DECIMALS = 3
-_HALVINGS = 20  # of half a metre
-_MAX_CELLS = 150  # along each side
+# Of half a metre.
+_HALVINGS = 20
+# Along each side.
+_MAX_CELLS = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -216,7 +218,10 @@ def standing_footprint(scene: Scene, index: int) -> Any:
 
 
 def houses_of(scene: Scene) -> Any:
-    """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
+    """Ground that buildings and walls cover.
+
+    It is a shapely geometry in the world frame, in metres.
+    """
     kinds = [thing.class_name for thing in scene.instances]
     solid = [index for index, kind in enumerate(kinds) if kind in ("building", "wall")]
     return shapely.union_all([standing_footprint(scene, index) for index in solid])
@@ -280,13 +285,13 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
-    if np.isnan(
-        height
-    ).all():  # points on a line, or a few: the ground next to them is as high
+    # Points on a line, or a few: the ground next to them is as high.
+    if np.isnan(height).all():
         ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         aside = 0.5 * (line[1] - line[0]) * ways
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
-    if np.isnan(height).all():  # and none of them in the square
+    # And none of them in the square.
+    if np.isnan(height).all():
         height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
     _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
     filled = height[tuple(nearest)]
@@ -300,12 +305,12 @@ def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
     from threadpoolctl import threadpool_limits
 
     try:
-        with threadpool_limits(
-            1
-        ):  # of thousands of 2 x 2 systems: other BLAS threads only spin
+        with threadpool_limits(1):
+            # Of thousands of 2 x 2 systems: other BLAS threads only spin.
             height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(
                 nodes_m
             )
-    except (QhullError, ValueError):  # fewer than three points, or all on a line
+    except (QhullError, ValueError):
+        # Fewer than three points, or all on a line.
         return np.full(nodes_m.shape[:-1], np.nan)
     return height

@@ -22,9 +22,12 @@ from .errors import InputError, Unquoted, refuse
 from .files import open_file, open_new, parse_json, read_bytes, read_table, reading
 
 MAX_MEMBERS = 10_000
-MAX_UNPACKED_BYTES = 2_000_000_000  # out of one file, whatever it is packed with
-MAX_RATIO = 200  # text of coordinates comes to 10; a bomb begins at 1000
-_SMALL_BYTES = 1_000_000  # of which a bomb is none
+# Out of one file, whatever it is packed with.
+MAX_UNPACKED_BYTES = 2_000_000_000
+# Text of coordinates comes to 10; a bomb begins at 1000.
+MAX_RATIO = 200
+# Of which a bomb is none.
+_SMALL_BYTES = 1_000_000
 _CHUNK_BYTES = 1 << 20
 _VALUE_BYTES = 8
 MAX_FILE_BYTES = 500_000_000
@@ -32,12 +35,15 @@ MAX_FILE_BYTES = 500_000_000
 _MAX_COUNT = 20_000_000
 _MAX_NODES = 200_000
 _MAX_JSON_BYTES = 100_000_000
-_MAX_HEADER_BYTES = 64 * 1024  # [1]
-_MAX_BLOB_BYTES = 32 * 1024 * 1024  # [1], packed or not
+# [1].
+_MAX_HEADER_BYTES = 64 * 1024
+# [1], packed or not.
+_MAX_BLOB_BYTES = 32 * 1024 * 1024
 _VARINT = 0
 _FIXED64 = 1
 _BYTES = 2
-_FIXED32 = 5  # protobuf's wire types
+# Protobuf's wire types.
+_FIXED32 = 5
 
 
 @contextmanager
@@ -273,9 +279,8 @@ def read_xml_root(path: Path) -> Element:
 def _open_xml(path: Path, expected: str, well_formed: str) -> Iterator[BinaryIO]:
     from defusedxml import DefusedXmlException
 
-    with reading(
-        path, well_formed, ParseError, ValueError, LookupError
-    ):  # of encodings
+    with reading(path, well_formed, ParseError, ValueError, LookupError):
+        # Of encodings.
         try:
             with open_file(path, max_bytes=MAX_FILE_BYTES) as file:
                 yield file
@@ -361,7 +366,8 @@ def check_gltf(path: Path) -> None:
     if again := [child for child, number in Counter(children).items() if number > 1]:
         refuse(f"{where}: nodes[{again[0]}]", "two parents", "one")
     reached = sorted({*range(len(header.nodes))} - {*children})
-    for index in reached:  # grows while it is walked through
+    # Grows while it is walked through.
+    for index in reached:
         reached += header.nodes[index].children
     if len(reached) < len(header.nodes):
         refuse(f"{where}: nodes", "a node that is its own ancestor", "a tree")

@@ -26,7 +26,8 @@ STATS19 = "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
 DAY = "day"
 NIGHT = "night"
-_EARTH_M = 6_371_008.8  # mean radius, IUGG
+# Mean radius, IUGG.
+_EARTH_M = 6_371_008.8
 _MAX_REASONS = 8
 
 _Codes = dict[str, Text]
@@ -188,7 +189,8 @@ def read_accidents(form: str, path: Path) -> Accidents:
     paths = accident_files(form, path)
     stamps = []
     for one in paths:
-        with suppress(OSError):  # reading says why
+        # Reading says why.
+        with suppress(OSError):
             found = one.stat()
             stamps.append((found.st_size, found.st_mtime_ns))
     return _read(form, paths, tuple(stamps))
@@ -201,7 +203,8 @@ def accident_files(form: str, path: Path) -> tuple[Path, ...]:
     return (path, *_beside(path))
 
 
-@lru_cache(maxsize=2)  # of a city every junction asks again
+# Of a city every junction asks again.
+@lru_cache(maxsize=2)
 def _read(
     form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]
 ) -> Accidents:
@@ -332,7 +335,8 @@ def _collision(
     else:
         first, second = (kinds["car"][0], kinds[user][0])
     if user == "car" and _turn(second, rules) and not _turn(first, rules):
-        first, second = second, first  # the one that turns is the VUT
+        # The one that turns is the VUT.
+        first, second = second, first
     event = _meeting(first, second, rules)
     return user, event, "" if event else unknown
 

@@ -53,7 +53,8 @@ class AebRule:
     def __post_init__(self) -> None:
         check = partial(check_field, self, "aeb")
         check("frame_rate_hz", 0.0 < self.frame_rate_hz < math.inf, "a positive number")
-        for field, (low, high) in _load_limits().items():  # none of them may be NaN
+        # None of them may be NaN.
+        for field, (low, high) in _load_limits().items():
             check(
                 field,
                 low <= getattr(self, field) <= high,
@@ -158,10 +159,13 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
 
 
 # ---------- whether braking helps
-_ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
+# First cells of the search for the last brake time.
+_ONSET_STEP_S = 0.25
 _ONSET_TOLERANCE_S = 1.0e-5
-_FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
-_CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
+# A footprint moves 1.7 cm in it at 60 km/h.
+_FINE_STEP_S = 0.001
+# Each 32 times as fine: to a thirtieth of a microsecond.
+_CLOSER_LOOKS = 3
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
 _CONTACT_PARTS = 17
@@ -198,7 +202,8 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         braking_s = np.maximum(since_onset, 0.0)
         braked_m = braking_distance_m(braking_s, speed_mps=vut.speed_mps, rule=rule)
         driven = vut.distance_m(np.minimum(onset, times)) + braked_m
-        gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
+        # (4, 2, n).
+        gaps = encounter.gaps_m(driven, vru.distance_m(times))
         separation = gaps.max(axis=0)
         least_s = since_onset[0] - half_onset
         most_s = since_onset[1] + half_onset
@@ -327,9 +332,8 @@ def _target_ahead_mps(
     return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
 
 
-_LEVEL_STEP_S = (
-    0.025  # from one onset to the next in the search for the last one of a speed
-)
+# From one onset to the next in the search for the last one of a speed.
+_LEVEL_STEP_S = 0.025
 _LEVELS_TOGETHER = 16
 _QUARTERS = (0.25, 0.5, 0.75)
 _SAME_MPS = 1.0e-6
@@ -354,9 +358,8 @@ def last_onsets_s(
     leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
-    below = (
-        np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
-    )  # a limit itself is too fast
+    # A limit itself is too fast.
+    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
     n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
     grid = np.linspace(begin_s, 0.0, n_steps + 1)
     left = np.full(n_steps + 1, np.inf)
@@ -376,9 +379,8 @@ def last_onsets_s(
     at = at[inner]
     between = (grid[at - 1], grid[at], left[at - 1], left[at])
     last[inner] = _narrowed_s(encounter, rule, below[inner], *between)
-    order = np.argsort(
-        below
-    )  # what leaves less than a limit leaves less than a higher one
+    # What leaves less than a limit leaves less than a higher one.
+    order = np.argsort(below)
     last[order] = np.maximum.accumulate(last[order])
     return last
 

@@ -40,7 +40,8 @@ ROAD_USERS = {
     "vehicle": "car",
 }
 """Road-user groups, by the class of the body."""
-ROAD_USER_GROUPS = tuple(dict.fromkeys(ROAD_USERS.values()))  # each once
+# Each once.
+ROAD_USER_GROUPS = tuple(dict.fromkeys(ROAD_USERS.values()))
 PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUPS}
 """Whose runs count, by the word of a user."""
 
@@ -255,7 +256,11 @@ class Case:
         return self.name.partition("-")[0]
 
     def vru_speeds_kmh(self, vut_speed_kmh: float | None = None) -> tuple[float, ...]:
-        """Speeds of the VRU, ascending: with the driven speed nearest to one of the VUT, or all."""
+        """Speeds of the VRU, ascending, in km/h.
+
+        They are those that go with the driven speed nearest to one of the VUT, or all
+        of them without one.
+        """
         if not self.pairs_kmh:
             return (self.vru_speed_kmh,)
         if vut_speed_kmh is None:
@@ -266,7 +271,8 @@ class Case:
         return tuple(vru for vut, vru in self.pairs_kmh if vut == nearest)
 
 
-@lru_cache(maxsize=256)  # runs of one case and speed have one case between them
+# Runs of one case and speed have one case between them.
+@lru_cache(maxsize=256)
 def at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
     """The case with one of the speeds of its VRU."""
     if vru_speed_kmh == case.vru_speed_kmh:
@@ -426,9 +432,8 @@ class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="ki
     vru: Text
     vut_speed_kmh: Annotated[float, Meta(gt=0.0, le=250.0)]
     vru_speed_kmh: Annotated[float, Meta(ge=0.0, le=250.0)]
-    known_s: Annotated[
-        float, Meta(gt=0.0, le=60.0)
-    ]  # runs begin so long before the impact
+    # Runs begin so long before the impact.
+    known_s: Annotated[float, Meta(gt=0.0, le=60.0)]
     vut_way: RecordedWay
     vru_way: RecordedWay
 
@@ -553,7 +558,10 @@ _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning | _Recorded
 
 @cache
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
-    """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
+    """Sets of cases, by name; "all" is every case.
+
+    Cases have the speeds of the set, if it has any.
+    """
     table = load_data(__package__, "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {
@@ -651,7 +659,7 @@ _SAME = (
     ),
     *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
 )
-"""Fields that cases have from their entries as they are, if the entry's kind has them."""
+"""Fields that cases take from entries unchanged, if the entry's kind has them."""
 
 
 def _build_case(

@@ -69,9 +69,11 @@ def held_frames(
 
     Examples
     --------
-    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
+    >>> seen = [1, 1, 0, 1, 0, 1]
+    >>> time_s = [1, 2, 3, 4, 5, 6]
+    >>> held_frames(seen, time_s, until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
-    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)
+    >>> held_frames(seen, time_s, until_s=6.5, memory_s=1.0).astype(int)
     array([0, 0, 0, 0, 0, 1])
     """
     seen = np.asarray(detected, dtype=bool)
@@ -83,7 +85,8 @@ def held_frames(
         n_frames - 1 if last_frame is None else last_frame, times.shape
     )
     until = np.broadcast_to(until_s, times.shape)
-    place = np.flatnonzero(seen)  # of the detections of all rows, end to end
+    # Of the detections of all rows, end to end.
+    place = np.flatnonzero(seen)
     frame = place % n_frames
     end = place - frame + last[frame]
     following = np.append(place[1:], seen.size)

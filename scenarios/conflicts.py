@@ -55,8 +55,12 @@ def time_to_collision_s(
     second. Exact: along each of the sides' four normals they overlap from one time to
     another, and they touch while they overlap along all of them.
 
-    >>> sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.0, width_b_m=1.0)
-    >>> float(time_to_collision_s([12.5, 0.0], [-5.0, 0.0], 0.0, 90.0, sizes=sizes).round(9))
+    >>> car = {"length_a_m": 4.0, "width_a_m": 2.0}
+    >>> sizes = FootprintSizes(**car, length_b_m=1.0, width_b_m=1.0)
+    >>> offset_m = [12.5, 0.0]
+    >>> closing_mps = [-5.0, 0.0]
+    >>> found_s = time_to_collision_s(offset_m, closing_mps, 0.0, 90.0, sizes=sizes)
+    >>> float(found_s.round(9))
     2.0
     """
     offset = np.asarray(offset_m, dtype=float)

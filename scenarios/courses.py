@@ -18,21 +18,31 @@ from geometry.files import load_data, read_tables
 from geometry.junction import Line
 from geometry.lines import along_m, apart, points_at
 
-_SAMPLE_M = 0.5  # between the points of a lane that are smoothed
-_SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
+# Between the points of a lane that are smoothed.
+_SAMPLE_M = 0.5
+# Bends much shorter than six times this are evened out.
+_SMOOTHING_M = 2.0
 _CLOSE_SAMPLE_M = 0.25
-_CLOSE = (_SMOOTHING_M / 0.4) ** 4  # weight of points that are smoothed over 0.4 m
-_CLOSE_BESIDE_M = 6.0  # of the lanes next to one that is followed closely
-_BEYOND_M = 60.0  # straight on beyond both ends of a lane
-_END_CHORD_M = 4.0  # of a lane's end, which tells its direction there
+# Weight of points that are smoothed over 0.4 m.
+_CLOSE = (_SMOOTHING_M / 0.4) ** 4
+# Of the lanes next to one that is followed closely.
+_CLOSE_BESIDE_M = 6.0
+# Straight on beyond both ends of a lane.
+_BEYOND_M = 60.0
+# Of a lane's end, which tells its direction there.
+_END_CHORD_M = 4.0
 _MAX_END_BEND_RAD = np.radians(20.0)
-_STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
+# Chords of an arc of 8 m come within two micrometres of it.
+_STEP_M = 0.01
 _SAME_POINT_M = 1.0e-6
 _MEETS_M = 1.0e-3
 _MAX_STEPS = 60
-_GENTLE_M = 16.0  # smoothing of a course that leaves the lanes' middles where it may
-_EASED_M = 5.0  # to both sides of where it must come nearer to them
-_DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
+# Smoothing of a course that leaves the lanes' middles where it may.
+_GENTLE_M = 16.0
+# To both sides of where it must come nearer to them.
+_EASED_M = 5.0
+# Where lanes bend, full steps may swing to and fro.
+_DAMPING = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,7 +191,8 @@ def follow_way(points_m: Sequence[tuple[float, float]], yaw_deg: float) -> Cours
     return _follow((*map(tuple, points_m), tuple(beyond.tolist())), tuple(points_m[-1]))
 
 
-@lru_cache(maxsize=256)  # every case and speed follows the same few lanes
+# Every case and speed follows the same few lanes.
+@lru_cache(maxsize=256)
 def _follow(
     points: tuple[tuple[float, ...], ...],
     origin_m: tuple[float, ...],
@@ -256,9 +267,10 @@ def _spline(
     smoothing_m: float,
     weight: FloatArray | None,
 ) -> Any:
+    # Takes a third of a second to import.
     from scipy.interpolate import (
         make_smoothing_spline,
-    )  # takes a third of a second to import
+    )
 
     # The sum over samples stands for an integral over the length.
     stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
@@ -308,7 +320,8 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
 # ---------- turns
 LEFT = 1
 RIGHT = -1
-_SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
+# Right-hand traffic.
+_SIDES = {"far": LEFT, "near": RIGHT}
 _ANGLE_TOLERANCE_DEG = 1.0e-9
 
 
@@ -441,8 +454,10 @@ class Turn:
         first = 1.0 / self.first_radius_m
         curvature = 1.0 / self.radius_m
         length = self.clothoid_length_m
-        growth = (curvature - first) / length  # of the curvature, per metre
-        skipped = first / growth  # of the clothoid that begins straight
+        # Of the curvature, per metre.
+        growth = (curvature - first) / length
+        # Of the clothoid that begins straight.
+        skipped = first / growth
         scale = np.sqrt(np.pi / growth)
 
         on_clothoid = np.minimum(distance, length)
@@ -618,7 +633,8 @@ def follow_gently(
     return _gentle(points, tuple(free.tolist()), tuple(at_origin.tolist()))
 
 
-@lru_cache(maxsize=256)  # as _follow
+# As _follow.
+@lru_cache(maxsize=256)
 def _gentle(
     points: tuple[tuple[float, ...], ...],
     free_m: tuple[float, ...],

@@ -21,16 +21,18 @@ from geometry.footprints import FootprintSizes, gaps_between
 from .courses import follow_way
 from .paths import CoursePath, Motion
 
-_LONGEST_S = 600.0  # contacts later than this are not looked for
+# Contacts later than this are not looked for.
+_LONGEST_S = 600.0
 _FIRST_STEP_S = 0.25
 _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
-GRAZING_M = (
-    1.0e-7  # nearer is contact: cells in which the bodies move less are not divided
-)
-_N_PARTS = 8  # of a cell along one time
+# Nearer is contact: cells in which the bodies move less are not divided.
+GRAZING_M = 1.0e-7
+# Of a cell along one time.
+_N_PARTS = 8
 _PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
-_N_TOGETHER = 1024  # cells to divide in one go
+# Cells to divide in one go.
+_N_TOGETHER = 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -284,11 +286,10 @@ def _half_diagonal_m(body: Actor) -> float:
     return 0.5 * float(np.hypot(body.length_m, body.width_m))
 
 
-# ---------- recorded ones as they are replayed: two ways that were taken, at constant speeds
+# ---------- recorded encounters, replayed on the ways that were taken
 _LONGEST_WAY_M = 1000.0
-_MAX_EARLY_S = (
-    0.3  # of a contact before the impact: more is another impact, somewhere else
-)
+# Of a contact before the impact: more is another impact, somewhere else.
+_MAX_EARLY_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,10 +30,14 @@ from .staging import (
 )
 from .ways import StraightWay, Way
 
-_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
-_STEP_M = 2.0  # along bent paths
-_ACROSS_STEP_M = 0.1  # the thinnest pole is hit
-_WALL = "wall "  # how names of walls begin
+# Above kerbs, below bonnets and walls.
+_HEIGHTS_M = (0.35, 1.0)
+# Along bent paths.
+_STEP_M = 2.0
+# The thinnest pole is hit.
+_ACROSS_STEP_M = 0.1
+# How names of walls begin.
+_WALL = "wall "
 _POLES = ("lamp post", "traffic light")
 
 
@@ -114,7 +118,8 @@ def _find_room(
     moves = _moves_m(max_aside_m)
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
-    places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
+    # (n_moves, n_bodies, 4, 2).
+    places = rings + shifts[:, None, None, :]
     outlines = shapely.polygons(places)
     areas = _areas(scene)
     off_road = np.flatnonzero(
@@ -161,9 +166,8 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
     is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
     if not swept.size:
         return is_island
-    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(
-        -1, 2
-    )  # from rear to front
+    # From rear to front.
+    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(-1, 2)
     tree, directions = _pieces(scene)
     place, piece = tree.query(swept.ravel(), predicate="intersects")
     along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(
@@ -210,7 +214,8 @@ def _moves_m(max_aside_m: float) -> FloatArray:
     return freeze(moves[np.argsort(np.abs(moves).sum(axis=1), kind="stable")])
 
 
-_INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners
+# Outlines are rounded at the corners.
+_INSIDE_OUTLINE_M = 2.0
 _MAY_OVERLAP_M = 0.1
 
 
@@ -332,9 +337,8 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
 
 def _sides(corners_m: FloatArray) -> FloatArray:
     """Segments around footprints (n, 4, 2) and, close together, across them."""
-    ends = np.array(
-        [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]
-    )  # four sides, two diagonals
+    # Four sides, two diagonals.
+    ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])
     around = corners_m[:, ends].reshape(-1, 2, 2)
     longest = np.hypot(*np.ptp(corners_m, axis=1).T).max()
     share = np.linspace(0.0, 1.0, int(longest / _ACROSS_STEP_M) + 2)[1:-1, None, None]

@@ -19,9 +19,11 @@ MPS_PER_KMH = 1000.0 / 3600.0
 scipy.constants has it, too, but takes long to load.
 """
 
-_TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
+# Chords of an arc of 8 m come within half a micrometre of it.
+_TABLE_STEP_M = 0.005
 _ODE_TOLERANCE = 1.0e-11
-_TOW_STEPS = 10  # points of a course that one step of the integration passes
+# Points of a course that one step of the integration passes.
+_TOW_STEPS = 10
 
 # A path says where a body is after a distance. The middle of its footprint never moves
 # further than the distance, and its line is never bent more than three times as much as
@@ -134,7 +136,8 @@ class TurnPath:
         table = self._table
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
-        beyond = on_turn - inside  # negative before the turn
+        # Negative before the turn.
+        beyond = on_turn - inside
         after = np.maximum(beyond, 0.0)
         exit_rad = table.exit_rad
         on_curve = np.interp(inside, table.distance_m, table.body_rad)
@@ -391,9 +394,8 @@ class Motion:
         begin_s = (
             self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
         )
-        check(
-            "brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on"
-        )  # nor NaN
+        # Nor NaN.
+        check("brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on")
 
     @property
     def acceleration_mps2(self) -> float:
@@ -480,7 +482,8 @@ class _TurnTable(NamedTuple):
     exit_half_lag_tan: float
 
 
-@lru_cache(maxsize=64)  # the same few turns are driven again and again
+# The same few turns are driven again and again.
+@lru_cache(maxsize=64)
 def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
     distance = np.linspace(0.0, turn.length_m, int(turn.length_m / _TABLE_STEP_M) + 2)
     point, angle_deg = turn.at(distance)
@@ -520,12 +523,14 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
         rtol=_ODE_TOLERANCE,
         atol=_ODE_TOLERANCE,
         max_step=0.25
-        * turn.clothoid_length_m,  # or it might step over where the arc begins
+        # Or it might step over where the arc begins.
+        * turn.clothoid_length_m,
     )
     return np.asarray(solution.y[0])
 
 
-@lru_cache(maxsize=64)  # the same few courses are driven again and again
+# The same few courses are driven again and again.
+@lru_cache(maxsize=64)
 def _tow(course: Course, wheelbase_m: float) -> FloatArray:
     """Heading of a body dragged along a course, at its points, (n,).
 

@@ -169,7 +169,8 @@ class _Place:
             ways.check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
-_Lay = Callable[[], _Place]  # or raises CannotCarryError
+# Or raises CannotCarryError.
+_Lay = Callable[[], _Place]
 
 
 def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
@@ -279,10 +280,10 @@ def _ways_through(
 
 
 # ---------- crossing and longitudinal cases
-_MOUTH_M = 15.0  # of a lane, that tell where it leads
-_MAX_EARLY_S = (
-    0.3  # a corner that touches before the impact position is a tenth of a second early
-)
+# Of a lane, that tell where it leads.
+_MOUTH_M = 15.0
+# A corner that touches before the impact position is a tenth of a second early.
+_MAX_EARLY_S = 0.3
 
 
 def _side(asked: _Asked, line: Line) -> Arm:
@@ -477,7 +478,8 @@ def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
-_IN_JUNCTION_M = 1.0  # from the middle of a lane through it
+# From the middle of a lane through it.
+_IN_JUNCTION_M = 1.0
 
 
 def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
@@ -528,7 +530,8 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
             outer,
             staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m,
         )
-    most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
+    # Narrow lanes.
+    most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))
     return outer, min(left_m, most_m)
 
 
@@ -777,7 +780,8 @@ def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
     elif arm.lanes_out:
         lane = arm.lanes_out[0]
         is_in = False
-    else:  # a one-way road: the kerb is to the left of its lanes
+    else:
+        # A one-way road: the kerb is to the left of its lanes.
         lane = arm.lanes_in[-1]
         is_in = True
         side = 1.0

@@ -44,8 +44,10 @@ from .staging import (
 )
 
 WEATHERS = tuple(load_weathers())
-_GRID_TOLERANCE = 1.0e-6  # of a frame
-_ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one go
+# Of a frame.
+_GRID_TOLERANCE = 1.0e-6
+# Detections of so many sets of poses are looked at in one go.
+_ROWS_TOGETHER = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,7 +180,8 @@ class FrameAxis:
             raise InputError(
                 "weight", self.weight.tolist(), "shares >= 0 that sum to 1"
             )
-        last_brake = np.array(self.last_brake_time_s, dtype=np.float64)  # may be -inf
+        # May be -inf.
+        last_brake = np.array(self.last_brake_time_s, dtype=np.float64)
         if last_brake.shape != (n_runs,) or np.isnan(last_brake).any():
             raise InputError(
                 "last_brake_time_s", last_brake.tolist(), "one time per run"
@@ -200,7 +203,8 @@ class FrameAxis:
                 "time_s", Unquoted(f"{len(self.time_s)} frames"), str(run_start[-1])
             )
         falls = np.diff(self.time_s) <= 0.0
-        falls[run_start[1:-1] - 1] = False  # from one run to the next
+        # From one run to the next.
+        falls[run_start[1:-1] - 1] = False
         if falls.any():
             late, early = self.time_s[np.argmax(falls) :][:2].tolist()
             got = Unquoted(f"{late} before {early}")
@@ -463,7 +467,8 @@ def build_runs(
                 continue
             for number, position in enumerate(positions_of(case, positions)):
                 turn = tuple(junction.arms).index(approach) + number
-                keeps = keeps_limits and case.recorded is None  # so it was driven
+                # So it was driven.
+                keeps = keeps_limits and case.recorded is None
                 drive = _Drive(
                     case=case,
                     scene=scene,
@@ -703,7 +708,8 @@ class _Drive:
         vut = encounter.vut_motion
         vru = encounter.vru_motion
         first_s = min(vut.start_time_s, vru.start_time_s)
-        if case.recorded is not None:  # what was before, nobody knows
+        # What was before, nobody knows.
+        if case.recorded is not None:
             first_s = -case.recorded.known_s
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz

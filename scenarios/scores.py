@@ -29,7 +29,8 @@ AVOIDED = "avoided"
 RATING_2026 = "rating-2026"
 SCORES = (AVOIDED, RATING_2026)
 
-_SAME_KMH = 1.0e-6  # speeds that differ by less are equal: they carry rounding noise
+# Speeds that differ by less are equal: they carry rounding noise.
+_SAME_KMH = 1.0e-6
 _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 _Speed = Annotated[float, Meta(ge=0.0)]
 
@@ -47,7 +48,7 @@ class Criterion(Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     criterion : str
-        Euro NCAP's name of it.
+        What counts: "avoidance", "mitigation", or both.
     measure : {"below", "lost"}
         The speed at contact, or what braking has taken of it.
     cases : tuple of str
@@ -200,7 +201,8 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
             score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh
         )
         limits = tuple(below for below, _ in bands[1:])
-        key = id(run.encounter), limits  # one and the same in all weathers
+        # One and the same in all weathers.
+        key = id(run.encounter), limits
         if limits and key not in known:
             below_mps = [limit * MPS_PER_KMH for limit in limits]
             known[key] = last_onsets_s(

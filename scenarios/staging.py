@@ -239,7 +239,8 @@ def _gap_to_side(
 
 # ---------- the first staging that can be driven
 _BEND_STEP_M = 0.25
-_BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at least two
+# Bends are taken over a metre: courses are smooth over at least two.
+_BEND_STEPS = 4
 _ROUND_KMH = 5
 
 

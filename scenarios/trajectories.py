@@ -108,9 +108,11 @@ class Track:
 
 
 class _Sample(NamedTuple):
-    place: str  # file, and line or element
+    # File, and line or element.
+    place: str
     id: str
-    word: str  # for its class
+    # For its class.
+    word: str
     time_s: float
     x_m: float
     y_m: float
@@ -192,7 +194,8 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
     return tuple(found), n_left_out
 
 
-_FEWEST = 3  # samples of a track
+# Samples of a track.
+_FEWEST = 3
 
 
 def _check(
@@ -296,7 +299,8 @@ def _number(word: str | None, where: str) -> float:
     return value
 
 
-_LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
+# Of seconds or metres: beyond it differences are rounded off.
+_LARGEST = 1.0e9
 
 
 # ---------- XML
@@ -317,7 +321,8 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 x, y, angle = (
                     _number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle")
                 )
-                yaw = math.radians(90.0 - angle)  # SUMO's is clockwise from north
+                # SUMO's is clockwise from north.
+                yaw = math.radians(90.0 - angle)
                 word = _sumo_class(thing.tag, thing.get("type") or "")
                 # SUMO's point of a vehicle is its front bumper; the VUT's stands there,
                 # too.

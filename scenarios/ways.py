@@ -30,12 +30,15 @@ from . import courses
 from .paths import MPS_PER_KMH, CoursePath, Path, StraightPath, TowedPath, TurnPath
 from .staging import CannotCarryError, NoRoadError, load_way_rules
 
-STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
+# Of a lane next to the junction, which gives its direction.
+STRAIGHT_M = 50.0
 DO_NOT_MEET = "the VUT's way and the VRU's do not meet"
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
-_LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
-_CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
+# In lanes that are narrower than the VUT, by the map.
+_LEAST_FREE_M = 0.1
+# Between the lanes, of the curve that has their directions.
+_CUT_OFF_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -315,9 +318,11 @@ def meeting_m(one: Way, other: Way) -> tuple[float, float]:
 
 # ---------- arms
 _LEADS = {"left": "to the left", "right": "to the right", "through": "straight on"}
-_SAME_POINT_M = 0.5  # as geometry.junction joins lanes
+# As geometry.junction joins lanes.
+_SAME_POINT_M = 0.5
 
-Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of it
+# Into the junction, through it, out of it.
+Joint = tuple[Lane, Lane | None, Lane]
 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
@@ -482,7 +487,8 @@ class Turning:
     is_straight: bool
 
 
-_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
+# By then the VUT has met the VRU.
+_AFTER_TURN_M = 10.0
 
 
 def on_straights(
@@ -586,8 +592,10 @@ def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
 
 
 # ---------- bends that are too sharp
-_REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
-_OVER_M = 1.0  # bends are taken over a metre, as those of runs
+# From the junction: at 50 km/h, seven seconds.
+_REACH_M = 100.0
+# Bends are taken over a metre, as those of runs.
+_OVER_M = 1.0
 
 
 def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
@@ -598,7 +606,8 @@ def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
     rules = load_way_rules()
     try:
         junction = build_junction(scene)
-    except InputError:  # another finding says so
+    except InputError:
+        # Another finding says so.
         return
     for arm in junction.arms.values():
         bends = _bends(junction, arm)
@@ -624,7 +633,8 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
     The distance is that of the bend from the junction.
     """
     vut = pick_actor("vut", "vut")
-    step = round(_OVER_M / 0.01)  # points of a course lie a centimetre apart
+    # Points of a course lie a centimetre apart.
+    step = round(_OVER_M / 0.01)
     yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]
     for is_in, lanes in ((True, arm.entry_lanes), (False, arm.exit_lanes)):
         for lane in lanes:

@@ -65,7 +65,8 @@ def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     not a number >= 0; all weights are 0.
     """
     weight = np.zeros(len(runs))
-    named: dict[int, str] = {}  # by which line
+    # By which line.
+    named: dict[int, str] = {}
     for where, row in _read_rows(path):
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
