@@ -15,7 +15,7 @@ from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
-from geometry.files import load_data
+from geometry.text_formats import load_data
 
 LANGUAGES = ("en", "de")
 _SWAPPED = str.maketrans(".,", ",.")

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted, refuse
-from .files import Table, Text, load_toml, pick, read_tables
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
+from .tables import Table, Text, pick, read_tables
+from .text_formats import load_toml
 
 # Of a shape: distances that differ in the last bits give the same one.
 _SHAPE_DECIMALS = 6

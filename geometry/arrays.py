@@ -1,5 +1,6 @@
 """Array types and the one check of shape and finiteness."""
 
+import sys
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-# Arrays of one shape, for values that are read from files: geometry.files.read_table
+# Arrays of one shape, for values that are read from files: geometry.tables.read_table
 # takes the shape from the type. Type checkers see any array, because numpy's own
 # functions return such.
 if TYPE_CHECKING:
@@ -66,3 +67,16 @@ def freeze(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+def is_text(array: NDArray[Any]) -> bool:
+    """True if an array from a file has texts that Python can read.
+
+    numpy looks at no character itself.
+    """
+    if array.dtype.kind != "U":
+        return False
+    if not array.dtype.itemsize or not array.size:
+        return True
+    native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    return int(native.reshape(-1).view(np.uint32).max()) <= sys.maxunicode

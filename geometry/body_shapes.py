@@ -19,16 +19,9 @@ from numpy.typing import NDArray
 from .actors import Shape, fingerprint
 from .arrays import FloatArray, float_array
 from .errors import InputError, MissingExtraError, refuse
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from .tables import Table, pick, take, take_list, take_number, take_text
+from .text_formats import load_toml
+from .writing import write_atomically
 
 DATA = Path(__file__).parent / "data"
 # Per cycle of a gait.

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from .arrays import FloatArray
 from .errors import InputError, Unquoted
-from .files import read_text
 from .lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
-from .untrusted_files import read_xml
+from .opening import read_text
+from .xml_files import read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

@@ -9,9 +9,10 @@ from typing import Any
 from msgspec import to_builtins
 
 from .errors import InputError, refuse
-from .files import load_data, load_toml, pick, read_tables
 from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
+from .tables import pick, read_tables
+from .text_formats import load_data, load_toml
 
 Sensor = CameraModel | LidarModel
 _KINDS: dict[str, type[CameraModel] | type[LidarModel]] = {

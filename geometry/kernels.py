@@ -29,16 +29,15 @@ import numba
 from numba.core import event
 from numba.extending import overload
 
-from .clock import stand_still_s
-from .files import (
-    is_abandoned,
-    lock_while_alive,
+from .cache_folders import (
     open_own,
     private_temporary_folder,
     trouble_with,
     user_cache_folder,
-    write_atomically,
 )
+from .clock import stand_still_s
+from .locks import is_abandoned, lock_while_alive
+from .writing import write_atomically
 
 F = TypeVar("F", bound=Callable[..., Any])
 # What numba cached of a kernel: content by path below its folder.

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import check_field
-from .files import Table, load_data, read_table, read_tables
 from .sensors import load_limits
+from .tables import Table, read_table, read_tables
+from .text_formats import load_data
 
 _FILE = "lidars.toml"
 

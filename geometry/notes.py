@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from .files import Text, says
+from .tables import Text, says
 
 Kind = Literal[
     "junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"

@@ -20,24 +20,18 @@ from typing import IO, Any
 import numpy as np
 from msgspec import Struct, structs
 
+from .archives import refuse_bomb
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted, refuse
-from .files import (
-    MAX_TOML_BYTES,
-    Text,
-    check_file,
-    load_toml,
-    open_file,
-    open_new,
-    read_table,
-    reading,
-    write_atomically,
-)
 from .frames import from_gltf_points, parse_crs, to_gltf_points
+from .gltf import NoFiles, check_gltf
 from .notes import Note
+from .opening import check_file, open_file, reading
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
-from .untrusted_files import NoFiles, check_gltf, refuse_bomb
+from .tables import Text, read_table
+from .text_formats import MAX_TOML_BYTES, load_toml
+from .writing import open_new, write_atomically
 
 FORMAT = "place-rsus scene"
 VERSION = 1

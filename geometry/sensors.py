@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
-from .files import read_data
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .poses import Pose, camera_rotation
+from .tables import read_data
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
 SEEN_RAD = 1.5

@@ -19,10 +19,11 @@ from msgspec import Meta, Struct
 from .actors import PlacedActor, park_row, pick_actor
 from .arrays import FloatArray, Point2, Points2, Segment2
 from .errors import InputError
-from .files import Text, load_toml, read_table
 from .frames import from_carla_points, from_carla_yaw
 from .poses import Pose, to_world
 from .scene import Body, Instance, Lane, Scene, Site, join_bodies
+from .tables import Text, read_table
+from .text_formats import load_toml
 
 STUDY = "town05"
 _POLE_SECTIONS = 10

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import check_field
-from .files import load_data, pick, read_tables
+from .tables import pick, read_tables
+from .text_formats import load_data
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""

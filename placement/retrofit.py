@@ -12,7 +12,8 @@ import numpy as np
 
 from geometry.arrays import IntArray
 from geometry.errors import InputError, refuse
-from geometry.files import load_data, read_table
+from geometry.tables import read_table
+from geometry.text_formats import load_data
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .compute import check_distinct

@@ -19,7 +19,9 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import Text, csv_rows, float_of, read_bytes, read_data
+from geometry.opening import read_bytes
+from geometry.tables import Text, read_data
+from geometry.text_formats import csv_rows, float_of
 
 UNFALLATLAS = "unfallatlas"
 STATS19 = "stats19"

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import check_field
-from geometry.files import Table, load_data, read_table
+from geometry.tables import Table, read_table
+from geometry.text_formats import load_data
 
 from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 

@@ -13,16 +13,8 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    Text,
-    float_of,
-    load_data,
-    load_toml,
-    pick,
-    read_table,
-    read_tables,
-)
+from geometry.tables import Table, Text, pick, read_table, read_tables
+from geometry.text_formats import float_of, load_data, load_toml
 
 from .encounters import RecordedEncounter, RecordedWay
 

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, check_field, check_one_of
-from geometry.files import load_data, read_tables
 from geometry.junction import Line
 from geometry.lines import along_m, apart, points_at
+from geometry.tables import read_tables
+from geometry.text_formats import load_data
 
 # Between the points of a lane that are smoothed.
 _SAMPLE_M = 0.5

@@ -12,7 +12,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import float_of, read_data
+from geometry.tables import read_data
+from geometry.text_formats import float_of
 
 from .cases import Case
 

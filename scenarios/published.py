@@ -9,9 +9,10 @@ from msgspec import Struct
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_data, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
 from geometry.study_scene import ParkedRow
+from geometry.tables import Text, pick, read_table
+from geometry.text_formats import load_data
 
 from .cases import Case, load_cases
 from .encounters import Encounter

@@ -19,7 +19,8 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError
-from geometry.files import Text, load_data, read_table
+from geometry.tables import Text, read_table
+from geometry.text_formats import load_data
 
 from .aeb import AebRule, find_contacts, last_onsets_s
 from .paths import MPS_PER_KMH

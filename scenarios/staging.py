@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
-from geometry.files import Table, load_data, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.poses import Pose
+from geometry.tables import Table, read_table
+from geometry.text_formats import load_data
 
 from .cases import Case
 from .encounters import Encounter

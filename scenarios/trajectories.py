@@ -16,8 +16,10 @@ from msgspec import Struct
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
-from geometry.files import csv_rows, parse_number, read_data, read_text
-from geometry.untrusted_files import read_xml
+from geometry.opening import read_text
+from geometry.tables import read_data
+from geometry.text_formats import csv_rows, parse_number
+from geometry.xml_files import read_xml
 
 VEHICLE = "vehicle"
 """Class of whatever is replayed as the VUT."""

@@ -21,15 +21,9 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import (
-    Text,
-    csv_rows,
-    float_of,
-    load_data,
-    read_data,
-    read_table,
-    read_text,
-)
+from geometry.opening import read_text
+from geometry.tables import Text, read_data, read_table
+from geometry.text_formats import csv_rows, float_of, load_data
 
 from .accidents import (
     DAY,

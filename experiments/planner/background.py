@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Struct
 
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import parse_json
+from geometry.text_formats import parse_json
 
 MAX_IMAGE_BYTES = 8_000_000
 """Of an image that a browser sends."""

@@ -16,9 +16,10 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, refuse
-from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
+from ..tables import pick
+from ..text_formats import load_data
 
 Polygon3D = Sequence[FloatArray]  # outer ring, then holes; (n, 3) each
 _SAME_M = 1e-3  # corners closer than this are one

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
+from geometry.tables import take_number
+from geometry.text_formats import load_data
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
 _ADULT_FROM_M = (

@@ -39,10 +39,10 @@ from experiments.parts import section, sheet
 from experiments.parts.alternatives import doubt_sentences
 from experiments.planner.page_files import page_html, page_messages
 from experiments.report.page import page_environment
-from geometry.files import load_data
 from geometry.frames import to_geographic
 from geometry.junction import ARM_NAMES
 from geometry.study_scene import load_study_scene
+from geometry.text_formats import load_data
 from geometry.weather import load_weathers
 from placement.detectors import ResponseDetector, load_detector
 from placement.detectors.built_in import DETECTOR_NAMES, LIDAR_NAMES
