@@ -324,6 +324,13 @@ def _fit_to_box(
 
 @cache
 def _manifold3d() -> Any:
+    """The module manifold3d, which only this build needs.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
     try:
         return import_module("manifold3d")
     except ModuleNotFoundError:

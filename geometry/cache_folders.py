@@ -79,6 +79,10 @@ def writable_by_others(path: Path) -> bool:
 
 
 def _is_open(found: os.stat_result, *, is_last: bool) -> bool:
+    """True if other users may change what a file's status belongs to.
+
+    `is_last` is False for a folder on the way to the file.
+    """
     import grp
     import pwd
 

@@ -67,6 +67,13 @@ def read_cameras(
 
 
 def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
+    """Documents of a YAML file, each a map.
+
+    Raises
+    ------
+    InputError
+        The text is no YAML, or a document is no map.
+    """
     import yaml  # type: ignore[import-untyped]
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -107,6 +114,7 @@ def _xml_record(root: "Element") -> dict[str, Any]:
 def _camera(
     record: Mapping[str, Any], where: str, size_px: _Size | None
 ) -> CalibratedCamera:
+    """A camera of OpenCV's or ROS's fields."""
     K = _numbers(record, "camera_matrix", (9,), where).reshape(3, 3)
     size_px = _size(size_px, where, record)
     rotation, position = _stand(record, where)
@@ -148,6 +156,13 @@ def _calibrated(
 def _size(
     size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None
 ) -> _Size:
+    """Width and height of pictures, from the file or else from the user.
+
+    Raises
+    ------
+    InputError
+        Neither says it.
+    """
     if record is not None and "image_width" in record:
         return _whole(record, "image_width", where), _whole(
             record, "image_height", where
@@ -160,6 +175,7 @@ def _size(
 
 
 def _whole(record: Mapping[str, Any], key: str, where: str) -> int:
+    """Whole number of a field, or InputError."""
     (value,) = _numbers(record, key, (1,), where).tolist()
     if value != round(value):
         raise InputError(f"{where}: {key}", value, "a whole number")

@@ -90,6 +90,13 @@ def check_gltf(path: Path) -> None:
 
 
 def _binary_header(path: Path) -> bytes:
+    """JSON of a .glb file, cut off beyond the largest that is read.
+
+    Raises
+    ------
+    InputError
+        The file is no binary glTF 2 that begins with JSON.
+    """
     with open_file(path) as file:
         head = file.read(20)
         if len(head) < 20 or head[:4] != b"glTF":

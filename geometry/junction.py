@@ -203,6 +203,7 @@ class Junction:
         return entry
 
     def _before(self, entry: Lane) -> list[Lane]:
+        """Lanes that are assumed to lead to the start of an entry lane."""
         begin = entry.centreline_m[0]
         gaps_m = [np.hypot(*(lane.centreline_m[-1] - begin)) for lane in self.beyond]
         return [
@@ -230,6 +231,7 @@ class Junction:
 # One and the same lane, by which ways along it are known.
 @lru_cache(maxsize=64)
 def _led_on(before: Lane, entry: Lane) -> Lane:
+    """The entry lane, lengthened by the one that is assumed before it."""
     chain = np.concatenate([before.centreline_m[:-1], entry.centreline_m])
     return replace(entry, centreline_m=chain)
 
@@ -442,6 +444,11 @@ def _beside_arms(
 def _build_arm(
     name: str, members: Sequence[_End], cycleways: Sequence[_End], scene: Scene
 ) -> Arm:
+    """An arm of its lane ends and those of its cycleways.
+
+    Lanes come from the kerb to the road's axis.
+    """
+
     def from_kerb(ends: Sequence[_End], *, is_in: bool) -> tuple[Lane, ...]:
         own = [lane for leads_in, lane in ends if leads_in == is_in]
         lanes = [_whole(lane, scene.lanes, is_in=is_in) for lane in own]
@@ -637,6 +644,10 @@ def _mouth(is_in: bool, lane: Lane) -> Line:
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
+    """True if two mouths lead the same way, side by side.
+
+    `reach_m` is the largest distance between them, across the arm.
+    """
     if one.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
         return False
     between = replace(one, direction=one.direction + other.direction)
@@ -645,6 +656,7 @@ def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
 
 
 def _arm_names(bearings_deg: FloatArray) -> list[str]:
+    """Names of arms by their bearings, (n_arms,), each name once."""
     for n_points in (4, 8, 16):
         index = np.round(bearings_deg * n_points / 360.0).astype(int) % n_points
         names = [ARM_NAMES[one * (16 // n_points)] for one in index]
@@ -751,4 +763,5 @@ def arm_mouth(arm: Arm) -> FloatArray:
 
 
 def _bearing(way_m: FloatArray) -> float:
+    """Direction of a vector (2,), counter-clockwise from east, in rad."""
     return float(np.arctan2(way_m[1], way_m[0]))

@@ -143,6 +143,7 @@ class _OnDisk:
             return self.compiled
 
     def _build(self) -> Callable[..., Any]:
+        """The function for numba, with a folder for its cache if there is one."""
         try:
             self._folder = Path(tempfile.mkdtemp(dir=_running_folder(os.getpid())))
             self._unpack(self._folder)

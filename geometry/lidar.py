@@ -272,6 +272,7 @@ def load_lidar_detection() -> LidarDetection:
 
 
 def _read_detection(table: Table) -> LidarDetection:
+    """Rule of detection from a table with an entry for each class."""
     entries = read_tables(table, _DetectionEntry, f"{_FILE}: detection")
     return LidarDetection(
         min_points={name: entry.min_points for name, entry in entries.items()},

@@ -38,6 +38,7 @@ def check_file(path: Path, *, max_bytes: int | None = None) -> None:
 
 
 def _check_found(found: os.stat_result, where: str, max_bytes: int | None) -> None:
+    """Raise InputError unless a status is that of a regular file."""
     if not stat.S_ISREG(found.st_mode):
         refuse(where, kind_of(found.st_mode), "a regular file")
     if max_bytes is not None and found.st_size > max_bytes:

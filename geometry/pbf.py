@@ -48,6 +48,7 @@ class _DamagedError(Exception):
 
 
 def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and unpacked content of each blob of a file."""
     with open_file(path) as file:
         while prefix := file.read(4):
             n_bytes = int.from_bytes(prefix, "big")
@@ -64,12 +65,14 @@ def _blobs(path: Path) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _exactly(data: bytes, n_bytes: int) -> bytes:
+    """The data, if there are as many bytes as there should be."""
     if len(data) < n_bytes:
         raise _DamagedError("unexpected end of file")
     return data
 
 
 def _unpacked(blob: bytes) -> bytes:
+    """Content of a blob, which is plain or packed with zlib."""
     for number, value in _fields(blob):
         if number == 1 and isinstance(value, bytes):
             return value
@@ -82,6 +85,7 @@ def _unpacked(blob: bytes) -> bytes:
 
 
 def _texts(block: bytes) -> Iterator[bytes]:
+    """Texts of a block of data, which are its first field."""
     for number, value in _fields(block):
         if number == 1 and isinstance(value, bytes):
             for _, text in _fields(value):

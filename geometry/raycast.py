@@ -232,6 +232,7 @@ def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
 def _checked(
     vertices_m: ArrayLike, triangles: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices and triangles as Embree takes them, or InputError."""
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
     faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
@@ -245,12 +246,14 @@ def _checked(
 
 
 def _no_triangle(n_rays: int) -> tuple[FloatRays, IntArray]:
+    """What :meth:`RayCaster.first_triangle` returns where nothing is hit."""
     return np.full(n_rays, np.inf, dtype=np.float32), np.full(
         n_rays, -1, dtype=np.int64
     )
 
 
 def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+    """Rays as Open3D takes them: origin and vector in one row, (n, 6)."""
     rays = np.empty((len(origins_m), 6), dtype=np.float32)
     rays[:, :3] = origins_m
     rays[:, 3:] = vectors_m
@@ -260,6 +263,7 @@ def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
 def _contiguous(
     origins_m: FloatRays, vectors_m: FloatRays
 ) -> tuple[FloatRays, FloatRays]:
+    """Origins and vectors as embreex takes them."""
     origins, vectors = (
         np.ascontiguousarray(one, np.float32) for one in (origins_m, vectors_m)
     )
@@ -268,6 +272,7 @@ def _contiguous(
 
 @cache
 def _open3d_or_reason() -> tuple[Any, str | None]:
+    """The module open3d and None, or None and why it cannot load."""
     try:
         with warnings.catch_warnings():
             # Those of Open3D's own imports.

@@ -82,6 +82,7 @@ def check_scene(scene: Scene) -> list[Finding]:
 
 
 def _check_roads(scene: Scene) -> Iterator[Finding]:
+    """Findings about lanes, arms and crosswalks."""
     try:
         junction = build_junction(scene)
     except InputError:
@@ -139,6 +140,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _direction(line: Any, point: Any) -> FloatArray:
+    """Unit vector along a line, (2,), at the place nearest to a point."""
     at_m = line.project(point)
     begin, end = (
         line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M)
@@ -219,6 +221,7 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
 
 
 def _check_sites(scene: Scene) -> Iterator[Finding]:
+    """Findings about sites: in the air, in the ground, or inside a thing."""
     if not scene.sites:
         yield _error("sites", "none: nothing can be mounted")
     for site in scene.sites:
@@ -245,6 +248,7 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
+    """Errors for poles that stand on a lane or in the junction."""
     feet = np.array([site.position_m[:2] for site in sites])
     junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
     mapped = [
@@ -272,6 +276,7 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 
 
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
+    """Findings about things: holes, heights and faces that look inwards."""
     import trimesh
 
     holes = "its surface has holes above the floor"
@@ -318,6 +323,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
+    """Warnings of things that overlap on the ground or stand on the road."""
     things = enumerate(scene.instances)
     solid = [
         (one.id, at) for at, one in things if one.class_name in ("building", "wall")
@@ -361,5 +367,6 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
 
 
 def _names(ids: list[str]) -> str:
+    """The first ids, with commas between, and how many are left."""
     left = len(ids) - _MAX_NAMES
     return ", ".join(ids[:_MAX_NAMES]) + (f" and {left} more" if left > 0 else "")

@@ -332,6 +332,7 @@ def _entry(value: object, *names: str) -> dict[str, Any]:
 
 
 def _rounded(array: FloatArray) -> Any:
+    """Nested lists of an array, rounded to a millimetre."""
     # Adding 0 turns minus zero into zero.
     return (np.round(array, _MILLIMETRES) + 0.0).tolist()
 
@@ -351,6 +352,7 @@ def check_crs(crs: str, where: str) -> None:
 
 
 def _to_glb(scene: Scene) -> bytes:
+    """Meshes of all things of a scene as a .glb file, y up."""
     import trimesh
 
     meshes = trimesh.Scene()
@@ -367,6 +369,16 @@ def _to_glb(scene: Scene) -> bytes:
 
 
 def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarray]]:
+    """Vertices (n, 3) and triangles (m, 3) of a .glb file, by name.
+
+    Vertices are in the world frame, in metres. `shown` is the file's name for
+    messages.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is no glTF 2, or has vertices that are not finite.
+    """
     import trimesh
 
     if not path.is_file():

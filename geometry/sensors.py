@@ -429,6 +429,7 @@ def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
 
 
 def _reach(camera: CameraModel) -> float:
+    """Radius at depth 1 up to which points of a camera's picture count."""
     if camera.lens is None:
         reach = math.inf
     else:

@@ -71,6 +71,7 @@ def read_data(package: str, name: str, kind: type[_T]) -> _T:
 
 
 def _check_finite(value: object, where: str) -> None:
+    """Raise InputError at the first number that is not finite."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             _check_finite(item, _join(where, f".{key}"))
@@ -176,6 +177,7 @@ def _plain(node: Any) -> Any:
 
 
 def _members(node: msgspec.inspect.UnionType) -> list[Any]:
+    """Types of a union except None."""
     return [one for one in node.types if not isinstance(one, msgspec.inspect.NoneType)]
 
 

@@ -44,6 +44,7 @@ def read_xml_root(path: Path) -> Element:
 
 @contextmanager
 def _open_xml(path: Path, expected: str, well_formed: str) -> Iterator[BinaryIO]:
+    """Open an XML file; what its reader raises becomes an InputError."""
     from defusedxml import DefusedXmlException
 
     with reading(path, well_formed, ParseError, ValueError, LookupError):

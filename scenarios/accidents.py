@@ -210,6 +210,10 @@ def accident_files(form: str, path: Path) -> tuple[Path, ...]:
 def _read(
     form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]
 ) -> Accidents:
+    """Accidents of files, by a format's name.
+
+    The stamps say that the files are the same as before.
+    """
     read = _read_unfallatlas if form == UNFALLATLAS else _read_stats19
     places, what = read(*paths)
     place_deg = np.array(places, dtype=np.float64).reshape(-1, 2)
@@ -233,6 +237,7 @@ _UNFALLATLAS_USERS = {
 
 
 def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
+    """Places in degrees and accidents of a file of the German atlas."""
     rules = load_accident_rules().unfallatlas
     places = []
     what = []
@@ -278,6 +283,7 @@ def _beside(path: Path) -> tuple[Path, Path]:
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
 ) -> tuple[list[list[float]], list[Accident]]:
+    """Places in degrees and accidents of the three files of STATS19."""
     rules = load_accident_rules().stats19
     drivers: dict[str, dict[str, dict[str, str]]] = {}
     for row in _rows(vehicles, rules.columns["vehicles"]):

@@ -361,6 +361,8 @@ class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
 
 class _CaseEntry(Struct, frozen=True, kw_only=True):
+    """What entries of all kinds of cases have in common, but recorded ones."""
+
     title: Text
     source: Text
     vru: Text
@@ -393,6 +395,7 @@ class _CaseEntry(Struct, frozen=True, kw_only=True):
 
 
 def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
+    """Raise InputError unless exactly one of some keys is given."""
     given = [key for key in keys if getattr(entry, key) not in (None, ())]
     if len(given) != 1:
         raise InputError("", given, "one of " + ", ".join(keys))
@@ -419,6 +422,8 @@ class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="
 
 
 class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="kind"):
+    """A case of kind "recorded", as :mod:`scenarios.conflicts` writes it."""
+
     title: Text
     source: Text
     vru: Text
@@ -438,6 +443,8 @@ def load_cases() -> dict[str, Case]:
 
 
 class _UnlaidEntry(Struct, frozen=True, kw_only=True):
+    """A case in ``data/unlaid_cases.toml``."""
+
     title: Text
     source: Text
     vru: Text
@@ -605,6 +612,7 @@ def _stem(name: str) -> str:
 
 
 def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
+    """Speeds from the lowest to the highest, ascending."""
     return tuple(
         np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist()
     )
@@ -624,6 +632,7 @@ def _whole_entry(
 
 
 def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
+    """Case of an entry of kind "recorded"."""
     speed_kmh = entry.vut_speed_kmh
     return Case(
         name=name,
@@ -657,6 +666,7 @@ _SAME = (
 def _build_case(
     name: str, entry: _Crossing | _Longitudinal | _Turning, where: str
 ) -> Case:
+    """Case of an entry of the protocol's kinds; `where` names the entry."""
     vru = pick_actor(entry.vru, f"{where}.vru")
     pairs = tuple(sorted(entry.pairs_kmh))
     steps = entry.vut_speed_kmh
@@ -698,6 +708,7 @@ def _build_case(
 def _build_obstruction(
     entry: _BesideVut | _BesideRoad | _BesideVru | _Wall | None, where: str
 ) -> Obstruction | None:
+    """Obstruction of an entry; None: the case has none."""
     if entry is None:
         return None
     fields: dict[str, Any] = structs.asdict(entry)
@@ -808,6 +819,7 @@ def _alike(case: Case) -> Case:
 
 
 def _but_for_the_point(case: Case) -> tuple[Case, str, tuple[float, ...]]:
+    """What cases share that differ in the impact point alone."""
     return replace(_alike(case), impact_percent=0.0), case.source, case.vut_speeds_kmh
 
 
@@ -959,11 +971,13 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
 
 
 def _is_within(speed_kmh: float, case: Case) -> bool:
+    """True if the protocol drives a case at a speed."""
     low, high = case.speed_limits_kmh
     return low <= speed_kmh <= high
 
 
 def _limits(cases: Sequence[Case]) -> str:
+    """Range of speeds of some cases, in words."""
     low = min(case.speed_limits_kmh[0] for case in cases)
     high = max(case.speed_limits_kmh[1] for case in cases)
     return f"{low:g} to {high:g} km/h as the protocol drives these cases, or `force`"

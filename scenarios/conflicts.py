@@ -239,6 +239,7 @@ def _replay(
 
 
 def _speed(track: Track, moment_s: float) -> float:
+    """Speed of a track at a moment, in m/s."""
     return float(np.hypot(*track.velocity_mps(np.array(moment_s))))
 
 

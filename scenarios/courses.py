@@ -147,10 +147,12 @@ class Course:
         )
 
     def _index(self, station_m: float) -> int:
+        """Index of the point before a station."""
         last = len(self.points_m) - 2
         return int(np.clip(np.floor((station_m - self.begin_m) / _STEP_M), 0, last))
 
     def _place(self, inside_m: FloatArray) -> tuple[np.ndarray, FloatArray]:
+        """Points before stations, and the share of the way to the next one."""
         steps = (inside_m - self.begin_m) / _STEP_M
         index = np.minimum(steps.astype(np.int64), len(self.points_m) - 2)
         return index, steps - index
@@ -268,6 +270,7 @@ def _spline(
     smoothing_m: float,
     weight: FloatArray | None,
 ) -> Any:
+    """The smoothing spline of points (n, 2) at stations (n,)."""
     # Takes a third of a second to import.
     from scipy.interpolate import (
         make_smoothing_spline,
@@ -305,6 +308,7 @@ def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course
 
 
 def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course:
+    """A course of points that are a step apart, with its bends measured."""
     bend = np.diff(yaw_rad) / _STEP_M
     # Over a tenth of a metre: shorter, rounded numbers would count as changes.
     stride = 10
@@ -443,6 +447,7 @@ class Turn:
         return replace(self, arc_deg=arc_deg)
 
     def _half_way(self) -> complex:
+        """Middle of the curve as a complex number: ahead, left."""
         point, _ = self._first_half(np.array(0.5 * self.length_m))
         return complex(point)
 
@@ -641,6 +646,7 @@ def _gentle(
     free_m: tuple[float, ...],
     origin_m: tuple[float, ...],
 ) -> Course:
+    """The course of :func:`follow_gently`, from values that can be hashed."""
     from scipy.ndimage import maximum_filter1d
 
     chain = np.array(points)

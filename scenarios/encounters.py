@@ -283,6 +283,7 @@ def _look(
 
 
 def _half_diagonal_m(body: Actor) -> float:
+    """Half the diagonal of a body's footprint, in metres."""
     return 0.5 * float(np.hypot(body.length_m, body.width_m))
 
 
@@ -370,6 +371,7 @@ class RecordedEncounter:
 
 
 def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
+    """Motion along a recorded way at a constant speed."""
     course = follow_way(way.points_m, way.yaw_deg)
     if speed_mps > 0.0:
         start_m = course.station_of(way.points_m[0])

@@ -237,6 +237,7 @@ class _Areas(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _areas(scene: Scene) -> _Areas:
+    """Areas of a scene that cars may not, or need not, be parked on."""
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
@@ -286,6 +287,7 @@ class _Solid(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
+    """Things of a scene that stand in a way; the ground is none of them."""
     passed = (GROUND,) if has_poles else (GROUND, *_POLES)
     counts = np.array(
         [thing.class_name not in passed for thing in scene.instances], dtype=bool
@@ -299,6 +301,7 @@ def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
 
 
 def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
+    """True if no segment (n, 2, 2) meets a thing."""
     return not solid.caster.is_blocked(*solid.rays(segments_m)).any()
 
 
@@ -488,6 +491,7 @@ def _beside_vru(
 
 
 def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
+    """A body that stands on the plane z = 0."""
     return PlacedActor(
         actor=actor, pose=Pose(position_m=np.append(point_m, 0.0), yaw_deg=yaw_deg)
     )
@@ -495,6 +499,7 @@ def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
 
 @cache
 def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
+    """A wall as a body, so that it is placed like parked cars."""
     return Actor(
         name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
         class_name="wall",

@@ -427,6 +427,7 @@ class Motion:
         return slowed_m + lost_mps * (braking_s - slowing_s)
 
     def _steady_distance_m(self, time_s: ArrayLike) -> FloatArray:
+        """Distance covered at times if it does not brake, in metres."""
         moving_s = np.maximum(
             0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s
         )
@@ -485,6 +486,7 @@ class _TurnTable(NamedTuple):
 # The same few turns are driven again and again.
 @lru_cache(maxsize=64)
 def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
+    """Places and headings of a vehicle on a turn, a step apart."""
     distance = np.linspace(0.0, turn.length_m, int(turn.length_m / _TABLE_STEP_M) + 2)
     point, angle_deg = turn.at(distance)
     path_rad = np.radians(angle_deg)
@@ -564,6 +566,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
 
 
 def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
+    """Raise InputError unless the front axle is ahead and not too far."""
     if not 0.0 < wheelbase_m < np.inf:
         raise InputError("wheelbase_m", wheelbase_m, "> 0 metres")
     if not 0.0 <= front_axle_ahead_m <= wheelbase_m:
@@ -573,6 +576,7 @@ def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
 
 
 def _unit_vector(yaw_deg: float) -> FloatArray:
+    """Unit vector in a direction, (2,), counter-clockwise from east."""
     if not np.isfinite(yaw_deg):
         raise InputError("yaw_deg", yaw_deg, "finite degrees")
     yaw = np.radians(yaw_deg)
@@ -580,6 +584,7 @@ def _unit_vector(yaw_deg: float) -> FloatArray:
 
 
 def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -> None:
+    """Raise InputError unless a speed and its run-up are possible."""
     if not 0.0 < speed_mps < np.inf:
         raise InputError(f"{where}speed_mps", speed_mps, "> 0 metres per second")
     if not 0.0 <= acceleration_distance_m < np.inf:

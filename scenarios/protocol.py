@@ -536,6 +536,7 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
 
 
 def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
+    """A VRU or a vehicle that moves ahead of the VUT, or towards it."""
     place = laid()
     case = asked.case
     vut = asked.vut
@@ -652,6 +653,7 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
 
 
 def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> Staging:
+    """A turn of the VUT across the way of a pedestrian or cyclist."""
     case = asked.case
     turning = turn()
     vru_way, vru_m = _turning_way(asked, target, turning)
@@ -853,6 +855,7 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
 
 
 def _travel_s(case: Case, travel_m: float) -> float:
+    """Time that the VRU needs for its way to the impact, in seconds."""
     if case.vru_speed_kmh == 0.0:
         assert case.steady_time_s is not None
         return case.steady_time_s

@@ -134,6 +134,7 @@ def stage_published(
 def _build_placement(
     entry: _Entry, where: str, scene_name: str, parked: tuple[PlacedActor, ...]
 ) -> CasePlacement:
+    """Where a case of the file is driven, or InputError."""
     case = pick(load_cases(), entry.case, f"{where}.case")
     vut_path = _build_path(entry.vut_start_m, entry.vut_yaw_deg)
     vru_path = _build_path(entry.vru_start_m, entry.vru_yaw_deg)
@@ -182,6 +183,7 @@ def _build_path(start_m: FloatArray, yaw_deg: float) -> StraightPath:
 def _crossing_distances(
     a: StraightPath, b: StraightPath, where: str
 ) -> tuple[float, float]:
+    """Distances from both starts to where the paths cross, in metres."""
     # At the impact the gap between the bodies' middles is half the VRU's width only if
     # it crosses squarely.
     angle_deg = float(

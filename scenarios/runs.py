@@ -658,6 +658,7 @@ class _Drive:
         return [(vut, vru) for vut in speeds_kmh for vru in case.vru_speeds_kmh(vut)]
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
+        """Who moves how at a speed of the VUT, or CannotCarryError."""
         scene = self.scene
         if case.recorded is not None:
             return self._stage_recorded(case, case.recorded, speed_kmh)
@@ -685,6 +686,7 @@ class _Drive:
     def _stage_recorded(
         self, case: Case, recorded: RecordedEncounter, speed_kmh: float
     ) -> Staging:
+        """A recorded encounter at the speeds of the case, or CannotCarryError."""
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
         if away_m > load_way_rules().max_recorded_away_m:
             raise NoRoadError(
@@ -703,6 +705,7 @@ class _Drive:
         return Staging(encounter=encounter, obstruction=())
 
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
+        """The run of a staging, on its grid of frames."""
         encounter = staging.encounter
         rate_hz = self.rule.frame_rate_hz
         vut = encounter.vut_motion

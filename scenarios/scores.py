@@ -180,6 +180,7 @@ class Levels:
         )
 
     def _of_levels(self, is_reached: BoolArray) -> FloatArray:
+        """Sum of the gains of levels that are reached, by run."""
         gains = np.where(is_reached, self.gain, 0.0)
         return np.add.reduceat(gains, self.first, axis=-1)
 

@@ -172,6 +172,7 @@ def find_crossing(
 
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
+    """Middle of a vehicle's front axle after distances, (..., 2)."""
     middle, yaw_deg = path.at(distance_m)
     return np.asarray(middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0])
 
@@ -290,6 +291,7 @@ def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> St
 
 
 def _check_bends(encounter: Encounter) -> None:
+    """Raise TooFastError if a vehicle cannot take a bend at its speed."""
     limit_mps2 = load_way_rules().max_lateral_mps2
     driven = [(encounter.vut_motion, encounter.vut)]
     if is_vehicle(encounter.vru):

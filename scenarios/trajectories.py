@@ -26,6 +26,8 @@ VEHICLE = "vehicle"
 
 
 class _Tracks(Struct, frozen=True, kw_only=True):
+    """When samples make up a track; ``data/trajectories.toml`` says more."""
+
     step_tolerance: float
     max_gap_s: float
     velocity_s: float
@@ -110,6 +112,8 @@ class Track:
 
 
 class _Sample(NamedTuple):
+    """Where somebody was at one time, as a file has it."""
+
     # File, and line or element.
     place: str
     id: str
@@ -152,6 +156,7 @@ def read_tracks(
 
 
 def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], int]:
+    """Tracks of samples, and how many road users are left out."""
     rules = load_trajectory_rules()
     by_word = {word: name for name, words in rules.classes.items() for word in words}
     tracks: dict[str, list[_Sample]] = {}
@@ -231,6 +236,7 @@ def _check(
 def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
+    """Samples of a CSV file, row by row."""
     rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
     _, header = next(rows, ("", []))
     at = _find_columns(path, header, columns, frame_rate_hz)
@@ -313,6 +319,7 @@ _COMMONROAD_STATE = (
 
 
 def _xml_samples(path: Path) -> Iterator[_Sample]:
+    """Samples of SUMO's floating car data, or of CommonRoad."""
     root = read_xml(path, expected="CommonRoad or SUMO")
     if root.tag == "fcd-export":
         length_m = pick_actor("vut", "vut").length_m

@@ -566,6 +566,8 @@ def _towed(
     turn_m: float,
     vut: Actor,
 ) -> Turning:
+    """A turn whose path the VUT's front axle follows."""
+
     def path_with(straight_m: float) -> TowedPath:
         return TowedPath(
             course=course,
@@ -585,6 +587,7 @@ def _towed(
 
 
 def _check_within(lane: Lane, in_lane_m: float, what: str) -> None:
+    """Raise CannotCarryError if a turn leaves the mapped lane."""
     if in_lane_m > lane_length_m(lane):
         raise CannotCarryError(
             f"the turn would {what} beyond the mapped lane {lane.id}"

@@ -92,6 +92,7 @@ def _shares(weight: FloatArray) -> FloatArray:
 
 
 def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
+    """Rows of a user's table: file and line, and cells by column."""
     text = read_text(path, "a CSV file")
     rows = [*csv_rows(text, str(path), separators=",;", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
@@ -111,6 +112,7 @@ def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
 
 
 def _read_weight(text: str, where: str) -> float:
+    """Weight of a row, or InputError."""
     amount = float_of(text)
     if not 0.0 <= amount < math.inf:
         raise InputError(f"{where}: weight", text, "a number, at least 0")
@@ -133,12 +135,14 @@ def _read_position(text: str, where: str) -> str:
 
 
 def _words(row: Mapping[str, str]) -> str:
+    """What a row names, in words."""
     return ", ".join(
         repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key]
     )
 
 
 def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
+    """What a row could name instead, in words."""
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
         return "a case that is driven: " + ", ".join(
@@ -451,6 +455,7 @@ def weight_files(how: str) -> tuple[Path, ...]:
 
 
 def _weights_file(how: str) -> Path:
+    """The file that a word names, or InputError."""
     path = Path(how)
     if not how or not path.exists():
         words = ", ".join([*WEIGHT_WORDS, *(f"{form}:FILE" for form in FORMATS)])
