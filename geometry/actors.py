@@ -82,8 +82,8 @@ class Actor:
         Hip, crank shaft, or the flank's point of a car that crosses, ahead of
         the middle of the box (negative: behind it). [m]
     wheelbase_m, front_axle_ahead_m : float
-        Of a vehicle or motorcycle; the front axle ahead of the middle of the box. 0 for all others.
-        [m]
+        Of a vehicle or motorcycle; the front axle ahead of the middle of the
+        box. 0 for all others. [m]
     """
 
     name: str
@@ -120,6 +120,8 @@ class Actor:
         distance = np.asarray(distance_m, dtype=np.float64)
         if self.cycle_m == 0.0:
             return np.zeros(distance.shape, dtype=np.int64)
+        # The gait goes on in a circle: the nearest of the evenly spaced shapes
+        # counts.
         steps = (distance / self.cycle_m * len(self.shapes)).round(_SHAPE_DECIMALS)
         return np.floor(steps + 0.5).astype(np.int64) % len(self.shapes)
 
@@ -209,6 +211,7 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
             arrays = {key: stored[key] for key in stored.files}
     except FileNotFoundError:
         raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
+    # Shapes of another description would not fit the boxes of this one.
     if str(arrays.get("fingerprint")) != fingerprint(table):
         refuse(str(source), "shapes of another actors.toml", _REMEDY)
     entries = read_tables(table, _ActorEntry, "actors.toml")
@@ -278,6 +281,7 @@ def park_row(
     bumper = np.asarray(first_bumper_m, dtype=np.float64)
     row = []
     for actor in actors:
+        # From the front bumper to the middle of the box, then on to the next bumper.
         middle = np.append(bumper + 0.5 * actor.length_m * backwards, 0.0)
         row.append(
             PlacedActor(actor=actor, pose=Pose(position_m=middle, yaw_deg=yaw_deg))

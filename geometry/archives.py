@@ -34,11 +34,17 @@ def unpacked(path: Path, suffixes: Collection[str]) -> Iterator[Path]:
     Everything else in the archive lies next to that file.
 
     `suffixes` are the endings of readable files in lower case; files that belong to
-    them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed at
-    the end. An :class:`InputError` about it that is raised within names the archive
-    instead. Raises InputError if the archive is damaged or encrypted, is too large
-    unpacked (2 GB, 10,000 files, 200 times its size), has names that lead out of the
-    folder, links, or names twice; or if none, or several, of its files are readable.
+    them (``.dbf``, ``.bin``, textures) have others. The temporary folder is removed
+    at the end. An :class:`InputError` about it that is raised within names the
+    archive instead.
+
+    Raises
+    ------
+    InputError
+        The archive is damaged or encrypted, is too large unpacked (2 GB, 10,000
+        files, 200 times its size), has names that lead out of the folder,
+        links, or names twice; or if none, or several, of its files are
+        readable.
     """
     where = str(path)
     with TemporaryDirectory(prefix="place-rsus-") as folder:

@@ -30,9 +30,13 @@ else:
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Read-only float64 copy of `values`: of this shape (-1: any length) and finite.
 
-    Raises InputError: the shape differs, or a value is not a finite number; `name` says
-    where.
+    Raises
+    ------
+    InputError
+        The shape differs, or a value is not a finite number; `name` says where.
 
+    Examples
+    --------
     >>> float_array([1, 2, 3], (3,), "position_m")
     array([1., 2., 3.])
     """

@@ -59,6 +59,7 @@ def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
     else:
         n_shapes = 1
     meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
+    # The lowest point of each shape is on the road.
     for vertices, _ in meshes:
         vertices[:, 2] -= vertices[:, 2].min()
     fit = _fit_to_box(
@@ -136,6 +137,7 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
     crank_deg: FloatArray = first_deg - np.linspace(
         0.0, 360.0, _N_SHAPES, endpoint=False
     )
+    # The foot keeps its angle; the pedal turns around the crank shaft.
     ankle = (
         shaft
         + crank_m * _hanging(crank_deg)
@@ -214,6 +216,8 @@ def _build_mesh(
     """One closed mesh of all parts at one instant: vertices and triangles."""
     frames = _bone_frames(entry, turns_deg, index, where)
     library = _manifold3d()
+    # Parts are put together in the order of the file: later ones may cut earlier
+    # ones.
     body = library.Manifold()
     for number, part in enumerate(take_list(entry, "parts", where)):
         solids = list(_place_part(part, frames, f"{where}.parts[{number}]"))
@@ -315,6 +319,7 @@ def _fit_to_box(
             )
 
     def fit(points: FloatArray) -> FloatArray:
+        # Ahead of the reference point and behind it the stretch differs.
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m
         y = (points[:, 1] - 0.5 * (low[1] + high[1])) * across
         return np.stack([x, y, points[:, 2] * up], axis=1)

@@ -53,6 +53,7 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
     for group, entries in table.items():
         if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
             refuse(f"{path}: {group}", "it", expected)
+    # Terms outside of the lens's own table would be ignored without a word.
     for name, entry in table.get("cameras", {}).items():
         _check_lens(entry, f"{path}: cameras.{name}")
     for kind, group in (("camera", "cameras"), ("lidar", "lidars")):

@@ -29,6 +29,7 @@ class InputError(ValueError):
             shown = _one_line(got)
         else:
             shown = _shorten(got)
+        # Names and texts may come from a file: no line break gets into the message.
         place = _one_line(where, 2 * _MAX_CHARACTERS)
         wanted = _one_line(expected, _MAX_WORDS)
         super().__init__(f"{place}: got {shown}; expected {wanted}")

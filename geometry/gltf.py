@@ -60,8 +60,11 @@ class NoFiles:
 def check_gltf(path: Path) -> None:
     """Check the claims of a glTF 2 file before memory is given to it.
 
-    Raises InputError if it is no glTF 2; claims more elements than five million
-    triangles have; or has nodes with several parents, or that are their own ancestors.
+    Raises
+    ------
+    InputError
+        It is no glTF 2; claims more elements than five million triangles have;
+        or has nodes with several parents, or that are their own ancestors.
     """
     where = str(path)
     if path.suffix.lower() == ".glb":

@@ -34,6 +34,7 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     high = np.minimum(a[..., 2:], b[..., 2:])
     intersection = _area(high - low)
     area_a, area_b = (_area(box[..., 2:] - box[..., :2]) for box in (a, b))
+    # What is in both counts once.
     union = area_a + area_b - intersection
     return np.divide(
         intersection, union, out=np.zeros_like(intersection), where=union > 0.0

@@ -263,6 +263,7 @@ def build_junction(scene: Scene) -> Junction:
     cycleways = _beside_arms(
         _ends_at_outline(scene, ("cycling",), _CYCLES_AT_OUTLINE_M), groups
     )
+    # Arms are in the order of their bearings, counter-clockwise from the east.
     ways = [
         np.mean([_mouth(*end).direction for end in group], axis=0) for group in groups
     ]
@@ -349,9 +350,11 @@ def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]
         points = lane.centreline_m
     else:
         points = lane.centreline_m[::-1]
+    # Distance of each point to the mouth along the lane.
     to_mouth = np.append(
         np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0
     )
+    # Where the part that counts begins, between two points of the lane.
     begin_m = min(length_m, float(to_mouth[0]))
     start = np.array(
         [np.interp(-begin_m, -to_mouth, points[:, axis]) for axis in (0, 1)]
@@ -413,6 +416,7 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> lis
         off_m = {
             at: distance_to_outline_m(tip, scene.outline_m) for at, tip in tips.items()
         }
+        # An end counts that is next to the outline.
         near = [is_in for is_in, off in off_m.items() if off <= within_m]
         if len(near) == 2 and lane_length_m(lane) <= 2.0 * within_m:
             near = [min(near, key=lambda is_in: off_m[is_in])]
@@ -434,6 +438,7 @@ def _beside_arms(
     for is_in, lane in ends:
         mouth = _mouth(is_in, lane)
         reach_m = 0.5 * lane.width_m + _SAME_ARM_GAP_M
+        # A cycleway belongs to the first arm that it runs beside.
         for found, others in zip(beside, mouths, strict=True):
             if any(_is_beside(mouth, other, reach_m) for other in others):
                 found.append((is_in, lane))
@@ -491,6 +496,7 @@ def _crosswalk(
         inward = inward.turned(180.0)
     middle = mouths.mean(axis=0)
     half_width = 0.5 * float(np.ptp(inward.coordinates(mouths)[:, 1])) + 2.0
+    # A crosswalk counts that lies near the mouth and leads across the arm.
     for ends in scene.crosswalks_m:
         ahead_m, left_m = inward.coordinates(ends.mean(axis=0)) - inward.coordinates(
             middle
@@ -517,6 +523,8 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
     while True:
         last = pieces[0 if is_in else -1]
         tip = last.centreline_m[0 if is_in else -1]
+        # Pieces that begin where this one ends, of the same kind or through a
+        # junction.
         following = [
             other
             for other in lanes
@@ -570,6 +578,7 @@ def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]
         return _is_beside(mouths[one], mouths[other], reach_m)
 
     groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
+    # Carriageways into the junction with those out of it, the narrowest median first.
     pairs = []
     for one, group in enumerate(groups):
         for other, leaving in enumerate(groups):
@@ -618,6 +627,7 @@ def _median_m(
             other = _mouth(other_is_in, other_lane)
             if mouth.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
                 return None
+            # Along the mean of both directions.
             between = replace(mouth, direction=mouth.direction + other.direction)
             ahead_m, left_m = between.coordinates(other.point_m)
             # Seen from the junction, cars come in on the left, or where traffic keeps
@@ -720,6 +730,7 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[str]:
         return [""] * len(positions)
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    # The nearest arm is the one with the nearest lane.
     lines = {
         name: shapely.MultiLineString(
             [one.centreline_m for one in (*arm.lanes_in, *arm.lanes_out)]

@@ -69,6 +69,7 @@ def kernel(function: F) -> F:
             on_disk.tell_not_cached(error)
             on_disk.compiled = numba.njit(**_OPTIONS)(function)
             return on_disk.compiled(*args)
+        # The call has compiled something: the next process shall have it.
         if _compiling.is_anything_new:
             _compiling.is_anything_new = False
             on_disk.save()
@@ -175,8 +176,12 @@ class _OnDisk:
     def read(self) -> Files | None:
         """What numba cached; None if nothing, or of other source code.
 
-        Raises ValueError if the file is damaged, OSError if it cannot be read or others
-        may have written it.
+        Raises
+        ------
+        ValueError
+            The file is damaged.
+        OSError
+            It cannot be read, or others may have written it.
         """
         try:
             with open_own(self.path) as file:
@@ -203,6 +208,7 @@ class _OnDisk:
                 for path in self._folder.rglob("*.nb[ic]")
             }
             content = msgspec.msgpack.encode(found)
+            # The file begins with both hashes, so that reading can check them.
             stored = _hash_of_sources(self._source) + _hash_of(content) + content
             write_atomically(
                 self.path, lambda file: file.write(stored), is_private=True

@@ -151,11 +151,13 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         Within its reach the lens is the slope of a convex function: there is but one
         solution.
         """
+        # Radial terms alone are inverted along the radius.
         if self.p1 == self.p2 == 0.0:
             return _Lens.undistort(self, points)
         found = points / np.maximum(
             1.0, _radius(points)[:, None] / min(self.reach, 1.0)
         )
+        # Newton's method for all points at once, each with its own length of step.
         lacks = self.distort(found) - points
         step = self._step(found, lacks)
         off = _radius(lacks)
@@ -304,6 +306,7 @@ def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
     By Newton's method between 0 and `most`, up to which it rises from 0. Where a step
     leaves the interval that is left, that is halved.
     """
+    # The polynomial rises from 0 up to here.
     top = np.polyval(powers, most) if most < math.inf else math.inf
     wanted = np.minimum(values, top)
     slopes = _slopes(powers)
@@ -430,6 +433,7 @@ def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArr
     offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
     in_camera = offsets @ camera.R_camera_world.T
     depth = in_camera[:, 2]
+    # What is behind the camera is not shown.
     at_depth_1 = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
     shown = camera.lens.distort(at_depth_1)
     column = camera.cx_px + camera.fx_px * shown[:, 0]
@@ -447,6 +451,7 @@ def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     rays = (
         np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
     )
+    # Rays that lead towards the plane z = 0.
     is_below = rays[:, 2] * camera.position_m[2] < 0.0
     far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
     return np.asarray(camera.position_m + far[:, None] * rays)

@@ -108,6 +108,7 @@ class LidarModel:
         check("reference_reflectivity", is_share, "0 < share <= 1")
         is_likely = 0.0 < self.reference_probability < 1.0
         check("reference_probability", is_likely, "0 < probability < 1")
+        # So many rays are cast for each frame.
         per_frame = self.points_per_second / self.frame_rate_hz
         most = limits.lidar_points_per_frame
         check(
@@ -223,6 +224,7 @@ def return_probability(
 
     distance = np.asarray(distance_m, dtype=np.float64)
     is_inside = (distance >= lidar.near_m) & (distance <= lidar.range_m)
+    # Outside of the range any distance will do: the result there is 0.
     distance = np.where(is_inside, distance, lidar.reference_range_m)
     share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(
         incidence_cos, dtype=np.float64

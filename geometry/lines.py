@@ -44,5 +44,6 @@ def unit(vector: FloatArray) -> FloatArray:
 
 def true_runs(mask: BoolArray) -> IntArray:
     """Begins and ends of the runs of True in a mask, (k, 2)."""
+    # Runs begin and end where neighbours differ, the mask's ends included.
     padded = np.concatenate([[False], mask, [False]])
     return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)

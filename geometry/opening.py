@@ -71,6 +71,8 @@ def open_file(path: Path, *, max_bytes: int | None = None) -> BinaryIO:
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
 
     try:
+        # What was looked at may have been replaced since: the open file is looked at
+        # again.
         file = open(path, "rb", opener=at_once)  # noqa: SIM115 - Path has no opener
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

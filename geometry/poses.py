@@ -62,6 +62,7 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
     cos_pitch = np.cos(pitch)
     sin_pitch = np.sin(pitch)
     zero = np.zeros_like(yaw)
+    # Yaw about the upward axis, after pitch about the axis to the left.
     rows = [
         [cos_pitch * cos_yaw, -sin_yaw, -sin_pitch * cos_yaw],
         [cos_pitch * sin_yaw, cos_yaw, -sin_pitch * sin_yaw],

@@ -68,6 +68,7 @@ class Open3dCaster:
             self._scene.add_triangles(
                 self._tensor(vertices), self._tensor(faces.astype(np.uint32))
             )
+        # Embree must not be asked about a scene without triangles.
         self._is_empty = len(faces) == 0
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
@@ -168,6 +169,7 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
         Open3dCaster.name: open3d_problem,
     }
     reasons = []
+    # By "auto" the first library that loads is taken.
     for name in (rays,) if rays in CASTERS else tuple(problems):
         reason = problems[name]()
         if reason is None:

@@ -245,6 +245,7 @@ class Scene:
                 raise InputError(
                     where, int(outside[0]), f"indices from 0 to {limit - 1}"
                 )
+        # An id stands for one thing in results.
         for kind, ids in (
             ("site", [site.id for site in self.sites]),
             ("instance", [instance.id for instance in self.instances]),
@@ -376,10 +377,12 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
         corners = (
             scene.vertices_m[scene.triangles[scene.triangle_instance == index]] - point
         )
+        # The point is outside of the thing's box.
         if (corners.min(axis=(0, 1)) > 0.0).any() or (
             corners.max(axis=(0, 1)) < 0.0
         ).any():
             continue
+        # The solid angle of each triangle, as seen from the point.
         a, b, c = np.swapaxes(corners, 0, 1)
         length_a, length_b, length_c = (
             np.linalg.norm(side, axis=1) for side in (a, b, c)
@@ -453,5 +456,6 @@ def flat_union(corners_m: FloatArray) -> Any:
     flat = corners_m[..., :2]
     one = flat[:, 1] - flat[:, 0]
     other = flat[:, 2] - flat[:, 0]
+    # Upright triangles have no area from above.
     double_area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
     return shapely.union_all(shapely.polygons(flat[double_area > _MIN_AREA_M2]))

@@ -126,6 +126,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
         pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T
     else:
         pairs = ()
+    # Each pair once.
     for one, other in ((a, b) for a, b in pairs if a < b):
         for point in shapely.get_coordinates(
             shapely.intersection(lines[one], lines[other])
@@ -294,6 +295,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
             continue
+        # The mesh of this thing alone.
         used, local = np.unique(faces, return_inverse=True)
         mesh = trimesh.Trimesh(
             scene.vertices_m[used], local.reshape(-1, 3), process=False
@@ -343,6 +345,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
+            # Two buildings of about the same size that overlap are one and the same.
             is_same = (
                 area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
             )

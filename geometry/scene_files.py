@@ -45,7 +45,8 @@ _MAX_BYTES = {
 _MILLIMETRES = 3
 _HEAD = """\
 # A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
-# East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
+# East, north and height above the road in metres. \
+Things are meshes in things.glb, under their ids.
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
 _LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
@@ -71,14 +72,21 @@ def load_scene(
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
 
-    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder or
-    .zip file that :func:`save_scene` has written; or a map with roads, such as
-    "city.osm" or "city.xodr", of which one junction is cut out. Of a map, `junction` is
-    an id, streets or "latitude,longitude", or `at` a point within 100 m in the map's
-    own coordinates; by default the one with the most arms and lanes. `sites`: see
-    :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by default what the
-    map says. Raises InputError: there is no scene and no map, or it cannot be read.
+    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder
+    or .zip file that :func:`save_scene` has written; or a map with roads, such as
+    "city.osm" or "city.xodr", of which one junction is cut out. Of a map,
+    `junction` is an id, streets or "latitude,longitude", or `at` a point within 100
+    m in the map's own coordinates; by default the one with the most arms and lanes.
+    `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by
+    default what the map says.
 
+    Raises
+    ------
+    InputError
+        There is no scene and no map, or it cannot be read.
+
+    Examples
+    --------
     >>> load_scene()
     Scene('town05', 1266 triangles, 41 instances, 28 sites)
     """
@@ -198,6 +206,7 @@ def save_scene(
         ],
         "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
+    # The file with the meshes comes first: a folder without scene.toml is no scene.
     text = _HEAD + tomlkit.dumps(table)
     write_atomically(folder / THINGS_FILE, _to_glb(scene))
     write_atomically(folder / SCENE_FILE, text)
@@ -214,6 +223,7 @@ def load_scene_folder(path: Path) -> Scene:
         It is no such folder, a field is missing or not of its kind, or the meshes do
         not fit.
     """
+    # An archive is unpacked for as long as its files are read.
     with _as_folder(path) as folder:
         table = _read_scene_file(folder, shown=path)
         where = f"{path}/{SCENE_FILE}"
@@ -231,6 +241,7 @@ def load_scene_folder(path: Path) -> Scene:
         bodies.append((instance, *meshes[thing.id]))
     if not bodies:
         refuse(f"{where}: things", "none", "at least the ground")
+    # An unknown reference system would be found out only when results are written.
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
         check_crs(crs, f"{where}: {key}")
     fields = structs.asdict(table)

@@ -20,7 +20,7 @@ from .tables import read_data
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
 SEEN_RAD = 1.5
-"""Largest angle off the axis that counts in pictures through lenses: about 86 degrees."""
+"""Largest angle off the axis that counts in pictures of lenses: about 86 degrees."""
 
 
 _N_BORDER = 64
@@ -97,6 +97,7 @@ class CameraModel:
             refuse(f"{self.name}.width_px", got, f"at most {limits.camera_pixels:,}")
         most_deg = 180.0
         why = ""
+        # A lens may show more than a pinhole can, or less.
         if self.bent is not None:
             most_deg = min(360.0, 2.0 * math.degrees(self.bent.widest_rad))
             if most_deg < 180.0:
@@ -237,9 +238,13 @@ def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel,
 
     ``data/calibrated.toml`` has what the camera's file does not tell.
 
-    Raises InputError: half a width from its principal point the lens shows nothing.
+    Raises
+    ------
+    InputError
+        Half a width from its principal point the lens shows nothing.
     """
     assumed = read_data(__package__, "calibrated.toml", _Assumed)
+    # Rows of the rotation are the camera's axes in the world frame.
     right, _, ahead = camera.R_camera_world
     yaw_rad = np.arctan2(ahead[1], ahead[0])
     pitch_rad = np.arcsin(ahead[2].clip(-1, 1))
@@ -305,6 +310,7 @@ def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
     points = at_depth_1 @ roll_axes(camera)
     radius = np.hypot(points[:, 0], points[:, 1])
     with np.errstate(invalid="ignore"):
+        # Points beyond the reach are shown at the reach, and moved out again.
         beyond = np.maximum(1.0, radius / (_reach(camera) * (1.0 - 1.0e-12)))[:, None]
         shown = lens.distort(points / beyond) * beyond
     scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
@@ -401,6 +407,7 @@ def sharpest_px_per_rad(camera: CameraModel) -> float:
         rays = picture_rays((x + inwards).ravel(), (y + down).ravel(), camera)
         way = np.column_stack([rays, np.ones(len(rays))])
         ways.append(way / np.linalg.norm(way, axis=1, keepdims=True))
+    # Change of direction per pixel, in both directions of the picture.
     turns = np.stack([ways[1] - ways[0], ways[2] - ways[0]], axis=2) / 0.5
     turns = turns[np.isfinite(turns).all(axis=(1, 2))]
     return float(_MARGIN / np.linalg.svd(turns, compute_uv=False)[:, 1].min())

@@ -187,6 +187,7 @@ def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
 def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
     """All things of a file, in its order: ground, buildings, walls, the rest."""
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    # The ground is a flat square of two triangles.
     corners = (
         from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
     )

@@ -127,6 +127,7 @@ def _input_error(
     message = str(error)
     cause = error.__cause__
     # Of a field's own check.
+    # A value's own check may know the place better.
     if isinstance(cause, InputError) and cause.where:
         return cause
     place = _PLACE.search(message)
@@ -135,6 +136,7 @@ def _input_error(
     else:
         path = ""
     value = table
+    # Down the path of the message, through the type and the value at once.
     node = msgspec.inspect.type_info(kind)
     shown = ""
     for step in _STEP.finditer(path):
@@ -151,6 +153,7 @@ def _input_error(
     if isinstance(cause, InputError):
         # Of an array, or of a value that leaves the place to us.
         return InputError(here, cause.got, cause.expected)
+    # msgspec quotes the name of the field in its message.
     if missing := re.match(r"Object missing required field `(.*?)`", message):
         return InputError(
             _join(where, f"{shown}.{missing[1]}"), Unquoted("nothing"), "a value"

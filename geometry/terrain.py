@@ -79,6 +79,7 @@ class Terrain:
         north_east = z[row + 1, column + 1]
         south_east = z[row, column + 1]
         north_west = z[row + 1, column]
+        # South-east of the diagonal and north-west of it the triangles differ.
         return np.where(
             u >= v,
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
@@ -103,6 +104,7 @@ class Terrain:
         ways = np.asarray(directions)
         steps = np.linspace(0.0, max_range_m, int(2.0 * max_range_m) + 2)
         points = origin + steps[:, None, None] * ways
+        # The first step below the ground, then halved.
         is_below = points[..., 2] <= self.at(points[..., :2])
         first = np.where(is_below.any(axis=0), is_below.argmax(axis=0), len(steps) - 1)
         near = steps[np.maximum(first - 1, 0)]
@@ -168,6 +170,7 @@ def terrain_of(scene: Scene) -> Terrain | None:
         return None
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
     north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
+    # Nodes of a grid, row by row from the south-west.
     order = np.lexsort((column, row))
     number = row[order] * len(east_m) + column[order]
     is_full = len(nodes) == len(east_m) * len(north_m)
@@ -280,6 +283,7 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     line = np.linspace(-half_m, half_m, n_cells + 1).round(_GRID_DECIMALS)
     nodes = np.stack(np.meshgrid(line, line), axis=-1)
     # One point per cell of a grid twice as fine: the mean of those in it.
+    # Averages keep the triangulation small and even.
     cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
     _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]

@@ -25,10 +25,15 @@ def csv_rows(
 
     The header comes first. Spaces around cells are removed.
 
-    The first line says which of the separators it is. Raises InputError: it is no CSV,
-    or a row has other numbers of cells than the header; `noun` is what the message
-    calls these.
+    The first line says which of the separators it is.
+
+    Raises
+    ------
+    InputError
+        It is no CSV, or a row has other numbers of cells than the header;
+        `noun` is what the message calls these.
     """
+    # The separator that the header has most of.
     separator = max(separators, key=text.partition("\n")[0].count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     n_cells = 0
@@ -135,6 +140,7 @@ def _object_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     _RepeatedKeyError
         It has a key twice.
     """
+    # A repeated key makes the dictionary smaller than the list of pairs.
     found = dict(pairs)
     if len(found) < len(pairs):
         seen: set[str] = set()

@@ -102,6 +102,7 @@ class Weather:
         With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785
         nm and 1550 nm in fog and haze for optical wireless communications", 2001.
         """
+        # Visibility is defined for green light.
         scale = (wavelength_nm / 550.0) ** -_kim_exponent(self.visibility_m)
         haze_per_m = -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m
         return float(haze_per_m * scale + self._rain_per_m)

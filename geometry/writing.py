@@ -70,12 +70,18 @@ def write_atomically(
     that file is then moved into place.
 
     Temporary files that a killed process left are removed. A callable writes the
-    content to an open file; whatever it raises leaves `path` as it was. A private file
-    is for this user alone. Raises OSError: something is in the way, see
-    :func:`check_target`, or the system says no.
+    content to an open file; whatever it raises leaves `path` as it was. A private
+    file is for this user alone.
+
+    Raises
+    ------
+    OSError
+        Something is in the way, see :func:`check_target`, or the system says
+        no.
     """
     if what := _obstacle(path):
         raise FileExistsError(errno.EEXIST, f"{what}, no regular file", str(path))
+    # Of processes that were killed.
     for left in path.parent.glob(f".{glob.escape(path.name)}.*.tmp"):
         if is_abandoned(left):
             left.unlink(missing_ok=True)

@@ -15,8 +15,11 @@ def read_xml(path: Path, *, expected: str) -> Element:
 
     `expected` names the format, such as "OpenDRIVE".
 
-    Raises InputError if the file cannot be read, is larger than half a gigabyte, is not
-    well-formed, or has entities or other dangerous parts.
+    Raises
+    ------
+    InputError
+        The file cannot be read, is larger than half a gigabyte, is not well-
+        formed, or has entities or other dangerous parts.
     """
     from defusedxml.ElementTree import parse
 

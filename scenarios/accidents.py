@@ -153,6 +153,7 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
     here_latitude, here_longitude = np.radians(place_deg)
     up = 0.5 * (latitude - here_latitude)
     across = 0.5 * (longitude - here_longitude)
+    # Haversine of the angle between the places.
     chord = (
         np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
     )
@@ -181,12 +182,17 @@ def split_source(how: str) -> tuple[str, Path] | None:
 def read_accidents(form: str, path: Path) -> Accidents:
     """Accidents of a file of one of ``FORMATS``; read once while it stays the same.
 
-    "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas;
-    "stats19": the collisions of Great Britain, CSV; the files of vehicles and
-    casualties lie beside it, with "vehicle" and "casualty" in place of "collision" (or
-    "accident") in their names. UTF-8, with or without a byte order mark, or
-    Windows-1252. Raises InputError: a file cannot be read, is no such CSV, lacks a
-    column, or has no accident with a place.
+    "unfallatlas": the German accident atlas, CSV with semicolons and decimal
+    commas; "stats19": the collisions of Great Britain, CSV; the files of vehicles
+    and casualties lie beside it, with "vehicle" and "casualty" in place of
+    "collision" (or "accident") in their names. UTF-8, with or without a byte order
+    mark, or Windows-1252.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, is no such CSV, lacks a column, or has no
+        accident with a place.
     """
     paths = accident_files(form, path)
     stamps = []
@@ -218,6 +224,7 @@ def _read(
     places, what = read(*paths)
     place_deg = np.array(places, dtype=np.float64).reshape(-1, 2)
     latitude, longitude = place_deg.T
+    # Latitude and longitude 0, 0 stand for an unknown place in some files.
     on_earth = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0)
     place_deg[~on_earth | (place_deg == 0.0).all(axis=1)] = np.nan
     if np.isnan(place_deg).all():
@@ -322,6 +329,7 @@ def _collision(
         if not event and car["manoeuvre"] in rules.ahead:
             event = rules.on_foot.get(walkers[0]["movement"], "")
         return "on foot", event, "" if event else unknown
+    # With nobody on foot: a car and one other vehicle.
     types = {
         "bicycle": rules.bicycles,
         "motorcycle": rules.motorcycles,
@@ -406,8 +414,10 @@ def _rows(
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     rows = csv_rows(text, str(path), separators=";,\t")
+    # Columns are found by their names, in any order and any case.
     header = [name.lower() for name in next(rows, ("", []))[1]]
     at: dict[str, int] = {}
+    # Names of columns have changed over the years.
     for name, known in {**columns, **(optional or {})}.items():
         found = [header.index(one) for one in known if one in header]
         if found:

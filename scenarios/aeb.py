@@ -202,10 +202,12 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         since_onset = times - onset
         braking_s = np.maximum(since_onset, 0.0)
         braked_m = braking_distance_m(braking_s, speed_mps=vut.speed_mps, rule=rule)
+        # The VUT drives on up to the onset, and brakes from there.
         driven = vut.distance_m(np.minimum(onset, times)) + braked_m
         # (4, 2, n).
         gaps = encounter.gaps_m(driven, vru.distance_m(times))
         separation = gaps.max(axis=0)
+        # How long it has braked within the cell, at least and at most.
         least_s = since_onset[0] - half_onset
         most_s = since_onset[1] + half_onset
         braking_s = np.maximum(np.stack([least_s, most_s]), 0.0)
@@ -238,6 +240,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
             may_touch=may_touch, touches=touches, is_cut_along_first=by_onset
         )
 
+    # First cells: onsets from the start to the impact, times up to standstill.
     n_onsets = int(-start / _ONSET_STEP_S) + 1
     step = -start / n_onsets
     onset = start + step * (np.arange(n_onsets) + 0.5)
@@ -262,8 +265,8 @@ class Contacts:
     Attributes
     ----------
     time_s : (...,) float
-        Time of contact relative to the impact without braking; infinite where the footprints
-        never touch. [s]
+        Time of contact relative to the impact without braking; infinite where
+        the footprints never touch. [s]
     speed_mps : (...,) float
         Speed of the VUT then; 0 where they never touch. [m/s]
     closing_mps : (...,) float
@@ -291,6 +294,7 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     is_asked = onset < 0.0
     asked = onset[is_asked]
     before_s, look_s = _contact_looks(encounter, asked, rule)
+    # Between the look before and that at the contact, narrowed down.
     row = np.flatnonzero(np.isfinite(look_s))
     share = np.linspace(0.0, 1.0, _CONTACT_PARTS)
     for _ in range(_CONTACT_ROUNDS):
@@ -369,6 +373,7 @@ def last_onsets_s(
         left[part] = find_contacts(encounter, grid[part], rule).closing_mps
         if left[part].max() >= below.max(initial=0.0):
             break
+    # The first onset of the grid that leaves too much, by limit.
     too_fast = left >= below[:, None]
     at = too_fast.argmax(axis=1)
     if avoids_until_s > -np.inf:

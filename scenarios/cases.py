@@ -280,6 +280,7 @@ def in_range(case: Case, which: Range) -> Case | None:
         return None
     if not case.extended_pairs_kmh:
         return case
+    # The basic grid as pairs, so that pairs of the extended range can join it.
     first = case.pairs_kmh or tuple(
         (vut, case.vru_speed_kmh) for vut in case.vut_speeds_kmh
     )
@@ -769,6 +770,7 @@ def pick_cases(
 def twins(cases: Iterable[Case]) -> dict[str, Case]:
     """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
     cases = tuple(cases)
+    # Cases are alike that differ in names and speeds alone.
     before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
     after = [
         case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh
@@ -784,6 +786,7 @@ def _each_once(cases: Sequence[Case]) -> list[Case]:
     twin_of = twins(cases)
     kept = []
     for case in cases:
+        # Only speeds that 2023 did not drive are left.
         twin = twin_of.get(case.name)
         if twin is not None:
             new = tuple(sorted({*case.vut_speeds_kmh} - {*twin.vut_speeds_kmh}))
@@ -858,11 +861,18 @@ def select_cases(
 
     `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with
     commas between, or ranges: "20-40" is every speed of the case in it; "30x50" are
-    those of the VUT and of whoever it meets; "all" or None: every one. `force` drives
-    speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``.
-    Raises InputError: a name or a speed cannot be read, a speed lies outside of every
-    case, or nobody is left to be protected.
+    those of the VUT and of whoever it meets; "all" or None: every one. `force`
+    drives speeds that the protocol does not. `protect` is "vru" or "all", see
+    ``PROTECTED``.
 
+    Raises
+    ------
+    InputError
+        A name or a speed cannot be read, a speed lies outside of every case, or
+        nobody is left to be protected.
+
+    Examples
+    --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
@@ -893,6 +903,7 @@ def select_cases(
                     f"speeds that go together in a case; the VUT's: {_limits(laid)}"
                 )
                 raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
+    # Each case with the speeds asked for that it has.
     kept = []
     left_out = []
     beyond = []

@@ -25,6 +25,7 @@ def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray
     confirmed = np.zeros_like(frames)
     n_windows = frames.shape[-1] - n_confirmations + 1
     if n_windows > 0:
+        # Windows of consecutive frames in which all are detected.
         complete = np.ones((*frames.shape[:-1], n_windows), dtype=bool)
         for offset in range(n_confirmations):
             complete &= frames[..., offset : offset + n_windows]
@@ -94,6 +95,7 @@ def held_frames(
     lost = np.where(
         next_s - times[frame] > memory_s + TIME_TOLERANCE_S, place, seen.size
     )
+    # The next detection after which the track is lost, from each one on.
     first_lost = np.minimum.accumulate(lost[::-1])[::-1]
     held = np.zeros(seen.shape, dtype=bool)
     held.reshape(-1)[place[first_lost > end]] = True

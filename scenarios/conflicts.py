@@ -71,6 +71,7 @@ def time_to_collision_s(
     last = np.full(gaps.shape[1:], np.inf)
     turns = [yaw + turn for yaw in yaws for turn in (0.0, 0.5 * np.pi)]
     normals = [(np.cos(turn), np.sin(turn)) for turn in turns]
+    # When the bodies begin and cease to overlap along each normal.
     for gap, (east, north) in zip(gaps, normals, strict=True):
         apart = offset[..., 0] * east + offset[..., 1] * north
         speed = closing[..., 0] * east + closing[..., 1] * north
@@ -181,6 +182,7 @@ def _replay(
     if not counts.any():
         return ""
     closing = vru.velocity_mps(time) - vehicle.velocity_mps(time)
+    # Only moments count at which the vehicle drives forwards and nobody has been hit.
     ttc = np.where(
         counts, time_to_collision_s(offset, closing, *yaws, sizes=sizes), np.inf
     )
@@ -221,6 +223,7 @@ def _replay(
         vru=actor,
         vru_speed_mps=own[1] * MPS_PER_KMH,
     )
+    # At constant speeds the contact may come a little early or late.
     early_s = first_contact_s(driven)
     if not abs(early_s) <= rules.min_known_s:
         return "at the speeds of that moment they would not meet there"
@@ -289,6 +292,7 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
     end = track.at(np.array(moment_s))
     yaw_deg = float(_yaw_deg(track, np.append(time, moment_s))[-1])
     points = [end]
+    # Backwards from the moment: its place is part of the way in any case.
     for point in track.at(time)[::-1]:
         if np.hypot(*(point - points[-1])) >= rules.way_step_m:
             points.append(point)

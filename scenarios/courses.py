@@ -251,6 +251,7 @@ def _smoothed(
     """
     origin = samples_m.mean(axis=0)
     spline = _spline(at_m, samples_m - origin, smoothing_m=smoothing_m, weight=weight)
+    # The spline's own length, in steps of a centimetre.
     fine = np.linspace(0.0, at_m[-1], int(at_m[-1] / _STEP_M) + 2)
     derivative = spline.derivative()
     speed = np.hypot(*derivative(fine).T)
@@ -517,9 +518,14 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
 
     The side is "far" (left) or "near" (right).
 
-    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25
-    km/h. Raises InputError: the side is unknown, the speed not positive, or between two
-    tabulated ones.
+    Beyond the tabulated speeds that of the nearest one, as the protocol rules for
+    25 km/h.
+
+    Raises
+    ------
+    InputError
+        The side is unknown, the speed not positive, or between two tabulated
+        ones.
     """
     check_one_of("turn", side, _SIDES)
     by_speed = {
@@ -539,13 +545,18 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
 def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
     """The course along a lane, round a turn into another lane, and along that one.
 
-    Its origin is where the turn begins. The turn has the arc that the lanes' directions
-    at its ends ask for, and is returned with it; it begins and ends on the lanes,
-    wherever these bend. Raises InputError: the lanes do not lie so that the turn joins
-    them.
+    Its origin is where the turn begins. The turn has the arc that the lanes'
+    directions at its ends ask for, and is returned with it; it begins and ends on
+    the lanes, wherever these bend.
+
+    Raises
+    ------
+    InputError
+        The lanes do not lie so that the turn joins them.
     """
     begin_m = end_m = 0.0
     for _ in range(_MAX_STEPS):
+        # Both ends move along their lanes until the curve meets them.
         before = entry.tangent(begin_m)
         after = exit_course.tangent(end_m)
         angle_deg = turn.side * (
@@ -664,5 +675,6 @@ def _gentle(
         excess = np.hypot(*(spline(at) - samples + samples[0]).T) / free_at
         if excess.max() <= 1.0:
             break
+        # Where the course leaves the lanes too far, its points weigh more.
         weight *= maximum_filter1d(np.maximum(1.03 * excess, 1.0) ** 2, 2 * near + 1)
     return _smoothed(samples, at, origin_m, smoothing_m=_GENTLE_M, weight=weight)

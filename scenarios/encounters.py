@@ -179,6 +179,7 @@ def first_contact_s(encounter: Encounter) -> float:
     edges = min(vut.start_time_s, vru.start_time_s) + after_s * (
         _FIRST_STEP_S / _STEP_GROWTH
     )
+    # One time alone: the cells are flat in the second one.
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
     half = 0.5 * np.diff(edges)
     nothing = np.zeros(n_cells)
@@ -241,6 +242,7 @@ def find_first_touch(
         if touch_s - safe_s <= tolerance_s:
             return safe_s, touch_s
         waiting = pool[:, :0]
+        # Only the earliest cells are divided; the others wait.
         if len(begin) > _N_TOGETHER:
             order = np.argpartition(begin, _N_TOGETHER)
             pool, waiting = pool[:, order[:_N_TOGETHER]], pool[:, order[_N_TOGETHER:]]

@@ -57,6 +57,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     line. What the map does not show does not stand in the way.
     """
     encounter = staging.encounter
+    # The VUT passes no pole, a VRU may.
     solid = _solid(scene, has_poles=True)
     if is_vehicle(encounter.vru):
         whose = "the target"
@@ -115,6 +116,7 @@ def _find_room(
     bodies: tuple[tuple[str, tuple[float, ...]], ...],
 ) -> tuple[float, float]:
     """Metres aside and back by which bodies, each a name and its corners, get room."""
+    # All places that the bodies may be moved to, the nearest first.
     moves = _moves_m(max_aside_m)
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
@@ -159,6 +161,7 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
     """
     rules = load_obstruction_rules()
     behind = places_m + rules.island_m * aside
+    # The ground under a car and behind it.
     swept = shapely.convex_hull(
         shapely.multipoints(np.concatenate([places_m, behind], axis=-2))
     )
@@ -332,6 +335,7 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
     left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
     segments = []
     for share in (-0.5, 0.0, 0.5):
+        # Along the right flank, the middle, and the left flank.
         line = position + share * body.width_m * left
         line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
         segments.append(np.stack([line[:-1], line[1:]], axis=1))

@@ -135,6 +135,7 @@ class TurnPath:
         """
         table = self._table
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
+        # On the turn by the table, before it and after it in closed form.
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
         # Negative before the turn.
         beyond = on_turn - inside
@@ -445,8 +446,15 @@ def travel_time_s(
     """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
 
     With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per
-    metre. Raises InputError: the speed is not positive, or a distance is negative.
+    metre.
 
+    Raises
+    ------
+    InputError
+        The speed is not positive, or a distance is negative.
+
+    Examples
+    --------
     >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
     5.5
     """
@@ -506,6 +514,7 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
     """
     from scipy.integrate import solve_ivp
 
+    # Curvature is linear between these distances.
     arc_starts = turn.clothoid_length_m
     arc_ends = turn.length_m - turn.clothoid_length_m
     distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
@@ -551,6 +560,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
     nodes = [body]
     for step in range(n_steps):
         begin, middle, end = path[2 * step : 2 * step + 3]
+        # The classical Runge-Kutta step of order four.
         first = gain * sin(begin - body)
         second = gain * sin(middle - body - 0.5 * first)
         third = gain * sin(middle - body - 0.5 * second)

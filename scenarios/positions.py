@@ -90,9 +90,14 @@ def is_study_set(cases: str) -> bool:
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
-    Raises InputError: a word is no distance, or one is given twice; there is none, or
-    there are too many.
+    Raises
+    ------
+    InputError
+        A word is no distance, or one is given twice; there is none, or there
+        are too many.
 
+    Examples
+    --------
     >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
@@ -129,6 +134,7 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     >>> [position.name for position in build_positions([0.0, 15.0])]
     ['0', '-15', '+0', '+15']
     """
+    # Those before the junction come first, as the VUT passes them.
     before = [Position(distance_m=distance_m) for distance_m in distances_m]
     behind = [
         Position(is_behind=True, distance_m=distance_m) for distance_m in distances_m

@@ -47,12 +47,19 @@ def stage_by_protocol(
     crosswalk; a VRU that moves ahead of the VUT is reached there. Cyclists ride on the
     arm's cycleway where it has one.
 
-    At other positions all of this lies so far along the VUT's way, before or behind: on
-    the lane by which it comes, or on the one straight ahead by which it leaves. Behind
-    the junction it drives along the connecting lane, or straight where the lanes are in
-    line, else on a smooth line from one into the other. Raises CannotCarryError: the
-    lanes do not allow it; the text says why. NoRoadError: the road that the case needs
-    does not exist. InputError: there is no such arm.
+    At other positions all of this lies so far along the VUT's way, before or
+    behind: on the lane by which it comes, or on the one straight ahead by which it
+    leaves. Behind the junction it drives along the connecting lane, or straight
+    where the lanes are in line, else on a smooth line from one into the other.
+
+    Raises
+    ------
+    CannotCarryError
+        The lanes do not allow it; the text says why.
+    NoRoadError
+        The road that the case needs does not exist.
+    InputError
+        There is no such arm.
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
@@ -67,6 +74,7 @@ def stage_by_protocol(
     asked = _Asked(
         case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh
     )
+    # Each kind of case offers its stagings one by one; the first that fits is taken.
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
@@ -376,11 +384,15 @@ def _set_off(
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at
-    `brakes_s` it brakes as the case says. Where the corner of a turning VUT would touch
-    a moment before the impact position is reached, both set off that moment later.
-    Raises CannotCarryError: the bodies do not touch, or do so long before, somewhere
-    else.
+    Both set off at `begin_s`, or the VRU at its own time, from a station of its
+    way; at `brakes_s` it brakes as the case says. Where the corner of a turning VUT
+    would touch a moment before the impact position is reached, both set off that
+    moment later.
+
+    Raises
+    ------
+    CannotCarryError
+        The bodies do not touch, or do so long before, somewhere else.
     """
     case, vru = asked.case, asked.case.vru
     if staging.is_vehicle(vru):
@@ -558,6 +570,7 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
         )
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
+    # At the impact the two touch nose to tail, or nose to nose.
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
     vru_way, vru_m = vut_way.offset(
         staging.impact_offset_m(case, vut), impact_m, back_m=travel_m
@@ -587,6 +600,7 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
     speed_mps = case.vru_speed_kmh * MPS_PER_KMH
     gap_m = case.braking.headway_s * vut_speed_kmh * MPS_PER_KMH
     lost_mps = speed_mps - case.braking.final_speed_kmh * MPS_PER_KMH
+    # The gap closes while the vehicle slows down, or at its final speed after that.
     slowing_s = lost_mps / case.braking.deceleration_mps2
     slowed_m = 0.5 * lost_mps * slowing_s
     if gap_m <= slowed_m:

@@ -110,6 +110,7 @@ def stage_published(
     case = placement.case
     vut_speed = vut_speed_kmh * MPS_PER_KMH
     vru_speed = case.vru_speed_kmh * MPS_PER_KMH
+    # The VUT's front is at the VRU's flank, or behind it at its rear.
     gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
     vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
     # +1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path

@@ -228,7 +228,10 @@ class FrameAxis:
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     """Lay the frames of runs end to end, with weights (n_runs,) that sum to 1.
 
-    Raises InputError: there is no run, or the weights do not fit.
+    Raises
+    ------
+    InputError
+        There is no run, or the weights do not fit.
     """
     if not runs:
         raise InputError("runs", Unquoted("none"), "at least one run")
@@ -264,6 +267,7 @@ def live_confirmation_times_s(
     rows = detected.reshape(-1, axis.n_frames)
     found = np.empty((len(rows), axis.n_runs))
     for start in range(0, len(rows), _ROWS_TOGETHER):
+        # Messages that come after the last moment do not count.
         block = rows[start : start + _ROWS_TOGETHER] & counts
         live = confirmation_mask(block, n_confirmations=rule.n_confirmations) & is_whole
         live &= _held(block, axis, rule)
@@ -439,8 +443,12 @@ def build_runs(
     than that of any road of the junction.
 
     Returns runs in the order of cases, approaches, positions, speeds, weathers; and
-    what could not be laid, and why. Raises InputError: the junction has no such
-    approach, or there is no such weather.
+    what could not be laid, and why.
+
+    Raises
+    ------
+    InputError
+        The junction has no such approach, or there is no such weather.
     """
     junction = build_junction(scene)
     for word in approaches or ():
@@ -593,6 +601,7 @@ class _Drive:
         """
         runs = []
         reasons: dict[tuple[str, bool], list[tuple[float, float]]] = {}
+        # Speeds that a limit forbids are told by the limit, not by the road.
         too_fast: dict[float, list[tuple[float, float]]] = {}
         for speed_kmh, vru_speed_kmh in self._pairs(turn):
             limit_kmh = self._broken_limit_kmh(speed_kmh, vru_speed_kmh)
@@ -714,6 +723,7 @@ class _Drive:
         # What was before, nobody knows.
         if case.recorded is not None:
             first_s = -case.recorded.known_s
+        # The last frame is at the impact; the first one after both have set off.
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz
         vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))

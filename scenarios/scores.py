@@ -101,6 +101,7 @@ def bands_kmh(
     >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
     """
+    # Avoided runs count in full.
     found = [(0.0, 1.0)]
     words = case_name.split("-")
     names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
@@ -188,8 +189,13 @@ class Levels:
 def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | None:
     """Levels of runs by a score; None for "avoided", where each run has one alone.
 
-    A speed that the impact without braking already stays below is no level: nobody has
-    to do anything for it. Raises InputError if there is no such score.
+    A speed that the impact without braking already stays below is no level: nobody
+    has to do anything for it.
+
+    Raises
+    ------
+    InputError
+        There is no such score.
     """
     if not load_criteria(score):
         return None
@@ -213,6 +219,7 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
                 below_mps=below_mps,
                 avoids_until_s=run.last_brake_time_s,
             )
+        # One deadline for each level: that of avoiding comes first.
         deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
         levels = zip(bands, deadlines, strict=True)
         told = [(*band, at_s) for band, at_s in levels if at_s < 0.0 or band[0] == 0.0]

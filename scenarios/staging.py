@@ -121,6 +121,7 @@ def find_meeting(
         gap = _gap_to_front
     distances = np.arange(search_m[0], search_m[1] + _SCAN_STEP_M, _SCAN_STEP_M)
     gaps, _ = gap(case, vut, vut_path, vru_line, distances)
+    # Where the gap closes first, between two looks.
     closes = np.flatnonzero((gaps[:-1] > 0.0) & (gaps[1:] <= 0.0))
     if len(closes) == 0:
         raise CannotCarryError("the VUT's way and the VRU's do not meet")
@@ -143,9 +144,14 @@ def find_crossing(
 
     Returned are the distance along the VUT's path and the station of the way.
 
-    `vru_tangent`: the straight line that touches the target's way at a station, with
-    its point there. `search_m`: the last distance along the VUT's path to look at.
-    Raises CannotCarryError: they do not cross.
+    `vru_tangent`: the straight line that touches the target's way at a station,
+    with its point there. `search_m`: the last distance along the VUT's path to look
+    at.
+
+    Raises
+    ------
+    CannotCarryError
+        They do not cross.
     """
     from scipy.optimize import brentq
 
@@ -257,6 +263,7 @@ def lateral_mps2(motion: Motion, body: Actor) -> float:
     distance = np.arange(-body.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
     steps = np.diff(_front_axle_m(body, motion.path, distance), axis=0)
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    # Change of heading over a metre, by front axle.
     turned = np.abs(heading[_BEND_STEPS:] - heading[:-_BEND_STEPS]).max()
     return float(motion.speed_mps**2 * turned / (_BEND_STEPS * _BEND_STEP_M))
 

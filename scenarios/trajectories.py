@@ -184,6 +184,7 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
             n_left_out += 1
             continue
         _check(own, dt, step_s, rules.fastest_mps[known[name]])
+        # A long gap ends a track and begins another.
         cuts = np.flatnonzero(dt > rules.tracks.max_gap_s) + 1
         parts = np.split(np.array([row[3:] for row in own]), cuts)
         for number, part in enumerate(parts, start=1):
@@ -212,6 +213,7 @@ def _check(
 
     It is off the file's steps, or has jumped.
     """
+    # Steps that are no whole multiple of the file's step.
     off = np.abs(dt / step_s - np.maximum(np.rint(dt / step_s), 1.0))
     bad = np.flatnonzero(off > load_trajectory_rules().tracks.step_tolerance)
     if len(bad):

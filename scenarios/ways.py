@@ -237,18 +237,23 @@ def way_across(
 
     The second result is its begin.
 
-    Stations count from the mouth of the lane out of it; its begin is that at which the
-    first lane begins. Straight, where all its lanes stay on the first one's line; else
-    along the lanes' bends, and between them on the junction's own lane `connection`,
-    or, where the map has none, on a cubic curve with the lanes' directions at its ends.
-    With `free_m` it is the gentlest that leaves the lanes' middles by no more, and such
-    a curve by no more than a metre. Raises CannotCarryError: the lane out of the
-    junction does not lie ahead.
+    Stations count from the mouth of the lane out of it; its begin is that at which
+    the first lane begins. Straight, where all its lanes stay on the first one's
+    line; else along the lanes' bends, and between them on the junction's own lane
+    `connection`, or, where the map has none, on a cubic curve with the lanes'
+    directions at its ends. With `free_m` it is the gentlest that leaves the lanes'
+    middles by no more, and such a curve by no more than a metre.
+
+    Raises
+    ------
+    CannotCarryError
+        The lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
         chains.insert(1, connection.centreline_m)
     line = straight_line(entry, is_in=True)
+    # Straight where no lane leaves the line of the first one.
     aside_m = np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
     if aside_m <= load_way_rules().max_lane_bend_m:
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
@@ -399,9 +404,14 @@ def joints(
 
     From the kerb, to the left from the axis. Where the map has lanes through the
     junction, those that it joins. Else lanes that are marked for the movement, or
-    without any those that bear no marking; straight on the exit lane that is most in
-    line comes first. Raises NoRoadError: no lane leads there, by the lanes through the
-    junction or by the markings.
+    without any those that bear no marking; straight on the exit lane that is most
+    in line comes first.
+
+    Raises
+    ------
+    NoRoadError
+        No lane leads there, by the lanes through the junction or by the
+        markings.
     """
     if movement == "left":
         step = -1
@@ -420,6 +430,7 @@ def joints(
                 f"by the map no lane leads from the {arm.name} to the {target.name}"
             )
         return joined
+    # Lanes that are marked for the movement come before lanes without markings.
     marked = [lane for lane in before if movement in lane.turns]
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
@@ -657,6 +668,7 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
             bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
             if not len(bend_per_m):
                 continue
+            # The sharpest metre allows the least speed.
             at = int(bend_per_m.argmax())
             speed_mps = np.sqrt(
                 load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9)

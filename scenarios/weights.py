@@ -50,14 +50,19 @@ _ANY = ("", "*")
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own table.
 
-    The file is UTF-8, separated by commas or semicolons, with columns case, approach,
-    weight, and if wanted position and weather; "*" or nothing in approach, position or
-    weather stands for all, and a position without sign, but for 0, lies behind the
-    junction. The weight of a row is shared equally by the runs that it names; what no
-    row names weighs nothing. The weights sum to 1. Raises InputError: the file cannot
-    be read, a column is missing, a row names no run, or a run again, or its weight is
-    not a number >= 0; all weights are 0.
+    The file is UTF-8, separated by commas or semicolons, with columns case,
+    approach, weight, and if wanted position and weather; "*" or nothing in
+    approach, position or weather stands for all, and a position without sign, but
+    for 0, lies behind the junction. The weight of a row is shared equally by the
+    runs that it names; what no row names weighs nothing. The weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a row names no run, or a
+        run again, or its weight is not a number >= 0; all weights are 0.
     """
+    # What no row names keeps weight 0.
     weight = np.zeros(len(runs))
     # By which line.
     named: dict[int, str] = {}
@@ -173,11 +178,17 @@ class _Score(Struct, frozen=True, kw_only=True):
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
-    The points that a score can earn at most (standard and extended range, robustness)
-    are shared equally by the runs that belong to it; those of scores without runs do
-    not count. Runs without a score, such as all in the rain, weigh nothing. The weights
-    sum to 1. Raises MissingExtraError: the package is not installed. InputError: no run
-    has points.
+    The points that a score can earn at most (standard and extended range,
+    robustness) are shared equally by the runs that belong to it; those of scores
+    without runs do not count. Runs without a score, such as all in the rain, weigh
+    nothing. The weights sum to 1.
+
+    Raises
+    ------
+    MissingExtraError
+        The package is not installed.
+    InputError
+        No run has points.
     """
     weight = np.zeros(len(runs))
     for (cases, weather), score in load_points().items():
@@ -200,8 +211,12 @@ def load_points() -> dict[tuple[tuple[str, ...], str], float]:
 
     The cases are what our names begin with.
 
-    Raises MissingExtraError: it is not installed. InputError: it does not know a score
-    any more.
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    InputError
+        It does not know a score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -269,10 +284,14 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     """Weights by how often accidents of each type happen (FHWA-RD-95-163).
 
     A type's share is that of its road users' accidents, times how many of them are
-    injured. It is shared by the cases that stand for it, near the junction or away from
-    it, as :func:`weight_per_case` does. Types without runs do not count, nor do runs
-    without a type. The weights sum to 1. Raises InputError: no run is of any of the
-    types.
+    injured. It is shared by the cases that stand for it, near the junction or away
+    from it, as :func:`weight_per_case` does. Types without runs do not count, nor
+    do runs without a type. The weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No run is of any of the types.
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
@@ -309,12 +328,17 @@ def weight_by_accidents(
     What is not used is logged.
 
     Each counts the same. It is shared by the cases that stand for it
-    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night, as
-    it happened, where both are driven, half each in twilight or where nobody knows;
-    else light does not matter, and rain and fog weigh nothing next to day or night.
-    Runs without accidents weigh nothing. `near`: latitude and longitude. The weights
-    sum to 1. Raises InputError: no accident is so near, or none of them happened as
-    anything that is driven.
+    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night,
+    as it happened, where both are driven, half each in twilight or where nobody
+    knows; else light does not matter, and rain and fog weigh nothing next to day or
+    night. Runs without accidents weigh nothing. `near`: latitude and longitude. The
+    weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No accident is so near, or none of them happened as anything that is
+        driven.
     """
     found = accidents.near(near, within_m)
     rules = load_accident_rules()
@@ -327,6 +351,7 @@ def weight_by_accidents(
     members: dict[tuple[tuple[str, ...], str], list[int]] = {}
     for one in found:
         cases = () if one.unused else rules.cases_of(one.road_user, one.event)
+        # Light counts only where both day and night are driven.
         key = (cases, one.light if one.light in lit and len(lit) > 1 else "")
         if key not in members:
             members[key] = [
@@ -397,8 +422,13 @@ def weigh(
     latitude and longitude of the place [deg]. `within_m`: how far from there accidents
     count [m]; default: that of ``data/accidents.toml``.
 
-    Raises InputError: the word is unknown and no file, the weights do not fit the runs,
-    or nobody knows the place. MissingExtraError: what the word needs is not installed.
+    Raises
+    ------
+    InputError
+        The word is unknown and no file, the weights do not fit the runs, or
+        nobody knows the place.
+    MissingExtraError
+        What the word needs is not installed.
     """
     if how == "run":
         return weight_per_run(runs)
@@ -468,7 +498,10 @@ def weight_by_function(
 ) -> FloatArray:
     """Weights by a user's own function of a run; they sum to 1.
 
-    Raises InputError if it gives anything but finite numbers >= 0, or 0 for all runs.
+    Raises
+    ------
+    InputError
+        It gives anything but finite numbers >= 0, or 0 for all runs.
     """
     weight = np.array([function(run) for run in runs], dtype=np.float64)
     wrong = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
@@ -504,6 +537,7 @@ def weight_per_case(
     share. `runs`: at least one. `refused`: what was asked for next to them, and could
     not be laid. Returns `weight` (n_runs,): sums to 1.
     """
+    # Shares go from the case to its approaches, their positions, and the runs there.
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})
     n_runs = Counter(keys)
