@@ -1,4 +1,7 @@
-"""The public names of geometry, each once: read by type checkers, and when a name is used."""
+"""The public names of geometry, each once.
+
+Type checkers read this file, and so does the package when a name is used.
+"""
 
 from .actors import Actor as Actor
 from .actors import load_actors as load_actors

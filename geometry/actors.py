@@ -1,4 +1,8 @@
-"""Bodies that move or park: boxes from ``data/actors.toml``, shapes from ``data/actors.npz``."""
+"""Bodies that move or park, and the catalogue they come from.
+
+Boxes and other sizes are in ``data/actors.toml``, shapes in
+``data/actors.npz``.
+"""
 
 import hashlib
 import json
@@ -14,13 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import BoolArray, FloatArray, IntArray, freeze, set_arrays
 from .errors import InputError, Unquoted, refuse
-from .files import Table, Text, load_toml, pick, read_tables
 from .footprints import FootprintSizes, footprint_corners
 from .poses import Pose
+from .tables import Table, Text, pick, read_tables
+from .text_formats import load_toml
 
-_SHAPE_DECIMALS = (
-    6  # of a shape: distances that differ in the last bits give the same one
-)
+# Of a shape: distances that differ in the last bits give the same one.
+_SHAPE_DECIMALS = 6
 _REMEDY = "shapes built from it: python -m geometry.body_shapes"
 
 
@@ -65,7 +69,8 @@ class Actor:
     name : str
         Name in the catalogue.
     class_name : str
-        "vehicle", "parked vehicle", "pedestrian" or "cyclist".
+        "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or
+        "car".
     length_m, width_m, height_m : float
         Bounding box of all shapes together, along x, y, z of the body frame. [m]
     shapes : tuple of Shape
@@ -74,30 +79,23 @@ class Actor:
     cycle_m : float
         Distance covered in one cycle of the gait; 0 where nothing moves. [m]
     reference_ahead_m : float
-        Hip or crank shaft, ahead of the middle of the box (negative: behind it). [m]
+        Hip, crank shaft, or the flank's point of a car that crosses, ahead of
+        the middle of the box (negative: behind it). [m]
     wheelbase_m, front_axle_ahead_m : float
-        Of a vehicle; the front axle ahead of the middle of the box. 0 for all others.
-        [m]
+        Of a vehicle or motorcycle; the front axle ahead of the middle of the
+        box. 0 for all others. [m]
     """
 
-    name: str  #: in the catalogue
-    #: "vehicle", "parked vehicle", "pedestrian", "cyclist", "motorcyclist" or "car"
+    name: str
     class_name: str
-    length_m: float  #: of the bounding box of all shapes together, along x
-    width_m: float  #: along y
-    height_m: float  #: along z
-    #: evenly spaced over one cycle of the gait; the first is how it stands at rest
+    length_m: float
+    width_m: float
+    height_m: float
     shapes: tuple[Shape, ...]
-    cycle_m: float = (
-        0.0  #: distance covered in one cycle of the gait; 0 where nothing moves
-    )
-    # : hip, crank shaft or the flank's point of a car that crosses, ahead of the box's
-    # middle
+    cycle_m: float = 0.0
     reference_ahead_m: float = 0.0
-    wheelbase_m: float = (
-        0.0  #: of a vehicle or motorcycle; 0 for all others, as the next one
-    )
-    front_axle_ahead_m: float = 0.0  #: ahead of the middle of the box
+    wheelbase_m: float = 0.0
+    front_axle_ahead_m: float = 0.0
 
     def __post_init__(self) -> None:
         where = f"actor {self.name}"
@@ -122,6 +120,8 @@ class Actor:
         distance = np.asarray(distance_m, dtype=np.float64)
         if self.cycle_m == 0.0:
             return np.zeros(distance.shape, dtype=np.int64)
+        # The gait goes on in a circle: the nearest of the evenly spaced shapes
+        # counts.
         steps = (distance / self.cycle_m * len(self.shapes)).round(_SHAPE_DECIMALS)
         return np.floor(steps + 0.5).astype(np.int64) % len(self.shapes)
 
@@ -166,10 +166,8 @@ class MovingActor:
     """
 
     actor: Actor
-    position_m: (
-        FloatArray  # (n_frames, 2); middle of the footprint; NaN where it is not there
-    )
-    yaw_deg: FloatArray  # (n_frames,); heading
+    position_m: FloatArray
+    yaw_deg: FloatArray
 
     def __post_init__(self) -> None:
         position = np.array(self.position_m, dtype=np.float64)
@@ -213,6 +211,7 @@ def read_actors(table: Table, source: Traversable) -> dict[str, Actor]:
             arrays = {key: stored[key] for key in stored.files}
     except FileNotFoundError:
         raise InputError(str(source), Unquoted("no such file"), _REMEDY) from None
+    # Shapes of another description would not fit the boxes of this one.
     if str(arrays.get("fingerprint")) != fingerprint(table):
         refuse(str(source), "shapes of another actors.toml", _REMEDY)
     entries = read_tables(table, _ActorEntry, "actors.toml")
@@ -254,7 +253,10 @@ def pick_actor(name: str, where: str) -> Actor:
 
 
 class _ActorEntry(Struct, frozen=True, kw_only=True):
-    """A body in ``data/actors.toml`` but for its parts, which ``geometry.body_shapes`` reads."""
+    """A body in ``data/actors.toml`` without its parts.
+
+    Only ``geometry.body_shapes`` reads the parts.
+    """
 
     class_name: Text
     length_m: float
@@ -279,6 +281,7 @@ def park_row(
     bumper = np.asarray(first_bumper_m, dtype=np.float64)
     row = []
     for actor in actors:
+        # From the front bumper to the middle of the box, then on to the next bumper.
         middle = np.append(bumper + 0.5 * actor.length_m * backwards, 0.0)
         row.append(
             PlacedActor(actor=actor, pose=Pose(position_m=middle, yaw_deg=yaw_deg))

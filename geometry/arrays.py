@@ -1,5 +1,6 @@
 """Array types and the one check of shape and finiteness."""
 
+import sys
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-# Arrays of one shape, for values that are read from files: geometry.files.read_table
+# Arrays of one shape, for values that are read from files: geometry.tables.read_table
 # takes the shape from the type. Type checkers see any array, because numpy's own
 # functions return such.
 if TYPE_CHECKING:
@@ -29,9 +30,13 @@ else:
 def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Read-only float64 copy of `values`: of this shape (-1: any length) and finite.
 
-    Raises InputError: the shape differs, or a value is not a finite number; `name` says
-    where.
+    Raises
+    ------
+    InputError
+        The shape differs, or a value is not a finite number; `name` says where.
 
+    Examples
+    --------
     >>> float_array([1, 2, 3], (3,), "position_m")
     array([1., 2., 3.])
     """
@@ -41,7 +46,8 @@ def float_array(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatAr
         TypeError,
         ValueError,
         OverflowError,
-    ):  # a whole number of 400 digits overflows
+    ):
+        # A whole number of 400 digits overflows.
         raise InputError(name, values, f"numbers of shape {shape}") from None
     if array.ndim != len(shape) or any(
         want not in (-1, have) for want, have in zip(shape, array.shape, strict=True)
@@ -65,3 +71,16 @@ def freeze(array: NDArray[Any]) -> NDArray[Any]:
     view = array.view()
     view.setflags(write=False)
     return view
+
+
+def is_text(array: NDArray[Any]) -> bool:
+    """True if an array from a file has texts that Python can read.
+
+    numpy looks at no character itself.
+    """
+    if array.dtype.kind != "U":
+        return False
+    if not array.dtype.itemsize or not array.size:
+        return True
+    native = np.ascontiguousarray(array.astype(array.dtype.newbyteorder("=")))
+    return int(native.reshape(-1).view(np.uint32).max()) <= sys.maxunicode

@@ -1,4 +1,6 @@
-"""Shapes of bodies, built from ``data/actors.toml``: ``python -m geometry.body_shapes``.
+"""Build the shapes of bodies: ``python -m geometry.body_shapes``.
+
+The input is ``data/actors.toml``.
 
 A body is a few bones that turn about the axis from right to left, and the union of
 simple solids fixed to them. The result is kept in ``data/actors.npz``, so that only
@@ -17,27 +19,24 @@ from numpy.typing import NDArray
 from .actors import Shape, fingerprint
 from .arrays import FloatArray, float_array
 from .errors import InputError, MissingExtraError, refuse
-from .files import (
-    Table,
-    load_toml,
-    pick,
-    take,
-    take_list,
-    take_number,
-    take_text,
-    write_atomically,
-)
+from .tables import Table, pick, take, take_list, take_number, take_text
+from .text_formats import load_toml
+from .writing import write_atomically
 
 DATA = Path(__file__).parent / "data"
-_N_SHAPES = 8  # per cycle of a gait
-_THIN_M = 0.03  # radius below which a sphere's 12 vertices do; thicker ones have 42
-_SECTIONS = 24  # of a wheel
+# Per cycle of a gait.
+_N_SHAPES = 8
+# Radius below which a sphere's 12 vertices do; thicker ones have 42.
+_THIN_M = 0.03
+# Of a wheel.
+_SECTIONS = 24
 _TYRE_SECTIONS = 8
-_TOLERANCE_M = 2.0e-3  # of the surface, when small triangles are merged
-_BODY = "body"  # the bone that nothing turns: trunk, frame of a bicycle, car
-_Frame = tuple[
-    FloatArray, FloatArray
-]  # Of a bone, in the frame of the body: rotation and joint.
+# Of the surface, when small triangles are merged.
+_TOLERANCE_M = 2.0e-3
+# The bone that nothing turns: trunk, frame of a bicycle, car.
+_BODY = "body"
+# Of a bone, in the frame of the body: rotation and joint.
+_Frame = tuple[FloatArray, FloatArray]
 _SIDES = (-1.0, 1.0)
 _MAX_STRETCH = 0.04
 
@@ -60,6 +59,7 @@ def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
     else:
         n_shapes = 1
     meshes = [_build_mesh(entry, turns_deg, index, where) for index in range(n_shapes)]
+    # The lowest point of each shape is on the road.
     for vertices, _ in meshes:
         vertices[:, 2] -= vertices[:, 2].min()
     fit = _fit_to_box(
@@ -72,7 +72,17 @@ def build_shapes(entry: Table, where: str) -> tuple[Shape, ...]:
 
 
 def save_shapes(path: Path, table: Table) -> None:
-    """Build and save the shapes of a catalogue, for :func:`geometry.actors.read_actors`."""
+    """Build and save the shapes of a catalogue.
+
+    :func:`geometry.actors.read_actors` reads the file.
+
+    Raises
+    ------
+    InputError
+        A body is described wrongly.
+    MissingExtraError
+        manifold3d is not installed.
+    """
     arrays: dict[str, Any] = {"fingerprint": np.array(fingerprint(table))}
     for name, entry in table.items():
         shapes = build_shapes(entry, f"actors.toml: {name}")
@@ -91,7 +101,11 @@ def main() -> None:
 
 # ---------- gait
 def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
-    """Angles in degrees of the right side's joints at each instant, by name; positive: forwards."""
+    """Angles of the right side's joints, by name, in degrees.
+
+    Each array has one angle per instant, (n_shapes,). Positive angles turn
+    forwards.
+    """
     turns: dict[str, FloatArray] = {
         name: float_array(row, (_N_SHAPES,), f"{where}.turns_deg.{name}")
         for name, row in entry.get("turns_deg", {}).items()
@@ -102,7 +116,15 @@ def _take_turns(entry: Table, where: str) -> dict[str, FloatArray]:
 
 
 def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
-    """Angles in degrees of a leg whose foot stays on the pedal: two bars from hip to ankle."""
+    """Angles of a leg whose foot stays on the pedal, in degrees.
+
+    The leg is two bars from hip to ankle; the knee bends forwards.
+
+    Raises
+    ------
+    InputError
+        The foot does not reach its pedal.
+    """
     points = ("crank_shaft_m", "hip_m", "ankle_from_pedal_m")
     shaft, hip, from_pedal = (
         float_array(take_list(entry, key, where), (2,), f"{where}.{key}")
@@ -115,6 +137,7 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
     crank_deg: FloatArray = first_deg - np.linspace(
         0.0, 360.0, _N_SHAPES, endpoint=False
     )
+    # The foot keeps its angle; the pedal turns around the crank shaft.
     ankle = (
         shaft
         + crank_m * _hanging(crank_deg)
@@ -136,7 +159,10 @@ def _pedal(entry: Table, where: str) -> dict[str, FloatArray]:
 
 
 def _hanging(angle_deg: FloatArray) -> FloatArray:
-    """Ahead and up, (n, 2), of a bar of length 1 that hangs down and is turned forwards."""
+    """Ahead and up, (n, 2), of a bar of length 1.
+
+    At 0 degrees the bar hangs down; positive angles turn it forwards.
+    """
     angle = np.radians(angle_deg)
     return np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
 
@@ -147,7 +173,10 @@ def _angle_deg(bar: FloatArray) -> FloatArray:
 
 
 def _turn_deg(angle_deg: float) -> FloatArray:
-    """Rotation about the axis from left to right: positive turns what hangs forwards."""
+    """Rotation about the axis from left to right, (3, 3).
+
+    A positive angle turns what hangs forwards.
+    """
     cos = np.cos(np.radians(angle_deg))
     sin = np.sin(np.radians(angle_deg))
     return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
@@ -187,6 +216,8 @@ def _build_mesh(
     """One closed mesh of all parts at one instant: vertices and triangles."""
     frames = _bone_frames(entry, turns_deg, index, where)
     library = _manifold3d()
+    # Parts are put together in the order of the file: later ones may cut earlier
+    # ones.
     body = library.Manifold()
     for number, part in enumerate(take_list(entry, "parts", where)):
         solids = list(_place_part(part, frames, f"{where}.parts[{number}]"))
@@ -196,9 +227,8 @@ def _build_mesh(
             operation = library.OpType.Add
         body = library.Manifold.batch_boolean([body, *solids], operation)
     pieces = body.simplify(_TOLERANCE_M).decompose()
-    outside = [
-        piece for piece in pieces if piece.volume() > 0.0
-    ]  # the rest are hollows inside
+    # The rest are hollows inside.
+    outside = [piece for piece in pieces if piece.volume() > 0.0]
     if len(outside) != 1:
         refuse(where, f"{len(outside)} pieces", "parts that touch")
     mesh = outside[0].to_mesh64()
@@ -289,6 +319,7 @@ def _fit_to_box(
             )
 
     def fit(points: FloatArray) -> FloatArray:
+        # Ahead of the reference point and behind it the stretch differs.
         x = points[:, 0] * np.where(points[:, 0] > 0.0, ahead, behind) + reference_m
         y = (points[:, 1] - 0.5 * (low[1] + high[1])) * across
         return np.stack([x, y, points[:, 2] * up], axis=1)
@@ -298,6 +329,13 @@ def _fit_to_box(
 
 @cache
 def _manifold3d() -> Any:
+    """The module manifold3d, which only this build needs.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    """
     try:
         return import_module("manifold3d")
     except ModuleNotFoundError:

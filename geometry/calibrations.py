@@ -1,4 +1,7 @@
-"""Calibrated cameras of a file: OpenCV's and ROS's YAML, OpenCV's and Tsai's XML, KITTI's text.
+"""Read calibrated cameras from the usual calibration files.
+
+These are the YAML files of OpenCV and ROS, the XML files of OpenCV and Tsai,
+and KITTI's text files.
 
 Where a file does not say where a camera stands, it is at the origin and looks along z.
 """
@@ -12,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from .arrays import FloatArray
 from .errors import InputError, Unquoted
-from .files import read_text
 from .lenses import BrownConrady, CalibratedCamera, Fisheye, Lens, TsaiRadial
-from .untrusted_files import read_xml
+from .opening import read_text
+from .xml_files import read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -31,17 +34,24 @@ def read_cameras(
 ) -> dict[str, CalibratedCamera]:
     """Cameras by name; the content says which format it is.
 
-    `size_px` is the width and height of pictures, which KITTI's and some of OpenCV's
-    files do not tell. Raises InputError: nothing of it can be read, a number is missing
-    or impossible, or the lens is of another model than Brown-Conrady's, OpenCV's
-    fisheye and Tsai's.
+    `size_px` is the width and height of pictures, which KITTI's and some of
+    OpenCV's files do not tell.
+
+    Raises
+    ------
+    InputError
+        Nothing of it can be read, a number is missing or impossible, or the
+        lens is of another model than Brown-Conrady's, OpenCV's fisheye and
+        Tsai's.
     """
     text = read_text(path, "text")
+    # XML is OpenCV's or Tsai's; the root element tells which.
     if text.lstrip().startswith("<"):
         root = read_xml(path, expected="a calibration of OpenCV or Tsai")
         if root.tag != "opencv_storage":
             return {path.stem: read_tsai(path)}
         return {path.stem: _camera(_xml_record(root), str(path), size_px)}
+    # Of the text formats only KITTI's has no such key.
     if "camera_matrix" not in text:
         return {path.stem: read_kitti_camera(path, _size(size_px, str(path)))}
     records: list[tuple[str, Mapping[str, Any]]] = []
@@ -64,6 +74,13 @@ def read_cameras(
 
 
 def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
+    """Documents of a YAML file, each a map.
+
+    Raises
+    ------
+    InputError
+        The text is no YAML, or a document is no map.
+    """
     import yaml  # type: ignore[import-untyped]
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -89,7 +106,10 @@ def _yaml_documents(text: str, path: Path) -> list[Mapping[str, Any]]:
 
 
 def _xml_record(root: "Element") -> dict[str, Any]:
-    """Elements of OpenCV's XML by name: matrices as maps of their data, others as text."""
+    """Elements of OpenCV's XML, by name.
+
+    A matrix becomes a map of its data, every other element its text.
+    """
     found = {}
     for one in root:
         data = one.find("data")
@@ -101,6 +121,7 @@ def _xml_record(root: "Element") -> dict[str, Any]:
 def _camera(
     record: Mapping[str, Any], where: str, size_px: _Size | None
 ) -> CalibratedCamera:
+    """A camera of OpenCV's or ROS's fields."""
     K = _numbers(record, "camera_matrix", (9,), where).reshape(3, 3)
     size_px = _size(size_px, where, record)
     rotation, position = _stand(record, where)
@@ -142,10 +163,17 @@ def _calibrated(
 def _size(
     size_px: _Size | None, where: str, record: Mapping[str, Any] | None = None
 ) -> _Size:
+    """Width and height of pictures, from the file or else from the user.
+
+    Raises
+    ------
+    InputError
+        Neither says it.
+    """
     if record is not None and "image_width" in record:
-        return _whole(record, "image_width", where), _whole(
-            record, "image_height", where
-        )
+        width_px = _whole(record, "image_width", where)
+        height_px = _whole(record, "image_height", where)
+        return width_px, height_px
     if size_px is None:
         raise InputError(
             where, Unquoted("no size of pictures"), "their width and height as well"
@@ -154,6 +182,7 @@ def _size(
 
 
 def _whole(record: Mapping[str, Any], key: str, where: str) -> int:
+    """Whole number of a field, or InputError."""
     (value,) = _numbers(record, key, (1,), where).tolist()
     if value != round(value):
         raise InputError(f"{where}: {key}", value, "a whole number")
@@ -178,7 +207,15 @@ def _lens(record: Mapping[str, Any], where: str) -> Lens:
 
 
 def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArray]:
-    """Rotation from the world to the camera, and where it stands in the world, in metres."""
+    """Rotation from the world to the camera, and the camera's position.
+
+    The rotation is (3, 3), the position (3,) in the world frame, in metres.
+
+    Raises
+    ------
+    InputError
+        A number is missing, or the quaternion is not of length 1.
+    """
     transform = record.get("static_transform")
     if isinstance(transform, Mapping):
         inner = transform.get("transform")
@@ -188,6 +225,7 @@ def _stand(record: Mapping[str, Any], where: str) -> tuple[FloatArray, FloatArra
             parts = {}
         position = _numbers(parts, "translation", (3,), where)
         turn = _numbers(parts, "rotation", (4,), where)
+        # scipy would normalise any quaternion without a word.
         if not np.isclose(np.linalg.norm(turn), 1.0, atol=1.0e-3):
             raise InputError(
                 f"{where}: rotation", turn.tolist(), "a quaternion of length 1"
@@ -213,7 +251,8 @@ def _numbers(
             value = [*value.values()]
     listed: list[Any] = value if isinstance(value, list) else [value]
     try:
-        numbers = np.array([float(one) for one in listed])  # a list in a list is none
+        # A list in a list is none.
+        numbers = np.array([float(one) for one in listed])
     except (TypeError, ValueError):
         numbers = np.full(0, np.nan)
     if len(numbers) not in counts or not (abs(numbers) < _MOST).all():
@@ -228,28 +267,40 @@ def _numbers(
 def read_opencv_camera(
     intrinsic: Path, extrinsic: Path, size_px: _Size
 ) -> CalibratedCamera:
-    """A camera of OpenCV's XML: matrix and distortion in one file, rvec and tvec (cm) in another.
+    """Camera of OpenCV's XML: intrinsics in one file, pose in another.
 
-    Raises InputError if numbers are missing or no camera's.
+    `intrinsic` has the matrix and the distortion, `extrinsic` has rvec and
+    tvec; tvec is in centimetres.
+
+    Raises
+    ------
+    InputError
+        Numbers are missing or no camera's.
     """
     what = "a calibration of OpenCV"
     pose = _xml_record(read_xml(extrinsic, expected=what))
-    turn, shift_cm = (
-        _numbers(pose, key, (3,), str(extrinsic)) for key in ("rvec", "tvec")
-    )
+    turn = _numbers(pose, "rvec", (3,), str(extrinsic))
+    shift_cm = _numbers(pose, "tvec", (3,), str(extrinsic))
     R = Rotation.from_rotvec(turn).as_matrix()
-    record = _xml_record(read_xml(intrinsic, expected=what)) | {
-        **dict(zip(("image_width", "image_height"), size_px, strict=True)),
-        **{"R": R.ravel().tolist(), "t": (_CM * shift_cm).tolist()},
-    }
+    # The same fields as in a file that has everything in it.
+    record = _xml_record(read_xml(intrinsic, expected=what))
+    width_px, height_px = size_px
+    record["image_width"] = width_px
+    record["image_height"] = height_px
+    record["R"] = R.ravel().tolist()
+    record["t"] = (_CM * shift_cm).tolist()
     return _camera(record, str(intrinsic), None)
 
 
 def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
     """A camera of a calibration file, in the frame of the rectified camera 0.
 
-    The file does not say how large the pictures are. Raises InputError if the matrix is
-    missing, or is no camera's.
+    The file does not say how large the pictures are.
+
+    Raises
+    ------
+    InputError
+        The matrix is missing, or is no camera's.
     """
     for row, text in enumerate(read_text(path, "text").splitlines(), start=1):
         words = text.split()
@@ -258,6 +309,7 @@ def read_kitti_camera(path: Path, size_px: _Size) -> CalibratedCamera:
             K, shift = np.split(
                 _numbers({"P2": words[1:]}, "P2", (12,), where).reshape(3, 4), [3], 1
             )
+            # Of a projection matrix [K | K t] the camera stands at -t.
             if not (np.diag(K) > 1.0e-3).all():
                 raise InputError(f"{where}: P2", K.tolist(), "fx 0 cx, 0 fy cy, 0 0 1")
             position_m = np.asarray(-np.linalg.solve(K, shift[:, 0]), dtype=np.float64)
@@ -277,7 +329,10 @@ _TSAI = {
 def read_tsai(path: Path) -> CalibratedCamera:
     """A camera of Tsai's calibration in XML; lengths in the file are millimetres.
 
-    Raises InputError if something is missing or impossible.
+    Raises
+    ------
+    InputError
+        Something is missing or impossible.
     """
     root = read_xml(path, expected="a Tsai calibration")
     v: dict[str, float] = {}
@@ -293,9 +348,19 @@ def read_tsai(path: Path) -> CalibratedCamera:
             raise InputError(f"{path}: {name}", v[name], "more than 0")
     fx = v["focal"] * v["sx"] / v["dpx"]
     fy = v["focal"] / v["dpy"]
-    K = np.array([[fx, 0.0, v["cx"]], [0.0, fy, v["cy"]], [0.0, 0.0, 1.0]])
+    K = np.array(
+        [
+            [fx, 0.0, v["cx"]],
+            [0.0, fy, v["cy"]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    # Tsai's rotation leads from the world to the camera, as R_camera_world does.
     R = Rotation.from_euler("xyz", [v["rx"], v["ry"], v["rz"]]).as_matrix()
-    position_m = -R.T @ (_MM * np.array([v["tx"], v["ty"], v["tz"]]))
+    shift_mm = np.array([v["tx"], v["ty"], v["tz"]])
+    position_m = -R.T @ (_MM * shift_mm)
     lens = TsaiRadial(kappa=v["kappa1"] * v["focal"] ** 2)
-    size_px = _whole(v, "width", str(path)), _whole(v, "height", str(path))
+    width_px = _whole(v, "width", str(path))
+    height_px = _whole(v, "height", str(path))
+    size_px = (width_px, height_px)
     return _calibrated(str(path), "Intrinsic", K, size_px, R, position_m, lens)

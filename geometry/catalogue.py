@@ -9,9 +9,10 @@ from typing import Any
 from msgspec import to_builtins
 
 from .errors import InputError, refuse
-from .files import load_data, load_toml, pick, read_tables
 from .lidar import LidarModel, load_lidars
 from .sensors import CameraModel
+from .tables import pick, read_tables
+from .text_formats import load_data, load_toml
 
 Sensor = CameraModel | LidarModel
 _KINDS: dict[str, type[CameraModel] | type[LidarModel]] = {
@@ -52,6 +53,7 @@ def load_catalogue(path: str | Path) -> dict[str, Sensor]:
     for group, entries in table.items():
         if group not in ("cameras", "lidars") or not isinstance(entries, Mapping):
             refuse(f"{path}: {group}", "it", expected)
+    # Terms outside of the lens's own table would be ignored without a word.
     for name, entry in table.get("cameras", {}).items():
         _check_lens(entry, f"{path}: cameras.{name}")
     for kind, group in (("camera", "cameras"), ("lidar", "lidars")):
@@ -69,7 +71,10 @@ def read_sensor(name: str, entry: Any, kind: str, source: str) -> Sensor:
 
 
 def _check_lens(entry: Any, where: str) -> None:
-    """Refuse a lens's terms outside of its table: other fields of no meaning are passed over."""
+    """Refuse terms of a lens that stand outside its own table.
+
+    Other fields that mean nothing are ignored.
+    """
     if isinstance(entry, Mapping) and (
         named := [one for one in _LENS_FIELDS if one in entry]
     ):
@@ -104,7 +109,15 @@ def pick_camera(name: str, where: str) -> CameraModel:
 
 
 def pick_sensor(name: str, where: str, *, kind: str | None = None) -> Sensor:
-    """Sensor model by name, of one of ``SENSOR_KINDS`` or of any; InputError: it is unknown."""
+    """Sensor model by name.
+
+    `kind` is one of ``SENSOR_KINDS``; without it, models of all kinds count.
+
+    Raises
+    ------
+    InputError
+        No model has this name.
+    """
     known: dict[str, Sensor] = {}
     if kind != "lidar":
         known |= load_cameras()

@@ -1,4 +1,7 @@
-"""The clock of time limits: it stands still while loops are compiled, once on each machine."""
+"""The clock of time limits.
+
+It stands still while loops are compiled, which happens once on each machine.
+"""
 
 import time
 

@@ -47,7 +47,9 @@ def refuse(where: str, words: object, expected: str) -> NoReturn:
 
 @contextmanager
 def located(prefix: str) -> Iterator[None]:
-    """Say of what is refused within, by its place there, where that is; an empty place is `prefix`.
+    """Put a prefix before the place that an InputError names.
+
+    An error with an empty place gets `prefix` alone.
 
     >>> with located("mine.toml: latency."):
     ...     raise InputError("sd_s", -1, "at least 0")
@@ -120,10 +122,11 @@ def _shown(got: object) -> object:
 
 
 def _shorten(got: object) -> str:
-    """A value as Python writes it, cut off where it would fill more than a line or two."""
+    """A value as Python writes it, cut off after 200 characters."""
     try:
         text = repr(got)
-    except ValueError:  # Python refuses to write integers of thousands of digits
+    except ValueError:
+        # Python refuses to write integers of thousands of digits.
         return "a number of thousands of digits"
     if len(text) <= _MAX_CHARACTERS:
         return text

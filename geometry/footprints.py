@@ -44,6 +44,7 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
     middles = [0.5 * (corners[..., 0, :] + corners[..., 2, :]) for corners in (a, b)]
     apart_east = middles[1][..., 0] - middles[0][..., 0]
     apart_north = middles[1][..., 1] - middles[0][..., 1]
+    # Two sides of each rectangle suffice: the others are parallel to them.
     sides = [
         (side[..., 0], side[..., 1])
         for corners in (a, b)
@@ -51,12 +52,14 @@ def footprint_separation(corners_a_m: ArrayLike, corners_b_m: ArrayLike) -> Floa
         for side in [corners[..., at + 1, :] - corners[..., at, :]]
     ]
     separation = np.full(np.broadcast(apart_east, apart_north).shape, -np.inf)
-    for normal_east, normal_north in sides:  # each side is the normal of its neighbour
+    # Each side is the normal of its neighbour.
+    for normal_east, normal_north in sides:
         apart = np.abs(apart_east * normal_east + apart_north * normal_north)
         for side_east, side_north in sides:
             apart = apart - 0.5 * np.abs(
                 side_east * normal_east + side_north * normal_north
             )
+        # The largest gap along any normal counts.
         np.maximum(
             separation, apart / np.hypot(normal_east, normal_north), out=separation
         )
@@ -80,7 +83,10 @@ def gaps_between(
     *,
     sizes: FootprintSizes,
 ) -> FloatArray:
-    """Gaps between two rectangles along the length and width of a, then of b, (4, ...), in metres.
+    """Gaps between two rectangles along their own axes, (4, ...), in metres.
+
+    The first two are along length and width of a, the last two along those of
+    b.
 
     Negative where they overlap; the largest is what :func:`footprint_separation` finds
     from corners, several times as slowly. `offset_m` (..., 2) leads from the middle of
@@ -103,6 +109,8 @@ def gaps_between(
     width_a = 0.5 * sizes.width_a_m
     length_b = 0.5 * sizes.length_b_m
     width_b = 0.5 * sizes.width_b_m
+    # Distances of the middles along the four axes, then less what both bodies take
+    # up.
     gaps = np.empty((4, *np.broadcast(east, along).shape))
     np.abs(east * cos_a + north * sin_a, out=gaps[0, ...])
     np.abs(north * cos_a - east * sin_a, out=gaps[1, ...])

@@ -1,4 +1,7 @@
-"""World frame to and from CARLA's and geographic coordinates. Only this file flips a sign."""
+"""Convert between the world frame and CARLA's, glTF's and the earth's.
+
+Only this file flips a sign.
+"""
 
 import re
 from typing import TYPE_CHECKING
@@ -17,7 +20,10 @@ _PATH = re.compile(r"(?:[=,]\s*@?|^\s*)(?:\w:)?(?:[/\\~]|\.\.?[/\\])")
 
 
 def from_carla_points(points_carla_m: ArrayLike) -> FloatArray:
-    """Points (..., 2 or 3) from CARLA's left-handed frame (x east, y south) to the world (ENU).
+    """Points (..., 2 or 3) from CARLA's frame to the world frame.
+
+    CARLA's frame is left-handed, x east and y south; the world frame is east,
+    north, up.
 
     >>> from_carla_points([1.0, 2.0])
     array([ 1., -2.])
@@ -31,7 +37,10 @@ to_carla_points = from_carla_points
 
 
 def from_carla_yaw(yaw_carla_deg: ArrayLike) -> FloatArray:
-    """Yaw clockwise from east (CARLA) to counter-clockwise from east, in (-180, 180]."""
+    """Yaw from CARLA's sense of rotation to the world's, in (-180, 180].
+
+    CARLA counts clockwise from east, the world frame counter-clockwise.
+    """
     return wrap_deg(-np.asarray(yaw_carla_deg, dtype=np.float64))
 
 
@@ -48,13 +57,19 @@ def from_carla_pose(*, position_m: ArrayLike, yaw_deg: float, pitch_deg: float) 
 
 
 def to_gltf_points(points_m: ArrayLike) -> FloatArray:
-    """Points from the world (ENU) to glTF's frame: x east, y up, z south; (..., 3), metres."""
+    """Points (..., 3) from the world frame to glTF's, in metres.
+
+    glTF has x east, y up and z south.
+    """
     points = np.asarray(points_m, dtype=np.float64)
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
 
 
 def from_gltf_points(points_m: ArrayLike) -> FloatArray:
-    """Points from glTF's frame (x east, y up, z south) to the world (ENU); (..., 3), metres."""
+    """Points (..., 3) from glTF's frame to the world frame, in metres.
+
+    glTF has x east, y up and z south.
+    """
     points = np.asarray(points_m, dtype=np.float64)
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
 

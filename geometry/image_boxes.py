@@ -13,7 +13,10 @@ def box_height_px(boxes_px: ArrayLike) -> FloatArray:
 
 
 def clip_boxes(boxes_px: ArrayLike, *, width_px: int, height_px: int) -> FloatArray:
-    """Parts of boxes (..., 4) inside the image; without area where nothing is inside."""
+    """Parts of boxes (..., 4) that are inside the image.
+
+    A box that is wholly outside has no area left.
+    """
     boxes = np.asarray(boxes_px, dtype=np.float64)
     limit = np.array([width_px, height_px, width_px, height_px], dtype=np.float64)
     return np.clip(boxes, 0.0, limit)
@@ -31,6 +34,7 @@ def iou(boxes_a_px: ArrayLike, boxes_b_px: ArrayLike) -> FloatArray:
     high = np.minimum(a[..., 2:], b[..., 2:])
     intersection = _area(high - low)
     area_a, area_b = (_area(box[..., 2:] - box[..., :2]) for box in (a, b))
+    # What is in both counts once.
     union = area_a + area_b - intersection
     return np.divide(
         intersection, union, out=np.zeros_like(intersection), where=union > 0.0
@@ -44,7 +48,10 @@ def _area(size_px: FloatArray) -> FloatArray:
 
 
 def mask_box(mask: ArrayLike) -> FloatArray:
-    """Box (4,) around the set pixels, unit squares, of a mask (h, w); zeros if there is none."""
+    """Smallest box (4,) around the set pixels of a mask (h, w).
+
+    Pixels are unit squares. An empty mask gives zeros.
+    """
     rows, columns = np.nonzero(np.asarray(mask, dtype=bool))
     if not len(rows):
         return np.zeros(4)

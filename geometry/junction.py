@@ -1,4 +1,7 @@
-"""A junction as traffic sees it: arms, lanes in and out, crosswalks; where things stand there."""
+"""A junction as traffic sees it: arms, lanes and crosswalks.
+
+The module also says in words where things stand at the junction.
+"""
 
 import re
 from collections.abc import Callable, Sequence
@@ -24,37 +27,49 @@ ARM_NAMES = (
 )
 """Names of arms: points of the compass, counter-clockwise."""
 COMPASS = ARM_NAMES[::2]
-CONNECTING = "connecting"  # kind of a lane through the junction
-ASSUMED = "assumed"  # kind of a lane that leads on where the map ends
-_End = tuple[bool, Lane]  # a lane at the junction, and whether it leads into it
-_AT_OUTLINE_M = (
-    1.5  # lanes end at the junction's outline but for the rounding of the map
-)
-_CYCLES_AT_OUTLINE_M = (
-    6.0  # cycleways run next to it, behind a shoulder or a strip of grass
-)
-_SAME_POINT_M = 0.5  # between one piece of a lane and the next
-_ARM_SPREAD_DEG = 40.0  # a crosswalk leads across the arm within this
-_SAME_ARM_DEG = 25.0  # between a lane and the next one of the same arm
-_SAME_ARM_GAP_M = 12.0  # between their edges: a median, or tracks
-_SAME_ARM_AHEAD_M = 15.0  # between their mouths, along the arm
+# Kind of a lane through the junction.
+CONNECTING = "connecting"
+# Kind of a lane that leads on where the map ends.
+ASSUMED = "assumed"
+# A lane at the junction, and whether it leads into it.
+_End = tuple[bool, Lane]
+# Lanes end at the junction's outline but for the rounding of the map.
+_AT_OUTLINE_M = 1.5
+# Cycleways run next to it, behind a shoulder or a strip of grass.
+_CYCLES_AT_OUTLINE_M = 6.0
+# Between one piece of a lane and the next.
+_SAME_POINT_M = 0.5
+# A crosswalk leads across the arm within this.
+_ARM_SPREAD_DEG = 40.0
+# Between a lane and the next one of the same arm.
+_SAME_ARM_DEG = 25.0
+# Between their edges: a median, or tracks.
+_SAME_ARM_GAP_M = 12.0
+# Between their mouths, along the arm.
+_SAME_ARM_AHEAD_M = 15.0
 # between two carriageways of one arm, from lane to lane: tracks, a row of trees
 _MEDIAN_M = 25.0
-_STUB_M = 2.0  # a lane that is shorter, with all that leads to it, is no road
+# A lane that is shorter, with all that leads to it, is no road.
+_STUB_M = 2.0
 _CROSSWALK_INSIDE_MOUTH_M = 2.0
-_SAME_ROAD_M = 20.0  # from the middle of a road to a lane of it
-_SAME_WAY = 0.5  # cosine of the angle between them
+# From the middle of a road to a lane of it.
+_SAME_ROAD_M = 20.0
+# Cosine of the angle between them.
+_SAME_WAY = 0.5
 _LANES_OF_ARM = ("lanes_in", "lanes_out", "cycleways_in", "cycleways_out")
 _MIRRORED: dict[Turn, Turn] = {"left": "right", "right": "left"}
-_CORNER_M = 15.0  # from the outline of the junction's road surface
-_STRAIGHT = (
-    0.7  # length of the sum of two arms' directions: an angle of 140 degrees and more
-)
+# From the outline of the junction's road surface.
+_CORNER_M = 15.0
+# Length of the sum of two arms' directions: an angle of 140 degrees and more.
+_STRAIGHT = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Line:
-    """A straight line on the road through a point (2,), with a direction: a unit vector (2,)."""
+    """Straight line on the road through a point, with a direction.
+
+    Both are (2,); the direction is a unit vector.
+    """
 
     point_m: FloatArray
     direction: FloatArray
@@ -80,7 +95,10 @@ class Line:
         return self.point_m + distance_m * self.direction + left_m * self.left
 
     def coordinates(self, point_m: ArrayLike) -> FloatArray:
-        """Metres ahead of the line's point and to the left of it at which points lie, (..., 2)."""
+        """Distances of points (..., 2) ahead and to the left, in metres.
+
+        They count from the line's point.
+        """
         offset = np.asarray(point_m, dtype=np.float64) - self.point_m
         return np.stack([offset @ self.direction, offset @ self.left], axis=-1)
 
@@ -118,11 +136,11 @@ class Arm:
         lanes; from the kerb to the road's axis.
     """
 
-    name: str  # where it lies, seen from the junction: "north", "east", ..
-    lanes_in: tuple[Lane, ...]  # whole as far as the map goes; parking lanes too
+    name: str
+    lanes_in: tuple[Lane, ...]
     lanes_out: tuple[Lane, ...]
-    crosswalk: Line  # where pedestrians cross the arm
-    cycleways_in: tuple[Lane, ...] = ()  # next to or between the lanes
+    crosswalk: Line
+    cycleways_in: tuple[Lane, ...] = ()
     cycleways_out: tuple[Lane, ...] = ()
 
     @property
@@ -132,7 +150,10 @@ class Arm:
 
     @property
     def speed_limit_kmh(self) -> float | None:
-        """The highest speed limit of its entry lanes, in km/h; None: the map gives none."""
+        """The highest speed limit of the entry lanes, in km/h.
+
+        None: the map gives none.
+        """
         limits = [lane.speed_limit_kmh for lane in self.entry_lanes]
         return max((limit for limit in limits if limit is not None), default=None)
 
@@ -162,17 +183,17 @@ class Junction:
         straight ones of two points, or bent past buildings.
     """
 
-    name: str  # of the scene
-    arms: dict[str, Arm]  # by name, counter-clockwise from the east
-    keeps_left: bool = False  # traffic keeps left
-    connections: tuple[
-        Lane, ...
-    ] = ()  # lanes through the junction, and through others around it
-    # lanes that are assumed, from beyond the map to the start of an entry lane
+    name: str
+    arms: dict[str, Arm]
+    keeps_left: bool = False
+    connections: tuple[Lane, ...] = ()
     beyond: tuple[Lane, ...] = ()
 
     def is_led_on(self, entry: Lane) -> bool:
-        """True if a lane is assumed to lead to the start of an entry lane, where the map ends."""
+        """True if a lane is assumed to lead to the start of an entry lane.
+
+        That is the case where the map ends.
+        """
         return bool(self._before(entry))
 
     def followed(self, entry: Lane) -> Lane:
@@ -183,6 +204,7 @@ class Junction:
         return entry
 
     def _before(self, entry: Lane) -> list[Lane]:
+        """Lanes that are assumed to lead to the start of an entry lane."""
         begin = entry.centreline_m[0]
         gaps_m = [np.hypot(*(lane.centreline_m[-1] - begin)) for lane in self.beyond]
         return [
@@ -192,7 +214,10 @@ class Junction:
         ]
 
     def connection(self, entry: Lane, leaving: Lane) -> Lane | None:
-        """The lane through the junction from one lane into another; None if the map has none."""
+        """The lane through the junction from one lane into another.
+
+        None: the map has no such lane.
+        """
         for lane in self.connections:
             begins = np.hypot(*(lane.centreline_m[0] - entry.centreline_m[-1]))
             ends = np.hypot(*(lane.centreline_m[-1] - leaving.centreline_m[0]))
@@ -204,13 +229,16 @@ class Junction:
         return f"Junction({self.name!r}, arms {', '.join(self.arms)})"
 
 
-@lru_cache(maxsize=64)  # one and the same lane, by which ways along it are known
+# One and the same lane, by which ways along it are known.
+@lru_cache(maxsize=64)
 def _led_on(before: Lane, entry: Lane) -> Lane:
+    """The entry lane, lengthened by the one that is assumed before it."""
     chain = np.concatenate([before.centreline_m[:-1], entry.centreline_m])
     return replace(entry, centreline_m=chain)
 
 
-@lru_cache(maxsize=4)  # many ask for the junction of the scene at hand
+# Many ask for the junction of the scene at hand.
+@lru_cache(maxsize=4)
 def build_junction(scene: Scene) -> Junction:
     """Find the arms of a scene's junction in its lanes.
 
@@ -236,6 +264,7 @@ def build_junction(scene: Scene) -> Junction:
     cycleways = _beside_arms(
         _ends_at_outline(scene, ("cycling",), _CYCLES_AT_OUTLINE_M), groups
     )
+    # Arms are in the order of their bearings, counter-clockwise from the east.
     ways = [
         np.mean([_mouth(*end).direction for end in group], axis=0) for group in groups
     ]
@@ -275,7 +304,10 @@ def arm_of_road(road: LeadingRoad, junction: Junction) -> str | None:
 
 
 def mirrored(junction: Junction) -> Junction:
-    """A junction mirrored north to south, where traffic keeps the other side; names stay."""
+    """The arm with a lane that begins or ends next to a road.
+
+    None: no arm has one.
+    """
 
     def turn_over(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
         return tuple(
@@ -308,7 +340,7 @@ def mirrored(junction: Junction) -> Junction:
 
 
 def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]:
-    """Straight line along the part of a lane next to the junction, and how far the lane leaves it.
+    """Line along a lane next to the junction, and the lane's deviation.
 
     The line runs through the lane's mouth in driving direction. At most `length_m` of
     the lane count, and no more than it has; the largest distance from the line is in
@@ -319,9 +351,11 @@ def lane_line(lane: Lane, *, is_in: bool, length_m: float) -> tuple[Line, float]
         points = lane.centreline_m
     else:
         points = lane.centreline_m[::-1]
+    # Distance of each point to the mouth along the lane.
     to_mouth = np.append(
         np.cumsum(np.hypot(*np.diff(points, axis=0).T)[::-1])[::-1], 0.0
     )
+    # Where the part that counts begins, between two points of the lane.
     begin_m = min(length_m, float(to_mouth[0]))
     start = np.array(
         [np.interp(-begin_m, -to_mouth, points[:, axis]) for axis in (0, 1)]
@@ -383,6 +417,7 @@ def _ends_at_outline(scene: Scene, kinds: Sequence[str], within_m: float) -> lis
         off_m = {
             at: distance_to_outline_m(tip, scene.outline_m) for at, tip in tips.items()
         }
+        # An end counts that is next to the outline.
         near = [is_in for is_in, off in off_m.items() if off <= within_m]
         if len(near) == 2 and lane_length_m(lane) <= 2.0 * within_m:
             near = [min(near, key=lambda is_in: off_m[is_in])]
@@ -404,6 +439,7 @@ def _beside_arms(
     for is_in, lane in ends:
         mouth = _mouth(is_in, lane)
         reach_m = 0.5 * lane.width_m + _SAME_ARM_GAP_M
+        # A cycleway belongs to the first arm that it runs beside.
         for found, others in zip(beside, mouths, strict=True):
             if any(_is_beside(mouth, other, reach_m) for other in others):
                 found.append((is_in, lane))
@@ -414,6 +450,11 @@ def _beside_arms(
 def _build_arm(
     name: str, members: Sequence[_End], cycleways: Sequence[_End], scene: Scene
 ) -> Arm:
+    """An arm of its lane ends and those of its cycleways.
+
+    Lanes come from the kerb to the road's axis.
+    """
+
     def from_kerb(ends: Sequence[_End], *, is_in: bool) -> tuple[Lane, ...]:
         own = [lane for leads_in, lane in ends if leads_in == is_in]
         lanes = [_whole(lane, scene.lanes, is_in=is_in) for lane in own]
@@ -443,7 +484,11 @@ def _build_arm(
 def _crosswalk(
     lanes_in: tuple[Lane, ...], lanes_out: tuple[Lane, ...], scene: Scene
 ) -> Line:
-    """The scene's crosswalk over the arm's mouth, or a line 2 m inside, as at Euro NCAP's."""
+    """The scene's crosswalk over the arm's mouth.
+
+    Where there is none, it is a line 2 m inside the mouth, as at Euro NCAP's
+    junction. The line leads from the kerb of the entry lanes to the other one.
+    """
     tips = [lane.centreline_m[-1] for lane in lanes_in]
     mouths = np.array([*tips, *(lane.centreline_m[0] for lane in lanes_out)])
     is_in = bool(lanes_in)
@@ -452,6 +497,7 @@ def _crosswalk(
         inward = inward.turned(180.0)
     middle = mouths.mean(axis=0)
     half_width = 0.5 * float(np.ptp(inward.coordinates(mouths)[:, 1])) + 2.0
+    # A crosswalk counts that lies near the mouth and leads across the arm.
     for ends in scene.crosswalks_m:
         ahead_m, left_m = inward.coordinates(ends.mean(axis=0)) - inward.coordinates(
             middle
@@ -478,6 +524,8 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
     while True:
         last = pieces[0 if is_in else -1]
         tip = last.centreline_m[0 if is_in else -1]
+        # Pieces that begin where this one ends, of the same kind or through a
+        # junction.
         following = [
             other
             for other in lanes
@@ -497,13 +545,17 @@ def _whole(lane: Lane, lanes: Sequence[Lane], *, is_in: bool) -> Lane:
         else:
             pieces = [*pieces, following[0]]
     if pieces[0 if is_in else -1].kind == CONNECTING:
-        del pieces[0 if is_in else -1]  # no lane of the map begins behind it
+        # No lane of the map begins behind it.
+        del pieces[0 if is_in else -1]
     points = np.concatenate([piece.centreline_m for piece in pieces])
     return replace(lane, centreline_m=apart(points, 1.0e-6))
 
 
 def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
-    """How far a piece of a lane turns away from the one to which it leads, or from which."""
+    """Change of direction from one piece of a lane to the next.
+
+    It is minus the cosine of the angle: -1 for straight on.
+    """
     if is_in:
         before, after = (other, lane)
     else:
@@ -513,7 +565,11 @@ def _turn(lane: Lane, other: Lane, *, is_in: bool) -> float:
 
 
 def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]:
-    """Lane ends by arm: side by side the same way, or the two carriageways of one road."""
+    """Lane ends grouped by arm.
+
+    An arm has lanes side by side that lead the same way, or the two
+    carriageways of one road.
+    """
     mouths = [_mouth(*end) for end in ends]
 
     def is_pair(one: int, other: int) -> bool:
@@ -523,6 +579,7 @@ def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]
         return _is_beside(mouths[one], mouths[other], reach_m)
 
     groups = [[ends[index] for index in group] for group in chained(len(ends), is_pair)]
+    # Carriageways into the junction with those out of it, the narrowest median first.
     pairs = []
     for one, group in enumerate(groups):
         for other, leaving in enumerate(groups):
@@ -542,7 +599,10 @@ def _group_by_arm(ends: Sequence[_End], *, keeps_left: bool) -> list[list[_End]]
 
 
 def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
-    """Groups of 0 to n - 1 in which each is the pair of another one, in the order of the first."""
+    """Groups of 0 to n - 1 whose members are linked by pairs.
+
+    Groups come in the order of their first members.
+    """
     group = list(range(n))
     for one in range(n):
         for other in range(one):
@@ -557,7 +617,10 @@ def chained(n: int, is_pair: Callable[[int, int], bool]) -> list[list[int]]:
 def _median_m(
     entering: Sequence[_End], leaving: Sequence[_End], *, keeps_left: bool
 ) -> float | None:
-    """Width of the median between two carriageways of one arm; None: they are not one arm's."""
+    """Width of the median between two carriageways of one arm, in metres.
+
+    None: they are not of one arm.
+    """
     least_m = np.inf
     for is_in, lane in entering:
         mouth = _mouth(is_in, lane)
@@ -565,6 +628,7 @@ def _median_m(
             other = _mouth(other_is_in, other_lane)
             if mouth.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
                 return None
+            # Along the mean of both directions.
             between = replace(mouth, direction=mouth.direction + other.direction)
             ahead_m, left_m = between.coordinates(other.point_m)
             # Seen from the junction, cars come in on the left, or where traffic keeps
@@ -591,6 +655,10 @@ def _mouth(is_in: bool, lane: Lane) -> Line:
 
 
 def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
+    """True if two mouths lead the same way, side by side.
+
+    `reach_m` is the largest distance between them, across the arm.
+    """
     if one.direction @ other.direction < np.cos(np.radians(_SAME_ARM_DEG)):
         return False
     between = replace(one, direction=one.direction + other.direction)
@@ -599,6 +667,7 @@ def _is_beside(one: Line, other: Line, reach_m: float) -> bool:
 
 
 def _arm_names(bearings_deg: FloatArray) -> list[str]:
+    """Names of arms by their bearings, (n_arms,), each name once."""
     for n_points in (4, 8, 16):
         index = np.round(bearings_deg * n_points / 360.0).astype(int) % n_points
         names = [ARM_NAMES[one * (16 // n_points)] for one in index]
@@ -622,7 +691,9 @@ def compass_point(way_m: FloatArray) -> str:
 
 
 def compass_bearing_deg(yaw_deg: float) -> float:
-    """A direction clockwise from north, at least 0 and below 360, as installers read it.
+    """A direction clockwise from north, in degrees, as installers read it.
+
+    It is at least 0 and below 360.
 
     >>> compass_bearing_deg(0.0), compass_bearing_deg(135.0)
     (90.0, 315.0)
@@ -631,7 +702,10 @@ def compass_bearing_deg(yaw_deg: float) -> float:
 
 
 def street_names(scene: Scene) -> dict[str, str]:
-    """Names of the streets of a junction's arms, by the arm; arms without a name are left out."""
+    """Names of the streets of a junction's arms, by arm.
+
+    Arms without a name are left out.
+    """
     junction = build_junction(scene)
     names: dict[str, dict[str, None]] = {}
     for road in scene.roads:
@@ -655,6 +729,7 @@ def whereabouts(scene: Scene, positions_m: ArrayLike) -> list[Phrase]:
         return [Phrase("")] * len(positions)
     streets = street_names(scene)
     middle = 0.5 * (scene.outline_m.min(axis=0) + scene.outline_m.max(axis=0))
+    # The nearest arm is the one with the nearest lane.
     lines = {
         name: shapely.MultiLineString(
             [one.centreline_m for one in (*arm.lanes_in, *arm.lanes_out)]
@@ -713,4 +788,5 @@ def arm_mouth(arm: Arm) -> FloatArray:
 
 
 def _bearing(way_m: FloatArray) -> float:
+    """Direction of a vector (2,), counter-clockwise from east, in rad."""
     return float(np.arctan2(way_m[1], way_m[0]))

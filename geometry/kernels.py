@@ -29,26 +29,25 @@ import numba
 from numba.core import event
 from numba.extending import overload
 
-from .clock import stand_still_s
-from .files import (
-    is_abandoned,
-    lock_while_alive,
+from .cache_folders import (
     open_own,
     private_temporary_folder,
     trouble_with,
     user_cache_folder,
-    write_atomically,
 )
+from .clock import stand_still_s
+from .locks import is_abandoned, lock_while_alive
+from .writing import write_atomically
 
 F = TypeVar("F", bound=Callable[..., Any])
-Files = dict[
-    str, bytes
-]  # what numba cached of a kernel: content by path below its folder
+# What numba cached of a kernel: content by path below its folder.
+Files = dict[str, bytes]
 _log = logging.getLogger(__name__)
 _OPTIONS = {"nogil": True, "error_model": "numpy"}
 _HASH_SIZE = 32
 _SUFFIX = ".kernel"
-_RUNNING = "running-"  # begins the names of folders of single processes
+# Begins the names of folders of single processes.
+_RUNNING = "running-"
 
 
 def kernel(function: F) -> F:
@@ -65,12 +64,12 @@ def kernel(function: F) -> F:
         compiled = on_disk.compiled or on_disk.load()
         try:
             result = compiled(*args)
-        except (
-            OSError
-        ) as error:  # numba compiled it, but could not write what it cached
+        except OSError as error:
+            # Numba compiled it, but could not write what it cached.
             on_disk.tell_not_cached(error)
             on_disk.compiled = numba.njit(**_OPTIONS)(function)
             return on_disk.compiled(*args)
+        # The call has compiled something: the next process shall have it.
         if _compiling.is_anything_new:
             _compiling.is_anything_new = False
             on_disk.save()
@@ -78,7 +77,7 @@ def kernel(function: F) -> F:
 
     @overload(call, jit_options=_OPTIONS, strict=False)  # type: ignore[untyped-decorator]
     def implement(*args: Any) -> Callable[..., Any]:
-        """Function that other kernels compile into themselves, where they call this one."""
+        """Function that other kernels compile into their own code."""
         return function
 
     call.on_disk = on_disk  # type: ignore[attr-defined]
@@ -96,7 +95,10 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 
 @cache
 def compiled_folder() -> Path:
-    """Where machine code is cached: NUMBA_CACHE_DIR, the user's cache or a temporary folder."""
+    """Folder in which machine code is cached.
+
+    It is NUMBA_CACHE_DIR, a folder in the user's cache or a temporary folder.
+    """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen:
         folder = Path(chosen)
@@ -142,6 +144,7 @@ class _OnDisk:
             return self.compiled
 
     def _build(self) -> Callable[..., Any]:
+        """The function for numba, with a folder for its cache if there is one."""
         try:
             self._folder = Path(tempfile.mkdtemp(dir=_running_folder(os.getpid())))
             self._unpack(self._folder)
@@ -149,7 +152,8 @@ class _OnDisk:
             self.tell_not_cached(error)
             compiled = numba.njit(**_OPTIONS)(self._function)
         else:
-            with _settings:  # numba looks where to cache when it makes the function
+            # Numba looks where to cache when it makes the function.
+            with _settings:
                 usual = numba.config.CACHE_DIR
                 numba.config.CACHE_DIR = str(self._folder)
                 compiled = numba.njit(cache=True, **_OPTIONS)(self._function)
@@ -157,7 +161,7 @@ class _OnDisk:
         return cast(Callable[..., Any], compiled)
 
     def _unpack(self, folder: Path) -> None:
-        """Give numba the files that an earlier process cached, unless they are damaged."""
+        """Write an earlier process's files for numba, unless they are damaged."""
         try:
             found = self.read()
         except (OSError, ValueError) as error:
@@ -172,8 +176,12 @@ class _OnDisk:
     def read(self) -> Files | None:
         """What numba cached; None if nothing, or of other source code.
 
-        Raises ValueError if the file is damaged, OSError if it cannot be read or others
-        may have written it.
+        Raises
+        ------
+        ValueError
+            The file is damaged.
+        OSError
+            It cannot be read, or others may have written it.
         """
         try:
             with open_own(self.path) as file:
@@ -200,6 +208,7 @@ class _OnDisk:
                 for path in self._folder.rglob("*.nb[ic]")
             }
             content = msgspec.msgpack.encode(found)
+            # The file begins with both hashes, so that reading can check them.
             stored = _hash_of_sources(self._source) + _hash_of(content) + content
             write_atomically(
                 self.path, lambda file: file.write(stored), is_private=True
@@ -233,7 +242,11 @@ def _hash_of_sources(path: Path) -> bytes:
 
 @cache
 def _running_folder(process_id: int) -> Path:
-    """Folder of this process alone, removed at its end, or by a later one if it was killed."""
+    """Folder of this process alone.
+
+    The process removes it at its end; a later process removes it if this one
+    was killed.
+    """
     for left in compiled_folder().glob(f"{_RUNNING}*"):
         if is_abandoned(left):
             shutil.rmtree(left, ignore_errors=True)
@@ -243,7 +256,8 @@ def _running_folder(process_id: int) -> Path:
 
     def remove() -> None:
         held.close()
-        if os.getpid() == process_id:  # else a copy of that process ends
+        # Else a copy of that process ends.
+        if os.getpid() == process_id:
             shutil.rmtree(folder, ignore_errors=True)
 
     atexit.register(remove)
@@ -254,8 +268,10 @@ def _running_folder(process_id: int) -> Path:
 class _Compiling(threading.local):
     """What the calling thread has compiled."""
 
-    is_anything_new = False  # since a kernel was last saved
-    depth = 0  # compiling one function may begin with others that it calls
+    # Since a kernel was last saved.
+    is_anything_new = False
+    # Compiling one function may begin with others that it calls.
+    depth = 0
     begun_s = 0.0
 
 

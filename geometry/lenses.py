@@ -1,4 +1,6 @@
-"""Lenses that distort: Brown-Conrady's model, Tsai's one term, fisheyes; and calibrated cameras.
+"""Lenses that distort, and calibrated cameras.
+
+There are Brown-Conrady's model, Tsai's one term, and fisheyes.
 
 Points are at depth 1 along the optical axis: x right and y down, over the depth. A lens
 shows what lies up to some angle off its axis, its :attr:`reach`; farther out its
@@ -16,12 +18,17 @@ from numpy.typing import ArrayLike
 from .arrays import FloatArray, set_arrays
 from .errors import InputError
 
-Powers = tuple[float, ...]  # coefficients of a polynomial, the highest power first
+# Coefficients of a polynomial, the highest power first.
+Powers = tuple[float, ...]
 _STEPS = 100
-_MOST_STEPS = 300  # of one radius: with large terms the first is far off
-_NEAR = 1.0e-13  # of a shown point: where Newton's method ends
-_LEAST_STEP = 1.0e-4  # share of a step of its
-_FOUND = 1.0e-10  # what is farther off is not shown
+# For one radius: with large terms the first guess is far off.
+_MOST_STEPS = 300
+# Of a shown point: where Newton's method ends.
+_NEAR = 1.0e-13
+# Share of a step of Newton's method below which it ends.
+_LEAST_STEP = 1.0e-4
+# What is farther off is not shown.
+_FOUND = 1.0e-10
 
 
 class _Lens(
@@ -31,7 +38,10 @@ class _Lens(
     forbid_unknown_fields=True,
     tag_field="model",
 ):
-    """What all lenses have in common; each has a `reach`, and shows radii at other ones."""
+    """What all lenses have in common.
+
+    Each lens has a `reach`, and shows points at other radii than they have.
+    """
 
     @property
     def reach(self) -> float:
@@ -40,11 +50,17 @@ class _Lens(
 
     @property
     def widest_rad(self) -> float:
-        """Angle off the axis up to which anything is shown; only a fisheye's may exceed 90."""
+        """Angle off the axis up to which anything is shown, in rad.
+
+        Only a fisheye's may exceed a right angle.
+        """
         return math.atan(self.reach)
 
     def shown_radius(self, radius: FloatArray) -> FloatArray:
-        """How far out radii (n,) at depth 1 are shown, tangential terms aside; NaN: nowhere."""
+        """Shown radii of radii (n,) at depth 1, without tangential terms.
+
+        NaN where the lens shows nothing.
+        """
         raise NotImplementedError
 
     def seen_radius(self, shown: FloatArray) -> FloatArray:
@@ -52,7 +68,10 @@ class _Lens(
         raise NotImplementedError
 
     def distort(self, points: FloatArray) -> FloatArray:
-        """Points (n, 2) at depth 1 as the lens shows them; NaN where it would fold them back."""
+        """Points (n, 2) at depth 1 as the lens shows them.
+
+        NaN where it would fold them back.
+        """
         radius = _radius(points)
         return _moved(points, radius, self.shown_radius(radius))
 
@@ -62,11 +81,17 @@ class _Lens(
         return _moved(points, shown, self.seen_radius(shown))
 
     def shown_at(self, angle_rad: float) -> float:
-        """Distance from the middle at which a ray at an angle off the axis is shown, radially."""
+        """Shown radius of a ray at an angle off the axis.
+
+        Tangential terms do not count.
+        """
         return float(self.shown_radius(np.array([math.tan(angle_rad)]))[0])
 
     def angle_of(self, shown: float) -> float:
-        """The inverse of :meth:`shown_at`; not a number where the lens shows nothing."""
+        """The inverse of :meth:`shown_at`, in rad.
+
+        Not a number where the lens shows nothing.
+        """
         return math.atan(float(self.seen_radius(np.array([shown]))[0]))
 
 
@@ -119,16 +144,20 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         return np.asarray(_Lens.distort(self, points) + np.stack(aside, axis=1))
 
     def undistort(self, points: FloatArray) -> FloatArray:
-        """With tangential terms by Newton's method, with shorter steps where they lead away.
+        """Invert :meth:`distort`; with tangential terms by Newton's method.
+
+        Steps that lead away are shortened.
 
         Within its reach the lens is the slope of a convex function: there is but one
         solution.
         """
+        # Radial terms alone are inverted along the radius.
         if self.p1 == self.p2 == 0.0:
             return _Lens.undistort(self, points)
         found = points / np.maximum(
             1.0, _radius(points)[:, None] / min(self.reach, 1.0)
         )
+        # Newton's method for all points at once, each with its own length of step.
         lacks = self.distort(found) - points
         step = self._step(found, lacks)
         off = _radius(lacks)
@@ -139,7 +168,8 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
                 break
             tried = found[left] - factor[left, None] * step[left]
             lacks = self.distort(tried) - points[left]
-            is_better = _radius(lacks) < off[left]  # not where the step left the reach
+            # Not where the step left the reach.
+            is_better = _radius(lacks) < off[left]
             better = left[is_better]
             found[better], off[better] = tried[is_better], _radius(lacks[is_better])
             step[better] = self._step(found[better], lacks[is_better])
@@ -148,7 +178,11 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
         return found
 
     def _step(self, points: FloatArray, lacks: FloatArray) -> FloatArray:
-        """Newton's steps (n, 2): derivatives of :meth:`distort`, inverted, times what it lacks."""
+        """Newton's steps (n, 2).
+
+        They are the inverted derivatives of :meth:`distort` times what it
+        lacks.
+        """
         x, y = points.T
         square = x**2 + y**2
         radial = 1.0 + square * (self.k1 + square * (self.k2 + square * self.k3))
@@ -163,7 +197,9 @@ class BrownConrady(_Lens, frozen=True, kw_only=True, tag="brown-conrady"):
 
 
 class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
-    """Radial distortion by one term: undistorted = distorted x (1 + kappa r_distorted^2).
+    """Radial distortion by one term.
+
+    undistorted = distorted x (1 + kappa r_distorted^2).
 
     R. Tsai, "A versatile camera calibration technique for high-accuracy 3D machine
     vision metrology", 1987. His kappa1 is per mm^2 of the sensor; here it is times the
@@ -198,7 +234,9 @@ class TsaiRadial(_Lens, frozen=True, kw_only=True, tag="tsai"):
 
 
 class Fisheye(_Lens, frozen=True, kw_only=True, tag="fisheye"):
-    """A fisheye: an angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
+    """A fisheye, whose shown radius is a polynomial of the angle.
+
+    An angle off the axis is shown at angle (1 + k1 angle^2 + .. + k4 angle^8).
 
     J. Kannala, S. Brandt, "A generic camera model and calibration method for
     conventional, wide-angle, and fish-eye lenses", 2006; as ``cv::fisheye`` and ROS's
@@ -258,13 +296,17 @@ def _moved(points: FloatArray, radius: FloatArray, to_radius: FloatArray) -> Flo
     return np.asarray(points * share[:, None])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is too far out is not found
+# What is too far out is not found.
+@np.errstate(over="ignore", invalid="ignore")
 def _invert(powers: Powers, values: FloatArray, most: float) -> FloatArray:
-    """Arguments (n,) at which a polynomial has values >= 0; NaN where it does not reach them.
+    """Arguments (n,) at which a polynomial has values >= 0.
+
+    NaN where it does not reach them.
 
     By Newton's method between 0 and `most`, up to which it rises from 0. Where a step
     leaves the interval that is left, that is halved.
     """
+    # The polynomial rises from 0 up to here.
     top = np.polyval(powers, most) if most < math.inf else math.inf
     wanted = np.minimum(values, top)
     slopes = _slopes(powers)
@@ -295,7 +337,10 @@ def _slopes(powers: Powers) -> Powers:
 
 @cache
 def _first_turn(slopes: Powers) -> float:
-    """Smallest positive root of a polynomial, highest power first; infinite if there is none."""
+    """Smallest positive root of a polynomial; infinite if there is none.
+
+    The coefficient of the highest power comes first.
+    """
     # Their inverses: the last coefficient is 1, where the first may be next to nothing.
     inverse = np.roots(slopes[::-1])
     rising = inverse[(abs(inverse.imag) < 1.0e-12) & (inverse.real > 0.0)].real
@@ -309,18 +354,35 @@ Lens = BrownConrady | TsaiRadial | Fisheye
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedCamera:
-    """A camera as its calibration file has it; a point is at R (p - position) in its frame."""
+    """A camera as its calibration file has it.
+
+    A point p of the world is at R (p - position) in the camera's frame.
+
+    A point's column is cx + fx x, its row cy + fy y, with x and y at depth 1 as
+    the lens shows them.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+        Size of its pictures. [px]
+    fx_px, fy_px, cx_px, cy_px : float
+        Focal lengths and principal point. [px]
+    R_camera_world : (3, 3) float
+        Rotation from the world to the camera (x right, y down, z ahead).
+    position_m : (3,) float
+        Position of the lens, world frame. [m]
+    lens : Lens
+        How it distorts.
+    """
 
     width_px: int
     height_px: int
-    fx_px: float  # focal lengths and principal point
+    fx_px: float
     fy_px: float
     cx_px: float
     cy_px: float
-    R_camera_world: (
-        FloatArray  # (3, 3), from the world to the camera (x right, y down, z ahead)
-    )
-    position_m: FloatArray  # (3,), of the lens, world frame
+    R_camera_world: FloatArray
+    position_m: FloatArray
     lens: Lens = field(default_factory=BrownConrady)
 
     def __post_init__(self) -> None:
@@ -336,7 +398,10 @@ class CalibratedCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Focal lengths and principal point, (3, 3); the middle of the first pixel is (0, 0)."""
+        """Camera matrix with focal lengths and principal point, (3, 3).
+
+        The middle of the first pixel is (0, 0).
+        """
         rows = [
             [self.fx_px, 0.0, self.cx_px],
             [0.0, self.fy_px, self.cy_px],
@@ -346,20 +411,29 @@ class CalibratedCamera:
 
     @property
     def translation_m(self) -> FloatArray:
-        """t, (3,): the world's origin as the camera sees it; x_camera = R x_world + t. [m]."""
+        """The world's origin as the camera sees it, (3,), in metres.
+
+        It is t in x_camera = R x_world + t.
+        """
         return self.R_camera_world @ (np.zeros(3) - self.position_m)
 
 
 def project_distorted(points_m: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     """Project points (n, 3) of the world frame into the image of a calibrated camera.
 
-    Returns (n, 3): column and row in the calibration's pixels, and depth along the optical axis in
-    metres; column and row are NaN where the depth is not positive, or the lens shows no such point.
     As ``cv::projectPoints`` and ``cv::fisheye`` of OpenCV.
+
+    Returns
+    -------
+    projected : (n, 3) float
+        Column and row in the calibration's pixels, and depth along the optical
+        axis in metres. Column and row are NaN where the depth is not positive,
+        or where the lens shows no such point.
     """
     offsets = np.asarray(points_m, dtype=np.float64) - camera.position_m
     in_camera = offsets @ camera.R_camera_world.T
     depth = in_camera[:, 2]
+    # What is behind the camera is not shown.
     at_depth_1 = in_camera[:, :2] / np.where(depth > 0.0, depth, np.nan)[:, None]
     shown = camera.lens.distort(at_depth_1)
     column = camera.cx_px + camera.fx_px * shown[:, 0]
@@ -377,6 +451,7 @@ def ground_points(pixels_px: ArrayLike, camera: CalibratedCamera) -> FloatArray:
     rays = (
         np.column_stack([at_depth_1, np.ones(len(at_depth_1))]) @ camera.R_camera_world
     )
+    # Rays that lead towards the plane z = 0.
     is_below = rays[:, 2] * camera.position_m[2] < 0.0
     far = -camera.position_m[2] / np.where(is_below, rays[:, 2], np.nan)
     return np.asarray(camera.position_m + far[:, None] * rays)

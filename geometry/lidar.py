@@ -12,15 +12,18 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import check_field
-from .files import Table, load_data, read_table, read_tables
 from .sensors import load_limits
+from .tables import Table, read_table, read_tables
+from .text_formats import load_data
 
 _FILE = "lidars.toml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarModel:
-    """A LiDAR without moving base: lines and columns at equal steps of angle, all at one instant.
+    """A LiDAR on a fixed base, which takes a whole frame at one instant.
+
+    Its lines and columns are at equal steps of angle.
 
     Attributes
     ----------
@@ -54,27 +57,21 @@ class LidarModel:
         Price of one unit. [EUR]
     """
 
-    name: str  #: in the catalogue
-    horizontal_fov_deg: (
-        float  #: full angle, more than 0 and up to 360: then it scans all round
-    )
-    vertical_fov_deg: (
-        float  #: full angle, as much up as down; more than 0 and less than 180
-    )
-    n_lines: int  #: scan lines, one above the other
-    points_per_second: float  #: pulses, whether they come back or not
-    frame_rate_hz: float  #: scans per second
-    range_m: float  #: nothing farther is reported
+    name: str
+    horizontal_fov_deg: float
+    vertical_fov_deg: float
+    n_lines: int
+    points_per_second: float
+    frame_rate_hz: float
+    range_m: float
     reference_range_m: float
     reference_reflectivity: float
     reference_probability: float
-    threshold_width: (
-        float  #: of the logistic step to a return, in the logarithm of the signal
-    )
-    wavelength_nm: float  #: of the laser
-    range_noise_m: float  #: one standard deviation
-    near_m: float  #: nothing nearer is reported
-    price_eur: float  #: of one unit
+    threshold_width: float
+    wavelength_nm: float
+    range_noise_m: float
+    near_m: float
+    price_eur: float
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
@@ -111,6 +108,7 @@ class LidarModel:
         check("reference_reflectivity", is_share, "0 < share <= 1")
         is_likely = 0.0 < self.reference_probability < 1.0
         check("reference_probability", is_likely, "0 < probability < 1")
+        # So many rays are cast for each frame.
         per_frame = self.points_per_second / self.frame_rate_hz
         most = limits.lidar_points_per_frame
         check(
@@ -129,7 +127,10 @@ class LidarModel:
 
     @property
     def scans_all_round(self) -> bool:
-        """True if its columns close to a ring: no azimuth is left out, and none is an edge."""
+        """True if its columns close to a ring.
+
+        Then no azimuth is left out, and none is an edge.
+        """
         return self.horizontal_fov_deg == 360.0
 
     @property
@@ -177,7 +178,10 @@ def beam_directions(lidar: LidarModel) -> FloatArray:
 
 
 def beams_per_steradian(lidar: LidarModel, elevation_deg: ArrayLike) -> FloatArray:
-    """Density of beams in a direction, in 1/sr: one per cell of azimuth and elevation."""
+    """Density of beams in a direction, in 1/sr.
+
+    There is one beam per cell of azimuth and elevation.
+    """
     azimuth_step = math.radians(lidar.horizontal_fov_deg / lidar.n_columns)
     elevation_step = math.radians(lidar.vertical_fov_deg / lidar.n_lines)
     level = np.cos(np.radians(np.asarray(elevation_deg, dtype=np.float64)))
@@ -192,24 +196,41 @@ def return_probability(
     incidence_cos: ArrayLike,
     extinction_per_m: ArrayLike,
 ) -> FloatArray:
-    """How likely a pulse that hits something comes back strong enough to be reported.
+    """Probability that a pulse which hits something is reported.
 
-    It is `reference_probability` where the signal is that of the reference, and 0
-    outside `near_m`
-    .. `range_m`. `incidence_cos` is that between beam and surface normal; the extinction of the air
-    counts one way. All arrays broadcast. LiDAR equation for a diffuse target larger
-    than the beam: R. Rasshofer et al., "Influences of weather phenomena on automotive
-    laser radar systems", 2011.
+    The pulse must come back strong enough. The probability is
+    `reference_probability` where the signal is that of the reference, and 0 outside
+    `near_m` .. `range_m`. All arrays broadcast.
+
+    Parameters
+    ----------
+    lidar : LidarModel
+        The sensor.
+    distance_m : (...) float
+        Distance of the surface. [m]
+    reflectivity : (...) float
+        Share of the light that the surface sends back diffusely, 0 .. 1.
+    incidence_cos : (...) float
+        Cosine of the angle between beam and surface normal.
+    extinction_per_m : (...) float
+        Extinction of the air, one way. [1/m]
+
+    References
+    ----------
+    .. [1] R. Rasshofer et al., "Influences of weather phenomena on automotive laser
+       radar systems", 2011: LiDAR equation for a diffuse target larger than the beam.
     """
     from scipy.special import expit, logit
 
     distance = np.asarray(distance_m, dtype=np.float64)
     is_inside = (distance >= lidar.near_m) & (distance <= lidar.range_m)
+    # Outside of the range any distance will do: the result there is 0.
     distance = np.where(is_inside, distance, lidar.reference_range_m)
     share = np.asarray(reflectivity, dtype=np.float64) * np.asarray(
         incidence_cos, dtype=np.float64
     )
-    with np.errstate(divide="ignore"):  # grazing or black: no signal, logarithm -inf
+    # Grazing or black: no signal, logarithm -inf.
+    with np.errstate(divide="ignore"):
         spread = 2.0 * np.log(lidar.reference_range_m / distance)
         air = 2.0 * np.asarray(extinction_per_m, dtype=np.float64) * distance
         log_signal = np.log(share / lidar.reference_reflectivity) + spread - air
@@ -253,6 +274,7 @@ def load_lidar_detection() -> LidarDetection:
 
 
 def _read_detection(table: Table) -> LidarDetection:
+    """Rule of detection from a table with an entry for each class."""
     entries = read_tables(table, _DetectionEntry, f"{_FILE}: detection")
     return LidarDetection(
         min_points={name: entry.min_points for name, entry in entries.items()},
@@ -262,7 +284,10 @@ def _read_detection(table: Table) -> LidarDetection:
 
 @cache
 def load_surface_reflectivity() -> dict[str, float]:
-    """Diffuse reflectivity of all but VRUs, by class name, from ``data/lidars.toml``."""
+    """Diffuse reflectivity of everything except VRUs, by class name.
+
+    It is read from ``data/lidars.toml``.
+    """
     return read_table(_load_file()["surfaces"], dict[str, float], f"{_FILE}: surfaces")
 
 

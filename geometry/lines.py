@@ -1,4 +1,7 @@
-"""Lines of points, (n, 2) or (n, 3), seen from above: lengths in metres, and places along them."""
+"""Lines of points, (n, 2) or (n, 3), seen from above.
+
+Lengths, and places along them, are in metres.
+"""
 
 import numpy as np
 
@@ -21,7 +24,10 @@ def along_m(line_m: FloatArray) -> FloatArray:
 
 
 def points_at(line_m: FloatArray, stations_m: FloatArray) -> FloatArray:
-    """Points (k, 2), or (k, 3), at distances (k,) along a line; beyond its ends these."""
+    """Points (k, 2) or (k, 3) at distances (k,) along a line.
+
+    Beyond an end it is that end.
+    """
     along = along_m(line_m)
     return np.stack([np.interp(stations_m, along, axis) for axis in line_m.T], axis=-1)
 
@@ -38,5 +44,6 @@ def unit(vector: FloatArray) -> FloatArray:
 
 def true_runs(mask: BoolArray) -> IntArray:
     """Begins and ends of the runs of True in a mask, (k, 2)."""
+    # Runs begin and end where neighbours differ, the mask's ends included.
     padded = np.concatenate([[False], mask, [False]])
     return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)

@@ -1,11 +1,14 @@
-"""Notes on how a scene was made: what its maps leave open, what was assumed, what was left out."""
+"""Notes on how a scene was made.
+
+They say what its maps leave open, what was assumed, and what was left out.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from .files import Text, says
 from .phrases import Phrase, join_phrases
+from .tables import Text, says
 
 Kind = Literal[
     "junction", "side of the road", "sites", "roads", "buildings", "heights", "left out"
@@ -50,7 +53,10 @@ def assumptions(notes: Sequence[Note]) -> tuple[Note, ...]:
 
 
 def assumed_sites(notes: Sequence[Note]) -> dict[str, str]:
-    """Assumptions about sites that a map does not have where they are, by the site's id."""
+    """Assumptions about sites that a map lacks, by the site's id.
+
+    The map does not have these sites at all, or not where they are.
+    """
     words: dict[str, list[str]] = {}
     for note in notes:
         for site_id in note.site_ids:

@@ -29,9 +29,9 @@ class Pose:
         Positive up. [deg]
     """
 
-    position_m: FloatArray  #: (3,), east, north, up
-    yaw_deg: float  #: counter-clockwise from east
-    pitch_deg: float = 0.0  #: positive up
+    position_m: FloatArray
+    yaw_deg: float
+    pitch_deg: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -44,7 +44,9 @@ class Pose:
 
 
 def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation (..., 3, 3) that takes body coordinates (x ahead, y left, z up) to the world.
+    """Rotation (..., 3, 3) from body coordinates to the world frame.
+
+    Body coordinates are x ahead, y left and z up.
 
     Yaw counts counter-clockwise from east, pitch positive up.
 
@@ -60,6 +62,7 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
     cos_pitch = np.cos(pitch)
     sin_pitch = np.sin(pitch)
     zero = np.zeros_like(yaw)
+    # Yaw about the upward axis, after pitch about the axis to the left.
     rows = [
         [cos_pitch * cos_yaw, -sin_yaw, -sin_pitch * cos_yaw],
         [cos_pitch * sin_yaw, cos_yaw, -sin_pitch * sin_yaw],
@@ -69,7 +72,10 @@ def body_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
 
 
 def camera_rotation(yaw_deg: ArrayLike, pitch_deg: ArrayLike = 0.0) -> FloatArray:
-    """Rotation (..., 3, 3) from camera coordinates (x right, y down, z ahead) to the world."""
+    """Rotation (..., 3, 3) from camera coordinates to the world frame.
+
+    Camera coordinates are x right, y down and z ahead.
+    """
     return body_rotation(yaw_deg, pitch_deg) @ R_BODY_CAMERA
 
 
@@ -89,4 +95,5 @@ def wrap_deg(angle_deg: ArrayLike) -> FloatArray:
     wrapped: FloatArray = (
         180.0 - (180.0 - np.asarray(angle_deg, dtype=np.float64)) % 360.0
     )
-    return wrapped + 360.0 * (wrapped <= -180.0)  # the remainder may round to 360
+    # The remainder may round to 360.
+    return wrapped + 360.0 * (wrapped <= -180.0)

@@ -1,4 +1,6 @@
-"""Rays against triangles: trimesh's embreex, or Open3D's RaycastingScene. Both are Embree.
+"""Rays against triangles, by one of two libraries.
+
+They are trimesh's embreex and Open3D's RaycastingScene; both are Embree.
 
 embreex leaves Python's lock to others while it casts, loads in milliseconds, and needs
 no library of the system: it is taken where it loads. Open3D is imported only when it is
@@ -31,22 +33,31 @@ class RayCaster(Protocol):
     """Rays against one fixed set of triangles; safe to use from several threads."""
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
-        """True if a triangle lies between each origin and origin + vector; (n, 3) -> (n,)."""
+        """True if a triangle lies between origin and origin + vector.
+
+        Arrays are (n, 3); the result is (n,).
+        """
 
     def first_triangle(
         self, origins_m: FloatRays, vectors_m: FloatRays
     ) -> tuple[FloatRays, IntArray]:
-        """How far along vectors (n, 3), of any length, the first triangle is, (n,), and its row.
+        """Distance to the first triangle as a share of the vector, and its row.
+
+        Vectors (n, 3) may have any length; both results are (n,).
 
         Infinite and -1 where nothing is hit.
         """
 
 
 class Open3dCaster:
-    """Rays by Open3D's RaycastingScene on all processors; it holds Python's lock while it casts."""
+    """Rays by Open3D's RaycastingScene, on all processors.
+
+    It holds Python's lock while it casts.
+    """
 
     name = "open3d"
-    n_threads = 0  # all processors
+    # All processors.
+    n_threads = 0
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         o3d, _ = _open3d_or_reason()
@@ -57,6 +68,7 @@ class Open3dCaster:
             self._scene.add_triangles(
                 self._tensor(vertices), self._tensor(faces.astype(np.uint32))
             )
+        # Embree must not be asked about a scene without triangles.
         self._is_empty = len(faces) == 0
 
     def is_blocked(self, origins_m: FloatRays, vectors_m: FloatRays) -> BoolArray:
@@ -79,9 +91,8 @@ class Open3dCaster:
         hits = self._scene.cast_rays(rays, nthreads=self.n_threads)
         share: FloatRays = hits["t_hit"].numpy()
         index: IntArray = hits["primitive_ids"].numpy().astype(np.int64)
-        index[
-            np.isinf(share)
-        ] = -1  # Embree's own sign for nothing is the largest uint32
+        # Embree's own sign for nothing is the largest uint32.
+        index[np.isinf(share)] = -1
         return share, index
 
 
@@ -89,7 +100,8 @@ class EmbreexCaster:
     """Rays by embreex, the Embree binding that trimesh uses."""
 
     name = "embree"
-    _FAR = np.float32(1.0e6)  # where rays end
+    # Where rays end.
+    _FAR = np.float32(1.0e6)
 
     def __init__(self, vertices_m: ArrayLike, triangles: ArrayLike) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -157,6 +169,7 @@ def caster_name(rays: str = "auto", *, where: str = "rays") -> str:
         Open3dCaster.name: open3d_problem,
     }
     reasons = []
+    # By "auto" the first library that loads is taken.
     for name in (rays,) if rays in CASTERS else tuple(problems):
         reason = problems[name]()
         if reason is None:
@@ -177,7 +190,10 @@ def embreex_problem() -> str | None:
 
 
 def open3d_problem() -> str | None:
-    """Why Open3D cannot be used, in one line with the remedy; None where it can. Imports it."""
+    """Why Open3D cannot be used, in one line with the remedy.
+
+    None where it can. The call imports Open3D.
+    """
     return _open3d_or_reason()[1]
 
 
@@ -207,7 +223,10 @@ def build_caster(
 
 
 def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
-    """Lengths of vectors, (n, 3) -> (n,): column by column, four times as fast as row by row."""
+    """Lengths of vectors, (n, 3) -> (n,).
+
+    Column by column it is four times as fast as row by row.
+    """
     x, y, z = vectors_m.T
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
@@ -215,6 +234,7 @@ def ray_lengths_m(vectors_m: FloatRays) -> FloatRays:
 def _checked(
     vertices_m: ArrayLike, triangles: ArrayLike
 ) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Vertices and triangles as Embree takes them, or InputError."""
     vertices = np.ascontiguousarray(vertices_m, dtype=np.float32).reshape(-1, 3)
     faces = np.ascontiguousarray(triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
@@ -228,12 +248,14 @@ def _checked(
 
 
 def _no_triangle(n_rays: int) -> tuple[FloatRays, IntArray]:
+    """What :meth:`RayCaster.first_triangle` returns where nothing is hit."""
     return np.full(n_rays, np.inf, dtype=np.float32), np.full(
         n_rays, -1, dtype=np.int64
     )
 
 
 def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
+    """Rays as Open3D takes them: origin and vector in one row, (n, 6)."""
     rays = np.empty((len(origins_m), 6), dtype=np.float32)
     rays[:, :3] = origins_m
     rays[:, 3:] = vectors_m
@@ -243,6 +265,7 @@ def _rays(origins_m: FloatRays, vectors_m: FloatRays) -> FloatRays:
 def _contiguous(
     origins_m: FloatRays, vectors_m: FloatRays
 ) -> tuple[FloatRays, FloatRays]:
+    """Origins and vectors as embreex takes them."""
     origins, vectors = (
         np.ascontiguousarray(one, np.float32) for one in (origins_m, vectors_m)
     )
@@ -251,9 +274,11 @@ def _contiguous(
 
 @cache
 def _open3d_or_reason() -> tuple[Any, str | None]:
+    """The module open3d and None, or None and why it cannot load."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # those of Open3D's own imports
+            # Those of Open3D's own imports.
+            warnings.simplefilter("ignore")
             import open3d
     except (ImportError, OSError) as error:
         library = str(error).split(":")[0]

@@ -55,17 +55,12 @@ class Site:
         Whether it may carry units, must, or must not.
     """
 
-    id: str  #: name
-    position_m: (
-        Point3  #: (3,), foot of the pole, or the point of the road below. World frame
-    )
-    kind: str  #: "lamp post", "traffic light" or "mast arm"
-    height_range_m: Point2  #: (2,), lowest and highest mount above the road
-    capacity_units: int  #: how many units it can carry
-    cost_eur: float = (
-        0.0  #: of power, network and bracket, paid once if it carries anything
-    )
-    #: "free", "forced" or "forbidden": whether it may, must or must not carry any
+    id: str
+    position_m: Point3
+    kind: str
+    height_range_m: Point2
+    capacity_units: int
+    cost_eur: float = 0.0
     use: str = "free"
 
     def __post_init__(self) -> None:
@@ -99,11 +94,21 @@ class Site:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instance:
-    """One thing of a scene: its id, unique there, and its class, one of ``CLASS_NAMES``."""
+    """One thing of a scene.
+
+    Its id is unique there; its class is one of ``CLASS_NAMES``.
+
+    Attributes
+    ----------
+    id, class_name : str
+        Its name, and its kind.
+    is_height_assumed : bool
+        The sources do not tell its height.
+    """
 
     id: str
     class_name: str
-    is_height_assumed: bool = False  # the sources do not tell it
+    is_height_assumed: bool = False
 
     def __post_init__(self) -> None:
         check_name(self.id, f"instance {self.id}.id")
@@ -112,7 +117,9 @@ class Instance:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeadingRoad:
-    """A road of the map that leads to a junction, counted without looking at its lanes' lines.
+    """A road of the map that leads to a junction.
+
+    It is counted without looking at the lines of its lanes.
 
     Attributes
     ----------
@@ -126,14 +133,10 @@ class LeadingRoad:
         Driving lanes into the junction and out of it, by the map's own words.
     """
 
-    name: str  # of the street, or else the id that the map gives it
-    point_m: (
-        Point2  # (2,); where it meets the junction's outline, or a little farther out
-    )
-    direction: Point2  # (2,); unit vector away from the junction
-    lanes_in: (
-        int  # driving lanes into the junction and out of it, by the map's own words
-    )
+    name: str
+    point_m: Point2
+    direction: Point2
+    lanes_in: int
     lanes_out: int
 
     def __post_init__(self) -> None:
@@ -143,37 +146,66 @@ class LeadingRoad:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """Everything that stands still. World frame, metres."""
+    """Everything that stands still. World frame, metres.
 
-    name: str  #: of the junction
-    vertices_m: FloatArray  #: (n_vertices, 3)
-    triangles: NDArray[np.int32]  #: (n_triangles, 3), vertex indices
-    triangle_instance: NDArray[np.int32]  #: (n_triangles,), index into `instances`
-    instances: tuple[Instance, ...]  #: things of the scene
-    sites: tuple[Site, ...]  #: where sensors can be mounted
-    outline_m: FloatArray  #: (n, 2), of the junction's road surface
-    lanes: "tuple[Lane, ...]"  #: of the junction's arms
-    # : coordinate reference system of the world frame, for pyproj; empty: unknown
+    Attributes
+    ----------
+    name : str
+        Name of the junction.
+    vertices_m : (n_vertices, 3) float
+        Corners of all triangles. [m]
+    triangles : (n_triangles, 3) int32
+        Vertex indices.
+    triangle_instance : (n_triangles,) int32
+        Index into `instances`.
+    instances : tuple of Instance
+        Things of the scene.
+    sites : tuple of Site
+        Where sensors can be mounted.
+    outline_m : (n, 2) float
+        Outline of the junction's road surface. [m]
+    lanes : tuple of Lane
+        Lanes of the junction's arms.
+    crs : str
+        Coordinate reference system of the world frame, for pyproj; empty:
+        unknown.
+    crosswalks_m : (n, 2, 2) float
+        Lines on which pedestrians cross an arm, from end to end. [m]
+    road_network : str
+        OpenDRIVE file with the same roads in the same frame; empty: none.
+    keeps_left : bool
+        Traffic keeps left.
+    source_crs : str
+        Coordinate reference system of the map it was made from, for results;
+        empty: `crs`.
+    source_origin_m : (2,) float
+        The world frame's origin in the coordinates of a map that names no place
+        on earth. [m]
+    zero_height_m : float or None
+        Height of z = 0, such as above the sea; None: unknown. [m]
+    notes : tuple of Note
+        What was assumed or left out when it was made of maps.
+    roads : tuple of LeadingRoad
+        Roads that lead to the junction; empty: the map does not say.
+    """
+
+    name: str
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+    triangle_instance: NDArray[np.int32]
+    instances: tuple[Instance, ...]
+    sites: tuple[Site, ...]
+    outline_m: FloatArray
+    lanes: "tuple[Lane, ...]"
     crs: str
-    #: (n, 2, 2), lines on which pedestrians cross an arm, from end to end
     crosswalks_m: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
-    road_network: str = (
-        ""  #: OpenDRIVE file with the same roads in the same frame; empty: none
-    )
-    keeps_left: bool = False  #: traffic keeps left
-    source_crs: str = ""  #: that of the map it was made from, for results; empty: `crs`
-    # : (2,), the world frame's origin in the coordinates of a map that names no place
-    # on earth
+    road_network: str = ""
+    keeps_left: bool = False
+    source_crs: str = ""
     source_origin_m: FloatArray = field(default_factory=lambda: np.zeros(2))
-    zero_height_m: float | None = (
-        None  #: of z = 0, such as above the sea; None: unknown
-    )
-    notes: tuple[
-        Note, ...
-    ] = ()  #: what was assumed or left out when it was made of maps
-    roads: tuple[
-        LeadingRoad, ...
-    ] = ()  #: that lead to the junction; none: the map does not say
+    zero_height_m: float | None = None
+    notes: tuple[Note, ...] = ()
+    roads: tuple[LeadingRoad, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, "scene: name")
@@ -205,6 +237,7 @@ class Scene:
                 raise InputError(
                     where, int(outside[0]), f"indices from 0 to {limit - 1}"
                 )
+        # An id stands for one thing in results.
         for kind, ids in (
             ("site", [site.id for site in self.sites]),
             ("instance", [instance.id for instance in self.instances]),
@@ -242,18 +275,34 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
-    """One lane of an arm."""
+    """One lane of an arm.
 
-    id: str  # name in the source
-    # "driving", "parking", "cycling"; "connecting": through a junction, from the end of
-    # one lane to the start of another; or "assumed": straight on from beyond the map to
-    # the start of one
+    Attributes
+    ----------
+    id : str
+        Name in the source.
+    kind : str
+        "driving", "parking", "cycling"; "connecting": through a junction, from
+        the end of one lane to the start of another; or "assumed": straight on
+        from beyond the map to the start of one.
+    width_m : float
+        Full width, within ``LANE_WIDTH_M``. [m]
+    centreline_m : (n, 2) float
+        Points of its middle in driving direction. World frame. [m]
+    speed_limit_kmh : float or None
+        Speed limit where it leads into the junction; None: unknown, or there
+        is none. [km/h]
+    turns : tuple of Turn
+        Movements from its end, by its markings; empty: it bears none.
+    """
+
+    id: str
     kind: Annotated[str, Meta(min_length=1)]
     width_m: Annotated[float, Meta(gt=0.0)]  # full width, see :func:`is_lane_width`
     centreline_m: Points2  # (n, 2); in driving direction. World frame.
     # where it leads into the junction; None: unknown, or there is none
     speed_limit_kmh: Annotated[float, Meta(gt=0.0)] | None = None
-    turns: tuple[Turn, ...] = ()  # from its end, by its markings; empty: it bears none
+    turns: tuple[Turn, ...] = ()
 
     def __post_init__(self) -> None:
         where = f"lane {self.id}"
@@ -297,7 +346,8 @@ def _check_count(count: int, most: int, where: str) -> None:
 
 # One thing of a scene: instance, vertices (world frame) and triangles.
 Body = tuple[Instance, FloatArray, Any]
-Mesh = tuple[FloatArray, NDArray[np.int32]]  # vertices (n, 3) and triangles (m, 3)
+# Vertices (n, 3) and triangles (m, 3).
+Mesh = tuple[FloatArray, NDArray[np.int32]]
 
 
 def join(meshes: Sequence[tuple[FloatArray, NDArray[Any]]]) -> Mesh:
@@ -323,7 +373,9 @@ def join_bodies(bodies: Sequence[Body]) -> dict[str, Any]:
 
 
 def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
-    """The building, wall, plant or parked vehicle that a point lies in; None in the open air.
+    """The building, wall, plant or parked vehicle that a point lies in.
+
+    None in the open air.
 
     Posts and masts carry sensors and are not looked at.
 
@@ -340,10 +392,12 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
         corners = (
             scene.vertices_m[scene.triangles[scene.triangle_instance == index]] - point
         )
+        # The point is outside of the thing's box.
         if (corners.min(axis=(0, 1)) > 0.0).any() or (
             corners.max(axis=(0, 1)) < 0.0
         ).any():
             continue
+        # The solid angle of each triangle, as seen from the point.
         a, b, c = np.swapaxes(corners, 0, 1)
         length_a, length_b, length_c = (
             np.linalg.norm(side, axis=1) for side in (a, b, c)
@@ -362,22 +416,34 @@ def containing_instance(scene: Scene, position_m: ArrayLike) -> Instance | None:
 
 
 def road_area(scene: Scene) -> Any:
-    """Area of a scene's lanes and its junction: a shapely geometry, world frame, metres."""
+    """Area of a scene's lanes and its junction.
+
+    It is a shapely geometry in the world frame, in metres.
+    """
     return covered_area(scene.outline_m, scene.lanes)
 
 
 def covered_area(outline_m: FloatArray, lanes: Sequence[Lane]) -> Any:
-    """Area of lanes and of a junction's outline (n, 2): a shapely geometry in metres."""
+    """Area of lanes and of a junction's outline (n, 2).
+
+    It is a shapely geometry in metres.
+    """
     return shapely.union_all([area_of(outline_m), *strips_of(lanes)])
 
 
 def area_of(outline_m: FloatArray) -> Any:
-    """Area within an outline (n, 2), which may cross itself: a shapely geometry in metres."""
+    """Area within an outline (n, 2), which may cross itself.
+
+    It is a shapely geometry in metres.
+    """
     return shapely.make_valid(shapely.Polygon(outline_m))
 
 
 def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
-    """Surfaces of lanes, or of what is left of them some metres inside their edges: polygons."""
+    """Surfaces of lanes as polygons, `less_m` metres inside their edges.
+
+    A lane of a single point has none.
+    """
     return [
         shapely.LineString(lane.centreline_m).buffer(
             max(0.5 * lane.width_m - less_m, 0.0), cap_style="flat"
@@ -389,7 +455,9 @@ def strips_of(lanes: Iterable[Lane], *, less_m: float = 0.0) -> list[Any]:
 
 @lru_cache(maxsize=4096)
 def thing_footprint(scene: Scene, index: int) -> Any:
-    """A thing's triangles seen from above, put together: a shapely polygon or several, with holes.
+    """A thing's triangles seen from above, put together.
+
+    The result is a shapely polygon or several, with holes.
 
     It is empty where the thing is but a line from above. World frame, metres.
     """
@@ -403,5 +471,6 @@ def flat_union(corners_m: FloatArray) -> Any:
     flat = corners_m[..., :2]
     one = flat[:, 1] - flat[:, 0]
     other = flat[:, 2] - flat[:, 0]
+    # Upright triangles have no area from above.
     double_area = np.abs(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0])
     return shapely.union_all(shapely.polygons(flat[double_area > _MIN_AREA_M2]))

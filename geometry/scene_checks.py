@@ -1,4 +1,8 @@
-"""Look for mistakes in a scene: holes, things that float or overlap, sites inside walls."""
+"""Look for mistakes in a scene.
+
+These are holes, things that float or overlap, and sites inside walls, among
+others.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,20 +40,25 @@ _FLOATING_M = 0.5
 _SUNK_M = 3.0
 _FLOOR_M = 0.1
 _OVERLAP_M2 = 1.0
-_SAME_SHARE = 0.8  # of the ground of two buildings that are one
+# Of the ground of two buildings that are one.
+_SAME_SHARE = 0.8
 _ON_ROAD_M2 = 2.0
 _STANDING = ("building", "wall", "vegetation")
 _MAX_NAMES = 6
-_AT_KERB_M = 0.05  # digits of a file
-_OPPOSITE = (
-    -0.8
-)  # cosine of the angle between lanes of one road; roads that cross meet at less
-_BESIDE_M = 0.5  # along a lane, to tell its direction
+# Digits of a file.
+_AT_KERB_M = 0.05
+# Cosine of the angle between lanes of one road; roads that cross meet at less.
+_OPPOSITE = -0.8
+# Along a lane, to tell its direction.
+_BESIDE_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What may be wrong, and why: an error makes results wrong, a warning may be as it is."""
+    """What may be wrong, and why.
+
+    An error makes results wrong; a warning may be as it is.
+    """
 
     level: Literal["error", "warning"]
     what: str
@@ -74,6 +83,7 @@ def check_scene(scene: Scene) -> list[Finding]:
 
 
 def _check_roads(scene: Scene) -> Iterator[Finding]:
+    """Findings about lanes, arms and crosswalks."""
     try:
         junction = build_junction(scene)
     except InputError:
@@ -101,7 +111,10 @@ def _check_roads(scene: Scene) -> Iterator[Finding]:
 
 
 def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Pairs of driving lanes that run in opposite directions and whose middles cross, by id."""
+    """Pairs of driving lanes that run against each other and cross, by id.
+
+    It is their middles that cross.
+    """
     lanes = [
         lane
         for lane in scene.lanes
@@ -114,6 +127,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
         pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T
     else:
         pairs = ()
+    # Each pair once.
     for one, other in ((a, b) for a, b in pairs if a < b):
         for point in shapely.get_coordinates(
             shapely.intersection(lines[one], lines[other])
@@ -128,6 +142,7 @@ def lanes_that_cross(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def _direction(line: Any, point: Any) -> FloatArray:
+    """Unit vector along a line, (2,), at the place nearest to a point."""
     at_m = line.project(point)
     begin, end = (
         line.interpolate(max(at_m + off_m, 0.0)) for off_m in (-_BESIDE_M, _BESIDE_M)
@@ -136,7 +151,10 @@ def _direction(line: Any, point: Any) -> FloatArray:
 
 
 def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Arms that the map does not follow as far as VUT and VRU come from, and what is assumed."""
+    """Arms that the map does not follow far enough, and what is assumed.
+
+    Far enough is as far as VUT and VRU come from.
+    """
     junction = build_junction(scene)
     for name, arm in junction.arms.items():
         ends_m = [
@@ -162,7 +180,9 @@ def arms_that_end(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[Finding]:
-    """Compare the arms of a junction, found by its lanes, with the roads that lead to it.
+    """Compare a junction's arms with the roads that lead to it.
+
+    The arms were found by the junction's lanes.
 
     Parameters
     ----------
@@ -206,6 +226,7 @@ def compare_arms(junction: Junction, roads: Sequence[LeadingRoad]) -> Iterator[F
 
 
 def _check_sites(scene: Scene) -> Iterator[Finding]:
+    """Findings about sites: in the air, in the ground, or inside a thing."""
     if not scene.sites:
         yield _error("sites", "none: nothing can be mounted")
     for site in scene.sites:
@@ -232,6 +253,7 @@ def _check_sites(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
+    """Errors for poles that stand on a lane or in the junction."""
     feet = np.array([site.position_m[:2] for site in sites])
     junction = area_of(scene.outline_m).buffer(-_AT_KERB_M)
     mapped = [
@@ -259,6 +281,7 @@ def _check_feet(scene: Scene, sites: Sequence[Site]) -> Iterator[Finding]:
 
 
 def _check_meshes(scene: Scene) -> Iterator[Finding]:
+    """Findings about things: holes, heights and faces that look inwards."""
     import trimesh
 
     holes = "its surface has holes above the floor"
@@ -276,6 +299,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         faces = scene.triangles[scene.triangle_instance == index]
         if thing.class_name not in _STANDING or not len(faces):
             continue
+        # The mesh of this thing alone.
         used, local = np.unique(faces, return_inverse=True)
         mesh = trimesh.Trimesh(
             scene.vertices_m[used], local.reshape(-1, 3), process=False
@@ -293,9 +317,8 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
         _, first, count = np.unique(
             edges, axis=0, return_index=True, return_counts=True
         )
-        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(
-            axis=1
-        )  # a triangle on one side
+        # A triangle on one side.
+        tops = mesh.vertices[edges[first[count == 1]]][..., 2].max(axis=1)
         if (tops > low + _FLOOR_M).any():
             found[holes].append(thing.id)
         elif mesh.is_watertight and mesh.volume < 0.0:
@@ -306,6 +329,7 @@ def _check_meshes(scene: Scene) -> Iterator[Finding]:
 
 
 def _check_footprints(scene: Scene) -> Iterator[Finding]:
+    """Warnings of things that overlap on the ground or stand on the road."""
     things = enumerate(scene.instances)
     solid = [
         (one.id, at) for at, one in things if one.class_name in ("building", "wall")
@@ -325,6 +349,7 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
     for a, b, area in zip(one.tolist(), other.tolist(), overlaps.tolist(), strict=True):
         if area > _OVERLAP_M2:
             smaller_m2, larger_m2 = sorted((areas[a].area, areas[b].area))
+            # Two buildings of about the same size that overlap are one and the same.
             is_same = (
                 area > _SAME_SHARE * smaller_m2 and smaller_m2 > _SAME_SHARE * larger_m2
             )
@@ -349,5 +374,6 @@ def _check_footprints(scene: Scene) -> Iterator[Finding]:
 
 
 def _names(ids: list[str]) -> str:
+    """The first ids, with commas between, and how many are left."""
     left = len(ids) - _MAX_NAMES
     return ", ".join(ids[:_MAX_NAMES]) + (f" and {left} more" if left > 0 else "")

@@ -1,4 +1,6 @@
-"""Scenes from disk and to it: the study's junction, folders, archives, and maps on the way in.
+"""Scenes from disk and to it.
+
+They are the study's junction, folders, archives, and maps on the way in.
 
 A scene's folder has ``scene.toml`` for people (name, coordinate reference systems,
 lanes, crosswalks, outline, sites, the list of things and what the import left out) and
@@ -18,38 +20,34 @@ from typing import IO, Any
 import numpy as np
 from msgspec import Struct, structs
 
+from .archives import refuse_bomb
 from .arrays import FloatArray, Point2, Points2
 from .errors import InputError, Unquoted, refuse
-from .files import (
-    MAX_TOML_BYTES,
-    Text,
-    check_file,
-    load_toml,
-    open_file,
-    open_new,
-    read_table,
-    reading,
-    write_atomically,
-)
 from .frames import from_gltf_points, parse_crs, to_gltf_points
+from .gltf import check_gltf, mesh_resolver
 from .notes import Kind, Note
+from .opening import check_file, open_file, reading
 from .phrases import Phrase, pack_phrase, unpack_phrase
 from .scene import Instance, Lane, LeadingRoad, Scene, Site, join_bodies
 from .study_scene import STUDY, CrosswalkEntry, crosswalk_lines, load_study_scene
-from .untrusted_files import check_gltf, mesh_resolver, refuse_bomb
+from .tables import Text, read_table
+from .text_formats import MAX_TOML_BYTES, load_toml
+from .writing import open_new, write_atomically
 
 FORMAT = "place-rsus scene"
 VERSION = 1
 SCENE_FILE = "scene.toml"
 THINGS_FILE = "things.glb"
+# Five million triangles.
 _MAX_BYTES = {
     SCENE_FILE: MAX_TOML_BYTES,
     THINGS_FILE: 300_000_000,
-}  # five million triangles
+}
 _MILLIMETRES = 3
 _HEAD = """\
 # A junction for place-rsus: place-rsus --scene THIS_FOLDER --budget 3
-# East, north and height above the road in metres. Things are meshes in things.glb, under their ids.
+# East, north and height above the road in metres. \
+Things are meshes in things.glb, under their ids.
 # To change by hand: sites (where sensors may hang), crosswalks, lanes.
 """
 _LANE_FIELDS = ["id", "kind", "width_m", "centreline_m"]
@@ -75,14 +73,21 @@ def load_scene(
 ) -> Scene:
     """Load the scene of a junction from wherever it is.
 
-    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder or
-    .zip file that :func:`save_scene` has written; or a map with roads, such as
-    "city.osm" or "city.xodr", of which one junction is cut out. Of a map, `junction` is
-    an id, streets or "latitude,longitude", or `at` a point within 100 m in the map's
-    own coordinates; by default the one with the most arms and lanes. `sites`: see
-    :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by default what the
-    map says. Raises InputError: there is no scene and no map, or it cannot be read.
+    `source`: nothing or "town05" is the junction of the CarlaNCAP study; a folder
+    or .zip file that :func:`save_scene` has written; or a map with roads, such as
+    "city.osm" or "city.xodr", of which one junction is cut out. Of a map,
+    `junction` is an id, streets or "latitude,longitude", or `at` a point within 100
+    m in the map's own coordinates; by default the one with the most arms and lanes.
+    `sites`: see :class:`geometry.maps.importing.ImportOptions`. `keeps_left`: by
+    default what the map says.
 
+    Raises
+    ------
+    InputError
+        There is no scene and no map, or it cannot be read.
+
+    Examples
+    --------
     >>> load_scene()
     Scene('town05', 1266 triangles, 41 instances, 28 sites)
     """
@@ -107,7 +112,10 @@ def load_scene(
 
 
 def has_scene(path: Path) -> bool:
-    """True if a path is a folder, or a scene's archive, if a damaged one; maps may be .zip, too."""
+    """True if a path is a folder, or the archive of a scene.
+
+    A damaged archive counts. Maps may be .zip, too.
+    """
     if path.is_dir():
         return True
     if path.suffix.lower() != ".zip" or not path.exists():
@@ -155,7 +163,16 @@ class _FolderScene(Struct, frozen=True, kw_only=True):
 def save_scene(
     folder: str | Path, scene: Scene, *, sources: Sequence[str] = ()
 ) -> None:
-    """Write ``scene.toml``, to a millimetre, and ``things.glb`` into a folder that exists."""
+    """Write ``scene.toml`` and ``things.glb`` into a folder that exists.
+
+    ``scene.toml`` is exact to a millimetre. `sources` are names of the files
+    that the scene was made from.
+
+    Raises
+    ------
+    OSError
+        The system refuses to write.
+    """
     import tomlkit
 
     folder = Path(folder)
@@ -195,6 +212,7 @@ def save_scene(
         "skipped": [_note_entry(note) for note in scene.notes],
         "roads": [_entry(road, *_ROAD_FIELDS) for road in scene.roads],
     }
+    # The file with the meshes comes first: a folder without scene.toml is no scene.
     text = _HEAD + tomlkit.dumps(table)
     write_atomically(folder / THINGS_FILE, _to_glb(scene))
     write_atomically(folder / SCENE_FILE, text)
@@ -227,6 +245,7 @@ def load_scene_folder(path: Path) -> Scene:
         bodies.append((instance, *meshes[thing.id]))
     if not bodies:
         refuse(f"{where}: things", "none", "at least the ground")
+    # An unknown reference system would be found out only when results are written.
     for key, crs in (("crs", table.crs), ("source_crs", table.source_crs)):
         check_crs(crs, f"{where}: {key}")
     fields = structs.asdict(table)
@@ -234,7 +253,8 @@ def load_scene_folder(path: Path) -> Scene:
         "crosswalks",
         "things",
         "skipped",
-    ):  # these have other forms in a scene
+    ):
+        # These have other forms in a scene.
         del fields[name]
     with _named(path):
         notes = tuple(
@@ -320,7 +340,10 @@ def pack_scene(folder: Path, archive: Path) -> None:
 
 @contextmanager
 def _as_folder(path: Path) -> Iterator[Path]:
-    """The folder itself, or what a .zip file of it holds, for as long as it is needed."""
+    """The folder itself, or a temporary one with what a .zip file holds.
+
+    The temporary folder is there for as long as the block runs.
+    """
     if not path.exists():
         refuse(str(path), "nothing there", "a scene: a folder or .zip file")
     if path.is_dir():
@@ -342,9 +365,8 @@ def _as_folder(path: Path) -> Iterator[Path]:
             zipfile.ZipFile(file) as packed,
         ):
             for name, max_bytes in _MAX_BYTES.items():
-                with packed.open(
-                    name
-                ) as member:  # of the archive only these two are read
+                with packed.open(name) as member:
+                    # Of the archive only these two are read.
                     _unpack(member, Path(temporary) / name, path, max_bytes)
         yield Path(temporary)
 
@@ -372,12 +394,16 @@ def _entry(value: object, *names: str) -> dict[str, Any]:
 
 
 def _rounded(array: FloatArray) -> Any:
+    """Nested lists of an array, rounded to a millimetre."""
     # Adding 0 turns minus zero into zero.
     return (np.round(array, _MILLIMETRES) + 0.0).tolist()
 
 
 def check_crs(crs: str, where: str) -> None:
-    """Raise InputError unless a coordinate reference system is one that pyproj takes, or none."""
+    """Raise InputError unless pyproj takes a coordinate reference system.
+
+    An empty one is none, which is fine.
+    """
     from pyproj.exceptions import CRSError
 
     try:
@@ -388,6 +414,7 @@ def check_crs(crs: str, where: str) -> None:
 
 
 def _to_glb(scene: Scene) -> bytes:
+    """Meshes of all things of a scene as a .glb file, y up."""
     import trimesh
 
     meshes = trimesh.Scene()
@@ -404,6 +431,16 @@ def _to_glb(scene: Scene) -> bytes:
 
 
 def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarray]]:
+    """Vertices (n, 3) and triangles (m, 3) of a .glb file, by name.
+
+    Vertices are in the world frame, in metres. `shown` is the file's name for
+    messages.
+
+    Raises
+    ------
+    InputError
+        The file is missing, is no glTF 2, or has vertices that are not finite.
+    """
     import trimesh
 
     if not path.is_file():
@@ -427,7 +464,8 @@ def _read_glb(path: Path, *, shown: str) -> dict[str, tuple[FloatArray, np.ndarr
         raise InputError(
             where, error.got, f"glTF 2.0 (.glb): {error.expected}"
         ) from None
-    except Exception as error:  # trimesh raises whatever its parts do
+    except Exception as error:
+        # Trimesh raises whatever its parts do.
         got = Unquoted(f"{type(error).__name__}: {error}")
         raise InputError(shown, got, "glTF 2.0 (.glb)") from None
     for name, (vertices, _) in meshes.items():

@@ -1,4 +1,7 @@
-"""Camera models: intrinsics, projection, field of view; and the limits of all sensors and sites."""
+"""Camera models, and the limits of all sensors and sites.
+
+Camera models have intrinsics, projection and field of view.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,54 +14,75 @@ from numpy.typing import ArrayLike
 
 from .arrays import BoolArray, FloatArray, freeze
 from .errors import InputError, Unquoted, check_field, refuse
-from .files import read_data
 from .lenses import BrownConrady, CalibratedCamera, Lens, TsaiRadial
 from .phrases import Phrase
 from .poses import Pose, camera_rotation
+from .tables import read_data
 
 LENS_FIELDS = ("lens", "principal_point", "pixel_aspect", "roll_deg")
 SEEN_RAD = 1.5
-"""Angle off the axis beyond which pictures through lenses are not looked at: about 86 degrees."""
+"""Largest angle off the axis that counts in pictures of lenses: about 86 degrees."""
 
 
 _N_BORDER = 64
-_MARGIN = 1.02  # for what lies between the points that are tried
+# For what lies between the points that are tried.
+_MARGIN = 1.02
 _SHARES = Meta(description="[x, y] in widths and heights of the picture")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
-    """A camera: an ideal pinhole with square pixels and its axis in the middle, or a lens.
+    """A camera: an ideal pinhole, or one with a lens.
+
+    The pinhole has square pixels and its axis in the middle.
 
     With a lens the field of view is what the picture shows: half a width from the
     principal point is a ray at half of `horizontal_fov_deg`, tangential terms aside.
+
+    Attributes
+    ----------
+    name : str
+        Name in the catalogue.
+    width_px, height_px : int
+        Resolution. [px]
+    horizontal_fov_deg : float
+        Full angle across the width, more than 0 and less than 180; of a fisheye
+        maybe more. [deg]
+    frame_rate_hz : float
+        Images per second. [Hz]
+    near_m : float
+        What is nearer to the lens is not drawn: housing, bracket and pole. [m]
+    price_eur : float
+        Price of one unit. [EUR]
+    fov_range_deg : (float, float) or None
+        Least and largest horizontal field of view of a varifocal lens; None:
+        the lens is fixed. [deg]
+    lens : Lens or None
+        How it distorts; None: not at all.
+    principal_point : (float, float) or None
+        Where the axis meets the picture, in widths and heights of it; None: in
+        its middle.
+    pixel_aspect : float or None
+        Focal length in rows over that in columns; None: 1.
+    roll_deg : float or None
+        Turn about the axis, clockwise seen from behind; None: 0. [deg]
     """
 
-    name: str  #: in the catalogue
+    name: str
     width_px: int
     height_px: int
-    # : full angle across the width, more than 0 and less than 180; of a fisheye maybe
-    # more
     horizontal_fov_deg: float
-    frame_rate_hz: float  #: images per second
-    near_m: float  #: what is nearer to the lens is not drawn: housing, bracket and pole
-    price_eur: float  #: of one unit
-    # : least and largest horizontal field of view of a varifocal lens; None: the lens
-    # is fixed
+    frame_rate_hz: float
+    near_m: float
+    price_eur: float
     fov_range_deg: (
         Annotated[tuple[float, float], Meta(description="[low, high] in degrees")]
         | None
     ) = None
-    lens: Lens | None = None  #: how it distorts; None: not at all
-    # : where the axis meets the picture, in widths and heights of it; None: in its
-    # middle
+    lens: Lens | None = None
     principal_point: Annotated[tuple[float, float], _SHARES] | None = None
-    pixel_aspect: float | None = (
-        None  #: focal length in rows over that in columns; None: 1
-    )
-    roll_deg: float | None = (
-        None  #: turn about the axis, clockwise seen from behind; None: 0
-    )
+    pixel_aspect: float | None = None
+    roll_deg: float | None = None
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, self.name)
@@ -78,6 +102,7 @@ class CameraModel:
             )
         most_deg = 180.0
         why = ""
+        # A lens may show more than a pinhole can, or less.
         if self.bent is not None:
             most_deg = min(360.0, 2.0 * math.degrees(self.bent.widest_rad))
             if most_deg < 180.0:
@@ -129,7 +154,10 @@ class CameraModel:
 
     @property
     def is_pinhole(self) -> bool:
-        """True if it is an ideal one, with square pixels and its axis level in the middle."""
+        """True if it is an ideal pinhole.
+
+        Its pixels are square, and its axis is level and in the middle.
+        """
         is_plain = self.principal_point in (None, (0.5, 0.5)) and self.pixel_aspect in (
             None,
             1.0,
@@ -164,7 +192,10 @@ class CameraModel:
 
     @property
     def diagonal_fov_deg(self) -> float:
-        """Full angle across the diagonal, in degrees: the image lies within this cone."""
+        """Full angle across the diagonal, in degrees.
+
+        The image lies within a cone of this angle.
+        """
         if not self.is_pinhole:
             return _widest_fov_deg(self)
         half_diagonal_px = 0.5 * math.hypot(self.width_px, self.height_px)
@@ -217,11 +248,17 @@ class _Assumed(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 def calibrated_sensor(name: str, camera: CalibratedCamera) -> tuple[CameraModel, Pose]:
-    """Sensor and pose of a calibrated camera; ``data/calibrated.toml`` has what its file does not.
+    """Sensor and pose of a calibrated camera.
 
-    Raises InputError: half a width from its principal point the lens shows nothing.
+    ``data/calibrated.toml`` has what the camera's file does not tell.
+
+    Raises
+    ------
+    InputError
+        Half a width from its principal point the lens shows nothing.
     """
     assumed = read_data(__package__, "calibrated.toml", _Assumed)
+    # Rows of the rotation are the camera's axes in the world frame.
     right, _, ahead = camera.R_camera_world
     yaw_rad = np.arctan2(ahead[1], ahead[0])
     pitch_rad = np.arcsin(ahead[2].clip(-1, 1))
@@ -276,7 +313,9 @@ def to_calibrated(camera: CameraModel, pose: Pose) -> CalibratedCamera:
 
 
 def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
-    """Columns and rows (n, 2) of points (n, 2) at depth 1 in the picture's axes, through the lens.
+    """Columns and rows (n, 2) of points (n, 2) seen through the lens.
+
+    The points are at depth 1 in the picture's axes.
 
     Beyond what is shown they lie straight on, as seen from the principal point: so
     boxes around bodies grow with them. :func:`is_shown` tells which these are.
@@ -285,6 +324,7 @@ def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
     points = at_depth_1 @ roll_axes(camera)
     radius = np.hypot(points[:, 0], points[:, 1])
     with np.errstate(invalid="ignore"):
+        # Points beyond the reach are shown at the reach, and moved out again.
         beyond = np.maximum(1.0, radius / (_reach(camera) * (1.0 - 1.0e-12)))[:, None]
         shown = lens.distort(points / beyond) * beyond
     scale = camera.focal_length_px * np.array([1.0, camera.pixel_aspect or 1.0])
@@ -292,7 +332,10 @@ def shown_points(at_depth_1: FloatArray, camera: CameraModel) -> FloatArray:
 
 
 def is_shown(at_depth_1: FloatArray, camera: CameraModel) -> BoolArray:
-    """True of points (n, 2) at depth 1 that a lens shows, if the picture is large enough."""
+    """True for points (n, 2) at depth 1 that a lens shows.
+
+    The picture is taken to be large enough.
+    """
     return np.asarray(np.hypot(at_depth_1[:, 0], at_depth_1[:, 1]) <= _reach(camera))
 
 
@@ -328,7 +371,9 @@ def project_points(points_m: ArrayLike, pose: Pose, camera: CameraModel) -> Floa
 def picture_rays(
     columns_px: ArrayLike, rows_px: ArrayLike, camera: CameraModel
 ) -> FloatArray:
-    """Points (n, 2) at depth 1, right and down, that points of a picture show; NaN: none.
+    """Points (n, 2) at depth 1 that points of a picture show.
+
+    They are right and down; NaN where the picture shows none.
 
     The inverse of :func:`shown_points`.
     """
@@ -342,9 +387,13 @@ def picture_rays(
     return rays
 
 
-@lru_cache(maxsize=4)  # 33 MB each at 1080 rows
+# 33 MB each at 1080 rows.
+@lru_cache(maxsize=4)
 def pixel_grid(camera: CameraModel) -> FloatArray:
-    """Points (height, width, 2) at depth 1 that the middles of all pixels show; NaN: none."""
+    """Points (height, width, 2) at depth 1 that the middles of pixels show.
+
+    NaN where a pixel shows none.
+    """
     rows, columns = np.indices((camera.height_px, camera.width_px)).reshape(2, -1) + 0.5
     rays = picture_rays(columns, rows, camera)
     return freeze(rays.reshape(camera.height_px, camera.width_px, 2))
@@ -362,7 +411,7 @@ def _widest_fov_deg(camera: CameraModel) -> float:
 
 @lru_cache(maxsize=64)
 def sharpest_px_per_rad(camera: CameraModel) -> float:
-    """Most pixels that an angle of one radian takes up anywhere in the picture of a lens."""
+    """Most pixels per radian anywhere in the picture of a lens."""
     sides_px = (camera.width_px, camera.height_px)
     x, y = np.meshgrid(*(np.linspace(0.0, side, _N_BORDER) for side in sides_px))
     ways = []
@@ -372,13 +421,18 @@ def sharpest_px_per_rad(camera: CameraModel) -> float:
         rays = picture_rays((x + inwards).ravel(), (y + down).ravel(), camera)
         way = np.column_stack([rays, np.ones(len(rays))])
         ways.append(way / np.linalg.norm(way, axis=1, keepdims=True))
+    # Change of direction per pixel, in both directions of the picture.
     turns = np.stack([ways[1] - ways[0], ways[2] - ways[0]], axis=2) / 0.5
     turns = turns[np.isfinite(turns).all(axis=(1, 2))]
     return float(_MARGIN / np.linalg.svd(turns, compute_uv=False)[:, 1].min())
 
 
 def roll_axes(camera: CameraModel) -> FloatArray:
-    """Points (n, 2) in the axes of a level camera times this, (2, 2), are in the picture's."""
+    """Axes that turn a level camera's points into the picture's, (2, 2).
+
+    Points (n, 2) in the axes of a level camera times this matrix are in the
+    picture's.
+    """
     roll_rad = math.radians(camera.roll_deg or 0.0)
     cos = math.cos(roll_rad)
     sin = math.sin(roll_rad)
@@ -386,13 +440,17 @@ def roll_axes(camera: CameraModel) -> FloatArray:
 
 
 def rolled(rotation: FloatArray, camera: CameraModel) -> FloatArray:
-    """Rotation (3, 3) from the frame of the camera, given that from the frame of a level one."""
+    """Rotation (3, 3) from the frame of a camera that may be rolled.
+
+    `rotation` is that from the frame of a level one.
+    """
     if not camera.roll_deg:
         return rotation
     return np.column_stack([rotation[:, :2] @ roll_axes(camera), rotation[:, 2]])
 
 
 def _reach(camera: CameraModel) -> float:
+    """Radius at depth 1 up to which points of a camera's picture count."""
     if camera.lens is None:
         reach = math.inf
     else:

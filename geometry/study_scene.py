@@ -1,4 +1,6 @@
-"""The study's junction, and others described like it: boxes, walls, poles and rows of parked cars.
+"""The study's junction, and others that are described like it.
+
+They consist of boxes, walls, poles and rows of parked cars.
 
 Such a scene is one TOML file in CARLA's frame, laid out as ``data/town05.toml``.
 """
@@ -17,10 +19,11 @@ from msgspec import Meta, Struct
 from .actors import PlacedActor, park_row, pick_actor
 from .arrays import FloatArray, Point2, Points2, Segment2
 from .errors import InputError
-from .files import Text, load_toml, read_table
 from .frames import from_carla_points, from_carla_yaw
 from .poses import Pose, to_world
 from .scene import Body, Instance, Lane, Scene, Site, join_bodies
+from .tables import Text, read_table
+from .text_formats import load_toml
 
 STUDY = "town05"
 _POLE_SECTIONS = 10
@@ -28,6 +31,8 @@ _Positive = Annotated[float, Meta(gt=0.0)]
 
 
 class _Building(Struct, frozen=True, kw_only=True):
+    """A box, in CARLA's frame; its position is the middle of the ground."""
+
     id: Text
     position_m: Point2
     yaw_deg: float
@@ -37,6 +42,8 @@ class _Building(Struct, frozen=True, kw_only=True):
 
 
 class _Wall(Struct, frozen=True, kw_only=True):
+    """A straight wall between two points, in CARLA's frame."""
+
     id: Text
     from_m: Point2
     to_m: Point2
@@ -68,6 +75,8 @@ class _NamedRow(ParkedRow, frozen=True, kw_only=True):
 
 
 class _Mount(Struct, frozen=True, kw_only=True):
+    """What poles and mast arms have in common: a cylinder and a site."""
+
     id: Text
     radius_m: _Positive
     height_m: _Positive
@@ -78,11 +87,15 @@ class _Mount(Struct, frozen=True, kw_only=True):
 
 
 class _Pole(_Mount, frozen=True, kw_only=True):
+    """A vertical pole; its position is the foot, in CARLA's frame."""
+
     kind: Text
     position_m: Point2
 
 
 class _MastArm(_Mount, frozen=True, kw_only=True):
+    """A level arm between two points, in CARLA's frame; the site is its end."""
+
     from_m: Point2
     to_m: Point2
 
@@ -94,11 +107,15 @@ class CrosswalkEntry(Struct, frozen=True, kw_only=True):
 
 
 class _Ground(Struct, frozen=True, kw_only=True):
+    """A square of ground, in CARLA's frame."""
+
     position_m: Point2
     half_size_m: _Positive
 
 
 class _BoxScene(Struct, frozen=True, kw_only=True):
+    """A whole file, laid out as ``data/town05.toml``."""
+
     frame: Literal["carla-left-handed"]
     name: Text
     crs: Text
@@ -156,17 +173,21 @@ def crosswalk_lines(lines: Iterable[FloatArray]) -> FloatArray:
 
 
 def _site(mount: _Mount, below_m: FloatArray, kind: str) -> Site:
+    """Site of a pole or a mast arm, above a point in CARLA's frame."""
     same = ("id", "height_range_m", "capacity_units", "cost_eur", "use")
     fields: dict[str, Any] = {name: getattr(mount, name) for name in same}
     return Site(position_m=_on_road(below_m), kind=kind, **fields)
 
 
 def _on_road(point_carla_m: FloatArray, height_m: float = 0.0) -> FloatArray:
+    """A point (2,) of CARLA's frame, in the world frame, at a height, (3,)."""
     return np.append(from_carla_points(point_carla_m), height_m)
 
 
 def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
+    """All things of a file, in its order: ground, buildings, walls, the rest."""
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    # The ground is a flat square of two triangles.
     corners = (
         from_carla_points(table.ground.position_m) + table.ground.half_size_m * square
     )
@@ -217,6 +238,7 @@ def _bodies(table: _BoxScene, where: str) -> Iterator[Body]:
 def _box(
     instance: Instance, *, middle_m: FloatArray, yaw_deg: float, size_m: list[float]
 ) -> Body:
+    """A box that stands on the plane z = 0."""
     import trimesh
 
     box = trimesh.creation.box(extents=size_m)
@@ -225,6 +247,7 @@ def _box(
 
 
 def _cylinder(instance: Instance, ends_m: list[FloatArray], radius_m: float) -> Body:
+    """A cylinder between two points."""
     import trimesh
 
     pole = trimesh.creation.cylinder(

@@ -1,4 +1,6 @@
-"""Ground that is not flat: heights on a regular grid, kept as the mesh of the scene's ground.
+"""Ground that is not flat: heights on a regular grid.
+
+The heights are kept as the mesh of the scene's ground.
 
 The mesh is what rays meet, and heights are those of its triangles: bodies stand on it
 exactly. In plan everything stays as it is: paths, lanes and braking are those of the
@@ -25,8 +27,10 @@ GROUND = "ground"
 HEADROOM_M = 2.0
 """People, cyclists and cars pass below what begins higher above the ground."""
 _GRID_DECIMALS = 3
-_HALVINGS = 20  # of half a metre
-_MAX_CELLS = 150  # along each side
+# Of half a metre.
+_HALVINGS = 20
+# Along each side.
+_MAX_CELLS = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,11 +45,8 @@ class Terrain:
         Of its nodes; the ground between them is two triangles per cell. [m]
     """
 
-    # (n_columns,), (n_rows,); lines of the grid, in rising order. World frame.
     east_m: FloatArray
     north_m: FloatArray
-    # (n_rows, n_columns); of its nodes; the ground between them is two triangles per
-    # cell
     height_m: FloatArray
 
     def __post_init__(self) -> None:
@@ -62,7 +63,9 @@ class Terrain:
         )
 
     def at(self, points_m: ArrayLike) -> FloatArray:
-        """Height of the ground at points (..., 2), in metres; beyond the grid that of its edge.
+        """Height of the ground at points (..., 2), in metres.
+
+        Beyond the grid it is that of the grid's edge.
 
         >>> slope = Terrain(east_m=[0, 10], north_m=[0, 10], height_m=[[0, 1], [0, 1]])
         >>> slope.at([[5.0, 2.0], [20.0, 0.0]])
@@ -76,6 +79,7 @@ class Terrain:
         north_east = z[row + 1, column + 1]
         south_east = z[row, column + 1]
         north_west = z[row + 1, column]
+        # South-east of the diagonal and north-west of it the triangles differ.
         return np.where(
             u >= v,
             south_west + u * (south_east - south_west) + v * (north_east - south_east),
@@ -85,7 +89,9 @@ class Terrain:
     def distances(
         self, origin_m: ArrayLike, directions: ArrayLike, *, max_range_m: float
     ) -> FloatArray:
-        """How far the ground is along unit vectors (n, 3) from a point above it, (n,), in metres.
+        """Distance to the ground along unit vectors, (n,), in metres.
+
+        Vectors are (n, 3), from a point above the ground.
 
         At most `max_range_m`; what the ground does within half a metre may be missed.
 
@@ -98,6 +104,7 @@ class Terrain:
         ways = np.asarray(directions)
         steps = np.linspace(0.0, max_range_m, int(2.0 * max_range_m) + 2)
         points = origin + steps[:, None, None] * ways
+        # The first step below the ground, then halved.
         is_below = points[..., 2] <= self.at(points[..., :2])
         first = np.where(is_below.any(axis=0), is_below.argmax(axis=0), len(steps) - 1)
         near = steps[np.maximum(first - 1, 0)]
@@ -144,7 +151,15 @@ def _cell(
 
 @lru_cache(maxsize=64)
 def terrain_of(scene: Scene) -> Terrain | None:
-    """The terrain of a scene, from the mesh of its ground, or InputError; None: the plane z = 0."""
+    """Terrain of a scene, from the mesh of its ground.
+
+    None: the ground is the plane z = 0.
+
+    Raises
+    ------
+    InputError
+        The nodes of the ground are no grid.
+    """
     index = [
         number for number, one in enumerate(scene.instances) if one.class_name == GROUND
     ]
@@ -155,6 +170,7 @@ def terrain_of(scene: Scene) -> Terrain | None:
         return None
     east_m, column = np.unique(nodes[:, 0].round(_GRID_DECIMALS), return_inverse=True)
     north_m, row = np.unique(nodes[:, 1].round(_GRID_DECIMALS), return_inverse=True)
+    # Nodes of a grid, row by row from the south-west.
     order = np.lexsort((column, row))
     number = row[order] * len(east_m) + column[order]
     is_full = len(nodes) == len(east_m) * len(north_m)
@@ -191,7 +207,10 @@ def headroom_m(vertices_m: FloatArray, terrain: Terrain | None) -> float:
 
 
 def standing_footprint(scene: Scene, index: int) -> Any:
-    """Ground that a thing covers, a shapely geometry; empty where people pass below it."""
+    """Ground that a thing covers, a shapely geometry.
+
+    Empty where people pass below the thing.
+    """
     used = scene.triangles[scene.triangle_instance == index]
     if (
         len(used)
@@ -202,7 +221,10 @@ def standing_footprint(scene: Scene, index: int) -> Any:
 
 
 def houses_of(scene: Scene) -> Any:
-    """Ground that buildings and walls cover: a shapely geometry, world frame, metres."""
+    """Ground that buildings and walls cover.
+
+    It is a shapely geometry in the world frame, in metres.
+    """
     kinds = [thing.class_name for thing in scene.instances]
     solid = [index for index, kind in enumerate(kinds) if kind in ("building", "wall")]
     return shapely.union_all([standing_footprint(scene, index) for index in solid])
@@ -231,7 +253,10 @@ def pitch_on_ground_deg(
 
 
 def set_down(bodies: Sequence[PlacedActor], scene: Scene) -> tuple[PlacedActor, ...]:
-    """Bodies that stand on the ground under their middles, upright; the same ones on the plane."""
+    """Bodies set upright on the ground under their middles.
+
+    On the plane they stay the same objects.
+    """
     terrain = terrain_of(scene)
     if terrain is None:
         return tuple(bodies)
@@ -258,18 +283,19 @@ def fit_terrain(points_m: FloatArray, *, half_m: float, step_m: float) -> Terrai
     line = np.linspace(-half_m, half_m, n_cells + 1).round(_GRID_DECIMALS)
     nodes = np.stack(np.meshgrid(line, line), axis=-1)
     # One point per cell of a grid twice as fine: the mean of those in it.
+    # Averages keep the triangulation small and even.
     cell = np.floor(points_m[:, :2] / (0.5 * step_m)).astype(np.int64)
     _, member, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     sums = [np.bincount(member.ravel(), column) for column in points_m.T]
     thin: FloatArray = np.stack(sums, axis=1) / count[:, None]
     height = _between(thin, nodes)
-    if np.isnan(
-        height
-    ).all():  # points on a line, or a few: the ground next to them is as high
+    # Points on a line, or a few: the ground next to them is as high.
+    if np.isnan(height).all():
         ways = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
         aside = 0.5 * (line[1] - line[0]) * ways
         height = _between((thin[:, None] + 1.5 * aside).reshape(-1, 3), nodes)
-    if np.isnan(height).all():  # and none of them in the square
+    # And none of them in the square.
+    if np.isnan(height).all():
         height = NearestNDInterpolator(thin[:, :2], thin[:, 2])(nodes)
     _, nearest = distance_transform_edt(np.isnan(height), return_indices=True)
     filled = height[tuple(nearest)]
@@ -283,12 +309,12 @@ def _between(points_m: FloatArray, nodes_m: FloatArray) -> FloatArray:
     from threadpoolctl import threadpool_limits
 
     try:
-        with threadpool_limits(
-            1
-        ):  # of thousands of 2 x 2 systems: other BLAS threads only spin
+        with threadpool_limits(1):
+            # Of thousands of 2 x 2 systems: other BLAS threads only spin.
             height: FloatArray = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])(
                 nodes_m
             )
-    except (QhullError, ValueError):  # fewer than three points, or all on a line
+    except (QhullError, ValueError):
+        # Fewer than three points, or all on a line.
         return np.full(nodes_m.shape[:-1], np.nan)
     return height

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from .arrays import FloatArray
 from .errors import check_field
-from .files import load_data, pick, read_tables
+from .tables import pick, read_tables
+from .text_formats import load_data
 
 CONTRAST_AT_VISIBILITY = 0.05
 """Contrast that remains at the visibility (meteorological optical range, WMO-No. 8)."""
@@ -41,20 +42,16 @@ class Weather:
         How much of a mirror the road is, 0 .. 1.
     """
 
-    name: str  # "day", "night", "rain" or "fog"
-    visibility_m: float  # meteorological optical range of haze and fog, without rain
-    rain_rate_mmph: float  # rain
-    sun_elevation_deg: (
-        float  # where the sun stands: above the horizon, counter-clockwise from east
-    )
+    name: str
+    visibility_m: float
+    rain_rate_mmph: float
+    sun_elevation_deg: float
     sun_yaw_deg: float
-    sun_lux: float  # on a surface that faces the sun, and on level ground from the sky
+    sun_lux: float
     sky_lux: float
-    has_lamps: bool  # street lamps and headlights are on
-    # of a VRU against what is behind it, before the air takes its part; 1 in full
-    # daylight
+    has_lamps: bool
     contrast: float
-    wetness: float  # how much of a mirror the road is, 0 .. 1.
+    wetness: float
 
     def __post_init__(self) -> None:
         for field, is_valid, expected in (
@@ -91,7 +88,7 @@ class Weather:
         return -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m + self._rain_per_m
 
     def transmission(self, distance_m: ArrayLike) -> FloatArray:
-        """Share of light, and of contrast, that remains after a distance through the air.
+        """Share of light, and of contrast, that remains after a distance.
 
         >>> fog = load_weathers()["fog"]
         >>> float(fog.transmission(fog.visibility_m).round(12))
@@ -105,13 +102,18 @@ class Weather:
         With the exponent of I. Kim et al., "Comparison of laser beam propagation at 785
         nm and 1550 nm in fog and haze for optical wireless communications", 2001.
         """
+        # Visibility is defined for green light.
         scale = (wavelength_nm / 550.0) ** -_kim_exponent(self.visibility_m)
         haze_per_m = -math.log(CONTRAST_AT_VISIBILITY) / self.visibility_m
         return float(haze_per_m * scale + self._rain_per_m)
 
     @property
     def _rain_per_m(self) -> float:
-        """Drops are large against any wavelength used here: all lose the same (ITU-R P.1814)."""
+        """Extinction by rain per metre.
+
+        Drops are large against any wavelength used here, so that all lose the
+        same (ITU-R P.1814).
+        """
         return float(1.076 * self.rain_rate_mmph**0.67 / _DB_PER_NEPER / 1000.0)
 
 

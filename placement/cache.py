@@ -15,7 +15,8 @@ from typing import Any, BinaryIO, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geometry.files import open_own, trouble_with, write_atomically
+from geometry.cache_folders import open_own, trouble_with
+from geometry.writing import write_atomically
 
 from .fingerprints import ALL_PACKAGES, Fingerprints, hash_of_code
 from .packing import from_bytes, to_bytes

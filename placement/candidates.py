@@ -12,12 +12,13 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray, float_array
 from geometry.catalogue import Sensor, load_catalogue, pick_sensor
 from geometry.errors import InputError, refuse
-from geometry.files import load_data, pick
 from geometry.lidar import LidarModel
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.sensors import project_points
+from geometry.tables import pick
 from geometry.terrain import ground_height_m
+from geometry.text_formats import load_data
 
 from .compute import check_distinct
 from .question import Question, read_number, split_names

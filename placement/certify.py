@@ -9,9 +9,9 @@ from typing import Annotated, Literal, NamedTuple
 
 from geometry.clock import now_s
 from geometry.errors import InputError, Unquoted
-from geometry.files import says
 from geometry.phrases import Phrase
 from geometry.scene import Scene
+from geometry.tables import says
 
 from .cache import cached_value
 from .compute import DEFAULT_COMPUTE, Compute, check_whole

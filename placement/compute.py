@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from geometry.errors import InputError, check_one_of
-from geometry.files import Progress as Progress
-from geometry.files import silent as silent
+from geometry.progress import Progress as Progress
+from geometry.progress import silent as silent
 
 
 @contextmanager

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import refuse
-from geometry.files import load_data
 from geometry.maps.georeferences import transform
 from geometry.maps.gis_files import read_features
 from geometry.phrases import Phrase
@@ -24,6 +23,7 @@ from geometry.scene import Scene, road_area
 from geometry.scene_files import check_crs
 from geometry.sensors import CameraModel, project_points
 from geometry.terrain import ground_height_m, on_ground, terrain_of
+from geometry.text_formats import load_data
 
 from .candidates import CandidatePose
 

@@ -12,7 +12,8 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, located, refuse
-from geometry.files import Table, Text, load_data, load_toml, read_table, take_text
+from geometry.tables import Table, Text, read_table, take_text
+from geometry.text_formats import load_data, load_toml
 from scenarios.aeb import TIME_TOLERANCE_S, AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share

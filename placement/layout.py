@@ -23,7 +23,6 @@ from geometry.catalogue import (
     sensor_kind,
 )
 from geometry.errors import InputError, check_name, refuse
-from geometry.files import Text, load_data, parse_json, pick, read_table, read_text
 from geometry.frames import from_carla_pose
 from geometry.maps.place_lists import (
     PLACE_FIELDS,
@@ -33,12 +32,15 @@ from geometry.maps.place_lists import (
     read_position,
     tell_unknown,
 )
+from geometry.opening import read_text
 from geometry.phrases import Phrase
 from geometry.poses import Pose
 from geometry.scene import Scene, containing_instance
 from geometry.sensors import CameraModel, calibrated_sensor, with_fov
 from geometry.study_scene import load_study_scene
+from geometry.tables import Text, pick, read_table
 from geometry.terrain import ground_height_m
+from geometry.text_formats import load_data, parse_json
 
 from .candidates import CandidatePose, above_ground, own_models
 from .compute import check_distinct

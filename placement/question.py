@@ -17,14 +17,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from msgspec import Meta
 
 from geometry.errors import InputError
-from geometry.files import (
-    float_of,
-    load_data,
-    load_toml,
-    read_table,
-    reading,
-    write_atomically,
-)
+from geometry.opening import reading
+from geometry.tables import read_table
+from geometry.text_formats import float_of, load_data, load_toml
+from geometry.writing import write_atomically
 
 DEFAULT_CASES = "default"
 BLIND = "blind"

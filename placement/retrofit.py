@@ -12,8 +12,9 @@ import numpy as np
 
 from geometry.arrays import IntArray
 from geometry.errors import InputError, refuse
-from geometry.files import load_data, read_table
 from geometry.phrases import Phrase
+from geometry.tables import read_table
+from geometry.text_formats import load_data
 
 from .candidates import CandidateGrid, CandidatePose, is_turn_useless
 from .compute import check_distinct

@@ -15,9 +15,9 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, refuse
-from geometry.files import read_data
 from geometry.phrases import Phrase, join_phrases
 from geometry.scene import Scene, Site
+from geometry.tables import read_data
 
 from .candidates import CandidatePose
 from .detection_table import DetectionTable

@@ -1,4 +1,7 @@
-"""The public names of scenarios, each once: read by type checkers, and when a name is used."""
+"""The public names of scenarios, each once.
+
+Type checkers read this file, and so does the package when a name is used.
+"""
 
 from .aeb import AebRule as AebRule
 from .aeb import last_brake_time_s as last_brake_time_s

@@ -1,4 +1,6 @@
-"""Accidents around a place, from the files in which Germany and Great Britain publish them.
+"""Accidents around a place, from published files.
+
+Germany and Great Britain publish them.
 
 Each becomes a road user, an event and a light, in words of ``data/accidents.toml``,
 which says what the files' codes mean and which cases stand for which event. What cannot
@@ -17,14 +19,17 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import Text, csv_rows, float_of, read_bytes, read_data
+from geometry.opening import read_bytes
+from geometry.tables import Text, read_data
+from geometry.text_formats import csv_rows, float_of
 
 UNFALLATLAS = "unfallatlas"
 STATS19 = "stats19"
 FORMATS = (UNFALLATLAS, STATS19)
 DAY = "day"
 NIGHT = "night"
-_EARTH_M = 6_371_008.8  # mean radius, IUGG
+# Mean radius, IUGG.
+_EARTH_M = 6_371_008.8
 _MAX_REASONS = 8
 
 _Codes = dict[str, Text]
@@ -69,7 +74,10 @@ class AccidentRules(Struct, frozen=True, kw_only=True):
     types: tuple[AccidentType, ...]
 
     def cases_of(self, road_user: str, event: str) -> tuple[str, ...]:
-        """What names of cases that stand for an event begin with; none: nothing stands for it."""
+        """How names of cases that stand for an event begin.
+
+        Empty: nothing stands for it.
+        """
         return next(
             one.cases.get(event, ()) for one in self.types if one.road_user == road_user
         )
@@ -83,23 +91,46 @@ def load_accident_rules() -> AccidentRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accident:
-    """What an accident was; `unused` says why it cannot stand for a case, else it is empty."""
+    """What an accident was.
 
-    road_user: str  # one of the types of ``data/accidents.toml``
+    `unused` says why it cannot stand for a case, otherwise it is empty.
+
+    Attributes
+    ----------
+    road_user : str
+        One of the types of ``data/accidents.toml``.
+    event : str
+        What happened, in the words of that file.
+    light : str
+        "day", "night", or else: neither, or unknown.
+    unused : str
+        Why it cannot stand for a case; empty: it can.
+    """
+
+    road_user: str
     event: str
-    light: str  # "day", "night", or else: neither, or unknown
+    light: str
     unused: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Accidents:
-    """Accidents of a file."""
+    """Accidents of a file.
 
-    source: str  # The file's name
-    # (n, 2): latitude and longitude, WGS 84; not a number where the file has none.
-    # [deg]
+    Attributes
+    ----------
+    source : str
+        The file's name.
+    place_deg : (n, 2) float
+        Latitude and longitude, WGS 84; not a number where the file has none.
+        [deg]
+    what : tuple of Accident
+        What each accident was.
+    """
+
+    source: str
     place_deg: FloatArray
-    what: tuple[Accident, ...]  # Of each
+    what: tuple[Accident, ...]
 
     def near(self, place_deg: tuple[float, float], within_m: float) -> list[Accident]:
         """Accidents within so many metres of a place; InputError: there is none."""
@@ -122,6 +153,7 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
     here_latitude, here_longitude = np.radians(place_deg)
     up = 0.5 * (latitude - here_latitude)
     across = 0.5 * (longitude - here_longitude)
+    # Haversine of the angle between the places.
     chord = (
         np.sin(up) ** 2 + np.cos(latitude) * np.cos(here_latitude) * np.sin(across) ** 2
     )
@@ -129,7 +161,10 @@ def _distances_m(places_deg: FloatArray, place_deg: tuple[float, float]) -> Floa
 
 
 def reasons(unused: Mapping[str, int]) -> str:
-    """Why accidents are not used, the most frequent reason first, with commas between."""
+    """Reasons why accidents are not used, the most frequent one first.
+
+    There are commas between them.
+    """
     known = sorted(unused.items(), key=lambda item: (-item[1], item[0]))
     more = [f"{sum(n for _, n in known[_MAX_REASONS:])} for other reasons"]
     told = [f"{count} {reason}" for reason, count in known[:_MAX_REASONS]]
@@ -147,17 +182,23 @@ def split_source(how: str) -> tuple[str, Path] | None:
 def read_accidents(form: str, path: Path) -> Accidents:
     """Accidents of a file of one of ``FORMATS``; read once while it stays the same.
 
-    "unfallatlas": the German accident atlas, CSV with semicolons and decimal commas;
-    "stats19": the collisions of Great Britain, CSV; the files of vehicles and
-    casualties lie beside it, with "vehicle" and "casualty" in place of "collision" (or
-    "accident") in their names. UTF-8, with or without a byte order mark, or
-    Windows-1252. Raises InputError: a file cannot be read, is no such CSV, lacks a
-    column, or has no accident with a place.
+    "unfallatlas": the German accident atlas, CSV with semicolons and decimal
+    commas; "stats19": the collisions of Great Britain, CSV; the files of vehicles
+    and casualties lie beside it, with "vehicle" and "casualty" in place of
+    "collision" (or "accident") in their names. UTF-8, with or without a byte order
+    mark, or Windows-1252.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, is no such CSV, lacks a column, or has no
+        accident with a place.
     """
     paths = accident_files(form, path)
     stamps = []
     for one in paths:
-        with suppress(OSError):  # reading says why
+        # Reading says why.
+        with suppress(OSError):
             found = one.stat()
             stamps.append((found.st_size, found.st_mtime_ns))
     return _read(form, paths, tuple(stamps))
@@ -170,14 +211,20 @@ def accident_files(form: str, path: Path) -> tuple[Path, ...]:
     return (path, *_beside(path))
 
 
-@lru_cache(maxsize=2)  # of a city every junction asks again
+# Of a city every junction asks again.
+@lru_cache(maxsize=2)
 def _read(
     form: str, paths: tuple[Path, ...], _stamps: tuple[tuple[int, int], ...]
 ) -> Accidents:
+    """Accidents of files, by a format's name.
+
+    The stamps say that the files are the same as before.
+    """
     read = _read_unfallatlas if form == UNFALLATLAS else _read_stats19
     places, what = read(*paths)
     place_deg = np.array(places, dtype=np.float64).reshape(-1, 2)
     latitude, longitude = place_deg.T
+    # Latitude and longitude 0, 0 stand for an unknown place in some files.
     on_earth = (np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0)
     place_deg[~on_earth | (place_deg == 0.0).all(axis=1)] = np.nan
     if np.isnan(place_deg).all():
@@ -197,6 +244,7 @@ _UNFALLATLAS_USERS = {
 
 
 def _read_unfallatlas(path: Path) -> tuple[list[list[float]], list[Accident]]:
+    """Places in degrees and accidents of a file of the German atlas."""
     rules = load_accident_rules().unfallatlas
     places = []
     what = []
@@ -242,6 +290,7 @@ def _beside(path: Path) -> tuple[Path, Path]:
 def _read_stats19(
     collisions: Path, vehicles: Path, casualties: Path
 ) -> tuple[list[list[float]], list[Accident]]:
+    """Places in degrees and accidents of the three files of STATS19."""
     rules = load_accident_rules().stats19
     drivers: dict[str, dict[str, dict[str, str]]] = {}
     for row in _rows(vehicles, rules.columns["vehicles"]):
@@ -280,6 +329,7 @@ def _collision(
         if not event and car["manoeuvre"] in rules.ahead:
             event = rules.on_foot.get(walkers[0]["movement"], "")
         return "on foot", event, "" if event else unknown
+    # With nobody on foot: a car and one other vehicle.
     types = {
         "bicycle": rules.bicycles,
         "motorcycle": rules.motorcycles,
@@ -301,7 +351,8 @@ def _collision(
     else:
         first, second = (kinds["car"][0], kinds[user][0])
     if user == "car" and _turn(second, rules) and not _turn(first, rules):
-        first, second = second, first  # the one that turns is the VUT
+        # The one that turns is the VUT.
+        first, second = second, first
     event = _meeting(first, second, rules)
     return user, event, "" if event else unknown
 
@@ -348,15 +399,25 @@ def _meeting(car: Mapping[str, str], other: Mapping[str, str], rules: _Stats19) 
 def _rows(
     path: Path, columns: _Columns, *, optional: _Columns | None = None
 ) -> Iterator[dict[str, str]]:
-    """Cells of the rows by our names; each column has one of several names in the file."""
+    """Cells of the rows, by our names of columns.
+
+    Each column has one of several names in the file.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or there are no rows.
+    """
     data = read_bytes(path)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
     rows = csv_rows(text, str(path), separators=";,\t")
+    # Columns are found by their names, in any order and any case.
     header = [name.lower() for name in next(rows, ("", []))[1]]
     at: dict[str, int] = {}
+    # Names of columns have changed over the years.
     for name, known in {**columns, **(optional or {})}.items():
         found = [header.index(one) for one in known if one in header]
         if found:

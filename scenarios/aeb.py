@@ -1,4 +1,7 @@
-"""Emergency braking: how the VUT brakes, its last moment for it, and the tracks it brakes for."""
+"""Emergency braking of the VUT, and its last moment.
+
+How the VUT brakes, when braking is too late, and what it leaves of the speed.
+"""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +13,8 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import check_field
-from geometry.files import Table, load_data, read_table
+from geometry.tables import Table, read_table
+from geometry.text_formats import load_data
 
 from .encounters import GRAZING_M, Cells, Encounter, Measures, find_first_touch
 
@@ -40,21 +44,18 @@ class AebRule:
         ever, as the study reads it. [s]
     """
 
-    deceleration_mps2: float  #: Constant once it is built up. [m/s^2]
-    latency_s: float  #: From the confirming frame to the onset of braking. [s]
-    n_confirmations: int  #: Consecutive detected frames that confirm a VRU.
-    frame_rate_hz: float  #: Frames per second. [Hz]
-    build_up_s: float = (
-        0.0  #: From the onset the deceleration rises linearly for so long. [s]
-    )
-    # : A confirmed VRU stays known for so long without being detected; infinite: for
-    # ever, as the : study reads it. [s]
+    deceleration_mps2: float
+    latency_s: float
+    n_confirmations: int
+    frame_rate_hz: float
+    build_up_s: float = 0.0
     track_memory_s: float = math.inf
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, "aeb")
         check("frame_rate_hz", 0.0 < self.frame_rate_hz < math.inf, "a positive number")
-        for field, (low, high) in _load_limits().items():  # none of them may be NaN
+        # None of them may be NaN.
+        for field, (low, high) in _load_limits().items():
             check(
                 field,
                 low <= getattr(self, field) <= high,
@@ -80,7 +81,10 @@ def load_aeb_rule() -> AebRule:
 
 @cache
 def load_track_memory_s() -> float:
-    """How long tracks live without detections where they are not the study's, in seconds."""
+    """Time for which a track lives without detections, in seconds.
+
+    It holds where tracks are not the study's.
+    """
     return float(_load_tables()["live_tracks"]["track_memory_s"])
 
 
@@ -126,7 +130,9 @@ def braking_speed_mps(
 def braking_distance_m(
     time_s: ArrayLike, *, speed_mps: ArrayLike, rule: AebRule
 ) -> FloatArray:
-    """Distance covered in the time since the onset of braking, until standstill and after.
+    """Distance covered since the onset of braking, in metres.
+
+    After standstill it stays the same.
 
     With deceleration a and build-up b it is v t - a t^3 / (6 b) during the build-up
     and, r after its end, v t - a (b^2 / 6 + b r / 2 + r^2 / 2), until standstill.
@@ -154,10 +160,13 @@ def _phases(time_s: FloatArray, rule: AebRule) -> tuple[FloatArray, FloatArray]:
 
 
 # ---------- whether braking helps
-_ONSET_STEP_S = 0.25  # first cells of the search for the last brake time
+# First cells of the search for the last brake time.
+_ONSET_STEP_S = 0.25
 _ONSET_TOLERANCE_S = 1.0e-5
-_FINE_STEP_S = 0.001  # a footprint moves 1.7 cm in it at 60 km/h
-_CLOSER_LOOKS = 3  # each 32 times as fine: to a thirtieth of a microsecond
+# A footprint moves 1.7 cm in it at 60 km/h.
+_FINE_STEP_S = 0.001
+# Each 32 times as fine: to a thirtieth of a microsecond.
+_CLOSER_LOOKS = 3
 _CLOSER = np.linspace(-1.0, 1.0, 65)
 _FIRST_LOOKS = 32
 _CONTACT_PARTS = 17
@@ -193,9 +202,12 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
         since_onset = times - onset
         braking_s = np.maximum(since_onset, 0.0)
         braked_m = braking_distance_m(braking_s, speed_mps=vut.speed_mps, rule=rule)
+        # The VUT drives on up to the onset, and brakes from there.
         driven = vut.distance_m(np.minimum(onset, times)) + braked_m
-        gaps = encounter.gaps_m(driven, vru.distance_m(times))  # (4, 2, n)
+        # (4, 2, n).
+        gaps = encounter.gaps_m(driven, vru.distance_m(times))
         separation = gaps.max(axis=0)
+        # How long it has braked within the cell, at least and at most.
         least_s = since_onset[0] - half_onset
         most_s = since_onset[1] + half_onset
         braking_s = np.maximum(np.stack([least_s, most_s]), 0.0)
@@ -228,6 +240,7 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
             may_touch=may_touch, touches=touches, is_cut_along_first=by_onset
         )
 
+    # First cells: onsets from the start to the impact, times up to standstill.
     n_onsets = int(-start / _ONSET_STEP_S) + 1
     step = -start / n_onsets
     onset = start + step * (np.arange(n_onsets) + 0.5)
@@ -245,19 +258,29 @@ def last_brake_time_s(encounter: Encounter, rule: AebRule) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """First contacts of the footprints for onsets of braking, each of the onsets' shape."""
+    """First contacts of the footprints for onsets of braking.
 
-    # (...,): relative to the impact without braking; infinite where the footprints
-    # never touch. [s]
+    Each array has the onsets' shape.
+
+    Attributes
+    ----------
+    time_s : (...,) float
+        Time of contact relative to the impact without braking; infinite where
+        the footprints never touch. [s]
+    speed_mps : (...,) float
+        Speed of the VUT then; 0 where they never touch. [m/s]
+    closing_mps : (...,) float
+        The same less what the target does along the VUT's heading, at least 0:
+        Euro NCAP's relative impact speed. [m/s]
+    """
+
     time_s: FloatArray
-    speed_mps: FloatArray  # (...,): of the VUT then; 0 where they never touch. [m/s]
-    # (...,): the same less what the target does along the VUT's heading, at least 0:
-    # Euro NCAP's relative impact speed. [m/s]
+    speed_mps: FloatArray
     closing_mps: FloatArray
 
 
 def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Contacts:
-    """When the footprints first touch if the VUT brakes from `onset_s` on, and how fast it is.
+    """First contacts of the footprints if the VUT brakes from onsets on.
 
     An onset at or after the impact, or none, leaves the VUT its speed.
 
@@ -271,6 +294,7 @@ def find_contacts(encounter: Encounter, onset_s: ArrayLike, rule: AebRule) -> Co
     is_asked = onset < 0.0
     asked = onset[is_asked]
     before_s, look_s = _contact_looks(encounter, asked, rule)
+    # Between the look before and that at the contact, narrowed down.
     row = np.flatnonzero(np.isfinite(look_s))
     share = np.linspace(0.0, 1.0, _CONTACT_PARTS)
     for _ in range(_CONTACT_ROUNDS):
@@ -313,9 +337,8 @@ def _target_ahead_mps(
     return np.asarray(speed / (2.0 * _SHORT_S) * np.cos(np.radians(turned)))
 
 
-_LEVEL_STEP_S = (
-    0.025  # from one onset to the next in the search for the last one of a speed
-)
+# From one onset to the next in the search for the last one of a speed.
+_LEVEL_STEP_S = 0.025
 _LEVELS_TOGETHER = 16
 _QUARTERS = (0.25, 0.5, 0.75)
 _SAME_MPS = 1.0e-6
@@ -329,7 +352,9 @@ def last_onsets_s(
     below_mps: Sequence[float],
     avoids_until_s: float,
 ) -> FloatArray:
-    """Latest onsets such that they and all earlier ones leave a closing speed below each limit.
+    """Latest onsets up to which the closing speed stays below each limit.
+
+    An onset and all earlier ones leave less than the limit.
 
     `below_mps`: limits of :attr:`Contacts.closing_mps`. `avoids_until_s`: last brake
     time. Returns (n_limits,): not before `avoids_until_s`, and 10 microseconds later it
@@ -338,9 +363,8 @@ def last_onsets_s(
     leaves more for less than that is overlooked.
     """
     begin_s = max(avoids_until_s, encounter.vut_motion.start_time_s)
-    below = (
-        np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
-    )  # a limit itself is too fast
+    # A limit itself is too fast.
+    below = np.asarray(below_mps, dtype=np.float64) - _SAME_MPS
     n_steps = max(int(-begin_s / _LEVEL_STEP_S) + 1, 1)
     grid = np.linspace(begin_s, 0.0, n_steps + 1)
     left = np.full(n_steps + 1, np.inf)
@@ -349,6 +373,7 @@ def last_onsets_s(
         left[part] = find_contacts(encounter, grid[part], rule).closing_mps
         if left[part].max() >= below.max(initial=0.0):
             break
+    # The first onset of the grid that leaves too much, by limit.
     too_fast = left >= below[:, None]
     at = too_fast.argmax(axis=1)
     if avoids_until_s > -np.inf:
@@ -360,9 +385,8 @@ def last_onsets_s(
     at = at[inner]
     between = (grid[at - 1], grid[at], left[at - 1], left[at])
     last[inner] = _narrowed_s(encounter, rule, below[inner], *between)
-    order = np.argsort(
-        below
-    )  # what leaves less than a limit leaves less than a higher one
+    # What leaves less than a limit leaves less than a higher one.
+    order = np.argsort(below)
     last[order] = np.maximum.accumulate(last[order])
     return last
 
@@ -376,7 +400,10 @@ def _narrowed_s(
     safe_mps: FloatArray,
     late_mps: FloatArray,
 ) -> FloatArray:
-    """Last onsets between two, of which the first leaves less than a speed, in s; (n,) each.
+    """Last onsets between two, in s, (n,).
+
+    All arrays are (n,). The first onset leaves less than a speed, the second
+    does not.
 
     Where braking in full decides alone, the square of the speed is linear in the onset.
     """
@@ -403,7 +430,10 @@ def _narrowed_s(
 def _contact_looks(
     encounter: Encounter, onset_s: FloatArray, rule: AebRule
 ) -> tuple[FloatArray, FloatArray]:
-    """Looks before and at a contact after onsets before the impact; infinite: none. (n,) each."""
+    """Times since the onset just before and at a contact, (n,) each.
+
+    Onsets are before the impact; infinite where there is no contact.
+    """
     vut = encounter.vut_motion
     vru = encounter.vru_motion
     closing_mps = (

@@ -13,17 +13,9 @@ from msgspec import Meta, Struct, structs
 
 from geometry.actors import Actor, pick_actor
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Table,
-    Text,
-    float_of,
-    load_data,
-    load_toml,
-    pick,
-    read_table,
-    read_tables,
-)
 from geometry.phrases import Phrase
+from geometry.tables import Table, Text, pick, read_table, read_tables
+from geometry.text_formats import float_of, load_data, load_toml
 
 from .encounters import RecordedEncounter, RecordedWay
 
@@ -41,23 +33,34 @@ ROAD_USERS = {
     "vehicle": "car",
 }
 """Road-user groups, by the class of the body."""
-ROAD_USER_GROUPS = tuple(dict.fromkeys(ROAD_USERS.values()))  # each once
+# Each once.
+ROAD_USER_GROUPS = tuple(dict.fromkeys(ROAD_USERS.values()))
 PROTECTED = {"vru": ("on foot", "bicycle", "motorcycle"), "all": ROAD_USER_GROUPS}
 """Whose runs count, by the word of a user."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VruLine:
-    """On which line of the junction the VRU moves."""
+    """On which line of the junction the VRU moves.
 
-    # "lane": of the arm it comes from; "kerb": of the VUT's approach road; "through":
-    # the lanes by which vehicles drive straight on through the junction
+    Attributes
+    ----------
+    along : {"crosswalk", "lane", "kerb", "through"}
+        "lane": of the arm it comes from; "kerb": of the VUT's approach road;
+        "through": the lanes by which vehicles drive straight on through the
+        junction.
+    lane : {"", "inner", "outer"}
+        "outer": at the kerb; empty unless along a lane.
+    left_of_lane_centre_m : float or None
+        Along a lane. [m]
+    outside_kerb_m : float or None
+        Along a kerb; negative on the road. [m]
+    """
+
     along: Literal["crosswalk", "lane", "kerb", "through"]
-    lane: Literal["", "inner", "outer"] = (
-        ""  # "outer": at the kerb; empty unless along a lane
-    )
-    left_of_lane_centre_m: float | None = None  # along a lane
-    outside_kerb_m: float | None = None  # along a kerb; negative on the road
+    lane: Literal["", "inner", "outer"] = ""
+    left_of_lane_centre_m: float | None = None
+    outside_kerb_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.along == "lane" and (
@@ -80,34 +83,55 @@ class VruLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstruction:
-    """Parked bodies, or a wall, that belong to a case."""
+    """Parked bodies, or a wall, that belong to a case.
 
-    kind: str  # "beside-vut", "beside-road", "beside-vru" or "wall"
-    bodies: tuple[
-        Actor, ...
-    ] = ()  # from the one nearest to the meeting point; none for a wall
-    # from the first body to the VRU's flank (beside-vut) or the middle of its way
-    # (beside-road), or from the VUT's centreline to the first body or the wall
+    Attributes
+    ----------
+    kind : str
+        "beside-vut", "beside-road", "beside-vru" or "wall".
+    bodies : tuple of Actor
+        From the one nearest to the meeting point; none for a wall.
+    first_gap_m : float
+        From the first body to the VRU's flank (beside-vut) or the middle of its
+        way (beside-road), or from the VUT's centreline to the first body or the
+        wall. [m]
+    between_gap_m : float
+        From bumper to bumper. [m]
+    side_gap_m : float
+        To the side of the VUT, to the middle of the nearest lane (beside-road),
+        or to the side of the VRU's box. [m]
+    wall_size_m : tuple of float
+        Length, thickness, height of the wall; empty without one. [m]
+    max_speed_kmh : float
+        It is taken away where VUT or VRU is faster. [km/h]
+    """
+
+    kind: str
+    bodies: tuple[Actor, ...] = ()
     first_gap_m: float
-    between_gap_m: float = 0.0  # from bumper to bumper
-    # to the side of the VUT, to the middle of the nearest lane (beside-road), or to the
-    # side of the VRU's box
+    between_gap_m: float = 0.0
     side_gap_m: float
-    wall_size_m: tuple[
-        float, ...
-    ] = ()  # length, thickness, height of the wall; empty without one
-    max_speed_kmh: float = math.inf  # taken away where VUT or VRU is faster
+    wall_size_m: tuple[float, ...] = ()
+    max_speed_kmh: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Braking:
-    """How a vehicle ahead of the VUT brakes, with the VUT so far behind it."""
+    """How a vehicle ahead of the VUT brakes, with the VUT so far behind it.
+
+    Attributes
+    ----------
+    deceleration_mps2 : float
+        Constant deceleration. [m/s^2]
+    headway_s : float
+        Free gap when it begins / the VUT's speed. [s]
+    final_speed_kmh : float
+        Speed to which it slows down. [km/h]
+    """
 
     deceleration_mps2: Annotated[float, Meta(gt=0.0)]
-    headway_s: Annotated[
-        float, Meta(gt=0.0)
-    ]  # free gap when it begins / the VUT's speed
-    final_speed_kmh: Annotated[float, Meta(ge=0.0)]  # to which it slows down
+    headway_s: Annotated[float, Meta(gt=0.0)]
+    final_speed_kmh: Annotated[float, Meta(ge=0.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +139,70 @@ class Case:
     """A Euro NCAP AEB case: who meets the VUT, and how.
 
     Whoever meets it has the field names of a VRU, also where it drives a car.
+
+    Attributes
+    ----------
+    name : str
+        Name of the case.
+    title : str
+        What happens, in words.
+    source : str
+        "protocol-4.5.1", "protocol-2026" or "CarlaNCAP".
+    kind : str
+        "crossing", "longitudinal", "turning" or "recorded"; "not laid" where
+        `not_laid` says why.
+    vru : Actor
+        Body of the road user that is met.
+    vru_speed_kmh : float
+        Steady; 0: it stands. The first of several that go with the VUT's
+        speeds, see `pairs_kmh`; of a run, its own. [km/h]
+    vut_speeds_kmh : tuple of float
+        Speeds to be driven, ascending. [km/h]
+    speed_limits_kmh : (float, float)
+        Lowest and highest speed of the protocol. [km/h]
+    impact_percent, impact_face : float, str
+        Where the VRU meets the VUT: "front" -
+        of its width, 0 = right edge, 100 = left edge; "side" - of its length, 0
+        = rear, on the side towards which it turns or from which the VRU comes.
+        [%]
+    vru_reference_m : float
+        The VRU's point that meets the impact position, ahead of the middle of
+        its box. [m]
+    acceleration_distance_m : float
+        From rest to the steady speed; 0: it comes at its speed. [m]
+    start_distance_m, steady_distance_m, steady_time_s : float or None
+        One of the three: the reference point's way from rest to the nominal
+        meeting line (the VUT's centreline, or that of its exit lane), or the
+        way or time at steady speed before the impact. [m], [s]
+    vru_side : str
+        Crossing: "near" or "far", from where the VRU comes.
+    turn, vru_direction : str
+        Turning: "near" or "far", where the VUT turns
+        to; "same" or "opposite", as the VUT before its turn. Longitudinal: the
+        latter alone.
+    vru_line : VruLine or None
+        Line on which the VRU moves. None in longitudinal cases: the VUT's lane.
+    obstruction : Obstruction or None
+        What hides the VRU.
+    pairs_kmh, extended_pairs_kmh : tuple of (float, float)
+        Speeds of the VUT and the VRU that go
+        together, empty where the VRU has one speed; those that the extended
+        range adds. [km/h]
+    range : Range
+        The range to which it belongs: "standard", or "extended" only.
+    meets_corner : bool
+        Turning: a front corner of the VRU meets the VUT, as the protocol
+        reckons it at 45 degrees, and not the middle of its front.
+    braking : Braking or None
+        How the VRU ahead brakes.
+    impact_turn : (int, int)
+        Number of its impact point, and how many take turns along the arms; (0,
+        1), but in "all".
+    not_laid : str
+        Why it cannot be laid anywhere; empty: it can.
+    recorded : RecordedEncounter or None
+        Of kind "recorded": the ways that were taken; such a case is laid there
+        alone.
     """
 
     name: str
@@ -123,56 +211,29 @@ class Case:
     # : "crossing", "longitudinal", "turning" or "recorded"; "not laid" where `not_laid`
     # says why.
     kind: str
-    vru: Actor  #: Body of the road user that is met.
-    # : Steady; 0: it stands. The first of several that go with the VUT's speeds, see
-    # `pairs_kmh`; of : a run, its own. [km/h]
+    vru: Actor
     vru_speed_kmh: float = 0.0
-    # : vut_speeds_kmh and speed_limits_kmh: speeds to be driven, ascending; lowest and
-    # highest one : of the protocol. [km/h]
     vut_speeds_kmh: tuple[float, ...] = ()
     speed_limits_kmh: tuple[float, float] = (0.0, 0.0)
-    # : impact_percent and impact_face: where the VRU meets the VUT: "front" - of its
-    # width, 0 = : right edge, 100 = left edge; "side" - of its length, 0 = rear, on the
-    # side towards which it : turns or from which the VRU comes. [%]
     impact_percent: float = 50.0
     impact_face: str = "front"
-    # : The VRU's point that meets the impact position, ahead of the middle of its box.
-    # [m]
     vru_reference_m: float = 0.0
-    #: From rest to the steady speed; 0: it comes at its speed. [m]
     acceleration_distance_m: float = 0.0
-    # : One of the three: the reference point's way from rest to the nominal meeting
-    # line (the VUT's : centreline, or that of its exit lane), or the way or time at
-    # steady speed before the impact. : [m], [s]
     start_distance_m: float | None = None
     steady_distance_m: float | None = None
-    vru_side: str = ""  #: Crossing: "near" or "far", from where the VRU comes.
-    # : turn and vru_direction: turning: "near" or "far", where the VUT turns to; "same"
-    # or : "opposite", as the VUT before its turn. Longitudinal: the latter alone.
+    vru_side: str = ""
     turn: str = ""
     vru_direction: str = ""
-    # : None in longitudinal cases: the VUT's lane. What hides the VRU. How the VRU
-    # ahead brakes.
     vru_line: VruLine | None = None
     obstruction: Obstruction | None = None
     steady_time_s: float | None = None
-    # : pairs_kmh and extended_pairs_kmh: speeds of the VUT and the VRU that go
-    # together, empty where : the VRU has one speed; those that the extended range adds.
-    # [km/h]
     pairs_kmh: tuple[tuple[float, float], ...] = ()
     extended_pairs_kmh: tuple[tuple[float, float], ...] = ()
-    range: Range = (
-        "standard"  #: The range to which it belongs: "standard", or "extended" only.
-    )
-    # : Turning: a front corner of the VRU meets the VUT, as the protocol reckons it at
-    # 45 degrees, : and not the middle of its front.
+    range: Range = "standard"
     meets_corner: bool = False
     braking: Braking | None = None
-    # : (int, int); number of its impact point, and how many take turns along the arms;
-    # (0, 1), but : in "all".
     impact_turn: tuple[int, int] = (0, 1)
-    not_laid: str = ""  #: Why it cannot be laid anywhere; empty: it can.
-    #: Of kind "recorded": the ways that were taken; such a case is laid there alone.
+    not_laid: str = ""
     recorded: RecordedEncounter | None = None
 
     def __repr__(self) -> str:
@@ -190,7 +251,11 @@ class Case:
         return self.name.partition("-")[0]
 
     def vru_speeds_kmh(self, vut_speed_kmh: float | None = None) -> tuple[float, ...]:
-        """Speeds of the VRU, ascending: with the driven speed nearest to one of the VUT, or all."""
+        """Speeds of the VRU, ascending, in km/h.
+
+        They are those that go with the driven speed nearest to one of the VUT, or all
+        of them without one.
+        """
         if not self.pairs_kmh:
             return (self.vru_speed_kmh,)
         if vut_speed_kmh is None:
@@ -201,7 +266,8 @@ class Case:
         return tuple(vru for vut, vru in self.pairs_kmh if vut == nearest)
 
 
-@lru_cache(maxsize=256)  # runs of one case and speed have one case between them
+# Runs of one case and speed have one case between them.
+@lru_cache(maxsize=256)
 def at_vru_speed(case: Case, vru_speed_kmh: float) -> Case:
     """The case with one of the speeds of its VRU."""
     if vru_speed_kmh == case.vru_speed_kmh:
@@ -217,6 +283,7 @@ def in_range(case: Case, which: Range) -> Case | None:
         return None
     if not case.extended_pairs_kmh:
         return case
+    # The basic grid as pairs, so that pairs of the extended range can join it.
     first = case.pairs_kmh or tuple(
         (vut, case.vru_speed_kmh) for vut in case.vut_speeds_kmh
     )
@@ -303,6 +370,8 @@ class _Wall(Struct, frozen=True, kw_only=True, tag="wall", tag_field="kind"):
 
 
 class _CaseEntry(Struct, frozen=True, kw_only=True):
+    """What entries of all kinds of cases have in common, but recorded ones."""
+
     title: Text
     source: Text
     vru: Text
@@ -335,6 +404,7 @@ class _CaseEntry(Struct, frozen=True, kw_only=True):
 
 
 def _check_one_of(entry: _CaseEntry, *keys: str) -> None:
+    """Raise InputError unless exactly one of some keys is given."""
     given = [key for key in keys if getattr(entry, key) not in (None, ())]
     if len(given) != 1:
         raise InputError("", given, "one of " + ", ".join(keys))
@@ -361,14 +431,15 @@ class _Turning(_CaseEntry, frozen=True, kw_only=True, tag="turning", tag_field="
 
 
 class _Recorded(Struct, frozen=True, kw_only=True, tag="recorded", tag_field="kind"):
+    """A case of kind "recorded", as :mod:`scenarios.conflicts` writes it."""
+
     title: Text
     source: Text
     vru: Text
     vut_speed_kmh: Annotated[float, Meta(gt=0.0, le=250.0)]
     vru_speed_kmh: Annotated[float, Meta(ge=0.0, le=250.0)]
-    known_s: Annotated[
-        float, Meta(gt=0.0, le=60.0)
-    ]  # runs begin so long before the impact
+    # Runs begin so long before the impact.
+    known_s: Annotated[float, Meta(gt=0.0, le=60.0)]
     vut_way: RecordedWay
     vru_way: RecordedWay
 
@@ -381,6 +452,8 @@ def load_cases() -> dict[str, Case]:
 
 
 class _UnlaidEntry(Struct, frozen=True, kw_only=True):
+    """A case in ``data/unlaid_cases.toml``."""
+
     title: Text
     source: Text
     vru: Text
@@ -390,7 +463,10 @@ class _UnlaidEntry(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_unlaid_cases() -> dict[str, Case]:
-    """Cases of the protocols that cannot be laid, by name, from ``data/unlaid_cases.toml``."""
+    """Cases of the protocols that cannot be laid, by name.
+
+    They are read from ``data/unlaid_cases.toml``.
+    """
     where = "unlaid_cases.toml"
     entries = read_tables(load_data(__package__, where), _UnlaidEntry, where)
     return {
@@ -465,7 +541,10 @@ def _read_cases(table: Table, names: Iterable[str], where: str) -> dict[str, Cas
 def _each_impact(
     name: str, entry: dict[str, Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Cases that differ in where the VRU meets the VUT, from a table with a list of places."""
+    """Cases of a table that differ in where the VRU meets the VUT.
+
+    A table with a list of places stands for a case for each place.
+    """
     percents = entry.get("impact_percent")
     beyond = entry.pop("extended_impact_percent", [])
     if not isinstance(percents, list):
@@ -491,7 +570,10 @@ _ANY_CASE: Any = _Crossing | _Longitudinal | _Turning | _Recorded
 
 @cache
 def load_case_sets() -> dict[str, tuple[Case, ...]]:
-    """Sets of cases, by name, with the speeds of the set if it has any; "all" is every case."""
+    """Sets of cases, by name; "all" is every case.
+
+    Cases have the speeds of the set, if it has any.
+    """
     table = load_data(__package__, "case_sets.toml")
     sets: dict[str, tuple[Case, ...]] = {}
     alike = {
@@ -526,7 +608,10 @@ def load_case_sets() -> dict[str, tuple[Case, ...]]:
 
 
 def _named(word: str) -> tuple[Case, ...]:
-    """Cases by a name, or by what stands before their last "-", or else by how they begin."""
+    """Cases that a word names.
+
+    It is a name, what stands before the last "-" of names, or how names begin.
+    """
     cases = {**load_cases(), **load_unlaid_cases()}
     if word in cases:
         return (cases[word],)
@@ -542,6 +627,7 @@ def _stem(name: str) -> str:
 
 
 def _speeds_kmh(speeds: _Speeds) -> tuple[float, ...]:
+    """Speeds from the lowest to the highest, ascending."""
     return tuple(
         np.arange(speeds.min, speeds.max + 0.5 * speeds.step, speeds.step).tolist()
     )
@@ -568,6 +654,7 @@ def _as_phrase(title: str) -> Phrase:
 
 
 def _build_recorded(name: str, entry: _Recorded, where: str) -> Case:
+    """Case of an entry of kind "recorded"."""
     speed_kmh = entry.vut_speed_kmh
     return Case(
         name=name,
@@ -594,12 +681,13 @@ _SAME = (
     ),
     *("steady_time_s", "range", "turn", "vru_direction", "vru_line", "braking"),
 )
-"""Fields that cases have from their entries as they are, if the entry's kind has them."""
+"""Fields that cases take from entries unchanged, if the entry's kind has them."""
 
 
 def _build_case(
     name: str, entry: _Crossing | _Longitudinal | _Turning, where: str
 ) -> Case:
+    """Case of an entry of the protocol's kinds; `where` names the entry."""
     vru = pick_actor(entry.vru, f"{where}.vru")
     pairs = tuple(sorted(entry.pairs_kmh))
     steps = entry.vut_speed_kmh
@@ -642,6 +730,7 @@ def _build_case(
 def _build_obstruction(
     entry: _BesideVut | _BesideRoad | _BesideVru | _Wall | None, where: str
 ) -> Obstruction | None:
+    """Obstruction of an entry; None: the case has none."""
     if entry is None:
         return None
     fields: dict[str, Any] = structs.asdict(entry)
@@ -702,6 +791,7 @@ def pick_cases(
 def twins(cases: Iterable[Case]) -> dict[str, Case]:
     """By the name of a case of 2026 the one of 2023 that differs in speeds alone."""
     cases = tuple(cases)
+    # Cases are alike that differ in names and speeds alone.
     before = {_alike(case): case for case in cases if case.source == "protocol-4.5.1"}
     after = [
         case for case in cases if case.source == "protocol-2026" and not case.pairs_kmh
@@ -710,10 +800,14 @@ def twins(cases: Iterable[Case]) -> dict[str, Case]:
 
 
 def _each_once(cases: Sequence[Case]) -> list[Case]:
-    """Cases without what 2026 drives as 2023 did; impact points of the same case take turns."""
+    """Cases without what 2026 drives as 2023 did.
+
+    Impact points of the same case take turns.
+    """
     twin_of = twins(cases)
     kept = []
     for case in cases:
+        # Only speeds that 2023 did not drive are left.
         twin = twin_of.get(case.name)
         if twin is not None:
             new = tuple(sorted({*case.vut_speeds_kmh} - {*twin.vut_speeds_kmh}))
@@ -749,22 +843,31 @@ def _alike(case: Case) -> Case:
 
 
 def _but_for_the_point(case: Case) -> tuple[Case, str, tuple[float, ...]]:
+    """What cases share that differ in the impact point alone."""
     return replace(_alike(case), impact_percent=0.0), case.source, case.vut_speeds_kmh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """Cases to drive."""
+    """Cases to drive.
 
-    cases: tuple[Case, ...]  # each with the speeds to be driven
-    # cases none of whose speeds were asked for; with the speeds that they have
+    Attributes
+    ----------
+    cases : tuple of Case
+        Cases, each with the speeds to be driven.
+    left_out : tuple of Case
+        Cases none of whose speeds were asked for; with the speeds that they
+        have.
+    beyond : tuple of str
+        "case: speeds" outside of what the protocol drives, which were forced.
+    unprotected : tuple of Case
+        Cases that meet somebody who is not to be protected.
+    """
+
+    cases: tuple[Case, ...]
     left_out: tuple[Case, ...]
-    beyond: tuple[
-        str, ...
-    ]  # "case: speeds" outside of what the protocol drives, which were forced
-    unprotected: tuple[
-        Case, ...
-    ] = ()  # cases that meet somebody who is not to be protected
+    beyond: tuple[str, ...]
+    unprotected: tuple[Case, ...] = ()
 
 
 def select_cases(
@@ -779,11 +882,18 @@ def select_cases(
 
     `cases` and `case_range` are as for :func:`pick_cases`; `speeds` are km/h with
     commas between, or ranges: "20-40" is every speed of the case in it; "30x50" are
-    those of the VUT and of whoever it meets; "all" or None: every one. `force` drives
-    speeds that the protocol does not. `protect` is "vru" or "all", see ``PROTECTED``.
-    Raises InputError: a name or a speed cannot be read, a speed lies outside of every
-    case, or nobody is left to be protected.
+    those of the VUT and of whoever it meets; "all" or None: every one. `force`
+    drives speeds that the protocol does not. `protect` is "vru" or "all", see
+    ``PROTECTED``.
 
+    Raises
+    ------
+    InputError
+        A name or a speed cannot be read, a speed lies outside of every case, or
+        nobody is left to be protected.
+
+    Examples
+    --------
     >>> select_cases("CPNA-25", speeds="20,30-40").cases
     (Case('CPNA-25', 20, 30, 35, 40 km/h),)
     """
@@ -814,6 +924,7 @@ def select_cases(
                     f"speeds that go together in a case; the VUT's: {_limits(laid)}"
                 )
                 raise InputError("speeds", Unquoted(f"{vut:g}x{vru:g}"), expected)
+    # Each case with the speeds asked for that it has.
     kept = []
     left_out = []
     beyond = []
@@ -856,7 +967,15 @@ _Pairs = list[tuple[float, float]]
 
 
 def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
-    """Speeds in the words of a user, in km/h: single ones, ranges, and pairs of both bodies."""
+    """Speeds in the words of a user, in km/h.
+
+    They are single ones, ranges, and pairs of both bodies.
+
+    Raises
+    ------
+    InputError
+        A word is no speed, or out of range.
+    """
     singles: list[float] = []
     ranges: _Pairs = []
     pairs: _Pairs = []
@@ -884,11 +1003,13 @@ def _read_speeds(text: str) -> tuple[list[float], _Pairs, _Pairs]:
 
 
 def _is_within(speed_kmh: float, case: Case) -> bool:
+    """True if the protocol drives a case at a speed."""
     low, high = case.speed_limits_kmh
     return low <= speed_kmh <= high
 
 
 def _limits(cases: Sequence[Case]) -> str:
+    """Range of speeds of some cases, in words."""
     low = min(case.speed_limits_kmh[0] for case in cases)
     high = max(case.speed_limits_kmh[1] for case in cases)
     return f"{low:g} to {high:g} km/h as the protocol drives these cases, or `force`"

@@ -1,4 +1,7 @@
-"""Confirmed tracks, which the VUT brakes for: consecutive detections, memory, and just in time."""
+"""Confirmed tracks, which the VUT brakes for.
+
+Consecutive detections confirm a track, memory keeps it, and it must be in time.
+"""
 
 import math
 
@@ -11,7 +14,9 @@ from .aeb import TIME_TOLERANCE_S, AebRule
 
 
 def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray:
-    """Frames of one run, (..., n_frames), at which the last `n_confirmations` are all detected.
+    """Frames at which the last `n_confirmations` are all detected.
+
+    All are of one run, (..., n_frames).
 
     >>> confirmation_mask([0, 1, 1, 1, 1, 0], n_confirmations=3).astype(int)
     array([0, 0, 0, 1, 1, 0])
@@ -20,6 +25,7 @@ def confirmation_mask(detected: ArrayLike, *, n_confirmations: int) -> BoolArray
     confirmed = np.zeros_like(frames)
     n_windows = frames.shape[-1] - n_confirmations + 1
     if n_windows > 0:
+        # Windows of consecutive frames in which all are detected.
         complete = np.ones((*frames.shape[:-1], n_windows), dtype=bool)
         for offset in range(n_confirmations):
             complete &= frames[..., offset : offset + n_windows]
@@ -35,7 +41,9 @@ def held_frames(
     memory_s: float,
     last_frame: ArrayLike | None = None,
 ) -> BoolArray:
-    """Detected frames since which the VRU has not been out of sight for longer than the memory.
+    """Detected frames since which the VRU was never lost.
+
+    It is lost if it is out of sight for longer than the memory.
 
     A track that is confirmed in such a frame is alive at `until_s`: neither between two
     detections from then on, nor from the last one until then, more than `memory_s` have
@@ -62,9 +70,11 @@ def held_frames(
 
     Examples
     --------
-    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=2.0).astype(int)
+    >>> seen = [1, 1, 0, 1, 0, 1]
+    >>> time_s = [1, 2, 3, 4, 5, 6]
+    >>> held_frames(seen, time_s, until_s=6.5, memory_s=2.0).astype(int)
     array([1, 1, 0, 1, 0, 1])
-    >>> held_frames([1, 1, 0, 1, 0, 1], [1, 2, 3, 4, 5, 6], until_s=6.5, memory_s=1.0).astype(int)
+    >>> held_frames(seen, time_s, until_s=6.5, memory_s=1.0).astype(int)
     array([0, 0, 0, 0, 0, 1])
     """
     seen = np.asarray(detected, dtype=bool)
@@ -76,7 +86,8 @@ def held_frames(
         n_frames - 1 if last_frame is None else last_frame, times.shape
     )
     until = np.broadcast_to(until_s, times.shape)
-    place = np.flatnonzero(seen)  # of the detections of all rows, end to end
+    # Of the detections of all rows, end to end.
+    place = np.flatnonzero(seen)
     frame = place % n_frames
     end = place - frame + last[frame]
     following = np.append(place[1:], seen.size)
@@ -84,6 +95,7 @@ def held_frames(
     lost = np.where(
         next_s - times[frame] > memory_s + TIME_TOLERANCE_S, place, seen.size
     )
+    # The next detection after which the track is lost, from each one on.
     first_lost = np.minimum.accumulate(lost[::-1])[::-1]
     held = np.zeros(seen.shape, dtype=bool)
     held.reshape(-1)[place[first_lost > end]] = True
@@ -116,6 +128,10 @@ def live_confirmation_time_s(
 def is_in_time(
     confirmation_s: ArrayLike, last_brake_s: ArrayLike, *, latency_s: float
 ) -> BoolArray:
-    """True if braking after a confirmation avoids: confirmation + latency <= last brake time."""
+    """True if braking after a confirmation avoids the contact.
+
+    The confirmation plus the latency must not be later than the last brake
+    time.
+    """
     onset = np.asarray(confirmation_s, dtype=np.float64) + latency_s
     return onset <= np.asarray(last_brake_s, dtype=np.float64) + TIME_TOLERANCE_S

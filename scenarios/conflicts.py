@@ -1,4 +1,6 @@
-"""Traffic conflicts: pairs of recorded tracks that nearly met, and how they are replayed.
+"""Traffic conflicts of recorded tracks, and how they are replayed.
+
+A conflict is a pair of tracks that nearly met.
 
 A pair is an encounter if its least time to collision is short: the two would touch that
 soon if nobody changed speed or direction. It is replayed with both on their recorded
@@ -53,8 +55,12 @@ def time_to_collision_s(
     second. Exact: along each of the sides' four normals they overlap from one time to
     another, and they touch while they overlap along all of them.
 
-    >>> sizes = FootprintSizes(length_a_m=4.0, width_a_m=2.0, length_b_m=1.0, width_b_m=1.0)
-    >>> float(time_to_collision_s([12.5, 0.0], [-5.0, 0.0], 0.0, 90.0, sizes=sizes).round(9))
+    >>> car = {"length_a_m": 4.0, "width_a_m": 2.0}
+    >>> sizes = FootprintSizes(**car, length_b_m=1.0, width_b_m=1.0)
+    >>> offset_m = [12.5, 0.0]
+    >>> closing_mps = [-5.0, 0.0]
+    >>> found_s = time_to_collision_s(offset_m, closing_mps, 0.0, 90.0, sizes=sizes)
+    >>> float(found_s.round(9))
     2.0
     """
     offset = np.asarray(offset_m, dtype=float)
@@ -65,6 +71,7 @@ def time_to_collision_s(
     last = np.full(gaps.shape[1:], np.inf)
     turns = [yaw + turn for yaw in yaws for turn in (0.0, 0.5 * np.pi)]
     normals = [(np.cos(turn), np.sin(turn)) for turn in turns]
+    # When the bodies begin and cease to overlap along each normal.
     for gap, (east, north) in zip(gaps, normals, strict=True):
         apart = offset[..., 0] * east + offset[..., 1] * north
         speed = closing[..., 0] * east + closing[..., 1] * north
@@ -80,14 +87,32 @@ def time_to_collision_s(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundEncounter:
-    """A pair of tracks and its replay."""
+    """A pair of tracks and its replay.
+
+    Attributes
+    ----------
+    vehicle, vru : Track
+        The two recorded tracks.
+    actor : Actor
+        Body that stands for the VRU.
+    ttc_s : float
+        Least time to collision; infinite: they are never on collision course. [s]
+    gap_m : float
+        Least gap between their bodies. [m]
+    moment_s : float
+        Moment to which the speeds belong, on the recording's clock. [s]
+    vut_speed_kmh, vru_speed_kmh : float
+        Speeds at that moment. [km/h]
+    recorded : RecordedEncounter
+        How the pair is replayed.
+    """
 
     vehicle: Track
     vru: Track
-    actor: Actor  # body that stands for the VRU
-    ttc_s: float  # the least; infinite: they are never on collision course
-    gap_m: float  # the least between their bodies
-    moment_s: float  # to which speeds belong, on the recording's clock
+    actor: Actor
+    ttc_s: float
+    gap_m: float
+    moment_s: float
     vut_speed_kmh: float
     vru_speed_kmh: float
     recorded: RecordedEncounter
@@ -96,7 +121,9 @@ class FoundEncounter:
 def find_encounters(
     tracks: Sequence[Track], *, ttc_s: float | None, within_m: float | None = None
 ) -> tuple[tuple[FoundEncounter, ...], Counter[str]]:
-    """Pairs of a vehicle and a VRU that come near one another, and why others are left out.
+    """Pairs of a vehicle and a VRU that come near one another.
+
+    The second result says why others are left out.
 
     `tracks` are on one clock, in one frame. Pairs count whose least time to collision
     is at most `ttc_s`, and others whose bodies come at most so near, `within_m`.
@@ -131,7 +158,10 @@ def _replay(
     ttc_limit_s: float | None,
     within_m: float | None,
 ) -> FoundEncounter | str:
-    """The encounter of a pair; else why it is left out, empty where it does not come near."""
+    """The encounter of a pair, or why it is left out.
+
+    The reason is empty where the pair does not come near.
+    """
     rules = load_trajectory_rules().encounters
     vut = pick_actor("vut", "vut")
     is_common = (vehicle.time_s >= vru.time_s[0]) & (vehicle.time_s <= vru.time_s[-1])
@@ -152,6 +182,7 @@ def _replay(
     if not counts.any():
         return ""
     closing = vru.velocity_mps(time) - vehicle.velocity_mps(time)
+    # Only moments count at which the vehicle drives forwards and nobody has been hit.
     ttc = np.where(
         counts, time_to_collision_s(offset, closing, *yaws, sizes=sizes), np.inf
     )
@@ -192,6 +223,7 @@ def _replay(
         vru=actor,
         vru_speed_mps=own[1] * MPS_PER_KMH,
     )
+    # At constant speeds the contact may come a little early or late.
     early_s = first_contact_s(driven)
     if not abs(early_s) <= rules.min_known_s:
         return "at the speeds of that moment they would not meet there"
@@ -210,6 +242,7 @@ def _replay(
 
 
 def _speed(track: Track, moment_s: float) -> float:
+    """Speed of a track at a moment, in m/s."""
     return float(np.hypot(*track.velocity_mps(np.array(moment_s))))
 
 
@@ -249,13 +282,17 @@ def _crossing_s(a: Track, b: Track, time_s: FloatArray) -> tuple[float, float] |
 
 
 def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> RecordedWay:
-    """A track's way up to a moment, its points so far apart that swaying does not count."""
+    """A track's way up to a moment.
+
+    Its points are so far apart that swaying does not count.
+    """
     rules = load_trajectory_rules().encounters
     first_s = max(first_s, moment_s - rules.max_known_s)
     time = track.time_s[(track.time_s >= first_s) & (track.time_s < moment_s)]
     end = track.at(np.array(moment_s))
     yaw_deg = float(_yaw_deg(track, np.append(time, moment_s))[-1])
     points = [end]
+    # Backwards from the moment: its place is part of the way in any case.
     for point in track.at(time)[::-1]:
         if np.hypot(*(point - points[-1])) >= rules.way_step_m:
             points.append(point)
@@ -270,7 +307,15 @@ def _way(track: Track, moment_s: float, first_s: float, end_s: float) -> Recorde
 
 
 def cases_text(found: Sequence[FoundEncounter], *, name: str, source: str) -> str:
-    """Encounters as a TOML file of cases: of kind "recorded", NAME-VEHICLE-VRU each, each once."""
+    """Encounters as a TOML file of cases.
+
+    Each is a case of kind "recorded" with the name NAME-VEHICLE-VRU, once.
+
+    Raises
+    ------
+    InputError
+        A name occurs twice.
+    """
     import tomlkit
 
     table: dict[str, Any] = {}

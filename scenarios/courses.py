@@ -1,4 +1,7 @@
-"""Courses: smooth lines along the lanes of a map, by their own length; and turns of the VUT."""
+"""Courses: smooth lines along the lanes of a map, and turns.
+
+A course is measured by its own length.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,25 +14,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from geometry.arrays import FloatArray, freeze
 from geometry.errors import InputError, check_field, check_one_of
-from geometry.files import load_data, read_tables
 from geometry.junction import Line
 from geometry.lines import along_m, apart, points_at
+from geometry.tables import read_tables
+from geometry.text_formats import load_data
 
-_SAMPLE_M = 0.5  # between the points of a lane that are smoothed
-_SMOOTHING_M = 2.0  # bends much shorter than six times this are evened out
+# Between the points of a lane that are smoothed.
+_SAMPLE_M = 0.5
+# Bends much shorter than six times this are evened out.
+_SMOOTHING_M = 2.0
 _CLOSE_SAMPLE_M = 0.25
-_CLOSE = (_SMOOTHING_M / 0.4) ** 4  # weight of points that are smoothed over 0.4 m
-_CLOSE_BESIDE_M = 6.0  # of the lanes next to one that is followed closely
-_BEYOND_M = 60.0  # straight on beyond both ends of a lane
-_END_CHORD_M = 4.0  # of a lane's end, which tells its direction there
+# Weight of points that are smoothed over 0.4 m.
+_CLOSE = (_SMOOTHING_M / 0.4) ** 4
+# Of the lanes next to one that is followed closely.
+_CLOSE_BESIDE_M = 6.0
+# Straight on beyond both ends of a lane.
+_BEYOND_M = 60.0
+# Of a lane's end, which tells its direction there.
+_END_CHORD_M = 4.0
 _MAX_END_BEND_RAD = np.radians(20.0)
-_STEP_M = 0.01  # chords of an arc of 8 m come within two micrometres of it
+# Chords of an arc of 8 m come within two micrometres of it.
+_STEP_M = 0.01
 _SAME_POINT_M = 1.0e-6
 _MEETS_M = 1.0e-3
 _MAX_STEPS = 60
-_GENTLE_M = 16.0  # smoothing of a course that leaves the lanes' middles where it may
-_EASED_M = 5.0  # to both sides of where it must come nearer to them
-_DAMPING = 0.6  # where lanes bend, full steps may swing to and fro
+# Smoothing of a course that leaves the lanes' middles where it may.
+_GENTLE_M = 16.0
+# To both sides of where it must come nearer to them.
+_EASED_M = 5.0
+# Where lanes bend, full steps may swing to and fro.
+_DAMPING = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,11 +66,10 @@ class Course:
         Most that the curvature changes in a metre; infinite where it jumps. [1/m^2]
     """
 
-    begin_m: float  # station of the first point
-    points_m: FloatArray  # (n, 2); every centimetre. World frame.
-    yaw_rad: FloatArray  # (n,); direction there, without jumps by full turns
-    max_bend_per_m: float  # largest curvature
-    # most that the curvature changes in a metre; infinite where it jumps
+    begin_m: float
+    points_m: FloatArray
+    yaw_rad: FloatArray
+    max_bend_per_m: float
     max_bend_change_per_m2: float
 
     @property
@@ -91,7 +104,13 @@ class Course:
         return Line(point_m=point, direction=np.array([np.cos(yaw), np.sin(yaw)]))
 
     def offset(self, left_m: float) -> "Course":
-        """The line some metres to the left, with its origin; InputError: it bends too sharply."""
+        """The line some metres to the left, with its origin.
+
+        Raises
+        ------
+        InputError
+            The course bends too sharply.
+        """
         if left_m == 0.0:
             return self
         if self.max_bend_per_m * abs(left_m) >= 1.0:
@@ -128,10 +147,12 @@ class Course:
         )
 
     def _index(self, station_m: float) -> int:
+        """Index of the point before a station."""
         last = len(self.points_m) - 2
         return int(np.clip(np.floor((station_m - self.begin_m) / _STEP_M), 0, last))
 
     def _place(self, inside_m: FloatArray) -> tuple[np.ndarray, FloatArray]:
+        """Points before stations, and the share of the way to the next one."""
         steps = (inside_m - self.begin_m) / _STEP_M
         index = np.minimum(steps.astype(np.int64), len(self.points_m) - 2)
         return index, steps - index
@@ -163,20 +184,27 @@ def follow_lane(centreline_m: FloatArray, *, is_in: bool) -> Course:
 
 
 def follow_way(points_m: Sequence[tuple[float, float]], yaw_deg: float) -> Course:
-    """The smooth course along a way, whose last point is the origin; it goes on in a direction."""
+    """The smooth course along a way, and on in a direction.
+
+    The way's last point is the origin.
+    """
     end = np.array(points_m[-1])
     ahead = np.radians(yaw_deg)
     beyond = end + 2.0 * _END_CHORD_M * np.array([np.cos(ahead), np.sin(ahead)])
     return _follow((*map(tuple, points_m), tuple(beyond.tolist())), tuple(points_m[-1]))
 
 
-@lru_cache(maxsize=256)  # every case and speed follows the same few lanes
+# Every case and speed follows the same few lanes.
+@lru_cache(maxsize=256)
 def _follow(
     points: tuple[tuple[float, ...], ...],
     origin_m: tuple[float, ...],
     close: tuple[int, int] | None = None,
 ) -> Course:
-    """The course along points; those from one to another, `close`, are followed closely."""
+    """The course along points.
+
+    Those from one to another, `close`, are followed closely.
+    """
     chain = np.array(points, dtype=np.float64).reshape(-1, 2)
     close_m = None
     if close is not None:
@@ -217,9 +245,13 @@ def _smoothed(
     smoothing_m: float,
     weight: FloatArray | None = None,
 ) -> Course:
-    """The smoothing spline of points at even stations; its origin is nearest to a point."""
+    """The smoothing spline of points at even stations.
+
+    Its origin is the place nearest to `origin_m`.
+    """
     origin = samples_m.mean(axis=0)
     spline = _spline(at_m, samples_m - origin, smoothing_m=smoothing_m, weight=weight)
+    # The spline's own length, in steps of a centimetre.
     fine = np.linspace(0.0, at_m[-1], int(at_m[-1] / _STEP_M) + 2)
     derivative = spline.derivative()
     speed = np.hypot(*derivative(fine).T)
@@ -239,9 +271,11 @@ def _spline(
     smoothing_m: float,
     weight: FloatArray | None,
 ) -> Any:
+    """The smoothing spline of points (n, 2) at stations (n,)."""
+    # Takes a third of a second to import.
     from scipy.interpolate import (
         make_smoothing_spline,
-    )  # takes a third of a second to import
+    )
 
     # The sum over samples stands for an integral over the length.
     stiffness = smoothing_m**4 / (at_m[1] - at_m[0])
@@ -275,6 +309,7 @@ def _course_of(points_m: FloatArray, yaw_rad: FloatArray, origin: int) -> Course
 
 
 def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course:
+    """A course of points that are a step apart, with its bends measured."""
     bend = np.diff(yaw_rad) / _STEP_M
     # Over a tenth of a metre: shorter, rounded numbers would count as changes.
     stride = 10
@@ -291,7 +326,8 @@ def _course(begin_m: float, points_m: FloatArray, yaw_rad: FloatArray) -> Course
 # ---------- turns
 LEFT = 1
 RIGHT = -1
-_SIDES = {"far": LEFT, "near": RIGHT}  # right-hand traffic
+# Right-hand traffic.
+_SIDES = {"far": LEFT, "near": RIGHT}
 _ANGLE_TOLERANCE_DEG = 1.0e-9
 
 
@@ -314,13 +350,11 @@ class Turn:
         ``LEFT`` = +1, ``RIGHT`` = -1.
     """
 
-    # where the curve begins and ends; infinite: as straight as what comes before
     first_radius_m: float
-    radius_m: float  # of the arc in the middle; smaller than the first
-    # by how much each clothoid turns: its curvature grows linearly with its length
+    radius_m: float
     clothoid_deg: float
-    arc_deg: float  # by how much the arc turns
-    side: int  # ``LEFT`` = +1, ``RIGHT`` = -1
+    arc_deg: float
+    side: int
 
     def __post_init__(self) -> None:
         check = partial(check_field, self, "turn")
@@ -356,12 +390,17 @@ class Turn:
 
     @property
     def tangent_m(self) -> float:
-        """From either end of the curve to where the straights before and after it would meet."""
+        """Distance from either end to where the straights would meet.
+
+        These are the straights before and after the curve.
+        """
         half = 0.5 * np.radians(self.angle_deg)
         return float((self._half_way() * np.exp(-1j * half)).real / np.cos(half))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 2), ahead and left of the start, and angle turned after a distance.
+        """Position (..., 2) and angle turned after a distance.
+
+        The position is ahead and left of the start.
 
         Before the curve and behind its end the path is straight. The angle counts in
         degrees, counter-clockwise.
@@ -389,7 +428,12 @@ class Turn:
         return position, self.side * np.degrees(angle)
 
     def turned_by(self, angle_deg: float) -> "Turn":
-        """Turn with the arc for lanes that meet at another angle, 0 to 180 degrees, or InputError.
+        """Turn with the arc for lanes that meet at another angle.
+
+        Raises
+        ------
+        InputError
+            The angle is not between 0 and 180 degrees.
 
         Where the clothoids alone would turn further, they are shorter and there is no
         arc.
@@ -404,6 +448,7 @@ class Turn:
         return replace(self, arc_deg=arc_deg)
 
     def _half_way(self) -> complex:
+        """Middle of the curve as a complex number: ahead, left."""
         point, _ = self._first_half(np.array(0.5 * self.length_m))
         return complex(point)
 
@@ -416,8 +461,10 @@ class Turn:
         first = 1.0 / self.first_radius_m
         curvature = 1.0 / self.radius_m
         length = self.clothoid_length_m
-        growth = (curvature - first) / length  # of the curvature, per metre
-        skipped = first / growth  # of the clothoid that begins straight
+        # Of the curvature, per metre.
+        growth = (curvature - first) / length
+        # Of the clothoid that begins straight.
+        skipped = first / growth
         scale = np.sqrt(np.pi / growth)
 
         on_clothoid = np.minimum(distance, length)
@@ -435,7 +482,10 @@ class Turn:
 
 
 class TurnAtSpeed(Struct, frozen=True, kw_only=True):
-    """An entry of ``data/turning_paths.toml``: a turn, and how fast the VUT drives it."""
+    """A turn, and how fast the VUT drives it.
+
+    It is an entry of ``data/turning_paths.toml``.
+    """
 
     side: Literal["far", "near"] = field(name="turn")
     speed_kmh: float
@@ -455,17 +505,27 @@ class TurnAtSpeed(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_turns() -> dict[str, TurnAtSpeed]:
-    """The protocol's turns by name, such as "far_10", from ``data/turning_paths.toml``."""
+    """The protocol's turns by name, such as "far_10".
+
+    They are read from ``data/turning_paths.toml``.
+    """
     table = load_data(__package__, "turning_paths.toml")
     return read_tables(table, TurnAtSpeed, "turning_paths.toml")
 
 
 def pick_turn(side: str, speed_kmh: float) -> Turn:
-    """Turn to a side, "far" (left) or "near" (right), on which the VUT drives at a speed.
+    """Turn to a side on which the VUT drives at a speed.
 
-    Beyond the tabulated speeds that of the nearest one, as the protocol rules for 25
-    km/h. Raises InputError: the side is unknown, the speed not positive, or between two
-    tabulated ones.
+    The side is "far" (left) or "near" (right).
+
+    Beyond the tabulated speeds that of the nearest one, as the protocol rules for
+    25 km/h.
+
+    Raises
+    ------
+    InputError
+        The side is unknown, the speed not positive, or between two tabulated
+        ones.
     """
     check_one_of("turn", side, _SIDES)
     by_speed = {
@@ -485,13 +545,18 @@ def pick_turn(side: str, speed_kmh: float) -> Turn:
 def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course, Turn]:
     """The course along a lane, round a turn into another lane, and along that one.
 
-    Its origin is where the turn begins. The turn has the arc that the lanes' directions
-    at its ends ask for, and is returned with it; it begins and ends on the lanes,
-    wherever these bend. Raises InputError: the lanes do not lie so that the turn joins
-    them.
+    Its origin is where the turn begins. The turn has the arc that the lanes'
+    directions at its ends ask for, and is returned with it; it begins and ends on
+    the lanes, wherever these bend.
+
+    Raises
+    ------
+    InputError
+        The lanes do not lie so that the turn joins them.
     """
     begin_m = end_m = 0.0
     for _ in range(_MAX_STEPS):
+        # Both ends move along their lanes until the curve meets them.
         before = entry.tangent(begin_m)
         after = exit_course.tangent(end_m)
         angle_deg = turn.side * (
@@ -531,7 +596,10 @@ def join_by_turn(entry: Course, exit_course: Course, turn: Turn) -> tuple[Course
 
 
 def follow_lanes(chains_m: Sequence[FloatArray]) -> Course:
-    """The smooth course along lanes one after the other; its origin is where the first one ends."""
+    """The smooth course along lanes one after the other.
+
+    Its origin is where the first lane ends.
+    """
     points = np.concatenate(chains_m)
     return _follow(tuple(map(tuple, points.tolist())), tuple(chains_m[0][-1].tolist()))
 
@@ -543,7 +611,9 @@ def follow_connection(
     *,
     is_origin_behind: bool,
 ) -> Course:
-    """The course along a lane (n, 2), through a junction on its own lane, and along another one.
+    """The course along a lane, through a junction and along another lane.
+
+    Lines are (n, 2); the junction's own lane is the connection.
 
     The lane through the junction is smoothed over 0.4 m, the others over 2 m, see
     :func:`follow_lane`: where a straight line becomes a circle of radius R, the course
@@ -559,7 +629,9 @@ def follow_connection(
 def follow_gently(
     chains_m: Sequence[FloatArray], free_m: Sequence[float], *, origin: int
 ) -> Course:
-    """The gentlest course along lanes one after the other that leaves their middles a little.
+    """The gentlest course along lanes that leaves their middles a little.
+
+    The lanes follow one after the other.
 
     `chains_m`: points of the lanes in driving direction. World frame. `free_m`: how far
     it may leave each of them, > 0. `origin`: the lane at whose start its origin is;
@@ -578,12 +650,14 @@ def follow_gently(
     return _gentle(points, tuple(free.tolist()), tuple(at_origin.tolist()))
 
 
-@lru_cache(maxsize=256)  # as _follow
+# As _follow.
+@lru_cache(maxsize=256)
 def _gentle(
     points: tuple[tuple[float, ...], ...],
     free_m: tuple[float, ...],
     origin_m: tuple[float, ...],
 ) -> Course:
+    """The course of :func:`follow_gently`, from values that can be hashed."""
     from scipy.ndimage import maximum_filter1d
 
     chain = np.array(points)
@@ -601,5 +675,6 @@ def _gentle(
         excess = np.hypot(*(spline(at) - samples + samples[0]).T) / free_at
         if excess.max() <= 1.0:
             break
+        # Where the course leaves the lanes too far, its points weigh more.
         weight *= maximum_filter1d(np.maximum(1.03 * excess, 1.0) ** 2, 2 * near + 1)
     return _smoothed(samples, at, origin_m, smoothing_m=_GENTLE_M, weight=weight)

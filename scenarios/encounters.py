@@ -1,4 +1,7 @@
-"""Two bodies that move towards one another: how far apart they are, and when they first touch."""
+"""Two bodies that move towards one another.
+
+How far apart they are, and when they first touch.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -18,16 +21,18 @@ from geometry.footprints import FootprintSizes, gaps_between
 from .courses import follow_way
 from .paths import CoursePath, Motion
 
-_LONGEST_S = 600.0  # contacts later than this are not looked for
+# Contacts later than this are not looked for.
+_LONGEST_S = 600.0
 _FIRST_STEP_S = 0.25
 _STEP_GROWTH = 0.05
 _CONTACT_TOLERANCE_S = 1.0e-7
-GRAZING_M = (
-    1.0e-7  # nearer is contact: cells in which the bodies move less are not divided
-)
-_N_PARTS = 8  # of a cell along one time
+# Nearer is contact: cells in which the bodies move less are not divided.
+GRAZING_M = 1.0e-7
+# Of a cell along one time.
+_N_PARTS = 8
 _PART_MIDDLES = (2.0 * np.arange(_N_PARTS) + 1.0) / _N_PARTS - 1.0
-_N_TOGETHER = 1024  # cells to divide in one go
+# Cells to divide in one go.
+_N_TOGETHER = 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,10 +48,7 @@ class Encounter:
         middle of the footprint.
     """
 
-    # the bodies; only their footprints count here
     vut: Actor
-    # without braking; the VUT is up to speed when it sets off. Paths are those of the
-    # middle of the footprint.
     vut_motion: Motion
     vru: Actor
     vru_motion: Motion
@@ -66,7 +68,9 @@ class Encounter:
     def separation_m(
         self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
     ) -> FloatArray:
-        """Separation of the footprints after distances along their paths, which broadcast.
+        """Separation of the footprints after distances along their paths.
+
+        The distances broadcast.
 
         Zero or less means that they touch; see
         :func:`geometry.footprints.footprint_separation`.
@@ -77,7 +81,10 @@ class Encounter:
     def gaps_m(
         self, vut_distance_m: FloatArray, vru_distance_m: FloatArray
     ) -> FloatArray:
-        """Gaps along the four normals, (4, ...); see :func:`geometry.footprints.gaps_between`."""
+        """Gaps along the four normals, (4, ...).
+
+        See :func:`geometry.footprints.gaps_between`.
+        """
         vut_position, vut_yaw = self.vut_motion.path.at(vut_distance_m)
         vru_position, vru_yaw = self.vru_motion.path.at(vru_distance_m)
         return gaps_between(
@@ -105,13 +112,15 @@ class Encounter:
 
     @property
     def small_m(self) -> float:
-        """Neither body gets past the other while they move less than this, in metres."""
+        """Largest move in which neither body gets past the other, in metres."""
         return 0.25 * sum(
             min(body.length_m, body.width_m) for body in (self.vut, self.vru)
         )
 
     def max_gap_bend_mps2(self, deceleration_mps2: float) -> float:
-        """Bound of the second time derivative of :meth:`gaps_m` while the bodies are near.
+        """Bound of the second time derivative of the gaps, in m/s^2.
+
+        It holds for :meth:`gaps_m` while the bodies are near.
 
         `deceleration_mps2` is the most that the VUT brakes with.
 
@@ -139,7 +148,10 @@ class Encounter:
 
 
 def first_contact_s(encounter: Encounter) -> float:
-    """When the bodies first touch without braking, to 0.1 us; infinite: not within ten minutes."""
+    """Time at which the bodies first touch without braking, in s.
+
+    It is exact to 0.1 us. Infinite: they do not touch within ten minutes.
+    """
     vut = encounter.vut_motion
     vru = encounter.vru_motion
     speed = encounter.vut_reach * vut.speed_mps + encounter.vru_reach * vru.speed_mps
@@ -167,6 +179,7 @@ def first_contact_s(encounter: Encounter) -> float:
     edges = min(vut.start_time_s, vru.start_time_s) + after_s * (
         _FIRST_STEP_S / _STEP_GROWTH
     )
+    # One time alone: the cells are flat in the second one.
     middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
     half = 0.5 * np.diff(edges)
     nothing = np.zeros(n_cells)
@@ -178,7 +191,10 @@ def first_contact_s(encounter: Encounter) -> float:
 
 
 class Cells(NamedTuple):
-    """Rectangles in the plane of two times: the middle of each and half its size, (n,) each."""
+    """Rectangles in the plane of two times.
+
+    The middle of each and half its size, (n,) each.
+    """
 
     first_s: FloatArray
     second_s: FloatArray
@@ -200,11 +216,9 @@ class Measures:
         Along which time to divide it: where more is unknown.
     """
 
-    may_touch: BoolArray  # (n,); false: there is no contact anywhere in the cell
-    touches: BoolArray  # (n,); true: there is one at the middle of its first time
-    is_cut_along_first: (
-        BoolArray  # (n,); along which time to divide it: where more is unknown
-    )
+    may_touch: BoolArray
+    touches: BoolArray
+    is_cut_along_first: BoolArray
 
 
 def find_first_touch(
@@ -228,6 +242,7 @@ def find_first_touch(
         if touch_s - safe_s <= tolerance_s:
             return safe_s, touch_s
         waiting = pool[:, :0]
+        # Only the earliest cells are divided; the others wait.
         if len(begin) > _N_TOGETHER:
             order = np.argpartition(begin, _N_TOGETHER)
             pool, waiting = pool[:, order[:_N_TOGETHER]], pool[:, order[_N_TOGETHER:]]
@@ -238,7 +253,10 @@ def find_first_touch(
 
 
 def _divide(pool: FloatArray) -> FloatArray:
-    """Cut each cell into equal parts. Rows: middles, halves, whether along the first time."""
+    """Cut each cell into equal parts.
+
+    Rows are middles, halves, and whether to cut along the first time.
+    """
     middle = pool[:2]
     half = pool[2:4]
     is_cut = np.stack([pool[4] > 0.0, pool[4] == 0.0])
@@ -252,7 +270,10 @@ def _divide(pool: FloatArray) -> FloatArray:
 def _look(
     pool: FloatArray, measure: Callable[[Cells], Measures], touch_s: float
 ) -> tuple[FloatArray, float]:
-    """Cells that may hold an earlier contact, as :func:`_divide` takes them; the earliest one."""
+    """Cells that may hold an earlier contact, and the earliest contact.
+
+    The cells are as :func:`_divide` takes them.
+    """
     seen = measure(Cells(*pool[:4]))
     if seen.touches.any():
         touch_s = min(touch_s, float(pool[0][seen.touches].min()))
@@ -264,25 +285,33 @@ def _look(
 
 
 def _half_diagonal_m(body: Actor) -> float:
+    """Half the diagonal of a body's footprint, in metres."""
     return 0.5 * float(np.hypot(body.length_m, body.width_m))
 
 
-# ---------- recorded ones as they are replayed: two ways that were taken, at constant speeds
+# ---------- recorded encounters, replayed on the ways that were taken
 _LONGEST_WAY_M = 1000.0
-_MAX_EARLY_S = (
-    0.3  # of a contact before the impact: more is another impact, somewhere else
-)
+# Of a contact before the impact: more is another impact, somewhere else.
+_MAX_EARLY_S = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedWay:
-    """A way as it was taken, and when."""
+    """A way as it was taken, and when.
 
-    # of the middle of the body; goes straight on before and after them. World frame.
-    # [m]
+    Attributes
+    ----------
+    points_m : tuple of (float, float)
+        Points of the middle of the body, which goes straight on before and
+        after them. World frame. [m]
+    yaw_deg : float
+        Direction in which it goes straight on. [deg]
+    end_s : float
+        Time at which the body is at the last point; the impact is at 0. [s]
+    """
+
     points_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=2)]
-    yaw_deg: float  # direction in which it goes straight on
-    # when the body is at the last point; the impact is at 0. [s]
+    yaw_deg: float
     end_s: Annotated[float, Meta(ge=-60.0, le=60.0)]
 
     def __post_init__(self) -> None:
@@ -296,16 +325,27 @@ class RecordedWay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedEncounter:
-    """Two recorded ways that lead to an impact at time 0 if nobody reacts."""
+    """Two recorded ways that lead to an impact at time 0 if nobody reacts.
+
+    Attributes
+    ----------
+    vut, vru : RecordedWay
+        The two ways.
+    known_s : float
+        Both are recorded for so long before the impact. [s]
+    """
 
     vut: RecordedWay
     vru: RecordedWay
-    known_s: float  # both are recorded for so long before the impact
+    known_s: float
 
     def as_recorded(
         self, *, vut: Actor, vut_speed_mps: float, vru: Actor, vru_speed_mps: float
     ) -> Encounter:
-        """The bodies on their ways at constant speeds, at the times that the ways say."""
+        """The bodies on their ways at constant speeds.
+
+        They are there at the times that the ways say.
+        """
         return Encounter(
             vut=vut,
             vut_motion=_motion(self.vut, vut_speed_mps, self.known_s),
@@ -333,6 +373,7 @@ class RecordedEncounter:
 
 
 def _motion(way: RecordedWay, speed_mps: float, known_s: float) -> Motion:
+    """Motion along a recorded way at a constant speed."""
     course = follow_way(way.points_m, way.yaw_deg)
     if speed_mps > 0.0:
         start_m = course.station_of(way.points_m[0])

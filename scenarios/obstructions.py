@@ -30,10 +30,14 @@ from .staging import (
 )
 from .ways import StraightWay, Way
 
-_HEIGHTS_M = (0.35, 1.0)  # above kerbs, below bonnets and walls
-_STEP_M = 2.0  # along bent paths
-_ACROSS_STEP_M = 0.1  # the thinnest pole is hit
-_WALL = "wall "  # how names of walls begin
+# Above kerbs, below bonnets and walls.
+_HEIGHTS_M = (0.35, 1.0)
+# Along bent paths.
+_STEP_M = 2.0
+# The thinnest pole is hit.
+_ACROSS_STEP_M = 0.1
+# How names of walls begin.
+_WALL = "wall "
 _POLES = ("lamp post", "traffic light")
 
 
@@ -53,6 +57,7 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
     line. What the map does not show does not stand in the way.
     """
     encounter = staging.encounter
+    # The VUT passes no pole, a VRU may.
     solid = _solid(scene, has_poles=True)
     others = _solid(scene, has_poles=False)
     thing = _first_met(others, _way(encounter.vru_motion, encounter.vru))
@@ -91,7 +96,10 @@ def make_room(staging: Staging, scene: Scene) -> Staging:
 def is_way_free(
     body: Actor, motion: Motion, scene: Scene, obstruction: Sequence[PlacedActor]
 ) -> bool:
-    """True if no thing of the scene but poles, and nothing parked, is in a way to the impact."""
+    """True if nothing stands in a way to the impact.
+
+    Things of the scene count except poles, and so does whatever is parked.
+    """
     segments = _way(motion, body)
     if not _is_free(_solid(scene, has_poles=False), segments):
         return False
@@ -112,10 +120,12 @@ def _find_room(
     bodies: tuple[tuple[str, tuple[float, ...]], ...],
 ) -> tuple[float, float]:
     """Metres aside and back by which bodies, each a name and its corners, get room."""
+    # All places that the bodies may be moved to, the nearest first.
     moves = _moves_m(max_aside_m)
     shifts = moves @ np.array([aside, back])
     rings = np.array([corners for _, corners in bodies]).reshape(-1, 4, 2)
-    places = rings + shifts[:, None, None, :]  # (n_moves, n_bodies, 4, 2)
+    # (n_moves, n_bodies, 4, 2).
+    places = rings + shifts[:, None, None, :]
     outlines = shapely.polygons(places)
     areas = _areas(scene)
     off_road = np.flatnonzero(
@@ -152,12 +162,15 @@ def _find_room(
 
 
 def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> BoolArray:
-    """Cars, (..., 4, 2), behind which a lane lies that leads about the same way, (...,).
+    """Cars (..., 4, 2) that would stand on a traffic island, (...,).
+
+    Behind such a car lies a lane that leads about the same way.
 
     Behind a corner lies the lane of the road that crosses.
     """
     rules = load_obstruction_rules()
     behind = places_m + rules.island_m * aside
+    # The ground under a car and behind it.
     swept = shapely.convex_hull(
         shapely.multipoints(np.concatenate([places_m, behind], axis=-2))
     )
@@ -165,9 +178,8 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
     is_island: BoolArray = np.zeros(swept.shape, dtype=bool)
     if not swept.size:
         return is_island
-    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(
-        -1, 2
-    )  # from rear to front
+    # From rear to front.
+    axes = (places_m[..., 0, :] - places_m[..., 1, :]).reshape(-1, 2)
     tree, directions = _pieces(scene)
     place, piece = tree.query(swept.ravel(), predicate="intersects")
     along = np.abs((axes[place] * directions[piece]).sum(axis=1)) / np.hypot(
@@ -182,7 +194,10 @@ def _are_on_islands(scene: Scene, places_m: FloatArray, aside: FloatArray) -> Bo
 
 @lru_cache(maxsize=8)
 def _pieces(scene: Scene) -> tuple[Any, FloatArray]:
-    """A tree of the straight pieces of the lanes between junctions, and their directions (n, 2)."""
+    """A tree of the straight pieces of lanes, and their directions (n, 2).
+
+    The lanes are those between junctions.
+    """
     pieces = []
     directions = []
     parking = _areas(scene).parking
@@ -211,20 +226,30 @@ def _moves_m(max_aside_m: float) -> FloatArray:
     return freeze(moves[np.argsort(np.abs(moves).sum(axis=1), kind="stable")])
 
 
-_INSIDE_OUTLINE_M = 2.0  # outlines are rounded at the corners
+# Outlines are rounded at the corners.
+_INSIDE_OUTLINE_M = 2.0
 _MAY_OVERLAP_M = 0.1
 
 
 class _Areas(NamedTuple):
-    """Areas of a scene, shapely geometries that are prepared."""
+    """Areas of a scene, shapely geometries that are prepared.
+
+    Attributes
+    ----------
+    carriageway, parking : Any
+        Where cars drive, and where they park.
+    houses : Any
+        Ground under buildings and walls.
+    """
 
     carriageway: Any
     parking: Any
-    houses: Any  # ground under buildings and walls
+    houses: Any
 
 
 @lru_cache(maxsize=8)
 def _areas(scene: Scene) -> _Areas:
+    """Areas of a scene that cars may not, or need not, be parked on."""
     lanes = (lane for lane in scene.lanes if lane.kind in ("driving", CONNECTING))
     strips = strips_of(lanes, less_m=_MAY_OVERLAP_M)
     inside = area_of(scene.outline_m).buffer(-_INSIDE_OUTLINE_M)
@@ -240,12 +265,24 @@ def _areas(scene: Scene) -> _Areas:
 
 
 class _Solid(NamedTuple):
-    """Things of a scene that may stand in a way."""
+    """Things of a scene that may stand in a way.
+
+    Attributes
+    ----------
+    scene : Scene
+        The scene itself.
+    caster : RayCaster
+        Its triangles, near the origin: rays have single precision.
+    origin_m : (2,) float
+        Point of the scene that is the caster's origin. [m]
+    instance : (n,) int32
+        Index of the thing to which each triangle belongs.
+    """
 
     scene: Scene
-    caster: RayCaster  # near the origin: rays have single precision
-    origin_m: FloatArray  # (2,)
-    instance: NDArray[np.int32]  # (n,): of each triangle
+    caster: RayCaster
+    origin_m: FloatArray
+    instance: NDArray[np.int32]
 
     def rays(self, segments_m: FloatArray) -> tuple[FloatRays, FloatRays]:
         """Starts and ways (n, 3) of segments at each height above the ground."""
@@ -262,6 +299,7 @@ class _Solid(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
+    """Things of a scene that stand in a way; the ground is none of them."""
     passed = (GROUND,) if has_poles else (GROUND, *_POLES)
     counts = np.array(
         [thing.class_name not in passed for thing in scene.instances], dtype=bool
@@ -275,6 +313,7 @@ def _solid(scene: Scene, *, has_poles: bool) -> _Solid:
 
 
 def _is_free(solid: _Solid, segments_m: FloatArray) -> bool:
+    """True if no segment (n, 2, 2) meets a thing."""
     return not solid.caster.is_blocked(*solid.rays(segments_m)).any()
 
 
@@ -289,7 +328,10 @@ def _first_met(solid: _Solid, segments_m: FloatArray) -> Phrase | None:
 
 
 def _way(motion: Motion, body: Actor) -> FloatArray:
-    """Segments along the middle and the flanks, from behind the start to the impact, (n, 2, 2)."""
+    """Segments along the middle and the flanks of a body, (n, 2, 2).
+
+    They lead from behind the start to the impact.
+    """
     covered_m = float(motion.distance_m(0.0))
     distances = np.linspace(0.0, covered_m, max(2, int(covered_m / _STEP_M) + 2))
     position, yaw_deg = motion.path.at(distances)
@@ -298,6 +340,7 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
     left = np.stack([-np.sin(yaw), np.cos(yaw)], axis=-1)
     segments = []
     for share in (-0.5, 0.0, 0.5):
+        # Along the right flank, the middle, and the left flank.
         line = position + share * body.width_m * left
         line = np.concatenate([line[:1] - 0.5 * body.length_m * ahead[:1], line])
         segments.append(np.stack([line[:-1], line[1:]], axis=1))
@@ -306,9 +349,8 @@ def _way(motion: Motion, body: Actor) -> FloatArray:
 
 def _sides(corners_m: FloatArray) -> FloatArray:
     """Segments around footprints (n, 4, 2) and, close together, across them."""
-    ends = np.array(
-        [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]
-    )  # four sides, two diagonals
+    # Four sides, two diagonals.
+    ends = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)])
     around = corners_m[:, ends].reshape(-1, 2, 2)
     longest = np.hypot(*np.ptp(corners_m, axis=1).T).max()
     share = np.linspace(0.0, 1.0, int(longest / _ACROSS_STEP_M) + 2)[1:-1, None, None]
@@ -365,7 +407,9 @@ def park(
     bumper_m: float,
     side: float,
 ) -> Staging:
-    """An encounter with a row of cars parked beside a lane, noses as the VUT's, flush to the road.
+    """An encounter with a row of cars parked beside a lane.
+
+    Their noses point as the VUT's; they are flush to the road.
 
     `row_way` is the middle of the lane in the VUT's direction, `bumper_m` the station
     of the first front bumper; `side` is +1 to the left of it, -1 to the right.
@@ -386,7 +430,10 @@ def park(
 def _row(
     obstruction: Obstruction, way: Way, bumper_m: float, left_m: Mapping[Actor, float]
 ) -> tuple[PlacedActor, ...]:
-    """Bodies one behind the other along a way, by the station of the first front bumper."""
+    """Bodies one behind the other along a way.
+
+    `bumper_m` is the station of the first front bumper.
+    """
     bodies = []
     for actor in obstruction.bodies:
         station_m = bumper_m - 0.5 * actor.length_m
@@ -405,7 +452,9 @@ def _beside_vut(
     vru: Actor,
     side: float,
 ) -> tuple[PlacedActor, ...]:
-    """Cars parked along the VUT's way, on the side from which the VRU comes, noses as the VUT's.
+    """Cars parked along the VUT's way, noses as the VUT's.
+
+    They stand on the side from which the VRU comes.
 
     Their common centreline is such that the widest keeps the side gap.
     """
@@ -430,7 +479,10 @@ def _beside_vut(
 def _beside_vru(
     obstruction: Obstruction, *, vru_way: Way, vru_m: float, vru: Actor, side: float
 ) -> tuple[PlacedActor, ...]:
-    """Cars, noses away from the VUT's way, or a wall between the VRU's way and the coming VUT."""
+    """Cars or a wall between the VRU's way and the VUT that comes.
+
+    The cars' noses point away from the VUT's way.
+    """
     bodies = []
     rear_m = obstruction.first_gap_m
     wall = obstruction.wall_size_m
@@ -448,6 +500,7 @@ def _beside_vru(
 
 
 def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
+    """A body that stands on the plane z = 0."""
     return PlacedActor(
         actor=actor, pose=Pose(position_m=np.append(point_m, 0.0), yaw_deg=yaw_deg)
     )
@@ -455,6 +508,7 @@ def _placed(actor: Actor, point_m: FloatArray, yaw_deg: float) -> PlacedActor:
 
 @cache
 def _build_wall(length_m: float, thickness_m: float, height_m: float) -> Actor:
+    """A wall as a body, so that it is placed like parked cars."""
     return Actor(
         name=f"wall {length_m:g} x {thickness_m:g} x {height_m:g} m",
         class_name="wall",

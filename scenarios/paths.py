@@ -14,11 +14,16 @@ from geometry.errors import InputError, check_field
 from .courses import Course, Turn
 
 MPS_PER_KMH = 1000.0 / 3600.0
-"""Metres per second in a kilometre per hour; scipy.constants, which has it, takes long to load."""
+"""Metres per second in a kilometre per hour.
 
-_TABLE_STEP_M = 0.005  # chords of an arc of 8 m come within half a micrometre of it
+scipy.constants has it, too, but takes long to load.
+"""
+
+# Chords of an arc of 8 m come within half a micrometre of it.
+_TABLE_STEP_M = 0.005
 _ODE_TOLERANCE = 1.0e-11
-_TOW_STEPS = 10  # points of a course that one step of the integration passes
+# Points of a course that one step of the integration passes.
+_TOW_STEPS = 10
 
 # A path says where a body is after a distance. The middle of its footprint never moves
 # further than the distance, and its line is never bent more than three times as much as
@@ -27,14 +32,25 @@ _TOW_STEPS = 10  # points of a course that one step of the integration passes
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StraightPath:
-    """A straight line, driven in one direction."""
+    """A straight line, driven in one direction.
 
-    start_m: FloatArray  # (2,); east, north at distance 0
-    yaw_deg: float  # direction, counter-clockwise from east
-    direction: FloatArray = field(
-        init=False, repr=False
-    )  # the same as a unit vector, (2,)
-    # how much the heading changes in a metre, and how much that changes itself, at most
+    Attributes
+    ----------
+    start_m : (2,) float
+        East, north at distance 0. [m]
+    yaw_deg : float
+        Direction, counter-clockwise from east. [deg]
+    direction : (2,) float
+        The same as a unit vector.
+    max_turn_rad_per_m : float
+        Most that the heading changes in a metre. [rad/m]
+    max_turn_change_rad_per_m2 : float
+        Most that this change itself changes in a metre. [rad/m^2]
+    """
+
+    start_m: FloatArray
+    yaw_deg: float
+    direction: FloatArray = field(init=False, repr=False)
     max_turn_rad_per_m: ClassVar[float] = 0.0
     max_turn_change_rad_per_m2: ClassVar[float] = 0.0
 
@@ -43,7 +59,10 @@ class StraightPath:
         object.__setattr__(self, "direction", _unit_vector(self.yaw_deg))
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Middle of the footprint (..., 2) and heading after a distance, also beyond the ends."""
+        """Middle of the footprint (..., 2) and heading after a distance.
+
+        They are given beyond the ends, too.
+        """
         distance = np.asarray(distance_m, dtype=np.float64)
         position: FloatArray = self.start_m + distance[..., None] * self.direction
         return position, np.full(distance.shape, self.yaw_deg)
@@ -73,12 +92,12 @@ class TurnPath:
         Front axle ahead of the middle of the footprint. [m]
     """
 
-    start_m: FloatArray  # (2,); east, north of the front axle's centre at distance 0
-    yaw_deg: float  # direction there, counter-clockwise from east
-    straight_m: float  # from there to the start of the turn
-    turn: Turn  # the curve
-    wheelbase_m: float  # front axle to rear axle
-    front_axle_ahead_m: float  # front axle ahead of the middle of the footprint
+    start_m: FloatArray
+    yaw_deg: float
+    straight_m: float
+    turn: Turn
+    wheelbase_m: float
+    front_axle_ahead_m: float
     _direction: FloatArray = field(init=False, repr=False)
     _table: "_TurnTable" = field(init=False, repr=False)
 
@@ -94,20 +113,32 @@ class TurnPath:
 
     @property
     def max_turn_rad_per_m(self) -> float:
-        """Curvature of the arc; a car turns no faster than the path that it is dragged along."""
+        """Curvature of the arc, in rad/m.
+
+        A car turns no faster than the path that it is dragged along.
+        """
         return 1.0 / max(self.turn.radius_m, self.wheelbase_m)
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
-        """The car turns by sin(lag) / wheelbase per metre, and its lag grows by the curvature."""
+        """Bound of the change of curvature, in rad/m^2.
+
+        The car turns by sin(lag) / wheelbase per metre, and its lag grows by
+        the curvature.
+        """
         return 1.0 / (self.turn.radius_m * self.wheelbase_m)
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
+        """Middle of the footprint and heading after a distance.
+
+        See :meth:`StraightPath.at`.
+        """
         table = self._table
         on_turn = np.asarray(distance_m, dtype=np.float64) - self.straight_m
+        # On the turn by the table, before it and after it in closed form.
         inside = np.minimum(np.maximum(on_turn, 0.0), table.distance_m[-1])
-        beyond = on_turn - inside  # negative before the turn
+        # Negative before the turn.
+        beyond = on_turn - inside
         after = np.maximum(beyond, 0.0)
         exit_rad = table.exit_rad
         on_curve = np.interp(inside, table.distance_m, table.body_rad)
@@ -133,7 +164,9 @@ class TurnPath:
 def _aligned_rad(
     body_rad: FloatArray, exit_rad: float, half_lag_tan: float, after: FloatArray
 ) -> FloatArray:
-    """Headings of a dragged body, `after` wheelbases along a straight that follows; 0: before it.
+    """Headings of a dragged body on a straight that follows a path.
+
+    The body is `after` wheelbases along the straight; 0: before it.
 
     Dragged along a straight, the tangent of half the angle to it decays exponentially.
     """
@@ -143,7 +176,10 @@ def _aligned_rad(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoursePath:
-    """A road user's way along a course: the middle of the footprint stays on it, heading along.
+    """A road user's way along a course.
+
+    The middle of the footprint stays on the course, and the body heads along
+    it.
 
     Attributes
     ----------
@@ -153,8 +189,8 @@ class CoursePath:
         Station of the middle of the footprint at distance 0. [m]
     """
 
-    course: Course  # the line
-    start_m: float  # station of the middle of the footprint at distance 0
+    course: Course
+    start_m: float
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -191,9 +227,8 @@ class TowedPath:
         As of a :class:`TurnPath`. [m]
     """
 
-    course: Course  # the line
-    start_m: float  # station of the front axle's centre at distance 0
-    # as of a :class:`TurnPath`
+    course: Course
+    start_m: float
     wheelbase_m: float
     front_axle_ahead_m: float
     _body_rad: FloatArray = field(init=False, repr=False)
@@ -206,7 +241,10 @@ class TowedPath:
 
     @property
     def max_turn_rad_per_m(self) -> float:
-        """Largest curvature of the course; so large that a third of it bounds the middle's bend.
+        """Largest curvature, also as a bound for the middle of the body.
+
+        It is that of the course, or so large that a third of it bounds the bend
+        of the middle's line.
 
         That bend is at most the course's, and that of the body around the front axle:
         the second derivative of the heading b is |curvature - b'| / wheelbase, its
@@ -219,11 +257,18 @@ class TowedPath:
 
     @property
     def max_turn_change_rad_per_m2(self) -> float:
-        """The body turns by sin(lag) / wheelbase per metre; its lag by both curvatures at most."""
+        """Bound of the change of curvature, in rad/m^2.
+
+        The body turns by sin(lag) / wheelbase per metre, and its lag changes by
+        both curvatures at most.
+        """
         return 2.0 * self.course.max_bend_per_m / self.wheelbase_m
 
     def at(self, distance_m: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position of the middle of the footprint and heading; see :meth:`StraightPath.at`."""
+        """Middle of the footprint and heading after a distance.
+
+        See :meth:`StraightPath.at`.
+        """
         station = self.start_m + np.asarray(distance_m, dtype=np.float64)
         front, _ = self.course.at(station)
         exit_rad = self.course.yaw_rad[-1]
@@ -241,13 +286,27 @@ NORTH_TO_SOUTH = np.array([1.0, -1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MovedPath:
-    """A path that lies otherwise: in a mirror, then turned about the origin, then shifted."""
+    """A path that is mirrored, then turned about the origin, then shifted.
+
+    Attributes
+    ----------
+    path : Path
+        The path as it was.
+    ahead_m : float
+        The new path begins so much farther on. [m]
+    is_mirrored : bool
+        North and south are swapped.
+    turn_deg : float
+        Counter-clockwise. [deg]
+    shift_m : tuple[float, float]
+        East, north. [m]
+    """
 
     path: "Path"
-    ahead_m: float = 0.0  # it begins so much farther on
-    is_mirrored: bool = False  # north and south are swapped
-    turn_deg: float = 0.0  # counter-clockwise
-    shift_m: tuple[float, float] = (0.0, 0.0)  # east, north
+    ahead_m: float = 0.0
+    is_mirrored: bool = False
+    turn_deg: float = 0.0
+    shift_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def max_turn_rad_per_m(self) -> float:
@@ -289,20 +348,39 @@ def rotated(vectors_m: ArrayLike, angle_deg: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """Stands at the path's start, sets off at `start_time_s`, then keeps its speed, or brakes."""
+    """How a body moves along its path over time.
 
-    path: Path  # where to
-    speed_mps: (
-        float  # once it is reached, and the highest; 0: it stands at the path's start
-    )
-    start_time_s: float  # when it sets off; the impact is at 0
-    # from rest to its speed, at constant acceleration; 0: at once
+    It stands at the path's start, sets off at `start_time_s`, and then keeps
+    its speed, or brakes.
+
+    Attributes
+    ----------
+    path : Path
+        The path along which it moves.
+    speed_mps : float
+        Steady speed, which is the highest; 0: it stands at the path's start.
+        [m/s]
+    start_time_s : float
+        When it sets off; the impact is at 0. [s]
+    acceleration_distance_m : float
+        Distance from rest to its speed, at constant acceleration; 0: it has its
+        speed at once. [m]
+    brake_time_s : float
+        When it begins to brake, which is not before it is up to speed;
+        infinite: it does not. [s]
+    deceleration_mps2 : float
+        How it brakes. [m/s^2]
+    final_speed_mps : float
+        Speed that it keeps after braking. [m/s]
+    """
+
+    path: Path
+    speed_mps: float
+    start_time_s: float
     acceleration_distance_m: float = 0.0
-    # when it begins to brake, which is not before it is up to speed, and how; infinite:
-    # it does not
     brake_time_s: float = np.inf
     deceleration_mps2: float = 0.0
-    final_speed_mps: float = 0.0  # which it keeps then
+    final_speed_mps: float = 0.0
 
     def __post_init__(self) -> None:
         if self.speed_mps != 0.0 or self.acceleration_distance_m != 0.0:
@@ -317,13 +395,16 @@ class Motion:
         begin_s = (
             self.start_time_s + 2.0 * self.acceleration_distance_m / self.speed_mps
         )
-        check(
-            "brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on"
-        )  # nor NaN
+        # Nor NaN.
+        check("brake_time_s", begin_s <= self.brake_time_s, f"from {begin_s:g} on")
 
     @property
     def acceleration_mps2(self) -> float:
-        """The most its speed changes in a second: v^2 / (2 a) over the acceleration distance."""
+        """Most that its speed changes in a second, in m/s^2.
+
+        While it gains speed that is v^2 / (2 a) over the acceleration distance
+        a.
+        """
         if self.acceleration_distance_m == 0.0:
             return self.deceleration_mps2
         gained = self.speed_mps**2 / (2.0 * self.acceleration_distance_m)
@@ -347,6 +428,7 @@ class Motion:
         return slowed_m + lost_mps * (braking_s - slowing_s)
 
     def _steady_distance_m(self, time_s: ArrayLike) -> FloatArray:
+        """Distance covered at times if it does not brake, in metres."""
         moving_s = np.maximum(
             0.0, np.asarray(time_s, dtype=np.float64) - self.start_time_s
         )
@@ -364,8 +446,15 @@ def travel_time_s(
     """Time from rest to a distance; the inverse of :meth:`Motion.distance_m`.
 
     With the speed v it is 2 a / v for the acceleration distance a, then 1 / v per
-    metre. Raises InputError: the speed is not positive, or a distance is negative.
+    metre.
 
+    Raises
+    ------
+    InputError
+        The speed is not positive, or a distance is negative.
+
+    Examples
+    --------
     >>> travel_time_s(10.0, speed_mps=2.0, acceleration_distance_m=1.0)
     5.5
     """
@@ -378,20 +467,34 @@ def travel_time_s(
 
 
 class _TurnTable(NamedTuple):
-    """A vehicle on a turn, ahead and left of the turn's start, whose direction is 0."""
+    """A vehicle on a turn, ahead and left of the turn's start, whose direction is 0.
 
-    distance_m: FloatArray  # (n,); from its start to its end
-    ahead_m: FloatArray  # (n,); of the front axle
+    Attributes
+    ----------
+    distance_m : (n,) float
+        From its start to its end. [m]
+    ahead_m, left_m : (n,) float
+        Of the front axle. [m]
+    body_rad : (n,) float
+        Heading of the body. [rad]
+    exit_rad : float
+        Direction of the path after the turn. [rad]
+    exit_half_lag_tan : float
+        Tangent of half the angle by which the body lags behind there.
+    """
+
+    distance_m: FloatArray
+    ahead_m: FloatArray
     left_m: FloatArray
-    body_rad: FloatArray  # (n,); heading of the body
-    exit_rad: float  # direction of the path after the turn
-    exit_half_lag_tan: (
-        float  # tangent of half the angle by which the body lags behind there
-    )
+    body_rad: FloatArray
+    exit_rad: float
+    exit_half_lag_tan: float
 
 
-@lru_cache(maxsize=64)  # the same few turns are driven again and again
+# The same few turns are driven again and again.
+@lru_cache(maxsize=64)
 def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
+    """Places and headings of a vehicle on a turn, a step apart."""
     distance = np.linspace(0.0, turn.length_m, int(turn.length_m / _TABLE_STEP_M) + 2)
     point, angle_deg = turn.at(distance)
     path_rad = np.radians(angle_deg)
@@ -405,9 +508,13 @@ def _build_table(turn: Turn, wheelbase_m: float) -> _TurnTable:
 
 
 def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArray:
-    """Angle from the body to the path: grows with the curvature, decays with the sine of itself."""
+    """Angle from the body to the path, (n,), in rad.
+
+    It grows with the curvature and decays with its own sine.
+    """
     from scipy.integrate import solve_ivp
 
+    # Curvature is linear between these distances.
     arc_starts = turn.clothoid_length_m
     arc_ends = turn.length_m - turn.clothoid_length_m
     distances = np.array([0.0, arc_starts, arc_ends, turn.length_m])
@@ -427,14 +534,19 @@ def _lag_rad(turn: Turn, wheelbase_m: float, distance_m: FloatArray) -> FloatArr
         rtol=_ODE_TOLERANCE,
         atol=_ODE_TOLERANCE,
         max_step=0.25
-        * turn.clothoid_length_m,  # or it might step over where the arc begins
+        # Or it might step over where the arc begins.
+        * turn.clothoid_length_m,
     )
     return np.asarray(solution.y[0])
 
 
-@lru_cache(maxsize=64)  # the same few courses are driven again and again
+# The same few courses are driven again and again.
+@lru_cache(maxsize=64)
 def _tow(course: Course, wheelbase_m: float) -> FloatArray:
-    """Heading of a body dragged along a course, at its points, (n,): Runge and Kutta's method."""
+    """Heading of a body dragged along a course, at its points, (n,).
+
+    Runge and Kutta's method gives it.
+    """
     from scipy.interpolate import CubicHermiteSpline
 
     stride = _TOW_STEPS
@@ -448,6 +560,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
     nodes = [body]
     for step in range(n_steps):
         begin, middle, end = path[2 * step : 2 * step + 3]
+        # The classical Runge-Kutta step of order four.
         first = gain * sin(begin - body)
         second = gain * sin(middle - body - 0.5 * first)
         third = gain * sin(middle - body - 0.5 * second)
@@ -463,6 +576,7 @@ def _tow(course: Course, wheelbase_m: float) -> FloatArray:
 
 
 def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
+    """Raise InputError unless the front axle is ahead and not too far."""
     if not 0.0 < wheelbase_m < np.inf:
         raise InputError("wheelbase_m", wheelbase_m, "> 0 metres")
     if not 0.0 <= front_axle_ahead_m <= wheelbase_m:
@@ -472,6 +586,7 @@ def _check_axles(wheelbase_m: float, front_axle_ahead_m: float) -> None:
 
 
 def _unit_vector(yaw_deg: float) -> FloatArray:
+    """Unit vector in a direction, (2,), counter-clockwise from east."""
     if not np.isfinite(yaw_deg):
         raise InputError("yaw_deg", yaw_deg, "finite degrees")
     yaw = np.radians(yaw_deg)
@@ -479,6 +594,7 @@ def _unit_vector(yaw_deg: float) -> FloatArray:
 
 
 def _check_speed(speed_mps: float, acceleration_distance_m: float, where: str) -> None:
+    """Raise InputError unless a speed and its run-up are possible."""
     if not 0.0 < speed_mps < np.inf:
         raise InputError(f"{where}speed_mps", speed_mps, "> 0 metres per second")
     if not 0.0 <= acceleration_distance_m < np.inf:

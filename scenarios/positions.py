@@ -1,4 +1,7 @@
-"""Positions: where along the arms of a junction encounters are laid, and at which speeds."""
+"""Positions along the arms of a junction where encounters are laid.
+
+The module also says which speeds are driven there.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -9,7 +12,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import float_of, read_data
+from geometry.tables import read_data
+from geometry.text_formats import float_of
 
 from .cases import Case
 
@@ -28,11 +32,7 @@ class Position:
         ahead. [m]
     """
 
-    # : On the arm straight ahead, by which the VUT leaves the junction; else on the arm
-    # from which : it comes.
     is_behind: bool = False
-    # : How far before the place of the protocol, or beyond the crosswalk of the arm
-    # ahead. [m]
     distance_m: float = 0.0
 
     @property
@@ -44,14 +44,20 @@ class Position:
 
     @property
     def ahead_m(self) -> float:
-        """How far the place lies ahead, in driving direction, of where that arm is crossed."""
+        """Distance of the place ahead of where that arm is crossed, in metres.
+
+        It counts in driving direction.
+        """
         if self.is_behind:
             return self.distance_m
         return -self.distance_m
 
 
 AT_ZERO = Position()
-"""The place of the protocol: where the VUT's way meets the crosswalk of the arm it comes from."""
+"""The place of the protocol.
+
+There the VUT's way meets the crosswalk of the arm it comes from.
+"""
 
 
 # ---------- rules
@@ -75,7 +81,7 @@ def load_position_rules() -> PositionRules:
 
 
 def is_study_set(cases: str) -> bool:
-    """True if the words of a user name nothing but sets that are driven at position 0 alone."""
+    """True if a user's words name only sets driven at position 0 alone."""
     words = {word.strip() for word in cases.split(",")}
     return words <= set(load_position_rules().sets_at_zero)
 
@@ -84,9 +90,14 @@ def is_study_set(cases: str) -> bool:
 def read_along_arms(text: str, where: str) -> tuple[float, ...]:
     """Distances along the arms, in metres, by the words of a user.
 
-    Raises InputError: a word is no distance, or one is given twice; there is none, or
-    there are too many.
+    Raises
+    ------
+    InputError
+        A word is no distance, or one is given twice; there is none, or there
+        are too many.
 
+    Examples
+    --------
     >>> read_along_arms("0, 15,30", "along_arms")
     (0.0, 15.0, 30.0)
     """
@@ -123,6 +134,7 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
     >>> [position.name for position in build_positions([0.0, 15.0])]
     ['0', '-15', '+0', '+15']
     """
+    # Those before the junction come first, as the VUT passes them.
     before = [Position(distance_m=distance_m) for distance_m in distances_m]
     behind = [
         Position(is_behind=True, distance_m=distance_m) for distance_m in distances_m
@@ -131,7 +143,11 @@ def build_positions(distances_m: Sequence[float]) -> tuple[Position, ...]:
 
 
 def pick_positions(along_arms: str, cases: str) -> tuple[Position, ...]:
-    """Positions by the words of a user: `along_arms` if it says something, else by the `cases`."""
+    """Positions by the words of a user.
+
+    They are those of `along_arms` if it says something, else those of the
+    `cases`.
+    """
     if along_arms.strip():
         return build_positions(read_along_arms(along_arms, "along_arms"))
     if is_study_set(cases):
@@ -178,7 +194,9 @@ def sort_positions(names: Iterable[str]) -> list[str]:
 
 # ---------- positions of cases
 def is_bound(case: Case) -> bool:
-    """Whether a case can happen at the junction alone: the VUT turns, or the VRU's road is there.
+    """True if a case can happen at the junction alone.
+
+    The VUT turns, or the VRU's road is there.
 
     All others - people who cross the VUT's lane, those who move ahead in it - may
     happen anywhere along an arm.

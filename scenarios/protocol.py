@@ -48,12 +48,19 @@ def stage_by_protocol(
     crosswalk; a VRU that moves ahead of the VUT is reached there. Cyclists ride on the
     arm's cycleway where it has one.
 
-    At other positions all of this lies so far along the VUT's way, before or behind: on
-    the lane by which it comes, or on the one straight ahead by which it leaves. Behind
-    the junction it drives along the connecting lane, or straight where the lanes are in
-    line, else on a smooth line from one into the other. Raises CannotCarryError: the
-    lanes do not allow it; the text says why. NoRoadError: the road that the case needs
-    does not exist. InputError: there is no such arm.
+    At other positions all of this lies so far along the VUT's way, before or
+    behind: on the lane by which it comes, or on the one straight ahead by which it
+    leaves. Behind the junction it drives along the connecting lane, or straight
+    where the lanes are in line, else on a smooth line from one into the other.
+
+    Raises
+    ------
+    CannotCarryError
+        The lanes do not allow it; the text says why.
+    NoRoadError
+        The road that the case needs does not exist.
+    InputError
+        There is no such arm.
     """
     check_one_of("approach", approach, junction.arms)
     if case.not_laid:
@@ -72,6 +79,7 @@ def stage_by_protocol(
     asked = _Asked(
         case=case, junction=junction, arm=arm, vut=vut, vut_speed_kmh=vut_speed_kmh
     )
+    # Each kind of case offers its stagings one by one; the first that fits is taken.
     if case.kind == "turning":
         return staging.first_that_fits(_turnings(asked), settle)
     is_met_head_on = case.kind == "longitudinal" and case.vru_direction == "opposite"
@@ -92,11 +100,23 @@ def _comes_through(case: Case) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Asked:
-    """What is to be laid."""
+    """What is to be laid.
+
+    Attributes
+    ----------
+    case : Case
+        The case.
+    junction : Junction
+        The junction, where traffic keeps right.
+    arm : Arm
+        The arm from which the VUT comes.
+    vut, vut_speed_kmh : Actor, float
+        The VUT and its speed. [km/h]
+    """
 
     case: Case
     junction: Junction
-    arm: Arm  # from which the VUT comes
+    arm: Arm
     vut: Actor
     vut_speed_kmh: float
 
@@ -108,19 +128,43 @@ class _Asked:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place:
-    """Where along the VUT's way a case is laid."""
+    """Where along the VUT's way a case is laid.
+
+    Attributes
+    ----------
+    way : Way
+        The VUT's way.
+    crosswalk : Line
+        The crosswalk from which the place counts.
+    entry_lane : Lane
+        The lane by which the VUT comes.
+    followed : Lane
+        The same, with what is assumed before it.
+    begin_m, end_m : float
+        Stations at which the mapped lanes begin and end. [m]
+    ahead_m : float
+        The VUT meets the VRU so far ahead of the crosswalk. [m]
+    is_checked : bool
+        The way is known to follow its lanes.
+    """
 
     way: ways.Way
     crosswalk: Line
     entry_lane: Lane
-    followed: Lane  # the same, with what is assumed before it
-    begin_m: float  # station at which the mapped lanes begin
-    end_m: float  # and end
-    ahead_m: float  # so far ahead of the crosswalk the VUT meets the VRU
-    is_checked: bool  # the way is known to follow its lanes
+    followed: Lane
+    begin_m: float
+    end_m: float
+    ahead_m: float
+    is_checked: bool
 
     def meeting_point(self) -> tuple[float, FloatArray]:
-        """Station and point (2,) where a crossing VRU is met; NoRoadError: no lane is there."""
+        """Station and point (2,) where a crossing VRU is met.
+
+        Raises
+        ------
+        NoRoadError
+            No lane is there.
+        """
         station_m, point_m = self.way.crossing(self.crosswalk)
         if self.ahead_m == 0.0:
             return station_m, point_m
@@ -130,16 +174,22 @@ class _Place:
         return station_m, self.way.tangent(station_m).point_m
 
     def check_straight(self, driven_m: float) -> None:
-        """Raise if a straight way leaves the lane within some metres before the meeting point."""
+        """Raise if a straight way leaves the lane before the meeting point.
+
+        Only the last `driven_m` metres before that point count.
+        """
         if not self.is_checked:
             ways.check_straight(self.way, self.followed, driven_m - self.ahead_m)
 
 
-_Lay = Callable[[], _Place]  # or raises CannotCarryError
+# Or raises CannotCarryError.
+_Lay = Callable[[], _Place]
 
 
 def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the arm from which the VUT comes, the protocol's first; then along a lane's bends.
+    """Places on the arm from which the VUT comes.
+
+    The protocol's comes first, then those along a lane's bends.
 
     Where the corner leaves no kerb to park at before the crosswalk, nearest before it.
     """
@@ -185,7 +235,10 @@ def _places_before(asked: _Asked, position: Position) -> Iterator[_Lay]:
 
 
 def _places_through(asked: _Asked, position: Position) -> Iterator[_Lay]:
-    """Places on the way straight through, counted behind it from the arm ahead's crosswalk."""
+    """Places on the way straight through.
+
+    They count behind the junction from the crosswalk of the arm ahead.
+    """
     arm = asked.arm
     ahead = ways.arm_ahead(asked.junction, arm, asked.entry_line)
     if ahead is None or not ahead.exit_lanes:
@@ -209,7 +262,10 @@ def _ways_through(
     crosswalk: Line | None = None,
     ahead_m: float = 0.0,
 ) -> Iterator[_Lay]:
-    """Ways of a vehicle from one arm straight on into another, by lane from the kerb."""
+    """Ways of a vehicle from one arm straight on into another.
+
+    They come by lane from the kerb.
+    """
 
     def place(
         entry: Lane, connection: Lane | None, leaving: Lane, *, is_gentle: bool
@@ -237,10 +293,10 @@ def _ways_through(
 
 
 # ---------- crossing and longitudinal cases
-_MOUTH_M = 15.0  # of a lane, that tell where it leads
-_MAX_EARLY_S = (
-    0.3  # a corner that touches before the impact position is a tenth of a second early
-)
+# Of a lane, that tell where it leads.
+_MOUTH_M = 15.0
+# A corner that touches before the impact position is a tenth of a second early.
+_MAX_EARLY_S = 0.3
 
 
 def _side(asked: _Asked, line: Line) -> Arm:
@@ -259,7 +315,10 @@ def _side(asked: _Asked, line: Line) -> Arm:
 def _crossings(
     asked: _Asked, places: Iterable[_Lay]
 ) -> Iterator[Callable[[], Staging]]:
-    """Crossings with a vehicle, by the places of the VUT and the lanes of the other road."""
+    """Crossings with a vehicle.
+
+    They come by the lanes of the other road, then by the places of the VUT.
+    """
     side = _side(asked, asked.entry_line)
     # What counts is how the other road leads into the junction, not where it comes
     # from.
@@ -336,11 +395,15 @@ def _set_off(
 ) -> Encounter:
     """Encounter whose bodies first touch at time 0.
 
-    Both set off at `begin_s`, or the VRU at its own time, from a station of its way; at
-    `brakes_s` it brakes as the case says. Where the corner of a turning VUT would touch
-    a moment before the impact position is reached, both set off that moment later.
-    Raises CannotCarryError: the bodies do not touch, or do so long before, somewhere
-    else.
+    Both set off at `begin_s`, or the VRU at its own time, from a station of its
+    way; at `brakes_s` it brakes as the case says. Where the corner of a turning VUT
+    would touch a moment before the impact position is reached, both set off that
+    moment later.
+
+    Raises
+    ------
+    CannotCarryError
+        The bodies do not touch, or do so long before, somewhere else.
     """
     case, vru = asked.case, asked.case.vru
     if staging.is_vehicle(vru):
@@ -391,7 +454,9 @@ def _set_off(
 def _beside_road(
     asked: _Asked, place: _Place, vut_m: float
 ) -> tuple[ways.Way, float, float]:
-    """The lane next to which cars park on the side from which a vehicle comes, as the VUT drives.
+    """The way along the lane next to which cars park.
+
+    It is on the side from which a vehicle comes, in the direction of the VUT.
 
     The station of the first one's bumper; and +1 to the left of the lane, -1 to the
     right.
@@ -438,7 +503,8 @@ def _crossing(asked: _Asked, place: _Place) -> tuple[float, ways.Way, float]:
     return _meet(vut_way, middle.offset(left_m, 0.0, back_m=ridden_m)[0])
 
 
-_IN_JUNCTION_M = 1.0  # from the middle of a lane through it
+# From the middle of a lane through it.
+_IN_JUNCTION_M = 1.0
 
 
 def _check_no_junction(junction: Junction, point_m: FloatArray) -> None:
@@ -474,7 +540,10 @@ def _meet(vut_way: ways.Way, vru_way: ways.Way) -> tuple[float, ways.Way, float]
 
 
 def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
-    """The lane along which cyclists come from an arm, and how far left of its middle they ride."""
+    """The lane along which cyclists come, and how far left they ride.
+
+    The distance is from the middle of the lane, in metres.
+    """
     assert case.vru_line is not None
     if side.cycleways_in:
         return side.cycleways_in[0], 0.0
@@ -486,11 +555,13 @@ def _cyclists_lane(case: Case, side: Arm) -> tuple[Lane, float]:
             outer,
             staging.load_way_rules().cyclist_inside_kerb_m - 0.5 * outer.width_m,
         )
-    most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))  # narrow lanes
+    # Narrow lanes.
+    most_m = max(0.0, 0.5 * (outer.width_m - case.vru.width_m))
     return outer, min(left_m, most_m)
 
 
 def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
+    """A VRU or a vehicle that moves ahead of the VUT, or towards it."""
     place = laid()
     case = asked.case
     vut = asked.vut
@@ -512,6 +583,7 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
         raise CannotCarryError(why)
     driven_m = -begin_s * asked.vut_speed_kmh * MPS_PER_KMH
     place.check_straight(max(travel_m, driven_m))
+    # At the impact the two touch nose to tail, or nose to nose.
     gap_m = 0.5 * (vut.length_m + case.vru.length_m)
     vru_way, vru_m = vut_way.offset(
         staging.impact_offset_m(case, vut), impact_m, back_m=travel_m
@@ -526,7 +598,9 @@ def _lay_longitudinal(asked: _Asked, laid: _Lay) -> Staging:
 
 
 def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]:
-    """How far whoever is ahead moves up to the impact, when the run begins, and when it brakes.
+    """Distance moved ahead up to the impact, start time and brake time.
+
+    They are those of whoever is ahead of the VUT, in metres and seconds.
 
     One that brakes does so for longer than the protocol's last seconds where the gap is
     wide: the run begins a second before. Its time from then to the impact is that in
@@ -539,6 +613,7 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
     speed_mps = case.vru_speed_kmh * MPS_PER_KMH
     gap_m = case.braking.headway_s * vut_speed_kmh * MPS_PER_KMH
     lost_mps = speed_mps - case.braking.final_speed_kmh * MPS_PER_KMH
+    # The gap closes while the vehicle slows down, or at its final speed after that.
     slowing_s = lost_mps / case.braking.deceleration_mps2
     slowed_m = 0.5 * lost_mps * slowing_s
     if gap_m <= slowed_m:
@@ -551,7 +626,10 @@ def _drive_ahead(case: Case, vut_speed_kmh: float) -> tuple[float, float, float]
 
 # ---------- turning cases
 def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
-    """The VUT's ways into another arm: along the junction's lanes, then on the protocol's curve."""
+    """The VUT's ways into another arm.
+
+    Those along the junction's lanes come before those on the protocol's curve.
+    """
     case = asked.case
     junction = asked.junction
     arm = asked.arm
@@ -577,7 +655,11 @@ def _turnings(asked: _Asked) -> Iterator[Callable[[], Staging]]:
 
 
 def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning]]:
-    """Turns from lane to lane: along the junction's own lanes, then on the protocol's curve."""
+    """Turns from lane to lane.
+
+    Those along the junction's own lanes come before those on the protocol's
+    curve.
+    """
     junction = asked.junction
     vut = asked.vut
     try:
@@ -603,6 +685,7 @@ def _turnings_into(asked: _Asked, target: Arm) -> list[Callable[[], ways.Turning
 
 
 def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> Staging:
+    """A turn of the VUT across the way of a pedestrian or cyclist."""
     case = asked.case
     turning = turn()
     vru_way, vru_m = _turning_way(asked, target, turning)
@@ -626,7 +709,10 @@ def _lay_turn(asked: _Asked, target: Arm, turn: Callable[[], ways.Turning]) -> S
 def _turned(
     asked: _Asked, turning: ways.Turning, vut_distance_m: float, vru_s: float
 ) -> tuple[Path, float]:
-    """The VUT's path through a turn with a straight part before it, and when it begins."""
+    """The VUT's path through a turn, and when the run begins, in s.
+
+    The path has a straight part before the turn.
+    """
     speed_mps = asked.vut_speed_kmh * MPS_PER_KMH
     curve_s = vut_distance_m / speed_mps + staging.load_way_rules().start_before_curve_s
     begin_s = -max(vru_s, curve_s)
@@ -687,7 +773,10 @@ def _lay_turn_across(
 def _turning_way(
     asked: _Asked, target: Arm, turning: ways.Turning
 ) -> tuple[ways.Way, float]:
-    """The VRU's way, and its station where it crosses the lane into which the VUT turns."""
+    """The VRU's way, and its station at the lane into which the VUT turns.
+
+    There the VRU crosses that lane.
+    """
     case = asked.case
     entry = turning.entry
     rules = staging.load_way_rules()
@@ -730,7 +819,8 @@ def _kerb(case: Case, arm: Arm) -> tuple[Lane, bool, float]:
     elif arm.lanes_out:
         lane = arm.lanes_out[0]
         is_in = False
-    else:  # a one-way road: the kerb is to the left of its lanes
+    else:
+        # A one-way road: the kerb is to the left of its lanes.
         lane = arm.lanes_in[-1]
         is_in = True
         side = 1.0
@@ -783,7 +873,9 @@ def _is_along(way: ways.Way, line: Line, ridden_m: float, tolerance_m: float) ->
 
 
 def _travel_m(case: Case, vru_distance_m: float) -> float:
-    """The VRU's way from rest to the impact; `vru_distance_m`: its middle past the line's point.
+    """The VRU's way from rest to the impact, in metres.
+
+    `vru_distance_m` is how far its middle is past the line's point.
 
     Of one that comes at its speed, from where the run begins.
     """
@@ -802,6 +894,7 @@ def _travel_m(case: Case, vru_distance_m: float) -> float:
 
 
 def _travel_s(case: Case, travel_m: float) -> float:
+    """Time that the VRU needs for its way to the impact, in seconds."""
     if case.vru_speed_kmh == 0.0:
         assert case.steady_time_s is not None
         return case.steady_time_s

@@ -9,9 +9,10 @@ from msgspec import Struct
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray, Point2
 from geometry.errors import InputError, Unquoted
-from geometry.files import Text, load_data, pick, read_table
 from geometry.frames import from_carla_points, from_carla_yaw
 from geometry.study_scene import ParkedRow
+from geometry.tables import Text, pick, read_table
+from geometry.text_formats import load_data
 
 from .cases import Case, load_cases
 from .encounters import Encounter
@@ -41,18 +42,14 @@ class CasePlacement:
         Parked bodies that belong to this case only.
     """
 
-    # the junction, and the arm from which the VUT comes
     scene_name: str
-    case: Case  # what is driven
+    case: Case
     approach: str
-    # from the start points on
     vut_path: StraightPath
     vru_path: StraightPath
-    # distances along the paths from their starts to where the middle of the VRU is at
-    # the impact, and to the point next to it on the VUT's path
     vut_meeting_m: float
     vru_meeting_m: float
-    obstruction: tuple[PlacedActor, ...]  # parked bodies that belong to this case only
+    obstruction: tuple[PlacedActor, ...]
 
 
 class _Entry(Struct, frozen=True, kw_only=True):
@@ -75,7 +72,10 @@ class _File(Struct, frozen=True, kw_only=True):
 
 @cache
 def load_placements() -> tuple[CasePlacement, ...]:
-    """Where the study's cases are driven at its junction, from ``data/town05_runs.toml``."""
+    """Where the study's cases are driven at its junction.
+
+    They are read from ``data/town05_runs.toml``.
+    """
     where = "town05_runs.toml"
     table = read_table(load_data(__package__, where), _File, where)
     rows = enumerate(table.parked_rows)
@@ -110,6 +110,7 @@ def stage_published(
     case = placement.case
     vut_speed = vut_speed_kmh * MPS_PER_KMH
     vru_speed = case.vru_speed_kmh * MPS_PER_KMH
+    # The VUT's front is at the VRU's flank, or behind it at its rear.
     gap_m = 0.5 * (case.vru.width_m if case.kind == "crossing" else case.vru.length_m)
     vut_distance = placement.vut_meeting_m - 0.5 * vut.length_m - gap_m
     # +1 if the VRU walks towards the VUT's left, -1 towards its right, 0 along its path
@@ -134,6 +135,7 @@ def stage_published(
 def _build_placement(
     entry: _Entry, where: str, scene_name: str, parked: tuple[PlacedActor, ...]
 ) -> CasePlacement:
+    """Where a case of the file is driven, or InputError."""
     case = pick(load_cases(), entry.case, f"{where}.case")
     vut_path = _build_path(entry.vut_start_m, entry.vut_yaw_deg)
     vru_path = _build_path(entry.vru_start_m, entry.vru_yaw_deg)
@@ -182,6 +184,7 @@ def _build_path(start_m: FloatArray, yaw_deg: float) -> StraightPath:
 def _crossing_distances(
     a: StraightPath, b: StraightPath, where: str
 ) -> tuple[float, float]:
+    """Distances from both starts to where the paths cross, in metres."""
     # At the impact the gap between the bodies' middles is half the VRU's width only if
     # it crosses squarely.
     angle_deg = float(

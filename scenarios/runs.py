@@ -1,4 +1,7 @@
-"""Runs: a case, driven from an approach at a speed, on a grid of frames that ends at the impact."""
+"""Runs: cases, driven from an approach at a speed.
+
+A run lies on a grid of frames that ends at the impact.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -42,8 +45,10 @@ from .staging import (
 )
 
 WEATHERS = tuple(load_weathers())
-_GRID_TOLERANCE = 1.0e-6  # of a frame
-_ROWS_TOGETHER = 64  # detections of so many sets of poses are looked at in one go
+# Of a frame.
+_GRID_TOLERANCE = 1.0e-6
+# Detections of so many sets of poses are looked at in one go.
+_ROWS_TOGETHER = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,9 +60,10 @@ class Run:
     id : str
         "case/approach/speed", by day; else "case/approach/speed/weather". At other
         positions than 0 the position stands behind the approach:
-        "case/approach-15/speed".
+        "case/approach-15/speed". Where the case has several speeds of whoever is
+        met, both: "case/approach/30x50".
     case : Case
-        What is driven.
+        What is driven, with the speed of whoever is met in this run.
     approach : str
         The arm from which the VUT comes.
     position : str
@@ -89,37 +95,23 @@ class Run:
         The ground on which all of them stand; None: the plane z = 0.
     """
 
-    # : "case/approach/speed", by day; else "case/approach/speed/weather". At other
-    # positions than 0 : the position stands behind the approach:
-    # "case/approach-15/speed". Where the case has several : speeds of whoever is met,
-    # both: "case/approach/30x50".
     id: str
-    case: Case  #: What is driven, with the speed of whoever is met in this run.
-    approach: str  #: The arm from which the VUT comes.
-    weather: str  #: One of ``WEATHERS``.
-    vut_speed_kmh: float  #: Constant. [km/h]
-    encounter: Encounter  #: Bodies and motions without braking.
-    # : (n_frames,); times of the frames, ascending, relative to the impact; the last
-    # one is 0, or at : most one frame before. [s]
+    case: Case
+    approach: str
+    weather: str
+    vut_speed_kmh: float
+    encounter: Encounter
     time_s: FloatArray
-    # : (n_frames, 2) and (n_frames,); middles of the footprints, world frame [m],
-    # headings [deg].
     vut_position_m: FloatArray
     vut_yaw_deg: FloatArray
     vru_position_m: FloatArray
     vru_yaw_deg: FloatArray
-    vru_shape: IntArray  #: (n_frames,); which shape of its gait the VRU has.
-    # : obstruction and traffic: parked bodies of this run, and vehicles that drive by,
-    # frame by : frame; nobody touches VUT or VRU before the impact.
+    vru_shape: IntArray
     obstruction: tuple[PlacedActor, ...]
-    last_brake_time_s: float  #: Latest onset of braking that avoids. [s]
-    # : Where along its way, see :class:`scenarios.positions.Position`: "0", "-15",
-    # "+0", "+15".
+    last_brake_time_s: float
     position: str = AT_ZERO.name
     traffic: tuple[MovingActor, ...] = ()
-    terrain: Terrain | None = (
-        None  #: The ground on which all of them stand; None: the plane z = 0.
-    )
+    terrain: Terrain | None = None
 
     def __post_init__(self) -> None:
         for body in self.traffic:
@@ -139,7 +131,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameAxis:
-    """All frames of some runs, laid end to end: the second axis of every detection array.
+    """All frames of some runs, laid end to end.
+
+    They are the second axis of every detection array.
 
     Attributes
     ----------
@@ -155,17 +149,15 @@ class FrameAxis:
         Relative to the impact. [s]
     """
 
-    run_ids: tuple[str, ...]  #: Per run, as those that follow.
+    run_ids: tuple[str, ...]
     cases: tuple[str, ...]
     approaches: tuple[str, ...]
     weathers: tuple[str, ...]
-    vut_speed_kmh: FloatArray  #: (n_runs,), as the next two. [km/h]
-    weight: FloatArray  #: They sum to 1.
+    vut_speed_kmh: FloatArray
+    weight: FloatArray
     last_brake_time_s: FloatArray
-    # : (n_runs + 1,); frames of run r are run_start[r] .. run_start[r + 1] - 1.
     run_start: IntArray
-    time_s: FloatArray  #: (n_frames,); relative to the impact. [s]
-    #: Per run, see :attr:`Run.position`; nothing given stands for "0" in every run.
+    time_s: FloatArray
     positions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -189,7 +181,8 @@ class FrameAxis:
             raise InputError(
                 "weight", self.weight.tolist(), "shares >= 0 that sum to 1"
             )
-        last_brake = np.array(self.last_brake_time_s, dtype=np.float64)  # may be -inf
+        # May be -inf.
+        last_brake = np.array(self.last_brake_time_s, dtype=np.float64)
         if last_brake.shape != (n_runs,) or np.isnan(last_brake).any():
             raise InputError(
                 "last_brake_time_s", last_brake.tolist(), "one time per run"
@@ -211,7 +204,8 @@ class FrameAxis:
                 "time_s", Unquoted(f"{len(self.time_s)} frames"), str(run_start[-1])
             )
         falls = np.diff(self.time_s) <= 0.0
-        falls[run_start[1:-1] - 1] = False  # from one run to the next
+        # From one run to the next.
+        falls[run_start[1:-1] - 1] = False
         if falls.any():
             late, early = self.time_s[np.argmax(falls) :][:2].tolist()
             got = Unquoted(f"{late} before {early}")
@@ -235,7 +229,10 @@ class FrameAxis:
 def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
     """Lay the frames of runs end to end, with weights (n_runs,) that sum to 1.
 
-    Raises InputError: there is no run, or the weights do not fit.
+    Raises
+    ------
+    InputError
+        There is no run, or the weights do not fit.
     """
     if not runs:
         raise InputError("runs", Unquoted("none"), "at least one run")
@@ -256,7 +253,9 @@ def build_frame_axis(runs: Sequence[Run], weight: FloatArray) -> FrameAxis:
 def live_confirmation_times_s(
     detected: BoolArray, axis: FrameAxis, *, rule: AebRule
 ) -> FloatArray:
-    """When the track of each run that is alive at its last moment was confirmed, in seconds.
+    """Time at which each run's live track was confirmed, in seconds.
+
+    It is the track that is alive at the run's last moment.
 
     (..., n_frames) detections -> (..., n_runs); infinite where none is: the run is not
     avoided. The last moment is the last brake time less the rule's latency. No track
@@ -269,6 +268,7 @@ def live_confirmation_times_s(
     rows = detected.reshape(-1, axis.n_frames)
     found = np.empty((len(rows), axis.n_runs))
     for start in range(0, len(rows), _ROWS_TOGETHER):
+        # Messages that come after the last moment do not count.
         block = rows[start : start + _ROWS_TOGETHER] & counts
         live = confirmation_mask(block, n_confirmations=rule.n_confirmations) & is_whole
         live &= _held(block, axis, rule)
@@ -295,21 +295,15 @@ class Onsets:
         A confirmed track is alive at the last moment, and its messages have arrived.
     """
 
-    # (n_runs,); when the track for which the VUT brakes was confirmed. Where no track
-    # is alive at the last moment: when one is confirmed too late, or else the first
-    # that was lost again; infinite if none is ever confirmed.
     confirmation_s: FloatArray
-    # (n_runs,); when the VUT knows of that confirmation, so that braking may set in;
-    # infinite if no track is confirmed, or the only ones were lost before the last
-    # moment
     onset_s: FloatArray
-    # (n_runs,); a confirmed track is alive at the last moment, and its messages have
-    # arrived
     is_in_time: BoolArray
 
 
 def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Onsets:
-    """When the VRU of each run is confirmed, and when the VUT knows, if messages take their time.
+    """When the VRU of each run is confirmed, and when the VUT knows.
+
+    Messages may take their time.
 
     `arrival_s` (n_frames,): when the VUT knows of a detection made in each frame;
     infinite where there is none. A message that arrives after the last brake time does
@@ -344,13 +338,19 @@ def find_onsets(arrival_s: FloatArray, axis: FrameAxis, *, rule: AebRule) -> Ons
 
 
 def _is_within_run(axis: FrameAxis, n_frames: int) -> BoolArray:
-    """True if a frame and those before it, `n_frames` in all, are of one run, (n_frames,)."""
+    """True if a frame and those before it are of one run, (n_frames,).
+
+    They are `n_frames` in all.
+    """
     start = axis.run_start[:-1].repeat(np.diff(axis.run_start))
     return np.arange(axis.n_frames) - start >= n_frames - 1
 
 
 def _held(detected: BoolArray, axis: FrameAxis, rule: AebRule) -> BoolArray:
-    """Detected frames since which a track lives until the last moment of the frame's run."""
+    """Detected frames since which a track lives to the run's last moment.
+
+    The run is that of the frame.
+    """
     n_frames = np.diff(axis.run_start)
     return held_frames(
         detected,
@@ -372,26 +372,44 @@ LeftOut = Literal["", "unprotected", "not laid", "speeds"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refusal:
-    """A case that an approach does not carry at some speeds, and the reason."""
+    """A case that an approach does not carry at some speeds, and the reason.
 
-    # : What is not driven, the arm from which the VUT would come, and where along its
-    # way.
+    Attributes
+    ----------
+    case : Case
+        What is not driven.
+    approach : str
+        The arm from which the VUT would come.
+    speeds_kmh : tuple of float
+        Speeds of the VUT, one for each run. [km/h]
+    reason : str
+        Why, in words.
+    is_possible : bool
+        The junction has the roads that the case needs, and it has the speeds
+        asked for: what is missing is room.
+    limit_kmh : float or None
+        The map's speed limit, where the speeds are above it; else None. [km/h]
+    position : str
+        Where along the VUT's way.
+    vru_speeds_kmh : tuple of float
+        Speeds of whoever is met that go with `speeds_kmh`; empty where the case
+        has one. [km/h]
+    left_out : LeftOut
+        Why it is not the junction's doing: whoever is met is not to be
+        protected, the case is laid nowhere, or none of its speeds was asked
+        for. Empty: the junction does not carry it.
+    """
+
     case: Case
     approach: str
-    # : speeds_kmh and vru_speeds_kmh: at which speeds, one for each run; those of
-    # whoever is met : that go with them, empty where the case has one. [km/h]
     speeds_kmh: tuple[float, ...]
     reason: Phrase  #: Why, in words.
     # : The junction has the roads that the case needs, and it has the speeds asked for:
     # what is : missing is room.
     is_possible: bool = True
-    #: The map's speed limit, where the speeds are above it; else None. [km/h]
     limit_kmh: float | None = None
     position: str = AT_ZERO.name
     vru_speeds_kmh: tuple[float, ...] = ()
-    # : Why it is not the junction's doing: whoever is met is not to be protected, the
-    # case is laid : nowhere, or none of its speeds was asked for. Empty: the junction
-    # does not carry it.
     left_out: LeftOut = ""
 
     @property
@@ -428,8 +446,12 @@ def build_runs(
     than that of any road of the junction.
 
     Returns runs in the order of cases, approaches, positions, speeds, weathers; and
-    what could not be laid, and why. Raises InputError: the junction has no such
-    approach, or there is no such weather.
+    what could not be laid, and why.
+
+    Raises
+    ------
+    InputError
+        The junction has no such approach, or there is no such weather.
     """
     junction = build_junction(scene)
     for word in approaches or ():
@@ -456,7 +478,8 @@ def build_runs(
                 continue
             for number, position in enumerate(positions_of(case, positions)):
                 turn = tuple(junction.arms).index(approach) + number
-                keeps = keeps_limits and case.recorded is None  # so it was driven
+                # So it was driven.
+                keeps = keeps_limits and case.recorded is None
                 drive = _Drive(
                     case=case,
                     scene=scene,
@@ -485,7 +508,10 @@ def build_runs(
 
 
 def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, float]:
-    """The arm to whose lanes the VUT's recorded way begins nearest, and how near, in metres."""
+    """The arm at which the VUT's recorded way begins, and how near, in m.
+
+    It is the arm to whose lanes the way begins nearest.
+    """
     start = Point(recorded.vut.points_m[0])
     away_m = {
         name: min(
@@ -499,7 +525,10 @@ def nearest_arm(recorded: RecordedEncounter, junction: Junction) -> tuple[str, f
 
 
 def _highest_limit_kmh(junction: Junction) -> float | None:
-    """Speed limit of the fastest road into the junction; None if one of them has no known limit."""
+    """Speed limit of the fastest road into the junction, in km/h.
+
+    None if one of the roads has no known limit.
+    """
     limits = [arm.speed_limit_kmh for arm in junction.arms.values() if arm.entry_lanes]
     known = [limit for limit in limits if limit is not None]
     if known and len(known) == len(limits):
@@ -534,16 +563,37 @@ def _refusal(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Drive:
-    """A case at a place: what its runs at several speeds have in common."""
+    """A case at a place: what its runs at several speeds have in common.
+
+    Attributes
+    ----------
+    case : Case
+        The case.
+    scene : Scene
+        The scene.
+    right_hand : Junction
+        The scene's junction, mirrored where traffic keeps left.
+    approach : str
+        The arm from which the VUT comes.
+    position : Position
+        Where along its way.
+    limit_kmh : float or None
+        Nothing faster is driven; None: no limit. [km/h]
+    target_limit_kmh : float or None
+        The same for vehicles that the VUT meets: the highest limit of all roads
+        of the junction. [km/h]
+    vut : Actor
+        The VUT.
+    rule : AebRule
+        How it brakes.
+    """
 
     case: Case
     scene: Scene
-    right_hand: Junction  # of the scene, mirrored where traffic keeps left
+    right_hand: Junction
     approach: str
     position: Position
-    limit_kmh: float | None  # nothing faster is driven; None: no limit
-    # the same for vehicles that the VUT meets: the highest limit of all roads of the
-    # junction
+    limit_kmh: float | None
     target_limit_kmh: float | None
     vut: Actor
     rule: AebRule
@@ -596,7 +646,10 @@ class _Drive:
         ]
 
     def _broken_limit_kmh(self, speed_kmh: float, vru_speed_kmh: float) -> float | None:
-        """The speed limit that the VUT, or a vehicle that it meets, would break; None: none."""
+        """The speed limit that would be broken, in km/h; None: none.
+
+        The VUT, or a vehicle that it meets, would break it.
+        """
         if self.limit_kmh is not None and speed_kmh > self.limit_kmh:
             return self.limit_kmh
         is_faster = (
@@ -621,6 +674,7 @@ class _Drive:
         return [(vut, vru) for vut in speeds_kmh for vru in case.vru_speeds_kmh(vut)]
 
     def _stage(self, case: Case, speed_kmh: float) -> Staging:
+        """Who moves how at a speed of the VUT, or CannotCarryError."""
         scene = self.scene
         if case.recorded is not None:
             return self._stage_recorded(case, case.recorded, speed_kmh)
@@ -648,6 +702,7 @@ class _Drive:
     def _stage_recorded(
         self, case: Case, recorded: RecordedEncounter, speed_kmh: float
     ) -> Staging:
+        """A recorded encounter at the speeds of the case, or CannotCarryError."""
         _, away_m = nearest_arm(recorded, build_junction(self.scene))
         if away_m > load_way_rules().max_recorded_away_m:
             raise NoRoadError(
@@ -669,13 +724,16 @@ class _Drive:
         return Staging(encounter=encounter, obstruction=())
 
     def _run(self, case: Case, speed_kmh: float, staging: Staging) -> Run:
+        """The run of a staging, on its grid of frames."""
         encounter = staging.encounter
         rate_hz = self.rule.frame_rate_hz
         vut = encounter.vut_motion
         vru = encounter.vru_motion
         first_s = min(vut.start_time_s, vru.start_time_s)
-        if case.recorded is not None:  # what was before, nobody knows
+        # What was before, nobody knows.
+        if case.recorded is not None:
             first_s = -case.recorded.known_s
+        # The last frame is at the impact; the first one after both have set off.
         n_steps = int(-first_s * rate_hz + _GRID_TOLERANCE)
         time_s = np.arange(-n_steps, 1) / rate_hz
         vut_position, vut_yaw = vut.path.at(vut.distance_m(time_s))

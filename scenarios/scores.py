@@ -1,4 +1,6 @@
-"""What a run counts that is not avoided: nothing, or by what is left of the VUT's speed at contact.
+"""What a run counts that is not avoided.
+
+It counts nothing, or by what is left of the VUT's speed at contact.
 
 A score gives a run levels: closing speeds at contact, the slower the more it counts. Of
 each level there is a last onset of braking (:func:`scenarios.aeb.last_onsets_s`), so
@@ -17,7 +19,8 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError
-from geometry.files import Text, load_data, read_table
+from geometry.tables import Text, read_table
+from geometry.text_formats import load_data
 
 from .aeb import AebRule, find_contacts, last_onsets_s
 from .paths import MPS_PER_KMH
@@ -27,7 +30,8 @@ AVOIDED = "avoided"
 RATING_2026 = "rating-2026"
 SCORES = (AVOIDED, RATING_2026)
 
-_SAME_KMH = 1.0e-6  # speeds that differ by less are equal: they carry rounding noise
+# Speeds that differ by less are equal: they carry rounding noise.
+_SAME_KMH = 1.0e-6
 _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 _Speed = Annotated[float, Meta(ge=0.0)]
 
@@ -40,19 +44,37 @@ class Bands(Struct, frozen=True, kw_only=True):
 
 
 class Criterion(Struct, frozen=True, kw_only=True):
-    """How some cases are judged."""
+    """How some cases are judged.
+
+    Attributes
+    ----------
+    criterion : str
+        What counts: "avoidance", "mitigation", or both.
+    measure : {"below", "lost"}
+        The speed at contact, or what braking has taken of it.
+    cases : tuple of str
+        What names of cases begin with that it judges.
+    bands : tuple of Bands
+        What counts, by the VUT's speed.
+    """
 
     criterion: Text
-    measure: Literal[
-        "below", "lost"
-    ]  # the speed at contact, or what braking has taken of it
+    measure: Literal["below", "lost"]
     cases: tuple[Text, ...]
     bands: tuple[Bands, ...]
 
 
 @cache
 def load_criteria(score: str) -> tuple[Criterion, ...]:
-    """Criteria of a score from ``data/scores.toml``, none of "avoided"; or InputError."""
+    """Criteria of a score from ``data/scores.toml``.
+
+    There are none of "avoided".
+
+    Raises
+    ------
+    InputError
+        The score is unknown.
+    """
     if score == AVOIDED:
         return ()
     tables = load_data(__package__, "scores.toml")
@@ -68,7 +90,9 @@ def bands_kmh(
     *,
     unbraked_kmh: float | None = None,
 ) -> tuple[tuple[float, float], ...]:
-    """Closing speeds at contact and what counts below each, the best first: ((0, 1.0), ...).
+    """Closing speeds at contact, and what counts below each.
+
+    The best comes first: ((0, 1.0), ...).
 
     The first one, below which nothing can be, stands for runs that are avoided.
     `unbraked_kmh` is the closing speed of the impact without braking, by default the
@@ -77,6 +101,7 @@ def bands_kmh(
     >>> bands_kmh("rating-2026", "CPNA-25", 45.0)
     ((0.0, 1.0), (10.0, 0.5), (20.0, 0.25))
     """
+    # Avoided runs count in full.
     found = [(0.0, 1.0)]
     words = case_name.split("-")
     names = ["-".join(words[:n]) for n in range(len(words), 0, -1)]
@@ -103,20 +128,29 @@ def bands_kmh(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Levels:
-    """Levels of runs, run by run, the best level of each first."""
+    """Levels of runs, run by run, the best level of each first.
 
-    score: str  # By which score
-    run_index: (
-        IntArray  # (n_levels,): run of each level, ascending; each run has one at least
-    )
-    # (n_levels,): reached by closing speeds at contact below this; 0: by runs that are
-    # avoided. [km/h]
+    Attributes
+    ----------
+    score : str
+        Name of the score.
+    run_index : (n_levels,) int
+        Run of each level, ascending; each run has one at least.
+    below_kmh : (n_levels,) float
+        Reached by closing speeds at contact below this; 0: by runs that are
+        avoided. [km/h]
+    gain : (n_levels,) float
+        What reaching it adds to the next worse level of its run, a share of the
+        run's weight; those of a run sum to 1.
+    deadline_s : (n_levels,) float
+        Last onset of braking that reaches it, and so does every earlier one; of
+        avoided runs the last brake time. [s]
+    """
+
+    score: str
+    run_index: IntArray
     below_kmh: FloatArray
-    # (n_levels,): what reaching it adds to the next worse level of its run, a share of
-    # the run's weight; those of a run sum to 1
     gain: FloatArray
-    # (n_levels,): last onset of braking that reaches it, and so does every earlier one;
-    # of avoided runs the last brake time. [s]
     deadline_s: FloatArray
 
     def __post_init__(self) -> None:
@@ -129,18 +163,25 @@ class Levels:
         return np.asarray(np.flatnonzero(np.diff(self.run_index, prepend=-1)))
 
     def of_speeds(self, closing_kmh: FloatArray, is_avoided: BoolArray) -> FloatArray:
-        """What runs count by their closing speeds at contact: (..., n_runs) -> (..., n_runs)."""
+        """What runs count by their closing speeds at contact.
+
+        Arrays are (..., n_runs), and so is the result.
+        """
         run = self.run_index
         slower = closing_kmh[..., run] < self.below_kmh - _SAME_KMH
         return self._of_levels(is_avoided[..., run] | slower)
 
     def of_onsets(self, onset_s: FloatArray, tolerance_s: float) -> FloatArray:
-        """The same by the onsets of braking in seconds, infinite where there is none."""
+        """What runs count by the onsets of braking, in seconds.
+
+        An onset is infinite where there is none.
+        """
         return self._of_levels(
             onset_s[..., self.run_index] <= self.deadline_s + tolerance_s
         )
 
     def _of_levels(self, is_reached: BoolArray) -> FloatArray:
+        """Sum of the gains of levels that are reached, by run."""
         gains = np.where(is_reached, self.gain, 0.0)
         return np.add.reduceat(gains, self.first, axis=-1)
 
@@ -148,8 +189,13 @@ class Levels:
 def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | None:
     """Levels of runs by a score; None for "avoided", where each run has one alone.
 
-    A speed that the impact without braking already stays below is no level: nobody has
-    to do anything for it. Raises InputError if there is no such score.
+    A speed that the impact without braking already stays below is no level: nobody
+    has to do anything for it.
+
+    Raises
+    ------
+    InputError
+        There is no such score.
     """
     if not load_criteria(score):
         return None
@@ -163,7 +209,8 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
             score, run.case.name, run.vut_speed_kmh, unbraked_kmh=unbraked_kmh
         )
         limits = tuple(below for below, _ in bands[1:])
-        key = id(run.encounter), limits  # one and the same in all weathers
+        # One and the same in all weathers.
+        key = id(run.encounter), limits
         if limits and key not in known:
             below_mps = [limit * MPS_PER_KMH for limit in limits]
             known[key] = last_onsets_s(
@@ -172,6 +219,7 @@ def build_levels(runs: Sequence[Run], score: str, rule: AebRule) -> Levels | Non
                 below_mps=below_mps,
                 avoids_until_s=run.last_brake_time_s,
             )
+        # One deadline for each level: that of avoiding comes first.
         deadlines = [run.last_brake_time_s, *(known[key].tolist() if limits else [])]
         levels = zip(bands, deadlines, strict=True)
         told = [(*band, at_s) for band, at_s in levels if at_s < 0.0 or band[0] == 0.0]

@@ -1,4 +1,7 @@
-"""Setting up a run: who moves how, past what, before anybody brakes; and the rules for it."""
+"""Setting up a run: who moves how, past what, before anybody brakes.
+
+The rules for it are here, too.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
@@ -9,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from geometry.actors import Actor, PlacedActor
 from geometry.arrays import FloatArray
-from geometry.files import Table, load_data, read_table
 from geometry.footprints import footprint_corners, footprint_separation
 from geometry.junction import Line
 from geometry.phrases import Phrase
 from geometry.poses import Pose
+from geometry.tables import Table, read_table
+from geometry.text_formats import load_data
 
 from .cases import Case
 from .encounters import Encounter
@@ -35,15 +39,24 @@ class CannotCarryError(Exception):
 
 
 class NoRoadError(CannotCarryError):
-    """The junction has no road for a case: from that approach it is not possible at all."""
+    """The junction has no road for a case.
+
+    From that approach the case is not possible at all.
+    """
 
 
 class NoKerbError(NoRoadError):
-    """Where a case's parked bodies would stand, all is driven on: no kerb lies next to the lane."""
+    """A case's parked bodies would stand where everything is driven on.
+
+    No kerb lies next to the lane.
+    """
 
 
 class TooFastError(NoRoadError):
-    """The VUT's way, or its target's, bends so sharply that nobody drives it at the speed."""
+    """A way bends so sharply that nobody drives it at the speed.
+
+    It is the VUT's way, or its target's.
+    """
 
     def __init__(self, limit_mps2: float, allowed_kmh: int, *, is_target: bool) -> None:
         self.allowed_kmh = allowed_kmh
@@ -80,14 +93,11 @@ class Staging:
         How far it may be moved aside. [m]
     """
 
-    encounter: Encounter  # its impact is at time 0
-    obstruction: tuple[PlacedActor, ...]  # parked bodies, or a wall, of this run only
-    # (2,); unit vectors in which the obstruction may give way to what stands there:
-    # away from whom it stands next to, and away from where the ways cross; zero without
-    # one
+    encounter: Encounter
+    obstruction: tuple[PlacedActor, ...]
     aside: FloatArray = field(default_factory=lambda: np.zeros(2))
     back: FloatArray = field(default_factory=lambda: np.zeros(2))
-    max_aside_m: float = 0.0  # how far it may be moved aside
+    max_aside_m: float = 0.0
 
 
 def find_meeting(
@@ -98,7 +108,9 @@ def find_meeting(
     vru_line: Line,
     search_m: tuple[float, float],
 ) -> tuple[float, float]:
-    """Where the VUT's and the VRU's middle are when they meet at the case's impact position.
+    """Distances of both bodies when they meet at the impact position.
+
+    They are those of the VUT's and the VRU's middle.
 
     Along the VUT's path, and along the VRU's line from its point. Front: the VRU's
     point is `impact_percent` across the VUT's width, and the VUT's front has just
@@ -114,6 +126,7 @@ def find_meeting(
         gap = _gap_to_front
     distances = np.arange(search_m[0], search_m[1] + _SCAN_STEP_M, _SCAN_STEP_M)
     gaps, _ = gap(case, vut, vut_path, vru_line, distances)
+    # Where the gap closes first, between two looks.
     closes = np.flatnonzero((gaps[:-1] > 0.0) & (gaps[1:] <= 0.0))
     if len(closes) == 0:
         raise CannotCarryError(DO_NOT_MEET)
@@ -132,11 +145,18 @@ def find_meeting(
 def find_crossing(
     vut: Actor, vut_path: Path, vru_tangent: Callable[[float], Line], search_m: float
 ) -> tuple[float, float]:
-    """Where a turning VUT's front axle crosses a target's way: along its path, and the station.
+    """Where a turning VUT's front axle crosses a target's way.
 
-    `vru_tangent`: the straight line that touches the target's way at a station, with
-    its point there. `search_m`: the last distance along the VUT's path to look at.
-    Raises CannotCarryError: they do not cross.
+    Returned are the distance along the VUT's path and the station of the way.
+
+    `vru_tangent`: the straight line that touches the target's way at a station,
+    with its point there. `search_m`: the last distance along the VUT's path to look
+    at.
+
+    Raises
+    ------
+    CannotCarryError
+        They do not cross.
     """
     from scipy.optimize import brentq
 
@@ -163,6 +183,7 @@ def find_crossing(
 
 
 def _front_axle_m(vut: Actor, path: Path, distance_m: ArrayLike) -> FloatArray:
+    """Middle of a vehicle's front axle after distances, (..., 2)."""
     middle, yaw_deg = path.at(distance_m)
     return np.asarray(middle + vut.front_axle_ahead_m * _axes(yaw_deg)[0])
 
@@ -182,7 +203,10 @@ def impact_offset_m(case: Case, vut: Actor) -> float:
 def _gap_to_front(
     case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Separation while the VRU's point is at the impact position, and where the VRU then is."""
+    """Separation at the impact position, and where the VRU then is.
+
+    The VRU's point is at the impact position then.
+    """
     position, yaw_deg = vut_path.at(distance_m)
     ahead, left = _axes(yaw_deg)
     across = left @ vru_line.direction
@@ -206,7 +230,10 @@ def _gap_to_front(
 def _gap_to_side(
     case: Case, vut: Actor, vut_path: Path, vru_line: Line, distance_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far the impact position on the VUT's side is from the VRU's line, and where along it."""
+    """Distance of the impact position from the VRU's line, and along it.
+
+    The impact position is on the VUT's side.
+    """
     position, yaw_deg = vut_path.at(distance_m)
     ahead, left = _axes(yaw_deg)
     ahead_m = (case.impact_percent / 100.0 - 0.5) * vut.length_m
@@ -225,12 +252,15 @@ def _gap_to_side(
 
 # ---------- the first staging that can be driven
 _BEND_STEP_M = 0.25
-_BEND_STEPS = 4  # bends are taken over a metre: courses are smooth over at least two
+# Bends are taken over a metre: courses are smooth over at least two.
+_BEND_STEPS = 4
 _ROUND_KMH = 5
 
 
 def lateral_mps2(motion: Motion, body: Actor) -> float:
-    """Largest acceleration to the side of a vehicle's front axle up to the impact, in m/s^2.
+    """Largest sideways acceleration up to the impact, in m/s^2.
+
+    It is that of a vehicle's front axle.
 
     From a car's length before the start: its rear axle still turns into what the front
     has passed.
@@ -238,6 +268,7 @@ def lateral_mps2(motion: Motion, body: Actor) -> float:
     distance = np.arange(-body.length_m, float(motion.distance_m(0.0)), _BEND_STEP_M)
     steps = np.diff(_front_axle_m(body, motion.path, distance), axis=0)
     heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    # Change of heading over a metre, by front axle.
     turned = np.abs(heading[_BEND_STEPS:] - heading[:-_BEND_STEPS]).max()
     return float(motion.speed_mps**2 * turned / (_BEND_STEPS * _BEND_STEP_M))
 
@@ -272,6 +303,7 @@ def first_that_fits(lays: Iterable[Callable[[], Staging]], settle: Settle) -> St
 
 
 def _check_bends(encounter: Encounter) -> None:
+    """Raise TooFastError if a vehicle cannot take a bend at its speed."""
     limit_mps2 = load_way_rules().max_lateral_mps2
     driven = [(encounter.vut_motion, encounter.vut)]
     if is_vehicle(encounter.vru):
@@ -340,9 +372,21 @@ class WayRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObstructionRules:
-    """How far parked cars and walls give way to what stands where the protocol has them."""
+    """How far parked cars and walls give way.
 
-    max_aside_m: dict[str, float]  # by the kind of the obstruction
+    They give way to what stands where the protocol has them.
+
+    Attributes
+    ----------
+    max_aside_m : dict[str, float]
+        Largest move aside, by the kind of the obstruction. [m]
+    max_nearer_m, max_back_m, step_m, max_before_m, island_m : float
+        As the comments in ``data/laying.toml`` say. [m]
+    max_island_skew_deg : float
+        As the comments there say. [deg]
+    """
+
+    max_aside_m: dict[str, float]
     max_nearer_m: float
     max_back_m: float
     step_m: float

@@ -1,4 +1,7 @@
-"""Recorded trajectories of road users: CSV, CommonRoad XML, and SUMO's floating car data."""
+"""Recorded trajectories of road users.
+
+They are read from CSV, CommonRoad XML, and SUMO's floating car data.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,21 +16,28 @@ from msgspec import Struct
 from geometry.actors import pick_actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, check_one_of, refuse
-from geometry.files import csv_rows, parse_number, read_data, read_text
-from geometry.untrusted_files import read_xml
+from geometry.opening import read_text
+from geometry.tables import read_data
+from geometry.text_formats import csv_rows, parse_number
+from geometry.xml_files import read_xml
 
 VEHICLE = "vehicle"
 """Class of whatever is replayed as the VUT."""
 
 
 class _Tracks(Struct, frozen=True, kw_only=True):
+    """When samples make up a track; ``data/trajectories.toml`` says more."""
+
     step_tolerance: float
     max_gap_s: float
     velocity_s: float
 
 
 class EncounterRules(Struct, frozen=True, kw_only=True):
-    """Which pairs of tracks are encounters; in metres, seconds and metres per second."""
+    """Which pairs of tracks are encounters.
+
+    Units are metres, seconds and metres per second.
+    """
 
     min_vut_mps: float
     min_vru_mps: float
@@ -55,20 +65,37 @@ def load_trajectory_rules() -> TrajectoryRules:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Where a road user was."""
+    """Where a road user was.
 
-    id: str  # as in the file
-    class_name: str  # "vehicle", "pedestrian", "cyclist" or "motorcyclist"
-    time_s: FloatArray  # (n,), n >= 3; ascending, on the recording's clock
-    position_m: FloatArray  # (n, 2); middle of the body, in the recording's frame
-    # (n,); counter-clockwise from x; not a number where the file does not say
+    Attributes
+    ----------
+    id : str
+        Name as in the file.
+    class_name : str
+        "vehicle", "pedestrian", "cyclist" or "motorcyclist".
+    time_s : (n,) float
+        Times, n >= 3, ascending, on the recording's clock. [s]
+    position_m : (n, 2) float
+        Middle of the body, in the recording's frame. [m]
+    yaw_deg : (n,) float
+        Heading counter-clockwise from x; not a number where the file does not say.
+        [deg]
+    """
+
+    id: str
+    class_name: str
+    time_s: FloatArray
+    position_m: FloatArray
     yaw_deg: FloatArray
 
     def __repr__(self) -> str:
         return f"Track({self.id!r}, {self.class_name}, {len(self.time_s)} samples)"
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Positions (..., 2) at times, between samples linearly; at its ends it stays."""
+        """Positions (..., 2) at times, linear between samples.
+
+        Beyond its ends the track stays.
+        """
         east, north = (
             np.interp(time_s, self.time_s, axis) for axis in self.position_m.T
         )
@@ -85,9 +112,13 @@ class Track:
 
 
 class _Sample(NamedTuple):
-    place: str  # file, and line or element
+    """Where somebody was at one time, as a file has it."""
+
+    # File, and line or element.
+    place: str
     id: str
-    word: str  # for its class
+    # For its class.
+    word: str
     time_s: float
     x_m: float
     y_m: float
@@ -101,7 +132,9 @@ def read_tracks(
     frame_rate_hz: float | None = None,
     class_name: str = "",
 ) -> tuple[tuple[Track, ...], int]:
-    """Tracks of a file, and how many road users are left out: of other classes, or seen briefly.
+    """Tracks of a file, and how many road users are left out.
+
+    Those are left out that are of other classes, or seen briefly.
 
     `path`: ``.csv``, or ``.xml`` of CommonRoad or of SUMO (floating car data). Of CSV
     files: `columns` gives their names by what they hold (id, time, frame, x, y,
@@ -123,6 +156,7 @@ def read_tracks(
 
 
 def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], int]:
+    """Tracks of samples, and how many road users are left out."""
     rules = load_trajectory_rules()
     by_word = {word: name for name, words in rules.classes.items() for word in words}
     tracks: dict[str, list[_Sample]] = {}
@@ -150,6 +184,7 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
             n_left_out += 1
             continue
         _check(own, dt, step_s, rules.fastest_mps[known[name]])
+        # A long gap ends a track and begins another.
         cuts = np.flatnonzero(dt > rules.tracks.max_gap_s) + 1
         parts = np.split(np.array([row[3:] for row in own]), cuts)
         for number, part in enumerate(parts, start=1):
@@ -167,13 +202,18 @@ def _gather(path: Path, samples: Iterator[_Sample]) -> tuple[tuple[Track, ...], 
     return tuple(found), n_left_out
 
 
-_FEWEST = 3  # samples of a track
+# Samples of a track.
+_FEWEST = 3
 
 
 def _check(
     own: Sequence[_Sample], dt: FloatArray, step_s: float, fastest_mps: float
 ) -> None:
-    """Raise InputError at the first sample that is off the file's steps, or has jumped."""
+    """Raise InputError at the first sample that is wrong.
+
+    It is off the file's steps, or has jumped.
+    """
+    # Steps that are no whole multiple of the file's step.
     off = np.abs(dt / step_s - np.maximum(np.rint(dt / step_s), 1.0))
     bad = np.flatnonzero(off > load_trajectory_rules().tracks.step_tolerance)
     if len(bad):
@@ -198,6 +238,7 @@ def _check(
 def _csv_samples(
     path: Path, columns: Mapping[str, str], frame_rate_hz: float | None, class_name: str
 ) -> Iterator[_Sample]:
+    """Samples of a CSV file, row by row."""
     rows = csv_rows(read_text(path, "a CSV file"), str(path), noun="columns")
     _, header = next(rows, ("", []))
     at = _find_columns(path, header, columns, frame_rate_hz)
@@ -268,7 +309,8 @@ def _number(word: str | None, where: str) -> float:
     return value
 
 
-_LARGEST = 1.0e9  # of seconds or metres: beyond it differences are rounded off
+# Of seconds or metres: beyond it differences are rounded off.
+_LARGEST = 1.0e9
 
 
 # ---------- XML
@@ -279,6 +321,7 @@ _COMMONROAD_STATE = (
 
 
 def _xml_samples(path: Path) -> Iterator[_Sample]:
+    """Samples of SUMO's floating car data, or of CommonRoad."""
     root = read_xml(path, expected="CommonRoad or SUMO")
     if root.tag == "fcd-export":
         length_m = pick_actor("vut", "vut").length_m
@@ -289,7 +332,8 @@ def _xml_samples(path: Path) -> Iterator[_Sample]:
                 x, y, angle = (
                     _number(thing.get(k), f"{place}: {k}") for k in ("x", "y", "angle")
                 )
-                yaw = math.radians(90.0 - angle)  # SUMO's is clockwise from north
+                # SUMO's is clockwise from north.
+                yaw = math.radians(90.0 - angle)
                 word = _sumo_class(thing.tag, thing.get("type") or "")
                 # SUMO's point of a vehicle is its front bumper; the VUT's stands there,
                 # too.

@@ -1,4 +1,7 @@
-"""Ways of road users: along lanes, straight or bent, and through the junction into other arms."""
+"""Ways of road users along lanes and through the junction.
+
+Ways are straight or bent, and lead into other arms.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -31,8 +34,10 @@ from .staging import DO_NOT_MEET, CannotCarryError, NoRoadError, load_way_rules
 STRAIGHT_M = 50.0  # of a lane next to the junction, which gives its direction
 _MAX_STEPS = 60
 _MEETS_M = 1.0e-3
-_LEAST_FREE_M = 0.1  # in lanes that are narrower than the VUT, by the map
-_CUT_OFF_M = 1.0  # between the lanes, of the curve that has their directions
+# In lanes that are narrower than the VUT, by the map.
+_LEAST_FREE_M = 0.1
+# Between the lanes, of the curve that has their directions.
+_CUT_OFF_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +58,13 @@ class StraightWay:
         return self.line
 
     def crossing(self, line: Line) -> tuple[float, FloatArray]:
-        """Station and point (2,) where it crosses a line, nearest to the mouth, or raises."""
+        """Station and point (2,) where it crosses a line, nearest to the mouth.
+
+        Raises
+        ------
+        CannotCarryError
+            It does not cross the line.
+        """
         try:
             point = self.line.crossing_with(line)
         except np.linalg.LinAlgError:
@@ -71,7 +82,9 @@ class StraightWay:
     def offset(
         self, left_m: float, station_m: float, *, back_m: float, ahead_m: float = np.inf
     ) -> "tuple[Way, float]":
-        """The way some metres to the left of it, and where one of its stations lies on that way.
+        """The way some metres to the left, and a station on that way.
+
+        The station is where `station_m` of this way lies.
 
         It is needed so far back from the station and so far ahead; beyond it may go
         straight.
@@ -82,7 +95,10 @@ class StraightWay:
         return StraightWay(line=beside), 0.0
 
     def vut_path(self, station_m: float, vut: Actor) -> Path:
-        """A vehicle's path that begins with the middle of its footprint at a station."""
+        """A vehicle's path from a station on.
+
+        It begins with the middle of the vehicle's footprint there.
+        """
         return self.vru_path(station_m)
 
     def vru_path(self, station_m: float) -> Path:
@@ -156,12 +172,15 @@ Way = StraightWay | CurvedWay
 
 
 def straight_line(lane: Lane, *, is_in: bool) -> Line:
-    """The straight line along the part of a lane next to the junction, through its mouth."""
+    """Straight line along a lane next to the junction, through its mouth."""
     return lane_line(lane, is_in=is_in, length_m=STRAIGHT_M)[0]
 
 
 def off_line_m(lane: Lane, *, is_in: bool, length_m: float) -> float:
-    """How far a lane leaves its straight line, over a length from its mouth, in metres."""
+    """Most that a lane leaves its straight line, in metres.
+
+    A length from the lane's mouth counts.
+    """
     # the mouth comes first
     if is_in:
         points = lane.centreline_m[::-1]
@@ -196,13 +215,19 @@ def check_straight(
 
 
 def free_aside_m(vut: Actor, *lanes: Lane) -> float:
-    """How far the VUT's middle may leave that of its lanes to take a bend, in metres."""
+    """Distance that the VUT's middle may leave that of its lanes, in m.
+
+    It does so to take a bend.
+    """
     room_m = 0.5 * (min(lane.width_m for lane in lanes) - vut.width_m)
     return float(np.clip(room_m, _LEAST_FREE_M, load_way_rules().max_ease_aside_m))
 
 
 def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
-    """The way along a lane, in its driving direction: straight where the lane is so far."""
+    """The way along a lane, in its driving direction.
+
+    It is straight where the lane is so far.
+    """
     if (
         off_line_m(lane, is_in=is_in, length_m=length_m)
         <= load_way_rules().max_lane_bend_m
@@ -214,20 +239,27 @@ def lane_way(lane: Lane, *, is_in: bool, length_m: float) -> Way:
 def way_across(
     entry: Lane, leaving: Lane, connection: Lane | None, *, free_m: float | None = None
 ) -> tuple[Way, float]:
-    """The way from a lane into the junction straight on into a lane out of it, and its begin.
+    """The way from a lane straight on into a lane out of the junction.
 
-    Stations count from the mouth of the lane out of it; its begin is that at which the
-    first lane begins. Straight, where all its lanes stay on the first one's line; else
-    along the lanes' bends, and between them on the junction's own lane `connection`,
-    or, where the map has none, on a cubic curve with the lanes' directions at its ends.
-    With `free_m` it is the gentlest that leaves the lanes' middles by no more, and such
-    a curve by no more than a metre. Raises CannotCarryError: the lane out of the
-    junction does not lie ahead.
+    The second result is its begin.
+
+    Stations count from the mouth of the lane out of it; its begin is that at which
+    the first lane begins. Straight, where all its lanes stay on the first one's
+    line; else along the lanes' bends, and between them on the junction's own lane
+    `connection`, or, where the map has none, on a cubic curve with the lanes'
+    directions at its ends. With `free_m` it is the gentlest that leaves the lanes'
+    middles by no more, and such a curve by no more than a metre.
+
+    Raises
+    ------
+    CannotCarryError
+        The lane out of the junction does not lie ahead.
     """
     chains = [entry.centreline_m, leaving.centreline_m]
     if connection is not None:
         chains.insert(1, connection.centreline_m)
     line = straight_line(entry, is_in=True)
+    # Straight where no lane leaves the line of the first one.
     aside_m = np.abs(line.coordinates(np.concatenate(chains))[:, 1]).max()
     if aside_m <= load_way_rules().max_lane_bend_m:
         mouth_m = float(line.coordinates(leaving.centreline_m[0])[0])
@@ -282,7 +314,13 @@ def reversed_way(way: Way) -> Way:
 
 
 def meeting_m(one: Way, other: Way) -> tuple[float, float]:
-    """Stations of two ways at which they cross nearest to their origins, or CannotCarryError."""
+    """Stations at which two ways cross nearest to their origins.
+
+    Raises
+    ------
+    CannotCarryError
+        They do not cross.
+    """
     station = other_station = 0.0
     for _ in range(_MAX_STEPS):
         other_station, _ = other.crossing(one.tangent(station))
@@ -301,11 +339,15 @@ _LEADS = {
 }
 _SAME_POINT_M = 0.5  # as geometry.junction joins lanes
 
-Joint = tuple[Lane, Lane | None, Lane]  # into the junction, through it, out of it
+# Into the junction, through it, out of it.
+Joint = tuple[Lane, Lane | None, Lane]
 
 
 def arm_at(junction: Junction, vut_line: Line, *, to_left: bool) -> Arm | None:
-    """The arm to a side of the VUT, about at a right angle or else nearest to it; or None."""
+    """The arm to a side of the VUT; None: there is none.
+
+    It is the one about at a right angle, or else nearest to that.
+    """
     if to_left:
         side = vut_line.left
     else:
@@ -357,7 +399,10 @@ def _outwards(arm: Arm, length_m: float) -> FloatArray:
 
 
 def straight_lane(junction: Junction, arm: Arm) -> Lane:
-    """The lane at the kerb from which cars drive straight on; that at the kerb if none may."""
+    """The lane at the kerb from which cars drive straight on.
+
+    Where none may, it is the lane at the kerb.
+    """
     ahead = arm_ahead(junction, arm, straight_line(arm.entry_lanes[0], is_in=True))
     if ahead is not None and ahead.exit_lanes:
         with suppress(NoRoadError):
@@ -372,9 +417,14 @@ def joints(
 
     From the kerb, to the left from the axis. Where the map has lanes through the
     junction, those that it joins. Else lanes that are marked for the movement, or
-    without any those that bear no marking; straight on the exit lane that is most in
-    line comes first. Raises NoRoadError: no lane leads there, by the lanes through the
-    junction or by the markings.
+    without any those that bear no marking; straight on the exit lane that is most
+    in line comes first.
+
+    Raises
+    ------
+    NoRoadError
+        No lane leads there, by the lanes through the junction or by the
+        markings.
     """
     if movement == "left":
         step = -1
@@ -397,6 +447,7 @@ def joints(
                 )
             )
         return joined
+    # Lanes that are marked for the movement come before lanes without markings.
     marked = [lane for lane in before if movement in lane.turns]
     free = marked or [lane for lane in before if not lane.turns]
     if not free:
@@ -422,7 +473,10 @@ def joints(
 
 
 def _has_connections(junction: Junction) -> bool:
-    """True if the map has lanes through the junction itself, not only through others around it."""
+    """True if the map has lanes through the junction itself.
+
+    Lanes through others around it do not count.
+    """
     if not junction.connections:
         return False
     begins = np.array([lane.centreline_m[0] for lane in junction.connections])
@@ -439,17 +493,34 @@ def _has_connections(junction: Junction) -> bool:
 # ---------- turns into another arm
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turning:
-    """A VUT's way into another arm."""
+    """A VUT's way into another arm.
+
+    Attributes
+    ----------
+    entry_lane : Lane
+        The lane by which it comes.
+    entry : Line
+        Line through the place where the turn begins.
+    exit_way : Way
+        The way on which it leaves the junction.
+    turn_m : float
+        Length of the turn. [m]
+    path_with : callable of float to Path
+        The VUT's path that begins so many metres before the turn.
+    is_straight : bool
+        The way is straight except in the turn.
+    """
 
     entry_lane: Lane
-    entry: Line  # where the turn begins
+    entry: Line
     exit_way: Way
-    turn_m: float  # its length
-    path_with: Callable[[float], Path]  # some metres before it
-    is_straight: bool  # but for the turn
+    turn_m: float
+    path_with: Callable[[float], Path]
+    is_straight: bool
 
 
-_AFTER_TURN_M = 10.0  # by then the VUT has met the VRU
+# By then the VUT has met the VRU.
+_AFTER_TURN_M = 10.0
 
 
 def on_straights(
@@ -534,6 +605,8 @@ def _towed(
     turn_m: float,
     vut: Actor,
 ) -> Turning:
+    """A turn whose path the VUT's front axle follows."""
+
     def path_with(straight_m: float) -> TowedPath:
         return TowedPath(
             course=course,
@@ -562,16 +635,22 @@ def _check_within(lane: Lane, in_lane_m: float, why: Phrase) -> None:
 
 
 # ---------- bends that are too sharp
-_REACH_M = 100.0  # from the junction: at 50 km/h, seven seconds
-_OVER_M = 1.0  # bends are taken over a metre, as those of runs
+# From the junction: at 50 km/h, seven seconds.
+_REACH_M = 100.0
+# Bends are taken over a metre, as those of runs.
+_OVER_M = 1.0
 
 
 def find_sharp_bends(scene: Scene) -> Iterator[Finding]:
-    """Warn of each arm whose lanes bend too sharply for their speed limit, or 50 km/h."""
+    """Warn of each arm whose lanes bend too sharply.
+
+    The speed is their limit, or 50 km/h.
+    """
     rules = load_way_rules()
     try:
         junction = build_junction(scene)
-    except InputError:  # another finding says so
+    except InputError:
+        # Another finding says so.
         return
     for arm in junction.arms.values():
         bends = _bends(junction, arm)
@@ -592,9 +671,13 @@ def _limit_kmh(lane: Lane) -> float:
 
 
 def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
-    """Speed at each lane's sharpest bend in km/h, its distance from the junction, and the lane."""
+    """Speed at each lane's sharpest bend in km/h, distance, and lane.
+
+    The distance is that of the bend from the junction.
+    """
     vut = pick_actor("vut", "vut")
-    step = round(_OVER_M / 0.01)  # points of a course lie a centimetre apart
+    # Points of a course lie a centimetre apart.
+    step = round(_OVER_M / 0.01)
     yield np.inf, 0.0, (*arm.lanes_in, *arm.lanes_out)[0]
     for is_in, lanes in ((True, arm.entry_lanes), (False, arm.exit_lanes)):
         for lane in lanes:
@@ -614,6 +697,7 @@ def _bends(junction: Junction, arm: Arm) -> Iterator[tuple[float, float, Lane]]:
             bend_per_m = np.abs(near.yaw_rad[step:] - near.yaw_rad[:-step]) / _OVER_M
             if not len(bend_per_m):
                 continue
+            # The sharpest metre allows the least speed.
             at = int(bend_per_m.argmax())
             speed_mps = np.sqrt(
                 load_way_rules().max_lateral_mps2 / max(bend_per_m[at], 1e-9)

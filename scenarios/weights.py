@@ -1,4 +1,6 @@
-"""How much each run counts: equally, per case, by accidents, statistics, points, or a CSV file.
+"""How much each run counts.
+
+It counts equally, per case, by accidents, statistics, points, or a CSV file.
 
 The statistics (``data/crash_types.toml``) know types of accidents and how near to a
 junction they happen; a table of one's own, by case, approach, position and weather, may
@@ -19,15 +21,9 @@ from numpy.typing import ArrayLike
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import (
-    Text,
-    csv_rows,
-    float_of,
-    load_data,
-    read_data,
-    read_table,
-    read_text,
-)
+from geometry.opening import read_text
+from geometry.tables import Text, read_data, read_table
+from geometry.text_formats import csv_rows, float_of, load_data
 
 from .accidents import (
     DAY,
@@ -54,16 +50,22 @@ _ANY = ("", "*")
 def weight_from_csv(path: Path, runs: Sequence[Run]) -> FloatArray:
     """Weights by a user's own table.
 
-    The file is UTF-8, separated by commas or semicolons, with columns case, approach,
-    weight, and if wanted position and weather; "*" or nothing in approach, position or
-    weather stands for all, and a position without sign, but for 0, lies behind the
-    junction. The weight of a row is shared equally by the runs that it names; what no
-    row names weighs nothing. The weights sum to 1. Raises InputError: the file cannot
-    be read, a column is missing, a row names no run, or a run again, or its weight is
-    not a number >= 0; all weights are 0.
+    The file is UTF-8, separated by commas or semicolons, with columns case,
+    approach, weight, and if wanted position and weather; "*" or nothing in
+    approach, position or weather stands for all, and a position without sign, but
+    for 0, lies behind the junction. The weight of a row is shared equally by the
+    runs that it names; what no row names weighs nothing. The weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a row names no run, or a
+        run again, or its weight is not a number >= 0; all weights are 0.
     """
+    # What no row names keeps weight 0.
     weight = np.zeros(len(runs))
-    named: dict[int, str] = {}  # by which line
+    # By which line.
+    named: dict[int, str] = {}
     for where, row in _read_rows(path):
         amount = _read_weight(row["weight"], where)
         row["position"] = _read_position(row["position"], where)
@@ -95,6 +97,7 @@ def _shares(weight: FloatArray) -> FloatArray:
 
 
 def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
+    """Rows of a user's table: file and line, and cells by column."""
     text = read_text(path, "a CSV file")
     rows = [*csv_rows(text, str(path), separators=",;", noun="columns")]
     expected = ", ".join(_COLUMNS) + f", and {' and '.join(_OPTIONAL)} if wanted"
@@ -114,6 +117,7 @@ def _read_rows(path: Path) -> list[tuple[str, dict[str, str]]]:
 
 
 def _read_weight(text: str, where: str) -> float:
+    """Weight of a row, or InputError."""
     amount = float_of(text)
     if not 0.0 <= amount < math.inf:
         raise InputError(f"{where}: weight", text, "a number, at least 0")
@@ -121,7 +125,10 @@ def _read_weight(text: str, where: str) -> float:
 
 
 def _read_position(text: str, where: str) -> str:
-    """The name of a position, or a word for all; spreadsheets take a + away, or need a '."""
+    """The name of a position, or a word for all of them.
+
+    Spreadsheets take a + away, or need a ' before it.
+    """
     text = text.removeprefix("'")
     if text in _ANY:
         return text
@@ -133,12 +140,14 @@ def _read_position(text: str, where: str) -> str:
 
 
 def _words(row: Mapping[str, str]) -> str:
+    """What a row names, in words."""
     return ", ".join(
         repr(row[key]) for key in ("case", "approach", *_OPTIONAL) if row[key]
     )
 
 
 def _what_is_driven(runs: Sequence[Run], row: Mapping[str, str]) -> str:
+    """What a row could name instead, in words."""
     of_case = [run for run in runs if run.case.name == row["case"]]
     if not of_case:
         return "a case that is driven: " + ", ".join(
@@ -156,7 +165,10 @@ RATING = "euroncap-rating-2026"
 
 
 class _Score(Struct, frozen=True, kw_only=True):
-    """A score of the rating, and the cases (what our names begin with) that it counts for."""
+    """A score of the rating, and the cases that it counts for.
+
+    The cases are what our names begin with.
+    """
 
     name: str
     cases: tuple[str, ...]
@@ -166,11 +178,17 @@ class _Score(Struct, frozen=True, kw_only=True):
 def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
     """Weights by the points that Euro NCAP gives the cases in 2026.
 
-    The points that a score can earn at most (standard and extended range, robustness)
-    are shared equally by the runs that belong to it; those of scores without runs do
-    not count. Runs without a score, such as all in the rain, weigh nothing. The weights
-    sum to 1. Raises MissingExtraError: the package is not installed. InputError: no run
-    has points.
+    The points that a score can earn at most (standard and extended range,
+    robustness) are shared equally by the runs that belong to it; those of scores
+    without runs do not count. Runs without a score, such as all in the rain, weigh
+    nothing. The weights sum to 1.
+
+    Raises
+    ------
+    MissingExtraError
+        The package is not installed.
+    InputError
+        No run has points.
     """
     weight = np.zeros(len(runs))
     for (cases, weather), score in load_points().items():
@@ -189,10 +207,16 @@ def weight_by_rating(runs: Sequence[Run]) -> FloatArray:
 
 @cache
 def load_points() -> dict[tuple[tuple[str, ...], str], float]:
-    """Points by cases (what our names begin with) and weather, from the installed package.
+    """Points by cases and weather, from the installed package.
 
-    Raises MissingExtraError: it is not installed. InputError: it does not know a score
-    any more.
+    The cases are what our names begin with.
+
+    Raises
+    ------
+    MissingExtraError
+        It is not installed.
+    InputError
+        It does not know a score any more.
     """
     try:
         from euroncap_rating_2026.crash_avoidance.data_model import TOTAL_SCORES
@@ -217,12 +241,28 @@ CRASH_TYPES = "fhwa-crash-types"
 
 
 class CrashType(Struct, frozen=True, kw_only=True):
-    """A type of accident, and the cases (what our names begin with) that stand for it."""
+    """A type of accident, and the cases that stand for it.
+
+    The cases are what our names begin with.
+
+    Attributes
+    ----------
+    name : str
+        Name in the statistics.
+    vru : {"pedestrian", "cyclist"}
+        The road user.
+    share : float
+        Share of all accidents of such road users.
+    place : {"near", "far", "any"}
+        Where it happens, as seen from the junction.
+    cases : tuple of str
+        What our names of the cases begin with.
+    """
 
     name: Text
     vru: Literal["pedestrian", "cyclist"]
-    share: Annotated[float, Meta(gt=0.0, le=1.0)]  # of all accidents of such road users
-    place: Literal["near", "far", "any"]  # to the junction
+    share: Annotated[float, Meta(gt=0.0, le=1.0)]
+    place: Literal["near", "far", "any"]
     cases: tuple[Text, ...]
 
 
@@ -244,10 +284,14 @@ def weight_by_crash_types(runs: Sequence[Run]) -> FloatArray:
     """Weights by how often accidents of each type happen (FHWA-RD-95-163).
 
     A type's share is that of its road users' accidents, times how many of them are
-    injured. It is shared by the cases that stand for it, near the junction or away from
-    it, as :func:`weight_per_case` does. Types without runs do not count, nor do runs
-    without a type. The weights sum to 1. Raises InputError: no run is of any of the
-    types.
+    injured. It is shared by the cases that stand for it, near the junction or away
+    from it, as :func:`weight_per_case` does. Types without runs do not count, nor
+    do runs without a type. The weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No run is of any of the types.
     """
     table = load_crash_types()
     weight = np.zeros(len(runs))
@@ -279,15 +323,22 @@ def weight_by_accidents(
     near: tuple[float, float],
     within_m: float,
 ) -> FloatArray:
-    """Weights by the accidents that happened around a place; what is not used is logged.
+    """Weights by the accidents that happened around a place.
+
+    What is not used is logged.
 
     Each counts the same. It is shared by the cases that stand for it
-    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night, as
-    it happened, where both are driven, half each in twilight or where nobody knows;
-    else light does not matter, and rain and fog weigh nothing next to day or night.
-    Runs without accidents weigh nothing. `near`: latitude and longitude. The weights
-    sum to 1. Raises InputError: no accident is so near, or none of them happened as
-    anything that is driven.
+    (``data/accidents.toml``), as :func:`weight_per_case` does: by day or by night,
+    as it happened, where both are driven, half each in twilight or where nobody
+    knows; else light does not matter, and rain and fog weigh nothing next to day or
+    night. Runs without accidents weigh nothing. `near`: latitude and longitude. The
+    weights sum to 1.
+
+    Raises
+    ------
+    InputError
+        No accident is so near, or none of them happened as anything that is
+        driven.
     """
     found = accidents.near(near, within_m)
     rules = load_accident_rules()
@@ -300,6 +351,7 @@ def weight_by_accidents(
     members: dict[tuple[tuple[str, ...], str], list[int]] = {}
     for one in found:
         cases = () if one.unused else rules.cases_of(one.road_user, one.event)
+        # Light counts only where both day and night are driven.
         key = (cases, one.light if one.light in lit and len(lit) > 1 else "")
         if key not in members:
             members[key] = [
@@ -370,8 +422,13 @@ def weigh(
     latitude and longitude of the place [deg]. `within_m`: how far from there accidents
     count [m]; default: that of ``data/accidents.toml``.
 
-    Raises InputError: the word is unknown and no file, the weights do not fit the runs,
-    or nobody knows the place. MissingExtraError: what the word needs is not installed.
+    Raises
+    ------
+    InputError
+        The word is unknown and no file, the weights do not fit the runs, or
+        nobody knows the place.
+    MissingExtraError
+        What the word needs is not installed.
     """
     if how == "run":
         return weight_per_run(runs)
@@ -398,7 +455,13 @@ def weigh(
 
 
 def check_weights(how: str) -> None:
-    """Check the word of a user as far as it goes without runs; raises as :func:`weigh`."""
+    """Check the word of a user as far as it goes without runs.
+
+    Raises
+    ------
+    InputError
+        As :func:`weigh`.
+    """
     if how == RATING:
         load_points()
     if how in WEIGHT_WORDS:
@@ -422,6 +485,7 @@ def weight_files(how: str) -> tuple[Path, ...]:
 
 
 def _weights_file(how: str) -> Path:
+    """The file that a word names, or InputError."""
     path = Path(how)
     if not how or not path.exists():
         words = ", ".join([*WEIGHT_WORDS, *(f"{form}:FILE" for form in FORMATS)])
@@ -434,7 +498,10 @@ def weight_by_function(
 ) -> FloatArray:
     """Weights by a user's own function of a run; they sum to 1.
 
-    Raises InputError if it gives anything but finite numbers >= 0, or 0 for all runs.
+    Raises
+    ------
+    InputError
+        It gives anything but finite numbers >= 0, or 0 for all runs.
     """
     weight = np.array([function(run) for run in runs], dtype=np.float64)
     wrong = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
@@ -470,6 +537,7 @@ def weight_per_case(
     share. `runs`: at least one. `refused`: what was asked for next to them, and could
     not be laid. Returns `weight` (n_runs,): sums to 1.
     """
+    # Shares go from the case to its approaches, their positions, and the runs there.
     keys = [(run.case.name, run.approach, run.position) for run in runs]
     n_weathers = len({run.weather for run in runs})
     n_runs = Counter(keys)

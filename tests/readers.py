@@ -1152,8 +1152,8 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.lanelets.read_commonroad",
             "geometry.maps.openstreetmap.read_openstreetmap",
             "geometry.maps.openstreetmap.elements.read_elements",
-            "geometry.untrusted_files.read_xml",
-            "geometry.untrusted_files.read_xml_root",
+            "geometry.xml_files.read_xml",
+            "geometry.xml_files.read_xml_root",
         ),
         share=4,
     ),
@@ -1169,7 +1169,7 @@ READERS: Mapping[str, Reader] = {
             "geometry.maps.mesh_files.read_mesh",
             "geometry.maps.point_clouds.read_point_cloud",
             "geometry.maps.point_clouds.open_points",
-            "geometry.files.read_text",
+            "geometry.opening.read_text",
         ),
         share=8,
     ),
@@ -1208,7 +1208,7 @@ READERS: Mapping[str, Reader] = {
     "sensors": Reader(
         _read_sensors,
         _sensors,
-        ("geometry.catalogue.load_catalogue", "geometry.files.load_toml"),
+        ("geometry.catalogue.load_catalogue", "geometry.text_formats.load_toml"),
     ),
     "question": Reader(
         _read_question,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from experiments.results.folders import MARKER, new_result_folder
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 from placement.detection_table import DetectionTable
 from placement.visibility import load_table, save_table
 from scenarios.runs import FrameAxis

@@ -19,7 +19,9 @@ from msgspec.structs import replace
 
 from geometry.arrays import FloatArray, IntArray
 from geometry.errors import InputError, refuse
-from geometry.files import parse_json, read_bytes, read_table
+from geometry.opening import read_bytes
+from geometry.tables import read_table
+from geometry.text_formats import parse_json
 from placement.city.choose import Step, choose, city_front, plan_phases
 from placement.city.fronts import (
     JunctionFront,

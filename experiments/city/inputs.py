@@ -10,11 +10,12 @@ import numpy as np
 
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import load_data, read_text
 from geometry.maps import importing
 from geometry.maps.georeferences import transform
 from geometry.maps.place_lists import areas_of, read_areas, read_counts, snap
 from geometry.maps.source_map import SourceMap
+from geometry.opening import read_text
+from geometry.text_formats import load_data
 from placement.city.choose import CityWishes, District
 from placement.layout import Layout, load_layout
 

@@ -17,11 +17,11 @@ from msgspec.structs import replace
 
 from geometry.catalogue import Sensor
 from geometry.errors import refuse
-from geometry.files import read_bytes
 from geometry.maps.cut import Neighbourhoods
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import ImportOptions
 from geometry.maps.sites import check_sites
+from geometry.opening import read_bytes
 from geometry.scene import Scene
 from geometry.scene_files import load_scene_folder
 from placement.candidates import CandidateGrid, build_grid

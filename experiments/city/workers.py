@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from geometry.errors import InputError
-from geometry.files import read_bytes
 from geometry.maps.importing import ImportOptions, Surveyed, cut_scene
 from geometry.maps.source_map import SourceMap
+from geometry.opening import read_bytes
 from geometry.scene_files import save_scene
 from placement.city.junction import JunctionWishes, TimeUpError, solve_junction
 from placement.compute import Compute

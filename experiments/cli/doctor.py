@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from geometry.files import load_data
+from geometry.text_formats import load_data
 
 from ..progress import tell
 from . import options

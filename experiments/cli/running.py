@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geometry.files import user_cache_folder, write_atomically
+from geometry.cache_folders import user_cache_folder
+from geometry.writing import write_atomically
 
 from ..parts import Part
 from ..progress import StageProgress, tell, write_out

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import is_about
+from geometry.writing import is_about
 from placement.question import Question
 
 from ..language import mark

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import Table, load_data, pick
 from geometry.poses import wrap_deg
+from geometry.tables import Table, pick
 from geometry.terrain import Terrain, on_ground
+from geometry.text_formats import load_data
 from geometry.weather import pick_weather
 from scenarios.runs import Run
 

@@ -16,11 +16,12 @@ from matplotlib.patches import Patch, Polygon
 from geometry.actors import Actor
 from geometry.arrays import FloatArray
 from geometry.errors import InputError
-from geometry.files import read_bytes, write_atomically
 from geometry.footprints import footprint_corners
+from geometry.opening import read_bytes
 from geometry.poses import Pose, to_world
 from geometry.scene import Scene
 from geometry.terrain import on_ground
+from geometry.writing import write_atomically
 from placement.compute import Progress, silent
 from placement.evaluator import build_surroundings, load_vut_camera, perceive_frames
 from scenarios.positions import AT_ZERO

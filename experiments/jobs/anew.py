@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, parse_json, read_bytes
-from geometry.untrusted_files import open_parquet
+from geometry.opening import MAX_TEXT_BYTES, read_bytes
+from geometry.parquet_files import open_parquet
+from geometry.text_formats import parse_json
 from placement.compute import Compute
 from placement.question import Question
 from placement.verification.certificates import CERTIFICATE_FILE

@@ -11,10 +11,10 @@ from pathlib import Path
 from msgspec.structs import replace as replace_fields
 
 from geometry.errors import InputError
-from geometry.files import is_about, write_atomically
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
+from geometry.writing import is_about, write_atomically
 from placement.cache import cached_value
 from placement.candidates import CandidatePose
 from placement.certify import Grown, Growth, grow

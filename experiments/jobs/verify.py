@@ -20,10 +20,12 @@ from msgspec.structs import asdict
 
 from geometry.arrays import BoolArray
 from geometry.errors import InputError, Unquoted, located
-from geometry.files import parse_json, read_bytes, read_table, read_text
+from geometry.opening import read_bytes, read_text
 from geometry.scene import Scene
 from geometry.scene_files import load_scene
 from geometry.study_scene import STUDY, load_study_scene
+from geometry.tables import read_table
+from geometry.text_formats import parse_json
 from placement.detection_table import plain_axis
 from placement.evaluation import mix
 from placement.layout import Layout, layout_records, load_layout

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.errors import InputError
-from geometry.files import pick
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, with_width
+from geometry.tables import pick
 from geometry.weather import pick_weather
 from placement.candidates import CandidatePose, above_ground
 from placement.compute import DEFAULT_COMPUTE, Compute

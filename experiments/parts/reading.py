@@ -12,8 +12,10 @@ import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import MAX_TEXT_BYTES, parse_json, read_bytes, read_table
-from geometry.untrusted_files import open_parquet
+from geometry.opening import MAX_TEXT_BYTES, read_bytes
+from geometry.parquet_files import open_parquet
+from geometry.tables import read_table
+from geometry.text_formats import parse_json
 from placement.layout import Layout, load_layout
 
 from ..results.folders import APR_FILE, LAYOUT_FILE, MARKER, RUNS_FILE

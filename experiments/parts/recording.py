@@ -11,8 +11,8 @@ from msgspec.structs import asdict as fields_of
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
 from geometry.phrases import Phrase
+from geometry.writing import write_atomically
 from placement.evaluation import Verdict, apr, apr_by_case, detected_share
 from placement.optimiser import (
     Fusion,

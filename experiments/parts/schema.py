@@ -11,7 +11,7 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 from .result import KINDS
 

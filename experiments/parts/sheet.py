@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_target, write_atomically
 from geometry.frames import to_geographic
 from geometry.junction import COMPASS, compass_bearing_deg, whereabouts
 from geometry.notes import assumed_sites
 from geometry.scene import Scene, thing_footprint
 from geometry.scene_files import load_scene
 from geometry.sensors import CameraModel
+from geometry.writing import check_target, write_atomically
 from placement.candidates import CandidatePose, above_ground, is_ring, is_turn_useless
 from placement.compute import DEFAULT_COMPUTE, Compute
 from placement.explain.tolerances import LIFTS_M, TURNS_DEG, Tolerance, find_tolerances

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geometry.files import is_about
+from geometry.writing import is_about
 from placement.compute import Compute
 from placement.question import question_fields
 

@@ -20,17 +20,15 @@ import numpy as np
 from geometry.arrays import BoolArray, FloatArray
 from geometry.catalogue import pick_sensor
 from geometry.errors import InputError, refuse
-from geometry.files import (
-    is_abandoned,
-    parse_json,
-    read_table,
-    read_text,
-    write_atomically,
-)
 from geometry.lidar import LidarModel
+from geometry.locks import is_abandoned
+from geometry.opening import read_text
 from geometry.poses import Pose
 from geometry.sensors import CameraModel, to_calibrated
+from geometry.tables import read_table
 from geometry.terrain import on_ground
+from geometry.text_formats import parse_json
+from geometry.writing import write_atomically
 from placement.compute import Compute
 from placement.detectors import Evidence, is_matched, load_min_iou
 from placement.evaluator import (

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, Unquoted
-from geometry.files import check_target, read_text, write_atomically
 from geometry.image_boxes import mask_box
 from geometry.lidar import LidarModel
+from geometry.opening import read_text
 from geometry.poses import Pose
 from geometry.scene import Scene
 from geometry.sensors import CameraModel
 from geometry.weather import pick_weather
+from geometry.writing import check_target, write_atomically
 from placement.compute import Compute
 from placement.evaluator import load_vut_camera
 from placement.evaluator.evaluate import UnitKey, build_rng

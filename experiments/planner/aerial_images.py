@@ -8,9 +8,9 @@ import numpy as np
 from pyproj.exceptions import CRSError
 
 from geometry.errors import InputError, refuse
-from geometry.files import reading
 from geometry.frames import parse_crs
 from geometry.maps.georeferences import transform
+from geometry.opening import reading
 from geometry.phrases import Phrase
 from geometry.scene import Scene
 from placement.imaging import to_jpeg

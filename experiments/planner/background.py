@@ -7,8 +7,8 @@ import msgspec
 from msgspec import Struct
 
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import parse_json
 from geometry.phrases import Phrase
+from geometry.text_formats import parse_json
 
 from ..language import mark
 

@@ -10,11 +10,11 @@ from msgspec import UNSET
 from geometry.arrays import FloatArray
 from geometry.catalogue import Sensor
 from geometry.errors import InputError, refuse
-from geometry.files import pick
 from geometry.phrases import Phrase
 from geometry.poses import Pose, wrap_deg
 from geometry.scene import Scene, Site
 from geometry.sensors import CameraModel, with_fov
+from geometry.tables import pick
 from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose, is_ring, load_candidate_grid
 from placement.retrofit import free_name

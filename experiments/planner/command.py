@@ -153,8 +153,8 @@ def plan(
     else:
         progress.kept = f"the plan is in {save}"
     from geometry.errors import InputError
-    from geometry.files import check_target
     from geometry.scene_files import load_scene
+    from geometry.writing import check_target
     from placement.evaluator import with_sight
     from placement.question import read_cars
     from placement.setting import build_setting
@@ -278,7 +278,7 @@ def _begun_plan(
     InputError
         One cannot be read, or not be mounted in this scene.
     """
-    from geometry.files import read_bytes
+    from geometry.opening import read_bytes
     from placement.layout import check_layout, find_layout
 
     from .numbers import key_of
@@ -308,7 +308,7 @@ def _redirect(address: str, folder: Path) -> str:
 
     Everybody on the machine can read command lines: the token is not for them.
     """
-    from geometry.files import write_atomically
+    from geometry.writing import write_atomically
 
     path = folder / "open.html"
     page = (

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 from ..language import tr
 from .plan_files import plan_text

@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 
 from geometry.errors import InputError, refuse
-from geometry.files import parse_json, read_table
 from geometry.phrases import Phrase
 from geometry.scene import Scene
+from geometry.tables import read_table
+from geometry.text_formats import parse_json
 from placement.layout import Layout, check_layout, read_layout
 
 from ..export.json import to_json, to_json_text

@@ -11,9 +11,9 @@ import shapely
 from msgspec import Struct
 
 from geometry.errors import refuse
-from geometry.files import pick
 from geometry.phrases import Phrase
 from geometry.scene import Scene, Site, containing_instance, road_area
+from geometry.tables import pick
 from geometry.terrain import ground_height_m
 from placement.candidates import CandidatePose
 from placement.retrofit import free_name

@@ -4,7 +4,7 @@ import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import parse_json
+from geometry.text_formats import parse_json
 
 from ..language import mark
 

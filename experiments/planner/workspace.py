@@ -11,9 +11,9 @@ import numpy as np
 
 from geometry.catalogue import Sensor, load_cameras
 from geometry.errors import InputError
-from geometry.files import pick
 from geometry.lidar import load_lidars
 from geometry.scene import Scene
+from geometry.tables import pick
 from placement.candidates import (
     CandidatePose,
     build_grid,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 from placement.evaluation import Evaluation
 from placement.setting import Setting
 

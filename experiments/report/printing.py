@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 _BROWSERS = (
     "chromium",

@@ -21,14 +21,9 @@ from uuid import uuid4
 import msgspec
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    is_abandoned,
-    is_about,
-    lock_while_alive,
-    open_file,
-    read_text,
-    write_atomically,
-)
+from geometry.locks import is_abandoned, lock_while_alive
+from geometry.opening import open_file, read_text
+from geometry.writing import is_about, write_atomically
 
 from ..progress import WRITING, StageProgress, signals_held
 from .signatures import SIGNATURE, check_signing_key, write_signature

@@ -9,11 +9,11 @@ import numpy as np
 from msgspec import Meta, field
 from msgspec.structs import replace
 
-from geometry.files import says as says
 from geometry.junction import whereabouts
 from geometry.notes import assumed_sites
 from geometry.phrases import Phrase
 from geometry.scene import Scene
+from geometry.tables import says as says
 from placement.evaluation import (
     Evaluation,
     Verdict,

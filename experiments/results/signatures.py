@@ -12,7 +12,8 @@ import tempfile
 from pathlib import Path
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import read_bytes, read_text, write_atomically
+from geometry.opening import read_bytes, read_text
+from geometry.writing import write_atomically
 
 SIGNATURE = "SHA256SUMS.sig"
 NAMESPACE = "place-rsus"

@@ -12,7 +12,6 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from geometry.errors import InputError, Unquoted, refuse
-from geometry.files import check_target, read_bytes
 from geometry.junction import build_junction, street_names
 from geometry.maps.georeferences import transform
 from geometry.maps.importing import (
@@ -26,6 +25,7 @@ from geometry.maps.importing import (
 from geometry.maps.place_lists import SUFFIXES as LISTS
 from geometry.maps.source_map import SourceMap
 from geometry.notes import Note
+from geometry.opening import MAX_FILE_BYTES, read_bytes
 from geometry.scene import Scene
 from geometry.scene_checks import Finding, check_scene
 from geometry.scene_files import (
@@ -37,7 +37,7 @@ from geometry.scene_files import (
     save_scene,
 )
 from geometry.study_scene import load_study_scene
-from geometry.untrusted_files import MAX_FILE_BYTES
+from geometry.writing import check_target
 from placement.question import Question, map_options
 from scenarios.ways import find_sharp_bends
 

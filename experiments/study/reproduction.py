@@ -19,10 +19,11 @@ import numpy as np
 
 from geometry.actors import PlacedActor, pick_actor
 from geometry.catalogue import pick_camera
-from geometry.files import load_data, write_atomically
 from geometry.poses import Pose, body_rotation
 from geometry.scene import Scene
 from geometry.study_scene import load_study_scene
+from geometry.text_formats import load_data
+from geometry.writing import write_atomically
 from placement.compute import Compute, silent
 from placement.detectors import GeometricDetector, load_planning_detector
 from placement.evaluation import Evaluation, apr, detected_share

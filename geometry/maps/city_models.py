@@ -16,10 +16,12 @@ import numpy as np
 
 from ..arrays import FloatArray, float_array
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import load_data, read_table, read_text
 from ..notes import Note
+from ..opening import read_text
 from ..scene import join
-from ..untrusted_files import local_name, parse_object, read_xml
+from ..tables import read_table
+from ..text_formats import load_data, parse_object
+from ..xml_files import local_name, read_xml
 from .georeferences import crs_name, georeference, horizontal_crs
 from .source_map import (
     MAX_TRIANGLES,

@@ -18,11 +18,12 @@ from shapely.errors import ShapelyError
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
+from ..archives import unpacked
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import check_file, load_data, open_file, read_text, reading
 from ..notes import Note
+from ..opening import check_file, open_file, read_text, reading
 from ..scene import CLASS_NAMES, join
-from ..untrusted_files import parse_object, unpacked
+from ..text_formats import load_data, parse_object
 from .georeferences import WGS84, Georeference, georeference
 from .source_map import (
     UNITS_M,

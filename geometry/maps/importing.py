@@ -17,20 +17,14 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from ..archives import unpacked
 from ..arrays import FloatArray
 from ..errors import InputError, check_one_of, refuse
-from ..files import (
-    Progress,
-    check_file,
-    load_data,
-    open_file,
-    parse_json,
-    read_text,
-    silent,
-)
 from ..junction import build_junction
 from ..notes import Note
+from ..opening import check_file, open_file, read_text
 from ..phrases import Phrase
+from ..progress import Progress, silent
 from ..scene import (
     Instance,
     Lane,
@@ -43,7 +37,8 @@ from ..scene import (
 from ..scene_checks import arms_that_end
 from ..sensors import load_limits
 from ..terrain import GROUND
-from ..untrusted_files import local_name, read_xml_root, unpacked
+from ..text_formats import load_data, parse_json
+from ..xml_files import local_name, read_xml_root
 from .cut import LANES_BEYOND_M, build_scene, cut_out
 from .georeferences import WGS84, transform, why_no_plane
 from .place_lists import SUFFIXES as LISTS

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..errors import check_one_of, refuse
-from ..files import load_data, open_file, reading
+from ..gltf import check_gltf, mesh_resolver
+from ..opening import MAX_FILE_BYTES, open_file, reading
 from ..scene import CLASS_NAMES
-from ..untrusted_files import MAX_FILE_BYTES, check_gltf, mesh_resolver
+from ..text_formats import load_data
 from .source_map import (
     MAX_TRIANGLES,
     SourceMap,

@@ -14,8 +14,9 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, set_arrays
 from ..errors import InputError, check_name, refuse
-from ..files import csv_rows, float_of, load_data, read_text
 from ..frames import parse_crs
+from ..opening import read_text
+from ..text_formats import csv_rows, float_of, load_data
 from .georeferences import WGS84, horizontal_crs, transform
 from .gis_files import Feature, Features, read_features
 

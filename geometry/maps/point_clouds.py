@@ -26,12 +26,12 @@ from scipy.ndimage import (
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..archives import refuse_bomb
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, Unquoted, check_one_of, refuse
-from ..files import open_file, reading
 from ..notes import Note
+from ..opening import open_file, reading
 from ..scene import CLASS_NAMES
-from ..untrusted_files import refuse_bomb
 from .georeferences import Georeference, georeference
 from .source_map import MAX_TRIANGLES, SourceMap, Thing, counted
 

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtraError, refuse
-from ..files import open_file, reading
 from ..notes import Note
+from ..opening import open_file, reading
 from ..terrain import Terrain, fit_terrain
 from .georeferences import LocalFrame, transform
 from .source_map import MapJunction, SourceMap, Thing

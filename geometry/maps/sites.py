@@ -17,13 +17,13 @@ from shapely import Polygon
 
 from ..arrays import BoolArray, FloatArray, float_array
 from ..errors import InputError
-from ..files import float_of, load_data
 from ..junction import compass_point
 from ..lines import along_m, apart, length_m, points_at, steps_m
 from ..notes import Note
 from ..phrases import Phrase
 from ..scene import HANGING_KINDS, Lane, Site, area_of, covered_area, flat_union
 from ..terrain import HEADROOM_M, headroom_m
+from ..text_formats import float_of, load_data
 from .cut import Surroundings
 from .place_lists import SUFFIXES, SiteWish, read_sites
 from .source_map import (

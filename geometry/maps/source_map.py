@@ -20,9 +20,10 @@ from shapely.geometry.base import BaseGeometry
 
 from ..arrays import FloatArray, float_array, freeze, set_arrays
 from ..errors import InputError, check_one_of, clean_name, refuse
-from ..files import load_data, pick
 from ..notes import Note
 from ..scene import LeadingRoad, Mesh, Turn, join
+from ..tables import pick
+from ..text_formats import load_data
 
 # Outer ring, then holes; (n, 3) each.
 Polygon3D = Sequence[FloatArray]

@@ -13,17 +13,10 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, float_array, set_arrays
 from geometry.errors import InputError, check_field, check_one_of, refuse
-from geometry.files import (
-    Table,
-    load_data,
-    load_toml,
-    read_table,
-    take,
-    take_list,
-    take_number,
-)
 from geometry.image_boxes import box_height_px, iou
 from geometry.phrases import Phrase, join_phrases
+from geometry.tables import Table, read_table, take, take_list, take_number
+from geometry.text_formats import load_data, load_toml
 
 from .evidence import (
     VRU_CLASSES,

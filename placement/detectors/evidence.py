@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from geometry.actors import Actor
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import load_data, take_number
 from geometry.image_boxes import iou
 from geometry.phrases import Phrase
+from geometry.tables import take_number
+from geometry.text_formats import load_data
 
 VRU_CLASSES = ("pedestrian", "child", "cyclist", "motorcyclist", "car")
 # Between the heights of Euro NCAP's child (1.154 m) and adult (1.8 m) targets.

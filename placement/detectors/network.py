@@ -19,9 +19,11 @@ from PIL import Image as PilImage
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
 from geometry.errors import InputError, MissingExtraError, Unquoted, refuse
-from geometry.files import check_file, load_data, take
 from geometry.image_boxes import clip_boxes, iou
+from geometry.opening import check_file
 from geometry.phrases import Phrase, join_phrases
+from geometry.tables import take
+from geometry.text_formats import load_data
 
 from .evidence import (
     VRU_CLASSES,

@@ -12,12 +12,12 @@ import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, freeze
 from geometry.errors import refuse
-from geometry.files import read_data
 from geometry.image_boxes import box_height_px
 from geometry.lidar import LidarModel, load_lidar_detection
 from geometry.phrases import Phrase
 from geometry.poses import wrap_deg
 from geometry.sensors import CameraModel
+from geometry.tables import read_data
 from geometry.weather import pick_weather
 from scenarios.aeb import AebRule, find_contacts
 from scenarios.paths import MPS_PER_KMH

@@ -18,13 +18,14 @@ from geometry.actors import Actor, PlacedActor, Shape
 from geometry.arrays import FloatArray, IntArray
 from geometry.catalogue import pick_camera
 from geometry.errors import InputError
-from geometry.files import load_data, pick, take_number, take_text
 from geometry.lidar import LidarModel, load_lidars
 from geometry.poses import Pose, body_rotation, to_world, wrap_deg
 from geometry.raycast import RayCaster, build_caster
 from geometry.scene import Scene, join
 from geometry.sensors import CameraModel
+from geometry.tables import pick, take_number, take_text
 from geometry.terrain import Terrain, on_ground, pitch_on_ground_deg, terrain_of
+from geometry.text_formats import load_data
 from geometry.weather import Weather, pick_weather
 from scenarios.runs import Run
 

@@ -8,10 +8,10 @@ from typing import Annotated
 import numpy as np
 
 from geometry.arrays import BoolArray, IntArray
-from geometry.files import says
 from geometry.image_boxes import box_height_px, iou
 from geometry.lidar import LidarModel
 from geometry.phrases import Phrase
+from geometry.tables import says
 
 from ..cache import cached_value
 from ..candidates import CandidatePose

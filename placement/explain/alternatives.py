@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 
 from geometry.arrays import BoolArray
-from geometry.files import says
 from geometry.phrases import Phrase
+from geometry.tables import says
 from scenarios.aeb import AebRule
 from scenarios.weights import weight_share
 

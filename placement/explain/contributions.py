@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from geometry.arrays import FloatArray, IntArray, freeze
-from geometry.files import says
+from geometry.tables import says
 from scenarios.aeb import AebRule
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share

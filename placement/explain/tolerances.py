@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.files import says
 from geometry.phrases import Phrase
 from geometry.poses import wrap_deg
+from geometry.tables import says
 from scenarios.runs import find_onsets
 from scenarios.weights import weight_share
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import says
 from geometry.raycast import FloatRays, build_caster, ray_lengths_m
 from geometry.scene import Scene
+from geometry.tables import says
 from geometry.terrain import on_ground
 from scenarios.confirmation import (
     confirmation_mask,

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray
-from geometry.files import read_data, take_number
 from geometry.poses import Pose
 from geometry.raycast import FloatRays, RayCaster
 from geometry.sensors import CameraModel, project_points
+from geometry.tables import read_data, take_number
 from geometry.weather import Weather
 
 from .light import LUMINANCE, Lamp, Sky, load_lamp_table

@@ -11,10 +11,11 @@ import numpy as np
 
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
-from geometry.files import load_data, read_table, take, take_number
 from geometry.poses import Pose, body_rotation, to_world
 from geometry.raycast import FloatRays, RayCaster
 from geometry.scene import Scene
+from geometry.tables import read_table, take, take_number
+from geometry.text_formats import load_data
 from geometry.weather import Weather
 
 from .materials import Hits

@@ -10,8 +10,9 @@ import numpy as np
 
 from geometry.arrays import BoolArray, float_array
 from geometry.errors import InputError
-from geometry.files import load_data, read_table
 from geometry.raycast import FloatRays
+from geometry.tables import read_table
+from geometry.text_formats import load_data
 
 from .ground import PAINT, ROAD, SKY, GroundMap, grain_at, soft_noise_at
 from .mesh import Index, Thing

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from geometry.actors import PlacedActor
 from geometry.arrays import FloatArray, IntArray
-from geometry.files import take_number
 from geometry.poses import Pose, camera_rotation
 from geometry.raycast import FloatRays
 from geometry.scene import Scene
 from geometry.sensors import CameraModel, picture_rays, pixel_grid
+from geometry.tables import take_number
 from geometry.weather import Weather
 from scenarios.runs import Run
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import says
+from geometry.tables import says
 
 from .allowed_sets import Limits
 from .constants import COST_TOLERANCE_EUR, WORKERS, share_out

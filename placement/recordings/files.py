@@ -16,16 +16,10 @@ from uuid import uuid4
 
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import (
-    load_data,
-    parse_json,
-    parse_number,
-    read_bytes,
-    read_table,
-    read_text,
-    reading,
-    write_new,
-)
+from geometry.opening import read_bytes, read_text, reading
+from geometry.tables import read_table
+from geometry.text_formats import load_data, parse_json, parse_number
+from geometry.writing import write_new
 
 # That are read; other road users are only written.
 VRU_CLASSES = (
@@ -214,7 +208,7 @@ def entries_of(folder: Path, expected: str) -> list[Path]:
 def json_of(path: Path, **limits: int) -> Any:
     """Content of a JSON file.
 
-    `limits` are those of :func:`geometry.files.read_bytes`.
+    `limits` are those of :func:`geometry.opening.read_bytes`.
     """
     return parse_json(read_bytes(path, **limits), str(path), "a JSON file")
 

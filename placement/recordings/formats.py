@@ -21,8 +21,9 @@ from msgspec import Meta
 
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
 from geometry.errors import InputError, Unquoted, check_one_of
-from geometry.files import read_table, read_text, reading
-from geometry.untrusted_files import read_xml
+from geometry.opening import read_text, reading
+from geometry.tables import read_table
+from geometry.xml_files import read_xml
 
 from .files import Box, Fields, entries_of, json_of, load_format, read_lines
 

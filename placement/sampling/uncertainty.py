@@ -15,18 +15,9 @@ import numpy as np
 from geometry.actors import Actor
 from geometry.arrays import FloatArray, float_array
 from geometry.errors import InputError, check_one_of, located, refuse
-from geometry.files import (
-    Table,
-    load_data,
-    load_toml,
-    pick,
-    says,
-    take,
-    take_list,
-    take_number,
-    take_text,
-)
 from geometry.scene import Scene
+from geometry.tables import Table, pick, says, take, take_list, take_number, take_text
+from geometry.text_formats import load_data, load_toml
 from scenarios.cases import load_cases
 
 from ..compute import check_whole

@@ -15,15 +15,10 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct, defstruct, field
 
 from geometry.errors import InputError, Unquoted
-from geometry.files import (
-    Text,
-    load_data,
-    parse_json,
-    read_table,
-    read_text,
-    take_text,
-    write_atomically,
-)
+from geometry.opening import read_text
+from geometry.tables import Text, read_table, take_text
+from geometry.text_formats import load_data, parse_json
+from geometry.writing import write_atomically
 
 from ..detection_table import has_levels, seeing_share
 from ..layout import Certificate, Stage

@@ -21,13 +21,16 @@ import numpy as np
 from msgspec import Struct, to_builtins
 from numpy.typing import NDArray
 
-from geometry.arrays import FloatArray, IntArray, freeze, set_arrays
+from geometry.archives import unpacked_bytes
+from geometry.arrays import FloatArray, IntArray, freeze, is_text, set_arrays
 from geometry.catalogue import SENSOR_KINDS, Sensor, read_sensor, sensor_kind
 from geometry.errors import InputError, located, refuse
-from geometry.files import open_file, parse_json, read_data, reading, write_atomically
+from geometry.opening import open_file, reading
 from geometry.scene import Scene
 from geometry.sensors import LENS_FIELDS, CameraModel
-from geometry.untrusted_files import is_text, unpacked_bytes
+from geometry.tables import read_data
+from geometry.text_formats import parse_json
+from geometry.writing import write_atomically
 from scenarios.aeb import AebRule
 from scenarios.positions import AT_ZERO
 from scenarios.runs import FrameAxis

@@ -11,11 +11,11 @@ import pytest
 
 from experiments import main as program
 from geometry.errors import InputError
-from geometry.files import load_toml
 from geometry.maps import point_clouds as voxels
 from geometry.maps.importing import read_map
 from geometry.scene import Scene
 from geometry.scene_files import SCENE_FILE, THINGS_FILE, load_scene
+from geometry.text_formats import load_toml
 from placement.ground import load_private_ground
 from placement.layout import load_layout
 from placement.recordings import read_recording
@@ -145,7 +145,7 @@ def test_point_clouds_whose_roofs_are_kilometres_high():
 def test_instances_that_unpack_to_more_than_memory(tmp_path, monkeypatch):
     path = tmp_path / "instance.npz"
     np.savez_compressed(path, kind="x", packed=np.zeros(2_000_000, dtype=np.uint8))
-    monkeypatch.setattr("geometry.untrusted_files.MAX_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr("geometry.archives.MAX_UNPACKED_BYTES", 1_000_000)
     assert (
         "bytes or more when unpacked; expected at most 1,000,000, the budget"
         in refusal(load_problem, path)

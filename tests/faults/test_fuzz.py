@@ -132,11 +132,11 @@ def test_hypothesis_finds_no_text_that_is_neither_read_nor_refused(
 
 NO_USERS_FILES = {
     "experiments.city.answer.load_summary": "written by this program, within read_city",
-    "geometry.files.open_file": "the door itself: tests/faults/test_hostile_paths.py",
-    "geometry.files.open_new": "writes",
-    "geometry.files.read_bytes": "the door itself",
-    "geometry.files.open_own": "caches: tests/geometry/test_private_folders.py",
-    "geometry.untrusted_files.open_parquet": "within readers of results",
+    "geometry.opening.open_file": "the door itself: tests/faults/test_hostile_paths.py",
+    "geometry.writing.open_new": "writes",
+    "geometry.opening.read_bytes": "the door itself",
+    "geometry.cache_folders.open_own": "caches: tests/geometry/test_private_folders.py",
+    "geometry.parquet_files.open_parquet": "within readers of results",
     "experiments.city.inputs.load_city": "maps, by read_map",
     "experiments.city.inputs.load_existing": "layouts, by load_layout",
     "experiments.perception_lab.training.crops.load_crops": (
@@ -147,9 +147,9 @@ NO_USERS_FILES = {
     "placement.detectors.network.load_onnx_model": (
         "a network is a program: SECURITY.md"
     ),
-    "geometry.untrusted_files.unpacked": "tests/geometry/test_archives.py",
-    "geometry.untrusted_files.check_gltf": "within read_mesh and load_scene",
-    "geometry.untrusted_files.check_pbf": "within read_elements",
+    "geometry.archives.unpacked": "tests/geometry/test_archives.py",
+    "geometry.gltf.check_gltf": "within read_mesh and load_scene",
+    "geometry.pbf.check_pbf": "within read_elements",
 }
 _VERBS = (
     "load_",

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from experiments.results.folders import MARKER, new_result_folder
-from geometry import untrusted_files
+from geometry import gltf
 from geometry.errors import InputError, clean_name
 from geometry.maps.mesh_files import read_mesh
 from geometry.maps.place_lists import read_sites
@@ -179,7 +179,7 @@ def test_a_gltf_opens_plain_files_of_its_folder_alone(tmp_path, name, message):
 
 
 def test_all_buffers_of_a_gltf_have_the_size_of_one_mesh(tmp_path, monkeypatch):
-    monkeypatch.setattr(untrusted_files, "MAX_FILE_BYTES", 1500)
+    monkeypatch.setattr(gltf, "MAX_FILE_BYTES", 1500)
     (tmp_path / "a.bin").write_bytes(bytes(1000))
     path = tmp_path / "house.gltf"
     buffers = [{"uri": "a.bin", "byteLength": 1000}] * 2

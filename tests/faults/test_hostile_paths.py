@@ -15,12 +15,13 @@ from experiments import main as program
 from experiments import start
 from experiments.results.tables import csv_text
 from geometry.errors import InputError
-from geometry.files import check_target, open_file, read_text, write_atomically
 from geometry.frames import parse_crs
 from geometry.lidar import load_lidars
 from geometry.maps.gis_files import read_features
+from geometry.opening import open_file, read_text
+from geometry.parquet_files import open_parquet
 from geometry.scene import Site
-from geometry.untrusted_files import open_parquet
+from geometry.writing import check_target, write_atomically
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "mkfifo"), reason="pipes and devices of Unix"

@@ -19,7 +19,7 @@ from writing_process import MARKER, NAMES, read_table, write_results, write_tabl
 
 from experiments.results.folders import changed_files, check_result_folder
 from geometry.errors import InputError
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")

@@ -17,9 +17,9 @@ from geometry.actors import (
     read_actors,
 )
 from geometry.errors import InputError
-from geometry.files import load_toml
 from geometry.poses import Pose
 from geometry.raycast import build_caster
+from geometry.text_formats import load_toml
 
 DATA = files("geometry") / "data"
 NAMES = tuple(load_actors())

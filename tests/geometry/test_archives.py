@@ -6,9 +6,9 @@ from damage import damaged
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from geometry import untrusted_files
+from geometry import archives
+from geometry.archives import unpacked
 from geometry.errors import InputError
-from geometry.untrusted_files import unpacked
 
 SUFFIXES = (".geojson", ".shp", ".xml")
 
@@ -91,7 +91,7 @@ def test_links_are_refused(tmp_path):
 
 
 def test_large_archives_are_refused_before_they_are_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(untrusted_files, "MAX_UNPACKED_BYTES", 1000)
+    monkeypatch.setattr(archives, "MAX_UNPACKED_BYTES", 1000)
     path = pack(
         tmp_path, [("a.shp", b"x" * 600), ("b.dbf", b"x" * 600)], zipfile.ZIP_STORED
     )

@@ -3,7 +3,7 @@ import stat
 
 import pytest
 
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 
 def _names(folder):

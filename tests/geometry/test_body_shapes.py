@@ -9,7 +9,7 @@ from geometry import body_shapes
 from geometry.actors import load_actors, read_actors
 from geometry.body_shapes import build_shapes, save_shapes
 from geometry.errors import InputError, MissingExtraError
-from geometry.files import load_toml
+from geometry.text_formats import load_toml
 
 TABLE = load_toml(files("geometry") / "data" / "actors.toml")
 

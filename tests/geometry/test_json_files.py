@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from geometry.errors import InputError
-from geometry.files import parse_json
+from geometry.text_formats import parse_json
 
 PRODUCT = ("geometry", "scenarios", "placement", "experiments")
 READS_JSON = re.compile(
@@ -14,7 +14,7 @@ READS_JSON = re.compile(
 )
 # What these read is text that this program, or one that it has begun, has just written.
 OWN_TEXT = {
-    "geometry/files.py",  # the one place
+    "geometry/text_formats.py",  # the one place
     "experiments/bench/__main__.py",
     "experiments/export/uper.py",
     "experiments/planner/numbers.py",

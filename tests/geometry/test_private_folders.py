@@ -3,8 +3,8 @@ import tempfile
 
 import pytest
 
-from geometry import files
-from geometry.files import (
+from geometry import cache_folders
+from geometry.cache_folders import (
     open_own,
     private_temporary_folder,
     user_cache_folder,
@@ -108,7 +108,9 @@ def test_a_temporary_folder_is_the_same_unless_somebody_else_holds_its_name(
     first.chmod(0o777)
     removed = []
     monkeypatch.setattr(
-        files.atexit, "register", lambda remove, folder, **_: removed.append(folder)
+        cache_folders.atexit,
+        "register",
+        lambda remove, folder, **_: removed.append(folder),
     )
     other = find()
     assert other != first

@@ -7,8 +7,7 @@ from msgspec import Meta, Struct
 
 from geometry.arrays import Point2, Points2
 from geometry.errors import InputError
-from geometry.files import (
-    load_toml,
+from geometry.tables import (
     pick,
     read_table,
     read_tables,
@@ -17,6 +16,7 @@ from geometry.files import (
     take_number,
     take_text,
 )
+from geometry.text_formats import load_toml
 
 
 def _message(function, *arguments) -> str:

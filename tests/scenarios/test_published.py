@@ -9,8 +9,8 @@ from oracles import separation_m
 
 from geometry.actors import PlacedActor
 from geometry.errors import InputError
-from geometry.files import read_table
 from geometry.frames import to_carla_points, to_carla_yaw
+from geometry.tables import read_table
 from scenarios import published
 from scenarios.published import stage_published
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from geometry.errors import InputError
-from geometry.files import write_atomically
+from geometry.writing import write_atomically
 
 from ...figures.axes import to_png
 from .report import measure, plot_confirmations, plot_heights, plot_recall, tables, text

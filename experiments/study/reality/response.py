@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from geometry.arrays import BoolArray, FloatArray, IntArray
-from geometry.files import read_text
 from geometry.lenses import ground_points
+from geometry.opening import read_text
 from placement.detectors import ResponseDetector
 from placement.detectors.built_in import built_in_response
 from placement.detectors.evidence import Interval, linked_noise

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...errors import InputError, refuse
-from ...untrusted_files import local_name, read_xml
+from ...xml_files import local_name, read_xml
 from ..source_map import MapJunction, MapLane, Omissions, SourceMap
 from .junctions import (
     build_junctions,

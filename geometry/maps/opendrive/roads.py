@@ -18,7 +18,7 @@ from scipy.special import fresnel
 
 from ...arrays import FloatArray
 from ...errors import InputError, refuse
-from ...files import load_data
+from ...text_formats import load_data
 from ..georeferences import why_no_plane
 from ..source_map import Omissions
 

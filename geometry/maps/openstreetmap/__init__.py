@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 
 from ...arrays import FloatArray, float_array
 from ...errors import InputError, MissingExtraError, Unquoted, refuse
-from ...files import Progress, counted, silent, write_atomically
 from ...notes import Note
 from ...phrases import Phrase
+from ...progress import Progress, counted, silent
+from ...writing import write_atomically
 from ..georeferences import WGS84, local_crs, transform
 from ..source_map import SourceMap, parse_length_m
 from .elements import DEFAULTS, Elements, Way, read_elements

@@ -17,8 +17,9 @@ from shapely import Polygon, STRtree, make_valid
 
 from ...arrays import FloatArray, IntArray
 from ...errors import refuse
-from ...files import load_data, open_file, reading
-from ...untrusted_files import MAX_FILE_BYTES, check_pbf
+from ...opening import MAX_FILE_BYTES, open_file, reading
+from ...pbf import check_pbf
+from ...text_formats import load_data
 from ..source_map import Omissions, parse_length_m
 
 DEFAULTS: dict[str, Any] = load_data("geometry.maps", "openstreetmap.toml")

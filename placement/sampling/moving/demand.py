@@ -13,16 +13,8 @@ from msgspec import Meta, Struct
 
 from geometry.actors import Actor, box_shape, pick_actor
 from geometry.errors import InputError, check_one_of, located, refuse
-from geometry.files import (
-    Table,
-    Text,
-    load_data,
-    load_toml,
-    read_table,
-    take_list,
-    take_number,
-    take_text,
-)
+from geometry.tables import Table, Text, read_table, take_list, take_number, take_text
+from geometry.text_formats import load_data, load_toml
 
 from ...compute import check_distinct
 

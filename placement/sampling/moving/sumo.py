@@ -28,10 +28,11 @@ import numpy as np
 from geometry.actors import Actor, MovingActor
 from geometry.arrays import BoolArray, FloatArray
 from geometry.errors import InputError, MissingExtraError, refuse
-from geometry.files import open_file, read_text, write_new
 from geometry.junction import Arm, Junction, build_junction, lane_length_m
 from geometry.lines import along_m, points_at
+from geometry.opening import open_file, read_text
 from geometry.scene import Lane, Scene
+from geometry.writing import write_new
 from scenarios.runs import Run
 
 from .demand import Demand, load_demand, write_routes

@@ -9,8 +9,8 @@ import numpy as np
 
 from geometry.actors import Actor, MovingActor, PlacedActor, footprint_sizes
 from geometry.arrays import BoolArray, FloatArray, IntArray, freeze
-from geometry.files import says
 from geometry.footprints import gaps_between
+from geometry.tables import says
 from scenarios.runs import Run
 
 # A vehicle that is away for longer than so many steps has left and come back.

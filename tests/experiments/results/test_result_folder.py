@@ -17,7 +17,7 @@ from experiments.results.folders import (
     read_manifest,
 )
 from geometry.errors import InputError
-from geometry.files import lock_while_alive
+from geometry.locks import lock_while_alive
 
 
 def fill(folder: Path, text: str = "new") -> None:

@@ -16,10 +16,10 @@ from experiments.study.reality.projection import (
     tilted,
 )
 from geometry.calibrations import read_opencv_camera, read_tsai
-from geometry.files import load_toml
 from geometry.image_boxes import box_height_px
 from geometry.lenses import TsaiRadial, project_distorted
 from geometry.sensors import project_points
+from geometry.text_formats import load_toml
 from placement.detectors import load_detector
 from placement.detectors.evidence import linked_noise
 from placement.recordings.formats import read_wildtrack

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from geometry.errors import InputError
-from geometry.files import load_toml
+from geometry.text_formats import load_toml
 from placement.detectors import (
     DETECTOR_NAMES,
     VRU_CLASSES,

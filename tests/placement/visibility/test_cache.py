@@ -1,11 +1,11 @@
 import logging
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from geometry import files
 from geometry.actors import PlacedActor
 from geometry.lidar import load_lidar_detection, load_lidars
 from geometry.poses import Pose
@@ -312,7 +312,7 @@ def test_an_interruption_leaves_nothing_half_written(stored, monkeypatch, error)
     def stop(*names):
         raise error
 
-    monkeypatch.setattr(files.Path, "replace", stop)
+    monkeypatch.setattr(Path, "replace", stop)
     with pytest.raises(error):
         save_table(path, table, fingerprint=FINGERPRINT)
     assert list(path.parent.iterdir()) == []
