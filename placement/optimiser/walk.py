@@ -1,22 +1,26 @@
-"""Third rung: all sets of so many units that lose little, and the best of those that tie.
+"""Third rung: all sets that lose little, and the best of those that tie.
 
-As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the same
-poses cover are one row. Of the poses at a site, most cover no row that another one
-there does not cover: a *class* is a pose that is widest in this sense with those below
-it. So the walk is one through sets of classes, each as good as its widest pose:
+As in :mod:`placement.optimiser.bounds`, poses *cover* runs, and runs that the
+same poses cover are one row. Of the poses at a site, most cover no row that
+another one there does not cover: a *class* is a pose that is widest in this
+sense with those below it. So the walk is one through sets of classes, each as
+good as its widest pose:
 
-* It asks which class covers the row that fewest cover. Where hardly anything may be
-  lost, that
-  leaves few classes at every node. When they have been tried, the row is lost.
-* With m units to come, the m best classes at most cover what is not covered yet, and m
-  - N of them
-  if N units to come fail, or m - N + 1 if one of the chosen fails, which loses what it
-  covers alone. The gains are weighed by the rows' weights, and by Lagrangian prices.
+* It asks which class covers the row that fewest cover. Where hardly anything
+  may be lost, that leaves few classes at every node. When they have been tried,
+  the row is lost.
+* With m units to come, the m best classes at most cover what is not covered
+  yet, and m - N of them if N units to come fail, or m - N + 1 if one of the
+  chosen fails, which loses what it covers alone. The gains are weighed by the
+  rows' weights, and by Lagrangian prices.
 
-What remains is spelled out: sets of poses, one of each class, valued on the windows,
-where poses of a class that is not settled yet see together. A walk that ends has met
-every set. Where few tie, all are valued, and every later stage is proven at once; where
-many do, the APR that is left when units fail is asked for in the walk, too.
+What remains is spelled out: sets of poses, one of each class, valued on the
+windows, where poses of a class that is not settled yet see together. A walk
+that ends has met every set. Where few tie, all are valued, and every later
+stage is proven at once; where many do, the APR that is left when units fail is
+asked for in the walk, too.
+
+:class:`placement.optimiser.walk_kernels.Walk` draws what a node of the walk is.
 """
 
 from collections.abc import Callable, Iterator
@@ -54,9 +58,10 @@ _T = TypeVar("_T")
 
 
 def can_walk(reduced: ReducedProblem) -> bool:
-    """True if best sets have as many units as allowed or are parts of such: no money.
+    """True if a walk through sets of the largest size can meet all best sets.
 
-    Of floors there may be one, an APR of all runs without failures.
+    A best set must have as many units as allowed, or be part of such a set: money
+    must be no limit. There may be one floor, an APR of all runs without failures.
     """
     limits = reduced.limits
     n_forced = int(limits.is_forced.sum())
@@ -74,7 +79,7 @@ def can_walk(reduced: ReducedProblem) -> bool:
 
 
 def least_apr(reduced: ReducedProblem) -> float | None:
-    """The APR that every set must reach, where that is the only floor."""
+    """APR that every set must reach, where that is the only floor; else None."""
     if len(reduced.floors) != 1:
         return None
     (floor,) = reduced.floors
@@ -89,10 +94,23 @@ def least_apr(reduced: ReducedProblem) -> float | None:
 def best_of_few(
     reduced: ReducedProblem, *, max_sets: int, deadline: Deadline = NEVER
 ) -> tuple[Contenders | None, bool]:
-    """The best of all allowed sets, of any size, and what ties, where they are few.
+    """Best of all allowed sets of any size, and what ties, where they are few.
 
-    Gives up if there are more than `max_sets`, or at the deadline: the flag says
-    whether all sets were gone through. None if no set was.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem whose sets are valued.
+    max_sets : int
+        Give up if there are more allowed sets.
+    deadline : Deadline
+        Give up when it is over.
+
+    Returns
+    -------
+    contenders : Contenders or None
+        The best sets so far; None if there are too many to begin with.
+    is_complete : bool
+        True if all sets were gone through.
     """
     sizes = allowed_sets(reduced.limits, max_sets=max_sets)
     if sizes is None:
@@ -116,7 +134,21 @@ def best_of_few(
 
 
 def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
-    """All sets within limits, by their size; None if more than `max_sets`, or too many to tell."""
+    """All sets within limits, by their size.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    max_sets : int
+        Give up if there are more sets.
+
+    Returns
+    -------
+    sizes : list of (n_sets, n_units) int, or None
+        Sets of poses, one array for each number of units, poses ascending. None if
+        there are more than `max_sets`, or too many to count.
+    """
     forced = np.flatnonzero(limits.is_forced)
     poses = np.flatnonzero(~limits.is_forbidden & ~limits.is_forced)
     grown = forced[None, :]
@@ -146,11 +178,20 @@ def allowed_sets(limits: Limits, *, max_sets: int) -> list[IntArray] | None:
 
 
 class SetWalk:
-    """A walk through all sets of so many units that reach `need`, also when units fail.
+    """A walk through all sets of so many units that reach `need`, also on failure.
 
-    With failures, `left` is what must remain of any `n_failures` of them; sets are
-    checked exactly for one failure, and for more only by bounds. Forced poses are in
-    every set; sites' capacities hold; other limits do not count.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem; sites' capacities hold, other limits do not count.
+    root : Root
+        Its covering problem, with prices.
+    need : float
+        Value that whole sets must reach.
+    n_failures : int
+        Units that fail; 0 if nothing is asked of what is left.
+    left : float
+        Value that must be left when they fail.
     """
 
     def __init__(
@@ -196,7 +237,10 @@ class SetWalk:
         self.raise_needs(need, left)
 
     def raise_needs(self, need: float, left: float = 0.0) -> None:
-        """Ask for more from here on."""
+        """Ask for more from here on, of whole sets and of what is left of them.
+
+        Tasks share the array that is changed: all threads see it at once.
+        """
         self.losses.may_lose[:] = [self.total - need, self.total - left]
         self.losses.may_lose[:] += constants.ROUNDING * max(self.total, 1.0)
 
@@ -205,6 +249,11 @@ class SetWalk:
 
         An empty block says that nothing was found for a while. All threads walk, each
         behind a node near the root: the order of the sets is left to chance.
+
+        Yields
+        ------
+        sets : (n_sets, n_units) int
+            Poses of the reduced problem, the forced ones first.
         """
         if self.n_units == 1:
             yield self._alone()
@@ -226,6 +275,7 @@ class SetWalk:
         self.is_finished = not deadline.is_over
 
     def _with_forced(self, found: list[IntArray]) -> IntArray:
+        """Found sets in one array, behind the forced poses, (n_sets, n_units)."""
         sets = np.concatenate([np.empty((0, self.n_units), dtype=np.int64), *found])
         return np.column_stack([np.tile(self.forced, (len(sets), 1)), sets])
 
@@ -238,7 +288,11 @@ class SetWalk:
         return self._with_forced([np.flatnonzero(is_kept)[:, None]])
 
     def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
-        """The nodes near the root, one after the other; tasks that are done are taken again."""
+        """Walks behind the nodes near the root, one after the other.
+
+        A scout walks from the root and pauses at every node of some depth: a task
+        begins there. Tasks in `spare` are done; their arrays are used again.
+        """
         from .walk_kernels import AT_STOP, DONE, grow
 
         stop = max(min(constants.STOP_DEPTH, self.n_units - 2), 1)
@@ -266,7 +320,19 @@ class SetWalk:
 
 
 class _Task:
-    """A walk behind a node, and the sets of classes it is about to spell out."""
+    """A walk behind a node, and the sets of classes it is about to spell out.
+
+    Attributes
+    ----------
+    is_done : bool
+        True once all sets behind the node were walked through and spelled out.
+    is_walked : bool
+        True once the walk has ended; sets may still wait to be spelled out.
+    waiting : list of (n_units,) int
+        Sets of classes that wait.
+    out : (n, n_units) int
+        Where the kernel writes the sets of classes that it finds.
+    """
 
     def __init__(self, owner: SetWalk) -> None:
         from .walk_kernels import Walk
@@ -335,6 +401,8 @@ class _Task:
         return self, found
 
     def _spell_out(self, classes: IntArray) -> list[IntArray]:
+        """Sets of poses, one of each class, that lose little: blocks of (n, n_units).
+        """
         from .walk_kernels import spell_out
 
         owner = self.owner
@@ -354,14 +422,23 @@ class _Task:
 def find_of_size(
     reduced: ReducedProblem, n_units: int, *, deadline: Deadline
 ) -> tuple[IntArray | None, bool]:
-    """A set of exactly so many units within the limits that reaches the floors, (n_units,).
+    """A set of exactly so many units within the limits that reaches the floors.
 
-    None if none was found; the flag says whether all sets were gone through. There is
-    at least one floor, and no set has fewer units than there are forced poses.
+    There is at least one floor, and no set has fewer units than there are forced
+    poses.
 
-    The walk is one for the hardest floor; what it asks for is necessary: the APR as a
-    mean over all worlds, and what is left when units fail, though sites may. What it
-    meets is looked at exactly.
+    Returns
+    -------
+    units : (n_units,) int or None
+        Poses of the reduced problem; None if none was found.
+    is_complete : bool
+        True if all sets were gone through: then None proves that there is none.
+
+    Notes
+    -----
+    The walk is one for the hardest floor; what it asks for is necessary: the APR as
+    a mean over all worlds, and what is left when units fail, though sites may. What
+    it meets is looked at exactly.
     """
     forced = forced_units(reduced)
     if n_units <= len(forced):
@@ -392,7 +469,7 @@ def find_of_size(
 
 
 def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | None:
-    """The first of some sets, (n_sets, n_units), within the limits that reaches the floors."""
+    """First of some sets, (n_sets, n_units), that is allowed and reaches the floors."""
     if not sets.size:
         return None
     for begin in range(0, len(sets), constants.BLOCK_SETS):
@@ -409,10 +486,23 @@ def _first_that_will_do(reduced: ReducedProblem, sets: IntArray) -> IntArray | N
 def widest_poses(
     rows: BoolArray, site_index: IntArray, usable: BoolArray
 ) -> tuple[IntArray, IntArray]:
-    """Poses that cover what no other one at their site covers, and the class of each pose.
+    """Poses that cover what no other one at their site covers, and all classes.
 
-    `rows`, (n_poses, n_rows), says what each covers. Classes are numbered as the widest
-    poses are; -1: not usable.
+    Parameters
+    ----------
+    rows : (n_poses, n_rows) bool
+        What each pose covers.
+    site_index : (n_poses,) int
+        Site of each pose.
+    usable : (n_poses,) bool
+        Poses that may be chosen.
+
+    Returns
+    -------
+    widest : (n_classes,) int
+        The widest pose of each class.
+    class_of : (n_poses,) int
+        Class of each pose, numbered as the widest poses are; -1: not usable.
     """
     widest = []
     class_of = np.full(len(rows), -1)
@@ -444,7 +534,15 @@ def group_by_class(reduced: ReducedProblem, class_of: IntArray) -> "Classes":
 
 
 def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
-    """Weight of runs that are lost by chain and first live window, (n_chains, longest + 1)."""
+    """Weight of runs that are lost by chain and first live window.
+
+    Returns
+    -------
+    lost : (n_chains, longest + 1) float
+        ``lost[g, k]`` is the weight of the runs of chain g that are lost if its
+        k-th window is the first live one; ``longest`` is the length of the longest
+        chain.
+    """
     longest = int(np.diff(reduced.chains.start).max(initial=0))
     lost = np.zeros((reduced.n_chains, longest + 1))
     for chain, last, weight in zip(
@@ -455,7 +553,7 @@ def lost_by_chain(reduced: ReducedProblem) -> FloatArray:
 
 
 def _hardest_first(reduced: ReducedProblem, lost: FloatArray, root: Root) -> IntArray:
-    """Chains in the order of what the worthiest poses lose in them."""
+    """Chains in the order of what the worthiest poses lose in them, (n_chains,)."""
     from .bit_kernels import first_live_windows
 
     best = np.argsort(-root.gains(), kind="stable")[:256]
@@ -471,7 +569,18 @@ def in_threads(
     workers: int,
     deadline: Deadline,
 ) -> Iterator[_T]:
-    """What tasks return, as they end, until none is left or the time is up."""
+    """What tasks return, as they end, until none is left or the time is up.
+
+    Parameters
+    ----------
+    next_task : callable
+        Gives the next task, a function without arguments; None if there is none at
+        present. More may come once a task that is under way has returned.
+    workers : int
+        Threads. Twice as many tasks wait, so that no thread does.
+    deadline : Deadline
+        No task is begun behind it.
+    """
     waiting: set[Future[_T]] = set()
     with ThreadPoolExecutor(workers) as threads:
         while not deadline.is_over:
@@ -488,7 +597,13 @@ def in_threads(
 
 # ---------- sets that tie
 class SomeWalk(Protocol):
-    """A walk through all sets that meet needs, which may be raised on the way."""
+    """A walk through all sets that meet needs, which may be raised on the way.
+
+    Attributes
+    ----------
+    is_finished : bool
+        True once all sets were gone through.
+    """
 
     is_finished: bool  # whether all sets were gone through
 
@@ -500,7 +615,19 @@ class SomeWalk(Protocol):
 
 
 class Tied(NamedTuple):
-    """Sets that tie at the best value of a stage."""
+    """Sets that tie at the best value of a stage.
+
+    Attributes
+    ----------
+    sets : (n, n_units) int, optional
+        All of them; None: too many, or not all were looked at.
+    value : float
+        The best that was found.
+    limit : float
+        No set exceeds it.
+    is_finished : bool
+        True if the value is proven.
+    """
 
     sets: (
         IntArray | None
@@ -511,14 +638,29 @@ class Tied(NamedTuple):
 
 
 class TieSearch:
-    """Looks for all sets as good as the best, by the APR when units fail, 0 for none.
+    """A search for all sets as good as the best, by the APR when units fail.
 
-    `units` is the best set so far; `walk_from` begins a walk for what whole sets must
-    reach, and what must be left of them; `limit` bounds all sets that reach so much.
-    Where `ahead` is not 0, it is first proven that no set is better by that. Where a
-    walk may not end, it is proven before that no set is better by `near`, by half of
-    it, and so on. `least_apr` is what the whole set must reach, by default what must be
-    left. `on_better` takes better sets and returns what they were improved to.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n_units,) int
+        The best set so far.
+    walk_from : callable
+        Begins a walk for what whole sets must reach, and what must be left of them.
+    limit : callable, optional
+        Upper bound of all sets that reach so much, until a deadline.
+    ahead : float
+        If not 0, it is first proven that no set is better by that.
+    near : float
+        If not 0, a walk may not end: it is proven before that no set is better by
+        that, by half of it, and so on.
+    n_failures : int
+        Units that fail; 0 for none.
+    least_apr : float, optional
+        What the whole set must reach; by default what must be left.
+    on_better : callable
+        Takes better sets and returns what they were improved to.
     """
 
     def __init__(
@@ -583,7 +725,8 @@ class TieSearch:
         return self._tied(limit, is_proven or is_finished, sets)
 
     def _come_near(self, deadline: Deadline, limit: float) -> float:
-        """A limit ever nearer to the best value, until a walk for all is likely to end in time."""
+        """Upper bound ever nearer to the best, until a walk for all should end in time.
+        """
         near = self.near
         while near > 0.0 and self.best + near < limit and not deadline.is_over:
             began_s = now_s()
@@ -598,6 +741,7 @@ class TieSearch:
     def _tied(
         self, limit: float, is_proven: bool, sets: IntArray | None = None
     ) -> Tied:
+        """What was found, with a limit that is no lower than the best value."""
         if is_proven:
             limit = self.best
         else:
@@ -606,10 +750,11 @@ class TieSearch:
 
     @property
     def _least(self) -> float:
-        """The least that ties with a set which is found, itself a tie worse than the best."""
+        """Least value that ties with a set that may be a tie worse than the best."""
         return self.best - TIES_OF_TIES * TOLERANCE
 
     def _value_of(self, sets: IntArray) -> FloatArray:
+        """APR that sets keep when units fail, (n_sets,)."""
         return left_after_failures(
             self.reduced, self.reduced.measure, self.n_failures, sets
         )
@@ -621,7 +766,11 @@ class TieSearch:
     def _walk(
         self, deadline: Deadline, ahead: float, *, is_proven: bool = False
     ) -> bool:
-        """Take better sets, and where nothing more is asked for all that tie; whether it ended."""
+        """Walk through better sets, or with `ahead` 0 all that tie; True if it ended.
+
+        With `is_proven` nothing but ties is left to be found: the walk is given up once
+        they are too many.
+        """
         walk = self.walk_from(*self._needs(self.best + ahead if ahead else self._least))
         if not ahead:
             n_units = self.reduced.limits.max_units
@@ -656,7 +805,7 @@ class TieSearch:
         return walk.is_finished
 
     def _within(self, block: IntArray) -> tuple[FloatArray, IntArray]:
-        """Values of the sets of a block that reach what whole sets must."""
+        """Values, (n,), and sets of a block that reach what whole sets must."""
         if self.least_apr is not None and len(block):
             share = union_apr(self.reduced, unions_of(self.reduced, block))
             block = block[share >= self.least_apr - TOLERANCE]
@@ -668,7 +817,19 @@ def best_of_tied(
 ) -> Contenders:
     """Tied sets and their parts that tie with them, within the limits.
 
-    A part is as good in the first stages only if a whole set is.
+    Parts are looked at with one unit less each time: a part is as good in the first
+    stages only if a whole set is.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    sets : (n_sets, n_units) int
+        All sets of the largest size that tie.
+    n_failures : int
+        Units that fail in the stage in which they tie.
+    value : float
+        The best value of that stage.
     """
     contenders = Contenders(reduced.objectives)
     while len(sets) and sets.shape[1] > 0:

@@ -1,4 +1,9 @@
-"""Numba kernels of the covering problem: what is asked for, prices, the walk, what it leaves."""
+"""Numba kernels of the covering problem and of the walk through its sets.
+
+In this order: what windows are asked for and which poses cover a row, prices
+that bound all sets, the walk, and what the sets that it meets lose on the
+windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
+"""
 
 from typing import NamedTuple
 
@@ -24,10 +29,20 @@ from .problem import Chains, WordArray
 def ask_for_least_seen(
     chains: Chains, some: IntArray, union: WordArray, seen: FloatArray, asked: IntArray
 ) -> None:
-    """Ask the windows of some chains for the frame, or tail, that a union lacks and is seen least.
+    """Ask each window for the frame, or tail, that a union lacks and is seen least.
 
-    `seen`, (n_frames,), is how much of each frame is seen; `asked`, (n_links,), becomes
-    the frame of each window, -1 where the union lacks nothing.
+    Parameters
+    ----------
+    chains : Chains
+        Windows and tails.
+    some : (n,) int
+        Chains that are looked at.
+    union : (n_words,) uint64
+        Frames that are seen already.
+    seen : (n_frames,) float
+        How much of each frame is seen.
+    asked : (n_links,) int
+        Written: the frame of each window, -1 where the union lacks nothing.
     """
     window_frames, window, start, tail_frame, tail_links, tail_start = chains
     for chain in some:
@@ -50,7 +65,7 @@ def ask_for_least_seen(
 
 @kernel
 def less_seen(union: WordArray, seen: FloatArray, frame: int, least: int) -> int:
-    """A frame that a union lacks, if it is seen less than the least so far, or that one."""
+    """A frame that a union lacks and that is seen less than the least, or the least."""
     is_less = not has_bit(union, frame) and (least < 0 or seen[frame] < seen[least])
     if is_less:
         return frame
@@ -68,10 +83,22 @@ def cover_rows(
     end: int,
     coverers: WordArray,
 ) -> None:
-    """Poses that see what one of a row's windows is asked for, (n_rows, n_words).
+    """Find the poses that see what one of a row's windows is asked for.
 
-    Rows begin .. end - 1 are looked at; row r has the first ``row_last[r]`` windows of
-    chain ``row_chain[r]``. `columns`, (n_frames, n_words), has bits along the poses.
+    Parameters
+    ----------
+    columns : (n_frames, n_words) uint64
+        Poses that see each frame.
+    start : (n_chains + 1,) int
+        First link of each chain.
+    asked : (n_links,) int
+        Frame that each window is asked for; -1: every pose will do.
+    row_chain, row_last : (n_rows,) int
+        Row r has the first ``row_last[r]`` windows of chain ``row_chain[r]``.
+    begin, end : int
+        Rows begin .. end - 1 are looked at.
+    coverers : (n_rows, n_words) uint64
+        Written: poses that cover each row.
     """
     for row in range(begin, end):
         first = start[row_chain[row]]
@@ -93,10 +120,25 @@ def cover_rows(
 def weigh_bytes(
     weight: FloatArray, rows: WordArray, table: FloatArray, used: IntArray
 ) -> int:
-    """Weigh each value of each byte of bits along rows, (n_bytes, 256); some rows count.
+    """Weigh each value of each byte of bits along rows; return how many count.
 
-    Bytes that are worth something are written to `used`; how many they are. Sums over
-    bits become sums over bytes (Arlazarov, Dinic, Kronrod, Faradzev 1970).
+    Sums over bits become sums over bytes [1]_.
+
+    Parameters
+    ----------
+    weight : (64 n_words,) float
+        Weight of each row.
+    rows : (n_words,) uint64
+        Rows that count.
+    table : (n_bytes, 256) float
+        Written: what each value of each byte is worth.
+    used : (n_bytes,) int
+        Written: bytes that are worth something, first in it.
+
+    References
+    ----------
+    .. [1] V. Arlazarov, E. Dinic, M. Kronrod, I. Faradzev, "On economical
+       construction of the transitive closure of a directed graph", 1970.
     """
     n_used = 0
     for place in range(len(table)):
@@ -141,7 +183,17 @@ def weights_of(
 
 @kernel
 def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float, int]:
-    """Poses that gain most and have room at their sites: their sum and number."""
+    """Pick poses that gain most and have room; return their sum and number.
+
+    Parameters
+    ----------
+    gain : (n_poses,) float
+        What each pose gains; only positive gains are picked.
+    choice : Choice
+        Number of units, and room at the sites.
+    picked : (n_units,) int
+        Written: the poses, best first.
+    """
     total = 0.0
     n_picked = 0
     site = choice.site
@@ -173,10 +225,11 @@ def pick_best(gain: FloatArray, choice: Choice, picked: IntArray) -> tuple[float
 def pick_affordable(
     gain: FloatArray, choice: Choice, picked: IntArray
 ) -> tuple[float, int]:
-    """Upper bound of what poses gain that have room and cost no more than 1, and some of them.
+    """Upper bound of what affordable poses gain; return it and how many are picked.
 
-    Any price of money bounds it: what the best poses gain beyond their price, and the
-    price itself. The lowest bound is convex in the price; it is looked for by halving.
+    Poses must have room and cost no more than 1 together. Any price of money bounds
+    their gain: what the best poses gain beyond their price, and the price itself.
+    The lowest bound is convex in the price; it is looked for by halving.
     """
     total, n_picked = pick_best(gain, choice, picked)
     cost = choice.cost
@@ -199,7 +252,7 @@ def pick_affordable(
 def row_limit(
     reward: FloatArray, weight: float, n_units: int, price: float
 ) -> tuple[float, int]:
-    """Most that a row is worth after paying for each unit that covers it; how many do."""
+    """Most that a row is worth after paying each covering unit; how many cover it."""
     most = weight * reward[0]
     units = 0
     for number in range(1, n_units + 1):
@@ -221,12 +274,32 @@ def tighten_prices(
     timing: FloatArray,
     share: FloatArray,
 ) -> float:
-    """Lower the bound of sets of so many units by subgradient steps on the prices of rows.
+    """Lower the bound of sets by subgradient steps on the prices of rows.
 
-    `covers`, (n_poses, n_bytes), has a bit for each row, lowest first. `timing` has the
-    numbers of :mod:`placement.optimiser.constants` that the first line unpacks. Returns
-    the bound; `price` becomes what proves it, and `share` how often each pose was
-    picked of late.
+    Parameters
+    ----------
+    covers : (n_poses, n_bytes) uint8
+        A bit for each row, lowest first.
+    choice : Choice
+        Poses that may be chosen, and how many.
+    weight : (n_rows,) float
+        Weight of each row.
+    reward : (n_units + 2,) float
+        Worth of a row by the number of units that cover it.
+    price : (n_rows,) float
+        Where to begin; overwritten by the prices that prove the bound.
+    n_steps : int
+        Steps; with 0 the bound that the prices prove as they are.
+    timing : (5,) float
+        Step length, cut, deflection, memory and patience, see
+        :mod:`placement.optimiser.constants`.
+    share : (n_poses,) float
+        Overwritten by how often each pose was picked of late.
+
+    Returns
+    -------
+    bound : float
+        No set of so many units is worth more.
     """
     length, cut, deflection, memory, patience = timing
     n_units = choice.n_units
@@ -304,7 +377,25 @@ AT_STOP = 3
 
 
 class Covers(NamedTuple):
-    """Covering problem of a walk: it stays as it is."""
+    """Covering problem of a walk: it stays as it is.
+
+    Attributes
+    ----------
+    covers : (n_poses, n_row_words) uint64
+        Rows that each pose covers.
+    coverers : (n_rows, n_pose_words) uint64
+        Poses that cover each row.
+    rows : (n_poses, n_bytes) uint8
+        `covers` by bytes, lowest bits first.
+    weight : (n_rows,) float
+        Weight of each row.
+    price : (n_rows,) float
+        Lagrangian price of each row, at most the weight.
+    site : (n_poses,) int
+        Site of each pose.
+    copies : (n_poses,) int
+        How often a pose may be chosen: it stands for its class.
+    """
 
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
     coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
@@ -346,7 +437,7 @@ class Walk(NamedTuple):
 def add_gains(
     covers: Covers, weight: FloatArray, rows: WordArray, walk: Walk, gain: FloatArray
 ) -> float:
-    """Add to each candidate what it covers of some rows; what they weigh."""
+    """Add to each candidate's gain what it covers of some rows; return their weight."""
     is_open = walk.is_open[walk.where[0]]
     n_used = weigh_bytes(weight, rows, walk.table, walk.used)
     for pose in range(len(gain)):
@@ -367,10 +458,21 @@ def add_gains(
 def drop_hopeless(
     gain: FloatArray, is_open: BoolArray, n_more: int, need: float, best: IntArray
 ) -> bool:
-    """Drop candidates that cannot gain enough with others; whether some are left.
+    """Drop candidates that cannot gain enough with others; True if some may do.
 
-    `n_more` candidates together have to gain `need`; with none to choose nothing is
-    dropped.
+    Parameters
+    ----------
+    gain : (n_poses,) float
+        What each candidate gains.
+    is_open : (n_poses,) bool
+        Candidates; those that cannot help are dropped.
+    n_more : int
+        So many candidates together have to gain `need`. With none to choose,
+        nothing is dropped.
+    need : float
+        What they have to gain.
+    best : (n_units,) int
+        Working space.
     """
     if n_more <= 0:
         return need <= 0.0
@@ -403,9 +505,10 @@ def drop_hopeless(
 
 @kernel
 def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
-    """Find the rows that are not covered, those lost that nothing can cover; the hardest of them.
+    """Give up rows that nothing can cover any more; return the hardest one left.
 
-    That is the row which fewest candidates cover; -1 if all are covered.
+    The hardest row is the one which fewest candidates cover; -1 if all rows are
+    covered. `rows`, (n_row_words,), becomes the rows that are open.
     """
     depth = walk.where[0]
     once = walk.once[depth]
@@ -438,9 +541,10 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
 
 @kernel
 def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
-    """Bound the node at hand, drop candidates that cannot help, queue some; whether any is left.
+    """Bound the node at hand and queue candidates; True if any candidate is left.
 
-    Those queued cover the row that fewest cover, best first; then that row is lost.
+    Candidates that cannot help are dropped. Those queued cover the row that fewest
+    cover, best first; when all of them have been tried, that row is lost.
     """
     depth = walk.where[0]
     left = len(walk.chosen) - depth
@@ -501,10 +605,27 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
 def grow(
     covers: Covers, walk: Walk, n_failures: int, stop: int, max_work: int, out: IntArray
 ) -> int:
-    """Go on with a walk through all sets that lose little, until `max_work` or `out` is full.
+    """Go on with a walk through all sets that lose little; return why it stopped.
 
-    Sets are written to `out`, (n, n_units). Nodes of depth `stop` are not looked into:
-    the walk pauses at each.
+    Parameters
+    ----------
+    covers : Covers
+        The covering problem.
+    walk : Walk
+        Where the walk stands; changed.
+    n_failures : int
+        Units that fail.
+    stop : int
+        Nodes of this depth are not looked into: the walk pauses at each. -1: none.
+    max_work : int
+        The walk pauses after so many bytes.
+    out : (n, n_units) int
+        Written: the sets that were found.
+
+    Returns
+    -------
+    state : int
+        DONE, PAUSED, FULL (`out` is) or AT_STOP.
     """
     n_poses = walk.is_open.shape[1]
     n_units = len(walk.chosen)
@@ -562,7 +683,22 @@ def grow(
 
 
 class Losses(NamedTuple):
-    """What sets lose on the windows, and how much they may."""
+    """What sets lose on the windows, and how much they may.
+
+    Attributes
+    ----------
+    chains : Chains
+        Windows and tails.
+    lost : (n_chains, longest + 1) float
+        Weight that is lost in each chain by its first live window.
+    order : (n_chains,) int
+        Chains in the order in which they are looked at; those at which sets fail
+        come earlier the next time.
+    may_lose : (2,) float
+        Weight that all units may lose; and all without any one of them.
+    base : (n_words,) uint64
+        Frames that are in every set.
+    """
 
     chains: Chains
     lost: FloatArray  # (n_chains, longest + 1): by the first live window of each chain
@@ -573,7 +709,7 @@ class Losses(NamedTuple):
 
 @kernel
 def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
-    """True if units, (n_units, n_words), lose little, and without each if failures count."""
+    """True if units, (n_units, n_words), lose little, and without each on failure."""
     chains, lost, order, may_lose, base = losses
     n_units = len(bits)
     union = np.empty(len(base), dtype=np.uint64)
@@ -600,7 +736,17 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
 
 
 class Classes(NamedTuple):
-    """Poses of each class."""
+    """Poses of each class.
+
+    Attributes
+    ----------
+    member : (n,) int
+        Poses, class after class.
+    start : (n_classes + 1,) int
+        Members of class k are ``start[k] .. start[k + 1] - 1``.
+    words : (n_classes, n_words) uint64
+        Frames that the poses of each class see together.
+    """
 
     member: IntArray  # poses, class after class
     # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
@@ -618,11 +764,25 @@ def spell_out(
     place: IntArray,
     out: IntArray,
 ) -> int:
-    """Sets of poses, one of each class in its place, that lose little; how many were written.
+    """Find sets of poses, one of each class, that lose little; return how many.
 
-    `words` are what poses see. `place`, (n_units + 1,), is where the search stands: the
-    members looked at, and the number of units that are settled, or -1 when all sets
-    were seen.
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        Frames that each pose sees.
+    of_classes : Classes
+        Poses of each class.
+    losses : Losses
+        What sets may lose.
+    with_failures : bool
+        True if it counts what is left without each unit, too.
+    classes : (n_units,) int
+        One class for each unit, ascending.
+    place : (n_units + 1,) int
+        Where the search stands: the member looked at for each unit, and last the
+        number of units that are settled, or -1 when all sets were seen. Changed.
+    out : (n, n_units) int
+        Written: the sets.
     """
     member, start, class_words = of_classes
     n_units = len(classes)
@@ -678,12 +838,27 @@ def lost_by_pairs(
     pairs: IntArray,
     lost: FloatArray,
 ) -> None:
-    """Count what pairs of units, (n, 2), lose at least, (n,), until it is too much.
+    """Count what pairs of units lose at least, until it is too much.
 
-    Bits along the rows, (n_units, n_row_words): `alone` where a unit avoids the row
-    next to the others, `may` where it sees what is asked for, `part` where it sees a
-    piece that is missing. A pair may avoid a row only if one sees what is asked for,
-    and one avoids it or both see a part.
+    Bits are along the rows, the hardest first. A pair may avoid a row only if one
+    of the two sees what is asked for, and one avoids it or both see a part.
+
+    Parameters
+    ----------
+    alone : (n_units, n_row_words) uint64
+        Rows that each unit avoids next to the others.
+    may : (n_units, n_row_words) uint64
+        Rows of which it sees what is asked for.
+    part : (n_units, n_row_words) uint64
+        Rows of which it sees a piece that is missing.
+    table : (n_bytes, 256) float
+        What each value of each byte of rows weighs.
+    may_lose : float
+        Counting ends when a pair loses more.
+    pairs : (n, 2) int
+        Units of each pair.
+    lost : (n,) float
+        Written: what each pair loses at least.
     """
     for number in range(len(pairs)):
         one = pairs[number, 0]
@@ -711,6 +886,6 @@ def lost_by_pairs(
 def keep_sets(
     words: WordArray, sets: IntArray, losses: Losses, kept: BoolArray
 ) -> None:
-    """Which sets of poses, (n_sets, n_units), lose no more than they may, (n_sets,)."""
+    """Mark the sets of poses, (n_sets, n_units), that lose no more than they may."""
     for number in range(len(sets)):
         kept[number] = can_keep(words[sets[number]], losses, False)
