@@ -1,4 +1,7 @@
-"""Limits on what may be mounted together, whatever it detects: units, money, sites, wishes."""
+"""Limits on what may be mounted together: units, money, sites and wishes.
+
+What poses detect does not matter here.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,7 +127,7 @@ class Limits:
             raise InputError("budget_cost", money, "euros, at least 0")
 
     def _filled(self, field: str, size: int, kind: Any) -> Any:
-        """An array of a field, zeros by default, which it becomes."""
+        """Set a field to a checked, frozen array of its values, by default zeros."""
         value = getattr(self, field)
         if value is None:
             array = np.zeros(size, dtype=kind)
@@ -186,7 +189,7 @@ def cost_eur(limits: Limits, pose_index: Sequence[int] | IntArray) -> float:
 
 
 def whole_cents(prices_eur: FloatArray) -> IntArray | None:
-    """Prices in cents; None where some are not whole, or so high that float64 lacks cents."""
+    """Prices in cents; None where some are not whole, or too high to be exact."""
     cents = np.rint(prices_eur * CENTS)
     is_off = np.abs(cents / CENTS - prices_eur) > ROUNDING
     if is_off.any() or cents.max(initial=0.0) > _MAX_CENTS:
@@ -214,7 +217,20 @@ def costs_eur(limits: Limits, sets: IntArray) -> FloatArray:
 
 
 def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets of distinct poses, (n_sets, n_units), at least one, are within all limits."""
+    """Which sets of distinct poses are within all limits.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    sets : (n_sets, n_units) int
+        Sets of at least one pose.
+
+    Returns
+    -------
+    allowed : (n_sets,) bool
+        True for those within all limits, with all that is forced.
+    """
     if limits.budget_units is None:
         most = np.inf
     else:
@@ -232,7 +248,10 @@ def are_allowed(limits: Limits, sets: IntArray) -> BoolArray:
 
 
 def may_grow(limits: Limits, sets: IntArray) -> BoolArray:
-    """Which sets, (n_sets, n_units), fit into sites and money, as all parts of allowed ones do."""
+    """Which sets, (n_sets, n_units), fit into sites and money.
+
+    All parts of an allowed set do: a set that does not fit need not be grown.
+    """
     sites = limits.site_index[sets]
     n_there = (sites[:, :, None] == sites[:, None, :]).sum(axis=2)
     fits: BoolArray = (n_there <= limits.site_capacity[sites]).all(axis=1)
@@ -249,10 +268,23 @@ def is_allowed(limits: Limits, pose_index: Sequence[int] | IntArray) -> bool:
 
 
 def fitting(limits: Limits, units: IntArray) -> BoolArray:
-    """Which poses can join a set that is within the limits but for what is forced and to come.
+    """Which poses can join a set that is within the limits so far.
 
-    Room and money for what is forced are kept back. With rival sites or few places that
-    need not suffice to complete every set: check the end with :func:`is_allowed`.
+    What is forced may still be missing: room and money for it are kept back. With
+    rival sites or few places that need not suffice to complete every set: check the
+    end with :func:`is_allowed`.
+
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    units : (n,) int
+        Poses of the set.
+
+    Returns
+    -------
+    fits : (n_poses,) bool
+        Poses that can join.
     """
     sites = limits.site_index
     at_site = np.bincount(sites[units], minlength=limits.n_sites)
@@ -300,7 +332,22 @@ def fitting(limits: Limits, units: IntArray) -> BoolArray:
 
 
 class Choice(NamedTuple):
-    """How many poses may join those that are forced, and where: plain arrays for kernels."""
+    """How many poses may join those that are forced, and where, for kernels.
+
+    Attributes
+    ----------
+    n_units : int
+        At most so many.
+    room : (n_sites,) int
+        Places left at each site.
+    is_open : (n_poses,) int
+        1 if the pose may join.
+    cost : (n_poses,) float
+        Share of the money left that a pose takes, at least; empty if money is no
+        limit.
+    site : (n_poses,) int
+        Site of each pose.
+    """
 
     n_units: int  # at most so many
     room: IntArray  # (n_sites,): places left at each site

@@ -17,7 +17,16 @@ from .problem import Measure, Objective, WordArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetValues:
-    """Values of sets of poses: minus what they lack to the floors, then each objective."""
+    """Values of sets of poses: minus what they lack to the floors, then objectives.
+
+    Attributes
+    ----------
+    objectives : tuple of Objective
+        In the order in which sets are compared.
+    gains : (n_sets, 1 + n_objectives) float
+        The larger the better: minus what is lacking, then each objective, the
+        minimised ones negative. One row, (1 + n_objectives,), for a single set.
+    """
 
     objectives: tuple[Objective, ...]  # in the order in which sets are compared
     # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then
@@ -53,7 +62,10 @@ class SetValues:
         return int(rows[0])
 
     def exceeds(self, other: "SetValues") -> bool:
-        """True if the first difference that exceeds rounding noise favours this single set."""
+        """True if the first real difference favours this single set.
+
+        Differences within an objective's tolerance are rounding noise.
+        """
         difference = self.gains - other.gains
         differs = np.flatnonzero(np.abs(difference) > _tolerances(self.objectives))
         return bool(len(differs)) and bool(difference[differs[0]] > 0.0)
@@ -61,6 +73,7 @@ class SetValues:
 
 @lru_cache(maxsize=32)
 def _tolerances(objectives: tuple[Objective, ...]) -> FloatArray:
+    """Tolerance of what is lacking, then of each objective, (1 + n_objectives,)."""
     return np.array([TOLERANCE, *(objective.tolerance for objective in objectives)])
 
 
@@ -124,9 +137,10 @@ class Contenders:
         raise AssertionError("a row of none of the sets")
 
     def limits(self, values: SetValues) -> dict[Objective, float]:
-        """What no set exceeds that ties with one of some `values` in all stages before.
+        """What no set exceeds that ties with one of some `values` so far, by objective.
 
-        By objective, in its own unit.
+        An objective's limit, in its own unit, is the best among the sets that tie with
+        `values`, a single set's, in all stages before.
         """
         gains = self._all_gains()
         limits = {}
@@ -143,14 +157,25 @@ class Contenders:
         return limits
 
     def _all_gains(self) -> FloatArray:
+        """Gains of all sets that are kept, (n_sets, 1 + n_objectives)."""
         none = np.empty((0, 1 + len(self.objectives)))
         return np.concatenate([none, *self._gains])
 
 
 def union_margins_s(reduced: ReducedProblem, unions: WordArray) -> FloatArray:
-    """Margins of all runs given which frames are seen: (n_sets, n_words) -> (n_sets, n_runs).
+    """Margins of all runs given which frames are seen.
 
-    Minus infinity where a run is not avoided.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Runs and windows.
+    unions : (n_sets, n_words) uint64
+        Frames that are seen, as bits.
+
+    Returns
+    -------
+    margin_s : (n_sets, n_runs) float
+        Minus infinity where a run is not avoided. [s]
     """
     from .bit_kernels import first_live_windows
 
@@ -184,11 +209,29 @@ def unions_of(reduced: ReducedProblem, sets: IntArray) -> WordArray:
 def left_after_failures(
     reduced: ReducedProblem, measure: Measure, n_failures: int, sets: IntArray
 ) -> FloatArray:
-    """APR that sets of poses keep when their worst units, or sites, fail, (n_sets,).
+    """APR that sets of poses keep when their worst units, or sites, fail.
 
-    Failing more never leaves more, so that it is enough to let the sites of any n of
-    the units fail: that is at most n sites, and any n sites that carry units are among
-    them.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem; its limits say whether units or sites fail.
+    measure : Measure
+        The APR that is asked for.
+    n_failures : int
+        So many fail, or all that there are.
+    sets : (n_sets, n_units) int
+        Poses of the reduced problem.
+
+    Returns
+    -------
+    left : (n_sets,) float
+        What is left in the worst case.
+
+    Notes
+    -----
+    Failing more never leaves more, so that it is enough to let the sites of any n
+    of the units fail: that is at most n sites, and any n sites that carry units are
+    among them.
     """
     limits = reduced.limits
     n_units = sets.shape[1]
@@ -226,10 +269,10 @@ def set_values(reduced: ReducedProblem, sets: IntArray) -> SetValues:
 
 
 def values_with_each(reduced: ReducedProblem, units: IntArray) -> SetValues:
-    """Values of a set of poses together with each pose in turn: row c is that of `units` and c.
+    """Values of a set of poses together with each pose in turn.
 
-    Bits run along the poses, 64 sets to a word: far faster than :func:`set_values` of
-    these sets.
+    Row c is that of `units` and pose c. Bits run along the poses, 64 sets to a
+    word: far faster than :func:`set_values` of these sets.
     """
     return _values(
         reduced,
@@ -256,7 +299,10 @@ def _values(
     cost: FloatArray,
     left: Left,
 ) -> SetValues:
-    """Values from the margins of all runs, (n_sets, n_runs)."""
+    """Values from the margins of all runs, (n_sets, n_runs), costs and what is left.
+
+    A value is computed only if an objective asks for it.
+    """
     is_avoided = margin > -np.inf
 
     @cache
@@ -290,7 +336,10 @@ def _values(
 
 
 def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
-    """Sum of what sets lack to the floors; a set that lacks anything ties with no other."""
+    """Sum of what sets lack to the floors, (n_sets,).
+
+    A set that lacks anything ties with no other: it lacks :data:`FAR_APART` more.
+    """
     lacking: FloatArray | float = 0.0
     for floor in reduced.floors:
         short = floor.least - TOLERANCE - left(floor.measure, floor.n_failures)
@@ -299,14 +348,24 @@ def _lacking(reduced: ReducedProblem, left: Left) -> FloatArray | float:
 
 
 def avoided_with_each(reduced: ReducedProblem, units: IntArray) -> BoolArray:
-    """Runs that a set of poses together with each pose in turn avoids, (n_poses, n_runs)."""
+    """Runs that a set avoids together with each pose in turn, (n_poses, n_runs)."""
     return _margins_with_each(reduced, units) > -np.inf
 
 
 def shares_with_each(
     reduced: ReducedProblem, units: IntArray, measure: Measure | None = None
 ) -> FloatArray:
-    """APR of a set together with each pose in turn, (n_poses,); by default by the own measure."""
+    """APR of a set together with each pose in turn, (n_poses,).
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n,) int
+        Poses of the set.
+    measure : Measure, optional
+        The APR that is asked for; by default the problem's own.
+    """
     from .bit_kernels import add_weights_with_each
 
     if measure is None:
@@ -355,7 +414,10 @@ def shares_with_each(
 def left_with_each(
     reduced: ReducedProblem, units: IntArray, measure: Measure, n_failures: int
 ) -> FloatArray:
-    """APR that a set with each pose keeps when its worst units, or sites, fail, (n_poses,)."""
+    """APR that a set with each pose keeps when its worst units, or sites, fail.
+
+    The same as :func:`left_after_failures` of these sets, (n_poses,), but faster.
+    """
 
     def alone(left: IntArray) -> float:
         return float(left_after_failures(reduced, measure, 0, left[None, :])[0])
@@ -386,9 +448,10 @@ def left_with_each(
 def best_with_each(
     reduced: ReducedProblem, units: IntArray, poses: IntArray
 ) -> IntArray:
-    """The best set of `units` and one of some poses, at least one; of equal ones the first.
+    """Best set of `units` and one of some poses; of equal ones the first.
 
-    Objective by objective only the best poses are looked at further.
+    There is at least one pose. Objective by objective only the best poses are
+    looked at further. Returns the set, (n_units + 1,), the new pose last.
     """
     for find, tolerance in _quick_stages(reduced, units):
         if len(poses) <= FEW_PARTNERS:
@@ -405,7 +468,11 @@ def best_with_each(
 def _quick_stages(
     reduced: ReducedProblem, units: IntArray
 ) -> list[tuple[Callable[[], FloatArray], float]]:
-    """Gains of the first objectives with each pose, before margins, and what counts as equal."""
+    """How to find the gains of the first objectives with each pose, and tolerances.
+
+    These are the objectives before the first margin: their gains, (n_poses,), need
+    no margins of runs.
+    """
     left = partial(left_with_each, reduced, units)
     quick: dict[Objective, Callable[[], FloatArray]] = {
         Objective.UNITS: lambda: np.zeros(reduced.n_poses),  # all sets have as many

@@ -40,7 +40,17 @@ from .problem import Objective, WordArray
 
 
 class Rows(NamedTuple):
-    """Rows of the covering problem: a window is seen among the first of a chain."""
+    """Rows of the covering problem: a window is seen among the first of a chain.
+
+    Attributes
+    ----------
+    chain : (n_rows,) int
+        Chain of each row.
+    last : (n_rows,) int
+        How many of its first windows count.
+    weight : (n_rows,) float
+        Worth of the row.
+    """
 
     chain: IntArray
     last: IntArray  # how many of its first windows
@@ -57,7 +67,11 @@ def run_rows(reduced: ReducedProblem) -> Rows:
 
 
 def margin_rows(reduced: ReducedProblem) -> Rows:
-    """Rows whose covered sum is that of weights times margins: a row for each window in time."""
+    """Rows whose covered sum is that of weights times margins.
+
+    There is a row for each window in time: it is worth what its margin exceeds the
+    next one's by, times the run's weight.
+    """
     margin = np.where(reduced.margin_s > -np.inf, reduced.margin_s, 0.0)
     step = np.maximum(margin[:, :-1] - margin[:, 1:], 0.0) * reduced.weight[:, None]
     run, link = np.nonzero(step)
@@ -66,7 +80,25 @@ def margin_rows(reduced: ReducedProblem) -> Rows:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Root:
-    """A covering problem of no lower value than the windows', and prices on its rows."""
+    """A covering problem of no lower value than the windows', and prices on its rows.
+
+    Attributes
+    ----------
+    covers : (n_poses, n_row_words) uint64
+        Rows that each pose covers.
+    weight : (n_rows,) float
+        Weight of each row; rows that the same poses cover are one.
+    price : (n_rows,) float
+        Lagrangian prices.
+    reached : float
+        What VUT and forced poses are worth, in none of the rows.
+    limit : float
+        No set is worth more.
+    share : (n_poses,) float
+        How often each pose was picked of late: near a relaxed solution.
+    choice : Choice
+        Poses that may be chosen, and how many.
+    """
 
     covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
     weight: FloatArray  # (n_rows,): rows that the same poses cover are one
@@ -89,7 +121,11 @@ class Root:
 
 
 def byte_table(weight: FloatArray, rows: WordArray) -> tuple[FloatArray, IntArray, int]:
-    """What each value of each byte of bits along rows weighs, see ``walk_kernels.weigh_bytes``."""
+    """Worth of each value of each byte of bits along rows.
+
+    Returns `table`, `used` and their number, see
+    :func:`placement.optimiser.walk_kernels.weigh_bytes`.
+    """
     from .walk_kernels import weigh_bytes
 
     n_words = rows.shape[1]
@@ -109,8 +145,19 @@ def find_root(
 ) -> Root:
     """Ask for the frames, window by window, that bound sets of so many units best.
 
-    Windows are asked for what the poses picked so far see least, again and again, and
-    the best round is taken. It ends at the deadline, but completes the first round.
+    Windows are asked for what the poses picked so far see least, again and again,
+    and the best round is taken.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    rows : Rows
+        What is covered: runs, or margins.
+    n_units : int
+        Units of a set, the forced ones among them.
+    deadline : Deadline
+        When it is over, no other round begins; the first one is completed.
     """
     choice = build_choice(reduced.limits, n_units)
     union = unions_of(reduced, forced_units(reduced)[None, :])[0]
@@ -175,9 +222,19 @@ def coverers_of(
 ) -> WordArray:
     """Poses that cover each row next to a union of frames, (n_rows, n_pose_words).
 
-    What the union sees is not asked for. Of the frames and tails that are missing, each
-    window is asked for the one that is `seen`, (n_frames,), least. `columns` are those
-    of other units than the poses.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        Windows and poses.
+    rows : Rows
+        The rows.
+    union : (n_words,) uint64
+        Frames that are seen already: they are not asked for.
+    seen : (n_frames,) float
+        How much each frame is seen. Of the frames and tails that are missing, each
+        window is asked for the one that is seen least.
+    columns : (n_frames, n_words) uint64, optional
+        Bits along other units than the poses.
     """
     from .walk_kernels import ask_for_least_seen, cover_rows
 
@@ -211,7 +268,7 @@ def reward_of(n_units: int, n_failures: int) -> FloatArray:
     """Mean worth of a row by the number of units that cover it, (n_units + 2,).
 
     Of the ways in which units fail, it is the share that leaves one of those that
-    cover.
+    cover: 1 - C(K - n, N - n) / C(K, N) where n of K units cover it and N fail.
     """
     reward: FloatArray = np.minimum(np.arange(n_units + 2.0), 1.0)
     for n in range(1, n_failures + 1) if n_failures <= n_units else ():
@@ -240,7 +297,19 @@ def tightened(root: Root, reward: FloatArray, *, n_steps: int) -> Root:
 def failure_limit(
     root: Root, n_failures: int, least: float, *, deadline: Deadline = NEVER
 ) -> float:
-    """No set that is worth `least` keeps more when units fail, nor is worth more without."""
+    """Upper bound of what sets worth `least` keep on failure, and are worth without.
+
+    Parameters
+    ----------
+    root : Root
+        Covering problem of the runs.
+    n_failures : int
+        Units that fail.
+    least : float
+        Only sets that are worth so much without failures are bounded.
+    deadline : Deadline
+        No other price is tried behind it.
+    """
     limit = root.limit
     n_units = root.choice.n_units
     for amount in constants.FAILURE_PRICES if n_failures else ():
@@ -255,11 +324,25 @@ def failure_limit(
 def relax(
     reduced: ReducedProblem, worth: Objective, *, deadline: Deadline = NEVER
 ) -> tuple[float, FloatArray | None]:
-    """Upper bound of all sets within the limits, and shares of poses near a relaxed solution.
+    """Upper bound of all sets within the limits, and shares of poses.
 
-    `worth` is ``Objective.APR``, or ``Objective.MEAN_MARGIN`` for the sum of weights
-    times margins. Wishes are left out, which only makes it higher. Infinite, and no
-    shares, where it takes long.
+    Wishes are left out, which only makes the bound higher.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    worth : Objective
+        ``APR``, or ``MEAN_MARGIN`` for the sum of weights times margins.
+    deadline : Deadline
+        See :func:`find_root`.
+
+    Returns
+    -------
+    limit : float
+        No set is worth more; infinite where the problem is too large.
+    share : (n_poses,) float, optional
+        Shares of poses near a relaxed solution; None where there are none.
     """
     n_units = reduced.limits.max_units
     if not len(reduced.weight) or n_units < 1:
@@ -281,7 +364,10 @@ def relax(
 
 
 def rounded_down(reduced: ReducedProblem, limit: float) -> float:
-    """An upper bound of the APR; where all runs weigh the same, a whole number of them."""
+    """Upper bound of the APR, rounded down to a value that a set can have.
+
+    Where all weights are multiples of one step, so are all values.
+    """
     step = reduced.measure.step
     if step:
         limit = float(np.floor(limit / step + constants.SOLVER_TOLERANCE)) * step
@@ -329,17 +415,34 @@ def polished(root: Root) -> Root:
 
 
 def _worthiest(gain: FloatArray, n_poses: int) -> IntArray:
+    """The poses that gain most, ascending, (n_poses,)."""
     return np.sort(np.argsort(-gain, kind="stable")[:n_poses])
 
 
 def _relaxed(
     root: Root, core: IntArray, share: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Multipliers of rows and shares of poses, x, in the linear relaxation on some poses.
+    """Multipliers of rows and shares of poses in the relaxation on some poses.
 
     Maximise sum of w a - epsilon / 2 sum of x ** 2 such that a[r] <= sum of x over
-    poses that cover r, sum of x <= K, per site <= room, money <= what is left, 0 <= a,
-    x <= 1.
+    poses that cover r, sum of x <= K, per site <= room, money <= what is left,
+    0 <= a, x <= 1.
+
+    Parameters
+    ----------
+    root : Root
+        The covering problem, with prices to begin with.
+    core : (n_core,) int
+        Poses that are looked at.
+    share : (n_core,) float
+        Shares to begin with.
+
+    Returns
+    -------
+    price : (n_rows,) float
+        OSQP's multipliers, from 0 to the weight.
+    shares : (n_core,) float
+        x, from 0 to 1.
     """
     import osqp
     from scipy import sparse

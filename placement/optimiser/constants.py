@@ -1,9 +1,10 @@
-"""All numbers that steer the optimiser: tolerances, shares of the time, sizes, steps; and threads.
+"""Numbers that steer the optimiser, and how its work is shared out to threads.
 
-Three kinds must not be mixed up: what counts as equal is part of what "best" means;
-what rounding or a solver may err by says how far a bound can be believed; all others
-change how long an answer takes and how good it is when the time is up, never whether a
-proof holds.
+Tolerances, shares of the time, sizes, steps. Three kinds must not be mixed up:
+what counts as equal is part of what "best" means; what rounding or a solver may
+err by says how far a bound can be believed; all others change how long an
+answer takes and how good it is when the time is up, never whether a proof
+holds.
 """
 
 import os
@@ -181,7 +182,24 @@ WORKERS = os.cpu_count() or 1  # Threads by default
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
-    """How hard to try."""
+    """How hard to try.
+
+    Attributes
+    ----------
+    solver : {"auto", "exact", "relax", "greedy"}
+        "greedy": search only, bounded by what all poses together reach; "relax":
+        the bounds of relaxations, too; "exact": walks and mixed-integer models,
+        too, until the time is up; "auto": the same, but of a table that is too
+        large the most promising poses alone.
+    time_limit_s : float
+        For all stages together; presolve and the first layout are finished in any
+        case. When it is up, the best layout found is kept and the gaps say what is
+        not proven. [s]
+    gap : float
+        Relative gap at which a stage counts as settled.
+    workers : int
+        Threads, at least 1; they change no result that is proven.
+    """
 
     # "greedy": search only, bounded by what all poses together reach; "relax": the
     # bounds of relaxations, too; "exact": walks and mixed-integer models, too, until
@@ -216,7 +234,13 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Deadline:
-    """The instant of `geometry.clock` at which an answer is due, and how the time is split."""
+    """When an answer is due, and how the time until then is split.
+
+    Attributes
+    ----------
+    end_s : float
+        An instant of :mod:`geometry.clock`. [s]
+    """
 
     end_s: float
 
@@ -248,6 +272,17 @@ def share_out(
     """Call ``work(begin, end)`` for parts of 0 .. `count`, one in each thread.
 
     What is less than `few` is done at once. Kernels let other threads run.
+
+    Parameters
+    ----------
+    work : callable
+        Takes the first and the end of a part.
+    count : int
+        How much there is to do.
+    workers : int
+        Threads.
+    few : int
+        Less than that is not worth threads.
     """
     if count < few or workers == 1:
         work(0, count)
@@ -282,8 +317,10 @@ def are_sums_apart(amounts: FloatArray) -> bool:
     Amounts are looked at as fractions: sums differ by multiples of their common
     denominator's inverse, which must exceed :data:`FAR_APART`.
 
-    >>> are_sums_apart(np.array([1 / 3, 1 / 6, 0.5])), are_sums_apart(np.array([1.0, 1e-9]))
-    (True, False)
+    >>> are_sums_apart(np.array([1 / 3, 1 / 6, 0.5]))
+    True
+    >>> are_sums_apart(np.array([1.0, 1e-9]))
+    False
     """
     denominator = 1
     for amount in np.unique(amounts).tolist():
@@ -297,11 +334,20 @@ def are_sums_apart(amounts: FloatArray) -> bool:
 
 
 def settle(value: float, bound: float, limit: float, *, step: float = 0.0) -> float:
-    """Upper bound of a stage from what a solver says; `limit` holds without it.
+    """Upper bound of a stage from what a solver says.
 
-    All possible values are whole multiples of `step`, where that is not 0: then a bound
-    proves the value that it exceeds by less than a step. Else it proves the value that
-    it equals.
+    Parameters
+    ----------
+    value : float
+        Value of the best set so far.
+    bound : float
+        What the solver says.
+    limit : float
+        An upper bound that holds without it.
+    step : float
+        All possible values are whole multiples of it, where it is not 0: then a
+        bound proves the value that it exceeds by less than a step. Else it proves
+        the value that it equals.
     """
     error = SOLVER_TOLERANCE * max(1.0, abs(value))
     if bound < value - error:

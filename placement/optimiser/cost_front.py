@@ -1,4 +1,7 @@
-"""Fronts over money: the best layouts for more and more of it, from the cheapest useful one."""
+"""Fronts over money: the best layouts for more and more of it.
+
+They begin with the cheapest layout that avoids anything.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -73,7 +76,17 @@ def price_levels_eur(limits: Limits) -> FloatArray | None:
 def next_level_eur(
     levels_eur: FloatArray | None, amount_eur: float, *, is_more: bool
 ) -> float:
-    """The first level that is no less than an amount, or more; itself where none are known."""
+    """First level that is no less than an amount, or more; in euros.
+
+    Parameters
+    ----------
+    levels_eur : (n,) float, optional
+        Levels, ascending; None: not known, the amount itself is returned. [EUR]
+    amount_eur : float
+        The amount. [EUR]
+    is_more : bool
+        True if the level must be more than the amount.
+    """
     if levels_eur is None or not np.isfinite(amount_eur):
         return amount_eur
     from_eur = amount_eur + (COST_TOLERANCE_EUR if is_more else -COST_TOLERANCE_EUR)
@@ -111,19 +124,38 @@ def cost_front(
 ) -> Front:
     """Cheapest layouts for a growing APR, and for a growing APR when one unit fails.
 
-    All limits and floors of the problem hold at every point. A point must be better
-    than the one before it by `step_apr`, by default the smallest weight of a run:
-    points that are closer are left out. `stages`, `effort` and `on_point` are those of
-    :func:`pareto_front`.
+    All limits and floors of the problem hold at every point. The first point is the
+    cheapest that avoids anything. The first stage of a certificate is the cost:
+    nothing that is better than the point before costs less.
 
-    The first point is the cheapest that avoids anything. The first stage of a
-    certificate is the cost: nothing that is better than the point before costs less.
-    Raises InputError if no layout meets the wishes or avoids anything, or more is asked
-    for than the best.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem; its goal must be the best layout.
+    step_apr : float, optional
+        A point must be better than the one before it by so much; by default by the
+        smallest weight of a run. Points that are closer are left out.
+    max_points : int
+        At most so many points.
+    stages, effort, on_point
+        Those of :func:`placement.optimiser.front.pareto_front`.
 
-    The epsilon-constraint method of Haimes, Lasdon and Wismer (1971), in lexicographic
-    order: the next point is the cheapest layout whose APR is higher, or that has the
-    same APR and keeps more of it when one unit fails.
+    Raises
+    ------
+    InputError
+        No layout meets the wishes or avoids anything, or more is asked for than the
+        best.
+
+    Notes
+    -----
+    The epsilon-constraint method [1]_, in lexicographic order: the next point is
+    the cheapest layout whose APR is higher, or that has the same APR and keeps more
+    of it when one unit fails.
+
+    References
+    ----------
+    .. [1] Y. Haimes, L. Lasdon, D. Wismer, "On a bicriterion formulation of the
+       problems of integrated system identification and system optimization", 1971.
     """
     check_front(problem, stages)
     if max_points < 1:
@@ -186,7 +218,18 @@ def cost_front(
 class _Step:
     """The cheapest layout that is better in one respect, as found.
 
-    `least_eur` is proven: no such layout costs less; infinite if there is none.
+    Attributes
+    ----------
+    pose_index : tuple of int, optional
+        Rows of the detection table; None: none was found.
+    cost_eur : float
+        Its cost; infinite without a layout. [EUR]
+    least_eur : float
+        Proven: no such layout costs less; infinite if there is none. [EUR]
+    seconds : float
+        Time that it took. [s]
+    floors : tuple of (float, int)
+        What was asked for: APRs, and how many units may fail.
     """
 
     pose_index: tuple[int, ...] | None
@@ -201,7 +244,17 @@ _UNKNOWN = _Step(pose_index=None, cost_eur=np.inf, least_eur=-np.inf, seconds=0.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Climb:
-    """Problem, time and prices that the steps of one front share."""
+    """Problem, time and prices that the steps of one front share.
+
+    Attributes
+    ----------
+    step : float
+        A point's APR must be higher than the one before by so much.
+    largest : dict
+        Values that no layout exceeds, by objective.
+    levels_eur : (n,) float, optional
+        Amounts of which every layout costs one; None: not known. [EUR]
+    """
 
     problem: PlacementProblem
     reduced: ReducedProblem
@@ -233,7 +286,7 @@ class _Climb:
         return self._cheapest([(last.value.apr + self.step, 0)], last)
 
     def safer(self, last: FrontPoint) -> _Step:
-        """The cheapest layout with the same APR that keeps more of it when one unit fails."""
+        """The cheapest layout with the same APR that keeps more of it on failure."""
         least = last.value.apr_one_failed + self.step
         if least > self.largest[Objective.APR_ONE_FAILED] + TOLERANCE:
             return replace(_UNKNOWN, least_eur=np.inf)
@@ -242,7 +295,11 @@ class _Climb:
     def _cheapest(
         self, asked: Sequence[tuple[float, int]], last: FrontPoint | None
     ) -> _Step:
-        """The cheapest layout that reaches APRs: pairs of a share and how many units may fail."""
+        """The cheapest layout that reaches some APRs.
+
+        `asked` are pairs of a share and how many units may fail; `last` is the point
+        before, None for the first one.
+        """
         began_s = now_s()
         problem = self._asking(asked, goal="cheapest")
         reduced = self.reduced.for_problem(problem)
@@ -324,6 +381,7 @@ class _Climb:
         return replace(self.problem, floors=(*self.problem.floors, *floors), **changes)
 
     def _effort(self) -> Effort:
+        """Effort for one point, out of what is left for all."""
         return self.effort.until(self.deadline.of("point of a front"))
 
 
@@ -345,10 +403,10 @@ def _within(limits: Limits, cost_eur: float) -> Limits:
 
 
 def _with_point(points: Sequence[FrontPoint], new: FrontPoint) -> list[FrontPoint]:
-    """Points that cost less than a new one, which is better than all of them, and the new one.
+    """Points that cost less than a new one, which is better than all, and that one.
 
-    What is better than the last that stays may be worse than one that goes, and cost as
-    little.
+    What is better than the last that stays may be worse than one that goes, and
+    cost as little: the lowest bound of all holds.
     """
     least_eur = new.value.cost_eur - COST_TOLERANCE_EUR
     stay = [point for point in points if point.value.cost_eur < least_eur]

@@ -41,7 +41,19 @@ FIRST_STAGES = (Objective.APR, Objective.APR_ONE_FAILED)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontPoint:
-    """The best layout for so many units or so much money."""
+    """The best layout for so many units or so much money.
+
+    Attributes
+    ----------
+    units : int
+        On a front by units, those that were allowed: the layout may have fewer.
+    pose_index : tuple of int
+        Rows of the detection table, ascending.
+    value : PlacementValue
+        What the layout is worth.
+    certificate : Certificate
+        A stage for every objective that was optimised, in order.
+    """
 
     units: int  # by units: those that were allowed, though the layout may have fewer
     pose_index: tuple[int, ...]  # rows of the detection table, ascending
@@ -78,7 +90,8 @@ class FrontPoint:
         )
 
     def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
-        """The same layout with bounds of some stages that hold as well, where those are closer."""
+        """The same layout with bounds of some stages that hold as well, where closer.
+        """
         return self.with_stages(
             tightened(stage, bounds.get(stage.name, stage.bound))
             for stage in self.certificate.stages
@@ -133,7 +146,10 @@ OnPoint = Callable[[FrontPoint], None]
 
 
 def check_front(problem: PlacementProblem, stages: StageChoice) -> None:
-    """Raise InputError if a target, or failures to survive, are asked for, or stages unknown."""
+    """Raise InputError if a front cannot be asked for in this way.
+
+    A target or failures to survive are asked for, or `stages` are unknown.
+    """
     check_one_of("stages", stages, get_args(StageChoice))
     if problem.goal != "best" or problem.survive:
         if problem.goal == "best":
@@ -151,7 +167,21 @@ def solve_point(
     n_stages: int,
     starts: Sequence[Sequence[int]] = (),
 ) -> FrontPoint:
-    """The best layout for one point; only its first stages are proven."""
+    """The best layout for one point; only its first stages are proven.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem of the point.
+    reduced : ReducedProblem, optional
+        What was presolved for all points; None: it is presolved by itself.
+    effort : Effort
+        How hard to try.
+    n_stages : int
+        So many objectives are bounded.
+    starts : sequence of sequence of int
+        Layouts that are tried first, rows of the table.
+    """
     solution = solve_placement(
         problem,
         None if reduced is None else reduced.for_problem(problem),
@@ -252,21 +282,41 @@ def pareto_front(
 ) -> Front:
     """Best layouts of so many units and all smaller numbers.
 
-    `reduced` is the problem presolved for no fewer units than `max_units`, where that
-    is at hand. All limits and floors hold at every point but the number of units, in
-    which existing units count. `stages` "first" optimises the APR, then the APR when
-    one unit fails; "all" margins and cost, too. The `effort` is that of all points
-    together: time that a point leaves is there for those after it. `on_point` is called
-    with every point as soon as it is solved.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        All limits and floors hold at every point but the number of units, in which
+        existing units count.
+    max_units, min_units : int
+        Largest and smallest number of units.
+    stages : {"first", "all"}
+        "first" optimises the APR, then the APR when one unit fails; "all" margins
+        and cost, too.
+    effort : Effort, optional
+        That of all points together: time that a point leaves is there for those
+        after it.
+    on_point : callable, optional
+        Called with every point as soon as it is solved.
+    reduced : ReducedProblem, optional
+        The problem presolved for no fewer units than `max_units`.
 
-    There is a point for every number of units with which the wishes can be met; once
-    nothing can grow, and no more money is saved, copies. Raises InputError if the
-    wishes cannot be met with any number, or ask for more than the best.
+    Returns
+    -------
+    front : Front
+        A point for every number of units with which the wishes can be met; once
+        nothing can grow, and no more money is saved, copies.
 
-    Bounds are exchanged between points. A layout of K units is one of K + 1, too: what
-    none of K + 1 exceeds, none of K does, if both points hold the same in the stages
-    before. And what is left of K units when one fails is a layout of K - 1, which no
-    wish binds if none is there.
+    Raises
+    ------
+    InputError
+        The wishes cannot be met with any number, or ask for more than the best.
+
+    Notes
+    -----
+    Bounds are exchanged between points. A layout of K units is one of K + 1, too:
+    what none of K + 1 exceeds, none of K does, if both points hold the same in the
+    stages before. And what is left of K units when one fails is a layout of K - 1,
+    which no wish binds if none is there.
     """
     check_front(problem, stages)
     if effort is None:
@@ -348,10 +398,11 @@ def front_below(
     on_point: OnPoint | None = None,
     reduced: ReducedProblem | None = None,
 ) -> Front:
-    """A front that ends with a known layout, which was solved for the best, and its certificate.
+    """A front that ends with a known layout and its certificate.
 
-    It has points of fewer units, if any meet the wishes, then the one given. The other
-    arguments and errors are those of :func:`pareto_front`; all stages are optimised.
+    It has points of fewer units, if any meet the wishes, then the one given, which
+    was solved for the best. The other arguments and errors are those of
+    :func:`pareto_front`; all stages are optimised.
     """
     check_front(problem, "all")
     most = problem.limits.budget_units or len(pose_index)
@@ -393,9 +444,10 @@ def _presolved(
     reduced: ReducedProblem | None,
     effort: Effort,
 ) -> ReducedProblem | None:
-    """The problem presolved once for all points; None where it is so large that each is by itself.
+    """The problem presolved once for all points; None where it is too large.
 
-    Poses that are dominated while many units are chosen are dominated while fewer are.
+    Where it is so large, each point is presolved by itself. Poses that are
+    dominated while many units are chosen are dominated while fewer are.
     """
     if not 1 <= min_units <= max_units:
         raise InputError(

@@ -1,8 +1,9 @@
-"""First rung: layouts found quickly, without proof. Greedy choice, then exchanges from many starts.
+"""First rung: layouts found quickly, without proof.
 
-With fusion "any" no guarantee of quality holds: three units may be needed to complete
-one window. Exchanges replace one unit by another, or leave one out, until that does not
-help; then others are thrown out and drawn again.
+Greedy choice, then exchanges from many starts. With fusion "any" no guarantee
+of quality holds: three units may be needed to complete one window. Exchanges
+replace one unit by another, or leave one out, until that does not help; then
+others are thrown out and drawn again.
 """
 
 from collections.abc import Callable, Iterable
@@ -83,10 +84,18 @@ def improve(
     *,
     deadline: Deadline = NEVER,
 ) -> IntArray:
-    """Exchange one unit for another, or leave one out, as long as that makes the set better.
+    """Exchange one unit for another, or leave one out, while the set gets better.
 
-    No set is better than `limit`: the search ends at a set that is as good, or at the
-    deadline.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    units : (n,) int
+        An allowed set.
+    limit : SetValues
+        No set is better: the search ends at a set that is as good.
+    deadline : Deadline
+        It ends here, too.
     """
     value = set_values(reduced, units[None, :])[0]
     place = 0
@@ -117,7 +126,11 @@ def improve(
 def _exchanged(
     reduced: ReducedProblem, units: IntArray, number: int, *, is_out: bool
 ) -> IntArray | None:
-    """The best allowed set with another pose for one unit, or without it; None if there is none."""
+    """Best allowed set with another pose for one unit, or without it.
+
+    `number` is the unit's place in `units`; with `is_out` it is left out. None if
+    there is no such set.
+    """
     rest = np.delete(units, number)
     if is_out:
         if is_allowed(reduced.limits, rest):
@@ -143,13 +156,31 @@ def search_from_many_starts(
     chance: Callable[[], FloatArray] | None = None,
     deadline: Deadline = NEVER,
 ) -> IntArray | None:
-    """Best of local optima: of `starts`, of the greedy set, and of sets that are drawn.
+    """Best of local optima: of `starts`, of the greedy set, and of sets drawn.
 
-    Poses are drawn by `chance`, (n_poses,), such as their shares in a relaxed solution;
-    by default by the square of what each reaches alone. It ends at a set as good as
-    `limit`, after one more than units in a row that brought nothing, or at the
-    deadline, but completes the first start. None if no set within the limits was found;
-    the result may lack something to the floors.
+    It ends at a set as good as `limit`, after one more than units in a row that
+    brought nothing, or at the deadline, but completes the first start.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    limit : SetValues
+        Upper bound of all sets.
+    starts : iterable of (n,) int
+        Sets that are tried first.
+    chance : callable, optional
+        Gives the weights, (n_poses,), by which poses are drawn, such as their
+        shares in a relaxed solution; by default the square of what each reaches
+        alone. It is called only if something is drawn.
+    deadline : Deadline
+        When to end.
+
+    Returns
+    -------
+    units : (n,) int, optional
+        None if no set within the limits was found; it may lack something to the
+        floors.
     """
     rng = np.random.default_rng(constants.SEED)
     forced = forced_units(reduced)
@@ -221,10 +252,10 @@ def _drawn(
 def _spread(
     reduced: ReducedProblem, units: IntArray, *, deadline: Deadline
 ) -> IntArray:
-    """Exchange units while the APR and what is left of it after a failure grow together.
+    """Exchange units while the APR and what is left of it on failure grow together.
 
-    Where many sets have the best APR, the way to those that lose little leads through
-    others.
+    Where many sets have the best APR, the way to those that lose little leads
+    through others.
     """
     value = -np.inf
     idle = 0

@@ -1,10 +1,17 @@
-"""Fourth rung: the placement model, one function per family of constraints, solved by HiGHS.
+"""Fourth rung: the placement model, solved by HiGHS.
 
-x_c = 1: pose c is chosen. y_f: frame f, or tail, is seen. z_w: window w is seen as a
-whole. a_k: one of the windows of a chain up to its k-th link is live; run r is avoided
-if a of its last link in time is 1. Only x has to be whole: given x, every y, z and a is
-bounded from above by zeros and ones alone, and from below by nothing but what must be
-avoided: their largest values are zeros and ones.
+One function states one family of constraints. The variables are
+
+* x_c = 1: pose c is chosen;
+* o_s = 1: site s carries a unit;
+* y_f: frame f, or tail, is seen;
+* z_w: window w is seen as a whole;
+* a_k: one of the windows of a chain up to its k-th link is live; run r is
+  avoided if a of its last link in time is 1.
+
+Only x has to be whole: given x, every y, z and a is bounded from above by zeros
+and ones alone, and from below by nothing but what must be avoided: their
+largest values are zeros and ones.
 """
 
 from __future__ import annotations
@@ -36,7 +43,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answer of a solver to a problem that is maximised."""
+    """Answer of a solver to a problem that is maximised.
+
+    Attributes
+    ----------
+    is_found : bool
+        True if the variables hold a feasible point.
+    is_finished : bool
+        True if that is best, or there is none, not just the best within the time.
+    bound : float
+        Of all feasible points; minus infinity: there is none, plus infinity:
+        nothing is known.
+    """
 
     is_found: bool  # whether the variables hold a feasible point
     # whether that is best, or there is none, not just the best within the time
@@ -51,9 +69,16 @@ def solver_text() -> str:
 
 
 def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) -> Answer:
-    """Maximise in bounded variables by HiGHS, as far as the time goes or down to a relative gap.
+    """Maximise in bounded variables by HiGHS, as far as the time goes.
 
-    The time is that of compiling the problem for the solver, too.
+    Parameters
+    ----------
+    problem : cvxpy.Problem
+        What is maximised. Its variables get the values that were found.
+    time_limit_s : float
+        Time to compile the problem for the solver and to solve it. [s]
+    gap : float
+        Relative gap at which the solver stops.
     """
     import cvxpy as cp
 
@@ -95,14 +120,30 @@ def run_solver(problem: cp.Problem, *, time_limit_s: float, gap: float = 0.0) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cut:
-    """At least so many of some poses must be chosen, or poses at so many sites."""
+    """At least so many of some poses must be chosen, or poses at so many sites.
+
+    Attributes
+    ----------
+    is_counted : (n_poses,) bool
+        Poses that count.
+    n_units : int
+        How many of them, or of their sites where sites fail, are needed.
+    """
 
     is_counted: BoolArray  # (n_poses,): which poses count
     n_units: int  # how many of them, or of their sites where sites fail, are needed
 
 
 class MilpResult(NamedTuple):
-    """Answer of the solver to a placement model, as :class:`Answer`, in the objective's unit."""
+    """Answer of the solver to a placement model, in the objective's unit.
+
+    Attributes
+    ----------
+    units : (n,) int, optional
+        Poses of the reduced problem; None if no feasible set was found.
+    bound, is_finished
+        Those of :class:`Answer`.
+    """
 
     units: (
         IntArray | None
@@ -114,11 +155,20 @@ class MilpResult(NamedTuple):
 def limit_constraints(
     x: cp.Variable, o: cp.Variable, limits: Limits
 ) -> list[cp.Constraint]:
-    """Limits: units, money, capacity, what is forced or too near; o_s = 1 if site s carries any.
+    """Limits: units, money, capacity, what is forced or too near.
 
-    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a site
-    <= its capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a forced site
-    >= 1; o_s + o_t <= 1 for rivals.
+    1 <= sum x <= K; unit costs @ x + site costs @ o <= budget; sum of the x of a
+    site <= its capacity; x_c <= o_s; x_c = 1 for forced poses; sum of the x of a
+    forced site >= 1; o_s + o_t <= 1 for rivals.
+
+    Parameters
+    ----------
+    x : cvxpy.Variable, (n_poses,)
+        Poses that are chosen.
+    o : cvxpy.Variable, (n_sites,)
+        Sites that carry any.
+    limits : Limits
+        What may be mounted together.
     """
     import scipy.sparse as sp
 
@@ -188,12 +238,13 @@ def tail_constraints(
 def stabbing_constraints(
     x: cp.Variable, a: cp.Variable, reduced: ReducedProblem
 ) -> list[cp.Constraint]:
-    """Stabbing: a_k <= sum of x over the poses that see one of the frames that stab all windows.
+    """Stabbing: a_k <= sum of x over the poses that see one of some frames.
 
+    These frames *stab* the windows up to link k: each window has one of them.
     Implied for whole x, but far stronger than the rows above for fractional x: with
-    windows of one frame this is the MCLP's own row. The sum grows along the chain, so
-    that it is written link by link with a variable u_k of its own. Each phase stabs the
-    first window at another frame.
+    windows of one frame this is the MCLP's own row. The sum grows along the chain,
+    so that it is written link by link with a variable u_k of its own. Each phase
+    stabs the first window at another frame.
     """
     import cvxpy as cp
 
@@ -219,7 +270,17 @@ def difference(reduced: ReducedProblem) -> sp.csr_array:
 def requirement_constraints(
     a: cp.Variable, reduced: ReducedProblem, requirement: Requirement
 ) -> list[cp.Constraint]:
-    """Requirements, as far as they can be stated in a: failures are left to cuts."""
+    """Requirements, as far as they can be stated in a: failures are left to cuts.
+
+    Parameters
+    ----------
+    a : cvxpy.Variable, (n_links,)
+        Links up to which a window is live.
+    reduced : ReducedProblem
+        Runs and chains.
+    requirement : Requirement
+        What must be reached.
+    """
     weight = requirement.measure.weight
     if requirement.sums_margins:
         row = link_weights(reduced, margin_rows(reduced))
@@ -249,9 +310,15 @@ def requirement_constraints(
 def _tail_share(
     a: cp.Variable, measure: Measure, link: IntArray
 ) -> tuple[cp.Expression, list[cp.Constraint]]:
-    """Mean over the worst share of samples (Rockafellar and Uryasev 2000), to be maximised.
+    """Mean over the worst share of samples, to be maximised, and its constraints.
 
-    The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0.
+    The largest eta - sum of p_s d_s / tail with d_s >= eta - APR_s, d_s >= 0 [1]_.
+    `link`, (n_runs,), is the last link of each run, -1 if nothing avoids it.
+
+    References
+    ----------
+    .. [1] R. T. Rockafellar, S. Uryasev, "Optimization of conditional
+       value-at-risk", 2000.
     """
     import cvxpy as cp
     import scipy.sparse as sp
@@ -303,7 +370,10 @@ def cut_constraints(
 
 
 def last_links(reduced: ReducedProblem, *, min_margin_s: float = -np.inf) -> IntArray:
-    """Last link of every run's chain that leaves at least a margin, (n_runs,); -1 if none does."""
+    """Last link of every run's chain that leaves at least a margin, (n_runs,).
+
+    -1 if none does.
+    """
     in_time = (reduced.margin_s > -np.inf) & (
         reduced.margin_s >= min_margin_s - TOLERANCE
     )
@@ -332,12 +402,28 @@ def solve_window_model(
     cuts: Sequence[Cut] = (),
     time_limit_s: float,
 ) -> MilpResult:
-    """Best set of poses by one objective: UNITS, COST, APR or MEAN_MARGIN; None: any set.
+    """Best set of poses by one objective, as far as the time goes.
 
-    For ``Objective.MEAN_MARGIN`` the sum of weights times margins is maximised: at a
-    given APR that is the same. What must hold after failures is left to cuts. The bound
-    is in the objective's own unit. Where stating the model and compiling it, which
-    takes longer, would take half of the time, nothing is found.
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        The problem.
+    objective : Objective, optional
+        UNITS, COST, APR or MEAN_MARGIN; None: any set that meets the requirements.
+        For ``MEAN_MARGIN`` the sum of weights times margins is maximised: at a
+        given APR that is the same.
+    requirements : sequence of Requirement
+        What must be reached, but for failures.
+    cuts : sequence of Cut
+        What must hold after failures.
+    time_limit_s : float
+        Where stating the model and compiling it, which takes longer, would take
+        half of it, nothing is found. [s]
+
+    Returns
+    -------
+    result : MilpResult
+        The set, and a bound in the objective's own unit.
     """
     import cvxpy as cp
 
@@ -399,7 +485,11 @@ def solve_window_model(
 
 
 def entering_poses(reduced: ReducedProblem, phase: int) -> sp.csr_array:
-    """Which poses see, at a link for the first time in its chain, a stabbing frame."""
+    """Poses that see a stabbing frame at a link, for the first time in its chain.
+
+    Returns a sparse (n_links, n_poses) array of ones. In `phase`, 0 .. n_frames of
+    a window - 1, the first window of a chain is stabbed at another frame.
+    """
     import scipy.sparse as sp
 
     detected = reduced.detected()
@@ -442,10 +532,10 @@ Fails = Callable[[WordArray], BoolArray]
 
 
 def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
-    """Cuts that hold from the start: enough must see stabbing frames and tails of every run.
+    """Cuts that hold from the start: of every run, enough units must see enough.
 
-    Only where no run may be lost with any unit. Tails count that all windows of a run
-    need.
+    They must see stabbing frames, and tails that all windows of the run need. Such
+    cuts are known only where no run may be lost whichever units fail.
     """
     if not (requirement.needs_all and requirement.n_failures):
         return []
@@ -474,7 +564,7 @@ def first_cuts(reduced: ReducedProblem, requirement: Requirement) -> list[Cut]:
 def violated_cuts(
     reduced: ReducedProblem, units: IntArray, requirement: Requirement
 ) -> list[Cut]:
-    """Cuts that a set of poses violates; none if and only if it meets a requirement."""
+    """Cuts that a set of poses, (n,), violates; none only if it meets a requirement."""
     cuts = []
     fails = _fails(reduced, requirement)
     n_units = requirement.n_failures + 1
@@ -513,7 +603,7 @@ def _lost_runs(
 def _fails(
     reduced: ReducedProblem, requirement: Requirement, run: int | None = None
 ) -> Fails:
-    """Tells which unions do not meet a requirement, or avoid a run as it asks."""
+    """A test of unions: do they fail a requirement, or to avoid a run as it asks?"""
 
     def fails(unions: WordArray) -> BoolArray:
         margin_s = union_margins_s(reduced, unions)
@@ -527,7 +617,10 @@ def _fails(
 def _cut(
     reduced: ReducedProblem, union: WordArray, fails: Fails, *, n_units: int
 ) -> Cut:
-    """Cut from a set that fails, enlarged until every further pose would end that."""
+    """Cut from a set that fails, enlarged until every further pose would end that.
+
+    `union`, (n_words,), is what the set sees.
+    """
     words = reduced.words
     waiting = np.flatnonzero((words & ~union).any(axis=1))
     while len(waiting) > 0:

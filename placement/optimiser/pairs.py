@@ -1,19 +1,19 @@
-"""Third rung where worlds are sampled: sets of two or three units, a class of poses and a pair.
+"""Third rung for sampled worlds: sets of a class of poses and a pair.
 
-Where detections are drawn, hardly any run is out of reach of a pose; what a window is
-asked for says more when another unit is known, since what that one sees is not asked
-for any more. So poses of a site that avoid much the same runs are a *class*, as good as
-all of them together. Classes are gone through, each with those behind it:
+Sets have two or three units. Where detections are drawn, hardly any run is out
+of reach of a pose; what a window is asked for says more when another unit is
+known, since what that one sees is not asked for any more. So poses of a site
+that avoid much the same runs are a *class*, as good as all of them together.
+Classes are gone through, each with those behind it:
 
-* Of the pieces, frames and tails, that are missing in a window, one unit of the pair
-  sees the one
-  that fewest see; and one sees all that are missing in some window, or both see some.
-  Both are bits along the runs: most pairs of classes lose too much by them, then most
-  pairs of poses, at the hardest runs.
+* Of the pieces, frames and tails, that are missing in a window, one unit of the
+  pair sees the one that fewest see; and one sees all that are missing in some
+  window, or both see some. Both are bits along the runs: most pairs of classes
+  lose too much by them, then most pairs of poses, at the hardest runs.
 * Sets of what remains are valued on the windows.
 
-A walk that ends has met every set that reaches the need. The mean over the worst worlds
-is no higher than that over all, which bounds it.
+A walk that ends has met every set that reaches the need. The mean over the
+worst worlds is no higher than that over all, which bounds it.
 """
 
 from collections.abc import Callable, Iterator
@@ -54,10 +54,22 @@ def walk_by_pairs(
     deadline: Deadline,
     on_better: Callable[[IntArray], IntArray],
 ) -> Tied:
-    """All sets as good as the best, by their mean over all worlds, as far as the time goes.
+    """All sets as good as the best, by their mean over all worlds.
 
-    Where it does not go so far, an upper bound: ever nearer ones are proven first.
-    Where only the worst worlds count, no more than an upper bound: that of the mean.
+    Where the time is too short, an upper bound: ever nearer ones are proven first.
+    Where only the worst worlds count, no more than an upper bound: that of the
+    mean.
+
+    Parameters
+    ----------
+    reduced : ReducedProblem
+        A problem of which :func:`goes_by_pairs` is true.
+    units : (n_units,) int
+        The best set so far.
+    deadline : Deadline
+        When to end.
+    on_better : callable
+        Takes better sets and returns what they were improved to.
     """
     if reduced.measure.is_mean:
         walk = PairWalk(reduced, need=0.0)
@@ -84,16 +96,38 @@ def walk_by_pairs(
 
 
 class _Units(NamedTuple):
-    """Poses, or classes of poses."""
+    """Poses, or classes of poses.
+
+    Attributes
+    ----------
+    words : (n, n_frame_words) uint64
+        What each sees, as bits along the frames.
+    columns : (n_frames, n_words) uint64
+        The same as bits along the units.
+    """
 
     words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
     columns: WordArray  # (n_frames, n_words): the same as bits along the units
 
 
 class PairWalk:
-    """A walk through all sets of two or three units whose mean over all worlds reaches `need`.
+    """A walk through all sets of two or three units that reach `need`.
 
-    Sites' capacities hold; other limits do not count.
+    The need is a mean over all worlds. Sites' capacities hold; other limits do not
+    count.
+
+    Attributes
+    ----------
+    is_finished : bool
+        True once all sets were gone through.
+    rows : Rows
+        Runs with weight, the hardest first.
+    classes, poses : _Units
+        What classes of poses, and poses, see.
+    class_of : (n_poses,) int
+        Class of each pose; -1: not usable.
+    member, start, size : (n,), (n_classes,), (n_classes,) int
+        Poses, class after class; the first and the number of each class.
     """
 
     def __init__(self, reduced: ReducedProblem, *, need: float) -> None:
@@ -147,8 +181,8 @@ class PairWalk:
     def blocks(self, deadline: Deadline) -> Iterator[IntArray]:
         """Sets that reach the need, many at a time, until the deadline.
 
-        An empty block says that nothing was found for a while. The order is left to
-        chance.
+        An empty block says that nothing was found for a while. Threads take turns: the
+        order of the sets is left to chance.
         """
         is_pair = self.n_units == 2
         look = self._beside_pose if is_pair else self._beside_class
@@ -174,7 +208,10 @@ class PairWalk:
         return sets[may_grow(self.reduced.limits, sets)]
 
     def _beside_class(self, one: int) -> IntArray:
-        """Sets of a class and two of those from it on that reach the need."""
+        """Sets of a class and two of those from it on that reach the need, (n, 3).
+
+        Pairs of classes are thinned out first, then pairs of poses, then sets.
+        """
         union = self.classes.words[one]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
@@ -214,7 +251,10 @@ class PairWalk:
         return np.concatenate(found)
 
     def _beside_member(self, member: int, pairs: IntArray) -> IntArray:
-        """Pairs of poses that may lose little next to a pose: at the hardest runs, then at all."""
+        """Pairs of poses that may lose little next to a pose.
+
+        They are looked at at the hardest runs, then at all.
+        """
         union = self.poses.words[member]
         is_open = ~is_covered_by(self.reduced, union, self.rows)
         rows = self.rows.of(is_open)
@@ -225,7 +265,10 @@ class PairWalk:
         return pairs
 
     def _members_of(self, pairs: IntArray) -> IntArray:
-        """All pairs of poses, one of each class of some pairs, (n, 2); of one class, ascending."""
+        """All pairs of poses, one of each class of some pairs, (n, 2).
+
+        A pair of one class has its poses in ascending order, so that it comes once.
+        """
         sizes = self.size[pairs]
         count = sizes.prod(axis=1)
         row = np.repeat(np.arange(len(pairs)), count)
@@ -265,7 +308,10 @@ class PairWalk:
 
 
 def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
-    """Rows of all runs, those first in which sets are likely to lose most; who avoids each."""
+    """Rows of all runs, the hardest first, and the poses that avoid each.
+
+    Returns the rows and (n_rows, n_words) bits along the poses.
+    """
     rows = run_rows(reduced)
     rows = rows.of(rows.weight > 0.0)
     union = reduced.base
@@ -282,7 +328,10 @@ def _hardest_first(reduced: ReducedProblem) -> tuple[Rows, WordArray]:
 def _coverers(
     reduced: ReducedProblem, units: _Units, union: WordArray, rows: Rows
 ) -> tuple[WordArray, WordArray]:
-    """Units that avoid each row next to a union, and that see a piece of it that is missing."""
+    """Units that avoid each row next to a union, and that see a missing piece.
+
+    Both are (n_rows, n_words) bits along the units.
+    """
     from .bit_kernels import avoid_beside
 
     is_seen = unpack_words(union, reduced.n_frames)
@@ -298,9 +347,25 @@ def _coverers(
 def _classes(
     site_index: IntArray, usable: BoolArray, avoided: WordArray, weight: FloatArray
 ) -> IntArray:
-    """Class of each pose, the best classes first; -1: not usable (Ward 1963).
+    """Class of each pose, the best classes first; -1: not usable.
 
-    `avoided`, (n_rows, n_words), says which poses avoid each row.
+    Poses of a site that avoid much the same runs are one class: they are clustered
+    by Ward's method [1]_ on weighted bits.
+
+    Parameters
+    ----------
+    site_index : (n_poses,) int
+        Site of each pose.
+    usable : (n_poses,) bool
+        Poses that may be chosen.
+    avoided : (n_rows, n_words) uint64
+        Poses that avoid each row.
+    weight : (n_rows,) float
+        Weight of each row.
+
+    References
+    ----------
+    .. [1] J. Ward, "Hierarchical grouping to optimize an objective function", 1963.
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 

@@ -1,15 +1,16 @@
-"""Presolve: leave out frames, windows, runs and poses that do not matter; and the way back.
+"""Presolve: leave out what does not matter, and find the way back.
 
-Both kinds of fusion become one problem here. With "any", a frame is seen if a chosen
-pose detects in it, and a window needs all its frames. With "single", the frames of the
-reduced problem are the statements "this pose alone has confirmed by then", and each
-window needs one of them.
+That is frames, windows, runs and poses. Both kinds of fusion become one problem
+here. With "any", a frame is seen if a chosen pose detects in it, and a window
+needs all its frames. With "single", the frames of the reduced problem are the
+statements "this pose alone has confirmed by then", and each window needs one of
+them.
 
-Where tracks live for a limited time, "a chosen pose detects in one of the frames in
-which the next detection must come" is a statement about one pose at a time, too, so
-that it is one more frame of the reduced problem: a *tail*. A window whose tails are all
-seen is *live*. As a later window has fewer tails, one that is not seen ends all windows
-of the run up to some number.
+Where tracks live for a limited time, "a chosen pose detects in one of the
+frames in which the next detection must come" is a statement about one pose at a
+time, too, so that it is one more frame of the reduced problem: a *tail*. A
+window whose tails are all seen is *live*. As a later window has fewer tails,
+one that is not seen ends all windows of the run up to some number.
 """
 
 from collections.abc import Set
@@ -77,7 +78,44 @@ class PresolveStatistics:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedProblem:
-    """A placement problem without what does not matter."""
+    """A placement problem without what does not matter.
+
+    Attributes
+    ----------
+    pose_index : (n_poses,) int
+        Rows of the detection table: the way back.
+    limits : Limits
+        What may be mounted together, on these poses.
+    run_index : (n_runs,) int
+        Runs of the full problem that some pose avoids.
+    measure : Measure
+        The APR, of these runs, as in the full problem.
+    floors : tuple of Requirement
+        What must be reached in any case.
+    objectives : tuple of Objective
+        In the order in which sets of poses are compared.
+    survive : int
+        Failed units that ``Objective.APR_SURVIVED`` is about.
+    n_frames : int
+        Merged frames, tails among them.
+    words : (n_poses, n_words) uint64
+        Bits V[c, f] along the merged frames, lowest bit first.
+    columns : (n_frames, ceil(n_poses / 64)) uint64
+        The same bits along the poses.
+    base : (n_words,) uint64
+        Frames that the VUT sees, as every pose does then.
+    chains : Chains
+        Windows, and what keeps them alive.
+    workers : int
+        Threads for all that is computed with them.
+    run_chain : (n_runs,) int
+        Chain of every run.
+    margin_s : (n_runs, longest chain + 1) float
+        Margin if the first live window is the k-th of the chain; minus infinity
+        from the first one that is too late for this run. [s]
+    statistics : PresolveStatistics
+        Sizes before and after.
+    """
 
     pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
     limits: Limits  # on these poses
@@ -222,18 +260,27 @@ def presolve(
 ) -> ReducedProblem:
     """Reduce a placement problem without changing the best value of any stage.
 
-    Runs without weight and windows that end too late count in no value and are always
-    left out. The other `rules` are repeated until no pose drops out:
+    Runs without weight and windows that end too late count in no value and are
+    always left out. The other rules are repeated until no pose drops out:
 
-    * Unusable poses are forbidden, stand where a site has no room, or cost more than
-      the budget.
+    * Unusable poses are forbidden, stand where a site has no room, or cost more
+      than the budget.
     * Needless poses, see :func:`find_needless`; unusable ones are taken to be out.
     * Dominated poses, see :func:`find_dominated_poses`; the same.
     * Unseen windows have a frame or a tail that nobody sees: they are never live.
     * Frames that the same poses see are one frame, and so are tails.
     * A tail is needless where the next one of its run is seen by no other poses.
-    * A window is dominated if an earlier window of its run needs no other frames and
-      no tail that it does not need, too, or ensures.
+    * A window is dominated if an earlier window of its run needs no other frames
+      and no tail that it does not need, too, or ensures.
+
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem.
+    workers : int
+        Threads.
+    rules : set of Rule
+        The rules that are applied; by default all.
     """
     windows = _Windows(problem, workers, rules)
     usable = np.ones(problem.table.n_poses, dtype=bool)
@@ -342,32 +389,41 @@ def presolve_freely(problem: PlacementProblem) -> ReducedProblem:
 def is_dominated(
     words: WordArray, limits: Limits, *, max_units: int, workers: int = WORKERS
 ) -> BoolArray:
-    """Poses without which some best set remains, whatever the stage.
+    """Poses without which some best set remains, whatever the stage, (n_poses,).
 
-    All poses are usable, and each run more that is avoided is worth more than a tie.
+    They may be dropped all together. All poses are usable, and each run more that
+    is avoided is worth more than a tie.
 
-    `words`, (n_poses, n_words), is what each sees; no set has more than `max_units`
-    units. They may be dropped all together, (n_poses,).
+    Parameters
+    ----------
+    words : (n_poses, n_words) uint64
+        What each pose sees.
+    limits : Limits
+        What may be mounted together.
+    max_units : int
+        No set has more units: K below.
+    workers : int
+        Threads.
 
-    Pose d dominates pose c if it sees all that c sees, costs no more and is bound by
-    nothing that c is not: at the same site its price decides; elsewhere its site may
-    have to be paid, too, and neither site may have rivals, be asked for, or fail with
-    more than one unit. Among equal poses the earlier one dominates. Every stage is
-    monotone in what each unit sees: where d can take the place of c, no value gets
-    worse. So c may go if in every feasible set S with c one of its dominators is
-    outside S and finds room. Who wants to prevent that has the other K - 1 units of S
-    to
+    Notes
+    -----
+    Pose d dominates pose c if it sees all that c sees, costs no more and is bound
+    by nothing that c is not: at the same site its price decides; elsewhere its site
+    may have to be paid, too, and neither site may have rivals, be asked for, or
+    fail with more than one unit. Among equal poses the earlier one dominates. Every
+    stage is monotone in what each unit sees: where d can take the place of c, no
+    value gets worse. So c may go if in every feasible set S with c one of its
+    dominators is outside S and finds room. Who wants to prevent that has the other
+    K - 1 units of S to
 
     * fill a site, or choose all the dominators that stand there: min(capacity,
-      dominators)
-      units at least;
-    * at the site of c, which has room once c is gone: choose all dominators there, next
-      to c;
-      this fails if there are as many of them as the site's capacity.
+      dominators) units at least;
+    * at the site of c, which has room once c is gone: choose all dominators there,
+      next to c; this fails if there are as many of them as the site's capacity.
 
     If that takes more than K - 1 units, c may go. Dominators that are dropped
-    themselves count: the replacement is replaced in turn, each time by a pose earlier
-    in one fixed order (more seen, cheaper, index), which ends.
+    themselves count: the replacement is replaced in turn, each time by a pose
+    earlier in one fixed order (more seen, cheaper, index), which ends.
     """
     from .bit_kernels import find_dominated
 
@@ -398,7 +454,25 @@ def is_dominated(
 
 
 class _Windows:
-    """Windows of a problem that end in time, and their tails, as columns over the poses."""
+    """Windows of a problem that end in time, and their tails, over the poses.
+
+    Attributes
+    ----------
+    end, run, margin_s : (n_windows,)
+        Last frame, run and margin of each window. [s]
+    frames : (n_windows, n_confirmations or 1) int
+        Rows of `columns` that each window needs.
+    tail_end, tail_run : (n_tails,) int
+        Frame behind which each tail is needed, and its run.
+    n_used : int
+        Rows of `columns` that are frames; those behind them are tails.
+    n_bits : int
+        Poses, and the VUT behind them if it sees.
+    columns : (n_used + n_tails, n_words) uint64
+        Who sees each frame, and each tail.
+    is_base : (n_used + n_tails,) bool
+        What the VUT sees.
+    """
 
     def __init__(
         self, problem: PlacementProblem, workers: int, rules: Set[Rule]
@@ -576,7 +650,10 @@ class _Windows:
         )
 
     def _is_needless(self, mask: WordArray) -> BoolArray:
-        """Tails that are seen whenever the next one of their run is, which ends more windows."""
+        """Tails that are seen whenever the next one of their run is, (n_tails,).
+
+        The next one ends more windows, so that these tails say nothing.
+        """
         tails = self.columns[self.n_used :]
         is_needless = np.zeros(len(self.tail_run), dtype=bool)
         is_needless[:-1] = ~_have_bits(tails[1:] & ~tails[:-1], mask)
@@ -587,7 +664,22 @@ class _Windows:
 def distinct_rows(
     rows: WordArray, mask: WordArray | None = None
 ) -> tuple[IntArray, IntArray]:
-    """First of the rows that are equal within a mask, and the number among them of each row."""
+    """First of the rows that are equal within a mask, and the number of each row.
+
+    Parameters
+    ----------
+    rows : (n_rows, n_words) uint64
+        Rows of bits.
+    mask : (n_words,) uint64, optional
+        Bits that count; by default all.
+
+    Returns
+    -------
+    first : (n_distinct,) int
+        Rows that are the first of their kind.
+    number : (n_rows,) int
+        Place in `first` of the row that each one is equal to.
+    """
     if mask is None:
         every = np.full(rows.shape[1], ~np.uint64(0))
     else:
@@ -610,7 +702,21 @@ def _transpose(
     columns: WordArray,
     workers: int,
 ) -> None:
-    """Some bits of chosen rows, bits along the rows: the first rows of `columns`, (n, n_words)."""
+    """Write some bits of chosen rows to the first rows of `columns`.
+
+    Parameters
+    ----------
+    rows : (n_rows, n_words) uint64, or (n_rows, n_bytes) uint8
+        Rows of bits, lowest bit first.
+    chosen : (n,) int
+        Rows that are transposed.
+    bits : (n_bits,) int
+        Bits that become rows of `columns`, in this order.
+    columns : (at least n_bits, n_words) uint64
+        Written: bits along the chosen rows.
+    workers : int
+        Threads.
+    """
     from .bit_kernels import transpose_chosen
 
     rows = np.ascontiguousarray(rows).view(np.uint8)
@@ -627,7 +733,7 @@ def _transpose(
 
 
 def transposed(words: WordArray, n_bits: int, *, workers: int) -> WordArray:
-    """The first bits of all rows as rows with bits along the rows, (n_bits, ceil(n_rows / 64))."""
+    """First bits of all rows as rows of their own, (n_bits, ceil(n_rows / 64))."""
     columns = np.empty((n_bits, -(-len(words) // 64)), dtype=np.uint64)
     _transpose(words, np.arange(len(words)), np.arange(n_bits), columns, workers)
     return columns
@@ -644,7 +750,10 @@ def _as_sets(frames: IntArray) -> IntArray:
 def _once_in_each_run(
     of_tail: IntArray, tail_frame: IntArray, n_links: IntArray
 ) -> IntArray:
-    """Order of tails run by run, those that more windows need first, each frame once in a run."""
+    """Order of tails run by run, those that more windows need first.
+
+    Each frame comes once in a run; tails that no window needs are left out.
+    """
     order = np.lexsort((tail_frame, -n_links, of_tail))
     order = order[n_links[order] > 0]
     key = of_tail[order] * (tail_frame.max(initial=0) + 1) + tail_frame[order]
@@ -657,7 +766,24 @@ def _share_chains(
     sequences: list[IntArray],
     tails: list[tuple[IntArray, IntArray]],
 ) -> tuple[Chains, IntArray]:
-    """Chains such that every sequence is the beginning of one with its tails; chain of each."""
+    """Chains that every sequence with its tails is the beginning of; chain of each.
+
+    Parameters
+    ----------
+    window_frames : (n_windows, n_frames) int
+        Frames of each window.
+    sequences : list of (n,) int
+        Windows of each run in the order of time.
+    tails : list of ((n,) int, (n,) int)
+        Frames of each run's tails, and how many windows need each.
+
+    Returns
+    -------
+    chains : Chains
+        As few as possible.
+    sequence_chain : (n_runs,) int
+        Chain of each run.
+    """
     keys = [
         (frames.tolist(), n_links.tolist(), row.tolist())
         for row, (frames, n_links) in zip(sequences, tails, strict=True)

@@ -37,11 +37,19 @@ class UnmetError(InputError):
 def check_limits(limits: Limits, pose_ids: Sequence[str]) -> None:
     """Check limits against each other, before anything is solved.
 
-    `pose_ids` are the names of the poses in messages.
+    Parameters
+    ----------
+    limits : Limits
+        What may be mounted together.
+    pose_ids : sequence of str
+        Names of the poses in messages.
 
-    Raises UnmetError: two of them cannot both be met: forced and forbidden, a site that
-    is too small, money that does not suffice, rivals that are both forced, or no unit
-    at all.
+    Raises
+    ------
+    UnmetError
+        Two of them cannot both be met: forced and forbidden, a site that is too
+        small, money that does not suffice, rivals that are both forced, or no unit
+        at all.
     """
     forced = np.flatnonzero(limits.is_forced)
     at_site = np.bincount(limits.site_index[forced], minlength=limits.n_sites)
@@ -109,8 +117,11 @@ def check_reach(problem: PlacementProblem, reduced: ReducedProblem) -> None:
 def check_floors(problem: PlacementProblem, search: Search) -> None:
     """Check that the set that was found reaches all floors.
 
-    Raises UnmetError: it does not: out of reach, and the best that can be reached, or
-    not found in time.
+    Raises
+    ------
+    UnmetError
+        It does not: out of reach, and the best that can be reached, or not found in
+        time.
     """
     if search.units is not None and search.shortfall == 0.0:
         return
@@ -147,6 +158,7 @@ def check_floors(problem: PlacementProblem, search: Search) -> None:
 
 
 def _rounded_down(share: float) -> str:
+    """A share in four digits behind the point, never higher than it is."""
     return f"{np.floor(share * 1.0e4) / 1.0e4:g}"
 
 
@@ -171,7 +183,17 @@ def of_pool(problem: PlacementProblem, pool: IntArray) -> PlacementProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Chosen poses, and how good they are proven to be."""
+    """Chosen poses, and how good they are proven to be.
+
+    Attributes
+    ----------
+    pose_index : tuple of int
+        Rows of the detection table, ascending.
+    certificate : Certificate
+        A stage for every objective, in order.
+    presolve : PresolveStatistics
+        What dropped out before.
+    """
 
     pose_index: tuple[int, ...]  # rows of the detection table, ascending
     certificate: Certificate  # a stage for every objective, in order
@@ -187,16 +209,33 @@ def solve_placement(
     n_stages: int | None = None,
     on_stage: Callable[[str], None] | None = None,
 ) -> Solution:
-    """Best poses: by APR, then APR when one unit fails, smallest margin, mean margin, cost.
+    """Best poses by the objectives in order, with a bound of each stage.
 
-    `reduced` is the presolved problem, where that is at hand; `starts` are rows of the
-    table that are tried first, (n,) each, such as a good layout for a unit less; only
-    the first `n_stages` objectives are bounded, by default all; `on_stage` is called
-    with the name of every stage when it begins. The bound of a stage is what no layout
+    By default the APR comes first, then the APR when one unit fails, the smallest
+    margin, the mean margin, the cost. The bound of a stage is what no layout
     exceeds that is as good in all stages before.
 
-    Raises InputError if nothing meets the wishes, with the one that cannot be met and
-    the best that can, or if nothing was found that does in the time given.
+    Parameters
+    ----------
+    problem : PlacementProblem
+        The problem.
+    reduced : ReducedProblem, optional
+        The presolved problem, where that is at hand.
+    effort : Effort, optional
+        How hard to try.
+    starts : sequence of (n,) int
+        Rows of the table that are tried first, such as a good layout for a unit
+        less.
+    n_stages : int, optional
+        Only so many objectives are bounded; by default all.
+    on_stage : callable, optional
+        Called with the name of every stage when it begins.
+
+    Raises
+    ------
+    InputError
+        Nothing meets the wishes: which one cannot be met, and the best that can; or
+        nothing was found that does in the time given.
     """
     if effort is None:
         effort = Effort()
@@ -254,7 +293,10 @@ def solve_placement(
 def sturdy_problem(
     problem: PlacementProblem, highest: Solution, give_up: float
 ) -> PlacementProblem:
-    """What is left when a unit fails comes first; so much of the highest APR may be given up."""
+    """The problem in which what is left when a unit fails comes first.
+
+    So much of the highest APR, a share, may be given up for it.
+    """
     share = max(apr(problem, highest.pose_index) - give_up, 0.0)
     floor = Floor(name="give_up", share=share)
     return replace(problem, survive=1, floors=(*problem.floors, floor))
@@ -270,9 +312,14 @@ def solve_sturdily(
 ) -> tuple[Solution, Solution | None]:
     """The layout of the highest APR; and the one that keeps most when a unit fails.
 
-    The second is that of :func:`sturdy_problem`, on what the first was presolved to. It
-    is None where nothing may be given up, for a single unit, and of a table that is too
-    large to be solved as a whole. Raises InputError as :func:`solve_placement`.
+    The second is that of :func:`sturdy_problem`, on what the first was presolved
+    to. It is None where nothing may be given up, for a single unit, and of a table
+    that is too large to be solved as a whole.
+
+    Raises
+    ------
+    InputError
+        See :func:`solve_placement`.
     """
     deadline = deadline_in(effort.time_limit_s)
     has_two = give_up > 0.0 and problem.limits.max_units > 1 and not is_large(problem)
@@ -406,7 +453,10 @@ def _solve_pool(
     n_stages: int | None,
     on_stage: Callable[[str], None] | None,
 ) -> Solution:
-    """The best among some poses, by search; raises UnmetError if none of their sets will do."""
+    """The best among some poses, by search.
+
+    Raises UnmetError if none of their sets will do.
+    """
     part = of_pool(problem, pool)
     check_limits(part.limits, part.table.pose_ids)
     reduced = presolve(part, workers=effort.workers)
@@ -428,7 +478,11 @@ def _unmet_by_pool(
 
 
 def _loose_bounds(every: Search, apr: float, avoided: float) -> dict[Objective, float]:
-    """What all poses together reach, by objective; of the APR a bound is known, and what counts."""
+    """What all poses together reach, by objective.
+
+    `apr` bounds the APR; `avoided` is the APR that is reached, which bounds the
+    mean margin.
+    """
     return dict.fromkeys(Objective, apr) | {
         Objective.UNITS: 1.0,
         Objective.COST: 0.0,
@@ -470,7 +524,10 @@ def instead(
 def build_stage(
     objective: Objective, value: float, bound: float, seconds: float
 ) -> Stage:
-    """A stage of a certificate; a bound that is worse than the value itself is not believed."""
+    """A stage of a certificate, from a value and its bound.
+
+    A bound that is worse than the value itself is not believed.
+    """
     bound = objective.better(bound, value)
     gap = relative_gap(value, bound, tolerance=objective.tolerance)
     return Stage(
