@@ -51,28 +51,18 @@ class Limits:
         everything that it carries.
     """
 
-    site_index: (
-        IntArray  # (n_poses,): site of each pose; one that belongs to none has its own
-    )
-    site_capacity: IntArray  # (n_sites,): units that each site can carry
-    budget_units: int | None = (
-        None  # At most so many units in all, the forced ones among them
-    )
-    budget_eur: float | None = None  # At most so much money [EUR]
+    site_index: IntArray
+    site_capacity: IntArray
+    budget_units: int | None = None
+    budget_eur: float | None = None
     # What is None below is filled in: no prices, and no such poses, sites or pairs.
-    # (n_poses,): price of each unit [EUR]
     unit_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # (n_sites,): paid once if a site carries anything [EUR]
     site_cost_eur: FloatArray = None  # type: ignore[assignment]
-    # (n_poses,): poses that must, or must not, be chosen
     is_forced: BoolArray = None  # type: ignore[assignment]
     is_forbidden: BoolArray = None  # type: ignore[assignment]
-    # (n_sites,): sites that must carry at least one unit
     is_forced_site: BoolArray = None  # type: ignore[assignment]
-    # (n_pairs, 2): sites that must not both carry units, such as those too near to each
-    # other
     rivals: IntArray = None  # type: ignore[assignment]
-    failing: Failing = "unit"  # What fails at once, wherever failures are asked about
+    failing: Failing = "unit"
 
     def __post_init__(self) -> None:
         for field in ("site_index", "site_capacity"):
@@ -349,13 +339,11 @@ class Choice(NamedTuple):
         Site of each pose.
     """
 
-    n_units: int  # at most so many
-    room: IntArray  # (n_sites,): places left at each site
-    is_open: IntArray  # (n_poses,): 1 if the pose may join
-    # (n_poses,): share of the money left that a pose takes, at least; empty if money is
-    # no limit.
+    n_units: int
+    room: IntArray
+    is_open: IntArray
     cost: FloatArray
-    site: IntArray  # (n_poses,)
+    site: IntArray
 
 
 def build_choice(limits: Limits, n_units: int) -> Choice:

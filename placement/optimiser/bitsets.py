@@ -28,9 +28,7 @@ class SetValues:
         minimised ones negative. One row, (1 + n_objectives,), for a single set.
     """
 
-    objectives: tuple[Objective, ...]  # in the order in which sets are compared
-    # (n_sets, 1 + n_objectives): the larger the better: minus what is lacking, then
-    # each objective, the minimised ones negative. One row for a single set.
+    objectives: tuple[Objective, ...]
     gains: FloatArray
 
     def __len__(self) -> int:

@@ -53,7 +53,7 @@ class Rows(NamedTuple):
     """
 
     chain: IntArray
-    last: IntArray  # how many of its first windows
+    last: IntArray
     weight: FloatArray
 
     def of(self, some: IntArray | BoolArray | slice) -> "Rows":
@@ -100,12 +100,12 @@ class Root:
         Poses that may be chosen, and how many.
     """
 
-    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
-    weight: FloatArray  # (n_rows,): rows that the same poses cover are one
-    price: FloatArray  # (n_rows,)
-    reached: float  # what VUT and forced poses are worth, in none of the rows
-    limit: float  # no set is worth more
-    share: FloatArray  # (n_poses,): how often each pose was picked of late
+    covers: WordArray
+    weight: FloatArray
+    price: FloatArray
+    reached: float
+    limit: float
+    share: FloatArray
     choice: Choice
 
     def gains(self, price: FloatArray | None = None) -> FloatArray:

@@ -55,10 +55,10 @@ class FrontPoint:
         A stage for every objective that was optimised, in order.
     """
 
-    units: int  # by units: those that were allowed, though the layout may have fewer
-    pose_index: tuple[int, ...]  # rows of the detection table, ascending
-    value: PlacementValue  # what the layout is worth
-    certificate: Certificate  # a stage for every objective that was optimised, in order
+    units: int
+    pose_index: tuple[int, ...]
+    value: PlacementValue
+    certificate: Certificate
 
     @property
     def seconds(self) -> float:
@@ -90,8 +90,7 @@ class FrontPoint:
         )
 
     def bounded(self, bounds: Mapping[str, float]) -> "FrontPoint":
-        """The same layout with bounds of some stages that hold as well, where closer.
-        """
+        """The same layout with bounds of some stages that hold as well, where closer."""
         return self.with_stages(
             tightened(stage, bounds.get(stage.name, stage.bound))
             for stage in self.certificate.stages
@@ -121,20 +120,12 @@ class Front:
         What dropped out before, once for all points; None if each was solved by itself.
     """
 
-    by: Literal["units", "cost"]  # what the points are allowed more and more of
-    points: tuple[
-        FrontPoint, ...
-    ]  # ascending, at least one; by cost where something grows
-    stages: StageChoice  # what was optimised: APR and APR when one unit fails, or all
-    # It is proven that from so many units, or euros, on nothing grows that was
-    # optimised, not even beyond the last point; None if that is not known.
+    by: Literal["units", "cost"]
+    points: tuple[FrontPoint, ...]
+    stages: StageChoice
     settled: float | None
-    refused: tuple[
-        tuple[int, str], ...
-    ]  # numbers of units that cannot meet the wishes, and why
-    presolve: (
-        PresolveStatistics | None
-    )  # once for all points; None if each was solved by itself
+    refused: tuple[tuple[int, str], ...]
+    presolve: PresolveStatistics | None
 
     @property
     def is_proven(self) -> bool:

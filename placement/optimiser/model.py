@@ -56,10 +56,8 @@ class Answer:
         nothing is known.
     """
 
-    is_found: bool  # whether the variables hold a feasible point
-    # whether that is best, or there is none, not just the best within the time
+    is_found: bool
     is_finished: bool
-    # of all feasible points; minus infinity: none, plus infinity: nothing is known
     bound: float
 
 
@@ -130,8 +128,8 @@ class Cut:
         How many of them, or of their sites where sites fail, are needed.
     """
 
-    is_counted: BoolArray  # (n_poses,): which poses count
-    n_units: int  # how many of them, or of their sites where sites fail, are needed
+    is_counted: BoolArray
+    n_units: int
 
 
 class MilpResult(NamedTuple):
@@ -145,9 +143,7 @@ class MilpResult(NamedTuple):
         Those of :class:`Answer`.
     """
 
-    units: (
-        IntArray | None
-    )  # (n,): poses of the reduced problem; None if no feasible set was found
+    units: IntArray | None
     bound: float
     is_finished: bool
 

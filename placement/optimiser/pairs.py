@@ -106,8 +106,8 @@ class _Units(NamedTuple):
         The same as bits along the units.
     """
 
-    words: WordArray  # (n, n_frame_words): what each sees, as bits along the frames
-    columns: WordArray  # (n_frames, n_words): the same as bits along the units
+    words: WordArray
+    columns: WordArray
 
 
 class PairWalk:

@@ -117,27 +117,22 @@ class ReducedProblem:
         Sizes before and after.
     """
 
-    pose_index: IntArray  # (n_poses,): rows of the detection table: the way back
-    limits: Limits  # on these poses
-    run_index: IntArray  # (n_runs,): runs of the full problem that some pose avoids
-    measure: Measure  # of these runs, as in the full problem
-    floors: tuple[Requirement, ...]  # what must be reached in any case
-    objectives: tuple[
-        Objective, ...
-    ]  # in the order in which sets of poses are compared
-    survive: int  # failed units that ``Objective.APR_SURVIVED`` is about
-    n_frames: int  # merged frames
-    # (n_poses, n_words): bits V[c, f] along the merged frames, lowest bit first
+    pose_index: IntArray
+    limits: Limits
+    run_index: IntArray
+    measure: Measure
+    floors: tuple[Requirement, ...]
+    objectives: tuple[Objective, ...]
+    survive: int
+    n_frames: int
     words: WordArray
-    columns: WordArray  # (n_frames, ceil(n_poses / 64)): the same bits along the poses
-    base: WordArray  # (n_words,): frames that the VUT sees, as every pose does then
-    chains: Chains  # of windows, and of what keeps them alive
-    workers: int  # threads for all that is computed with them
-    run_chain: IntArray  # (n_runs,): chain of every run
-    # (n_runs, longest chain + 1): margin if the first live window is the k-th of the
-    # chain; minus infinity from the first one that is too late for this run [s].
+    columns: WordArray
+    base: WordArray
+    chains: Chains
+    workers: int
+    run_chain: IntArray
     margin_s: FloatArray
-    statistics: PresolveStatistics  # sizes before and after
+    statistics: PresolveStatistics
 
     @property
     def n_poses(self) -> int:

@@ -152,15 +152,9 @@ class Measure:
        value-at-risk", 2000.
     """
 
-    # (n_runs,): of the runs that can be avoided; what counts weighs 1 in all
     weight: FloatArray
-    # (n_runs,): sampled world of each run; all 0 where nothing was sampled
     sample_index: IntArray
-    # (n_samples,): what all runs of each world weigh together, also those that nothing
-    # avoids.
     sample_weight: FloatArray
-    # Share of the worlds that counts, the worst ones: 1 for the mean, 1 / n_samples for
-    # the worst.
     tail: float = 1.0
 
     @property
@@ -292,13 +286,11 @@ class PlacementValue(NamedTuple):
         Units, and sites once; the less the better. [EUR]
     """
 
-    apr: float  # Accident prevention ratio, 0..1
-    apr_one_failed: float  # The same when the most painful one of the units fails
-    smallest_margin_s: float  # Of the avoided runs; 0 if there is none. [s]
-    mean_margin_s: (
-        float  # Of the avoided runs, by their weights; 0 if there is none. [s]
-    )
-    cost_eur: float  # Units, and sites once; the less the better. [EUR]
+    apr: float
+    apr_one_failed: float
+    smallest_margin_s: float
+    mean_margin_s: float
+    cost_eur: float
 
     def of(self, objective: Objective) -> float:
         """Value of one of :data:`placement.optimiser.problem.VALUE_OBJECTIVES`."""
@@ -322,12 +314,10 @@ class Floor:
         It must still be reached when any so many units fail.
     """
 
-    name: str  # Who asks for it, such as "target", for messages
-    share: float  # The ratio, 0..1
-    # (n_runs,): runs that count, such as those of a case; None: all, by the problem's
-    # own measure
+    name: str
+    share: float
     is_counted: BoolArray | None = None
-    n_failures: int = 0  # It must still be reached when any so many units fail
+    n_failures: int = 0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share <= 1.0:
@@ -372,20 +362,15 @@ class PlacementProblem:
         that of no pose, and never fail. None: cars are blind.
     """
 
-    table: DetectionTable  # V[c, f]
-    limits: Limits  # What may be mounted together
-    # "any": a frame counts if any unit detects; "single": one must confirm alone
+    table: DetectionTable
+    limits: Limits
     fusion: Fusion
-    rule: AebRule  # Confirmation and latency
-    floors: tuple[Floor, ...] = ()  # What must be reached in any case
-    # "fewest", "cheapest": the best of those that reach the floors with the fewest
-    # units, or money
+    rule: AebRule
+    floors: tuple[Floor, ...] = ()
     goal: Goal = "best"
-    survive: int = 0  # If not 0, the APR when so many units fail is the first objective
-    sample_index: IntArray | None = None  # (n_runs,): sampled world of each run
-    tail: float = 1.0  # See :class:`Measure`: how the APR sums up the sampled worlds
-    # (n_frames,): frames in which the VUT's own sensors detect. They are in every set,
-    # also in that of no pose, and never fail. None: cars are blind.
+    survive: int = 0
+    sample_index: IntArray | None = None
+    tail: float = 1.0
     seen_by_vut: BoolArray | None = None
 
     def __post_init__(self) -> None:
@@ -418,8 +403,7 @@ class PlacementProblem:
         return objectives_in_order(self.goal, survive=self.survive)
 
     def detected(self, pose_index: Sequence[int]) -> BoolArray:
-        """V[c, f] of some poses, (n, n_frames), and in the last row of a VUT that sees.
-        """
+        """V[c, f] of some poses, (n, n_frames), and in the last row of a VUT that sees."""
         detected = self.table.detected(list(pose_index))
         if self.seen_by_vut is None:
             return detected
@@ -605,13 +589,11 @@ class Requirement:
         True if the weights times the margins count instead of the weights.
     """
 
-    measure: Measure  # what is counted, over the runs of the reduced problem
-    least: float  # in the measure's unit; times seconds where margins are summed
-    min_margin_s: float = -np.inf  # runs that are avoided with less do not count [s]
-    n_failures: int = 0  # it must still be reached when any so many units fail
-    sums_margins: bool = (
-        False  # count the weights times the margins instead of the weights
-    )
+    measure: Measure
+    least: float
+    min_margin_s: float = -np.inf
+    n_failures: int = 0
+    sums_margins: bool = False
 
     @property
     def needs_all(self) -> bool:
@@ -659,19 +641,12 @@ class Chains(NamedTuple):
         Tails of each chain.
     """
 
-    # (n_windows, n_confirmations or 1): merged frames that each window needs, some
-    # perhaps twice.
     window_frames: IntArray
-    window: IntArray  # (n_links,): the windows of all chains, chain after chain
-    start: (
-        IntArray  # (n_chains + 1,): links of chain g are start[g] .. start[g + 1] - 1
-    )
-    # (n_tails,): merged frames that a chain's first windows need to be live
+    window: IntArray
+    start: IntArray
     tail_frame: IntArray
-    tail_links: (
-        IntArray  # (n_tails,): how many windows those are; falling within each chain
-    )
-    tail_start: IntArray  # (n_chains + 1,): tails of each chain
+    tail_links: IntArray
+    tail_start: IntArray
 
 
 def timely_windows_end(

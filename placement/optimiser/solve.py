@@ -195,9 +195,9 @@ class Solution:
         What dropped out before.
     """
 
-    pose_index: tuple[int, ...]  # rows of the detection table, ascending
-    certificate: Certificate  # a stage for every objective, in order
-    presolve: PresolveStatistics  # what dropped out before
+    pose_index: tuple[int, ...]
+    certificate: Certificate
+    presolve: PresolveStatistics
 
 
 def solve_placement(

@@ -281,10 +281,12 @@ class SetWalk:
 
     def _alone(self) -> IntArray:
         """Sets of the forced poses and one more that lose little."""
+        from .walk_kernels import WHOLE
+
         share = shares_with_each(self.reduced, self.forced)
         share[~np.isin(np.arange(len(share)), self.classes.member)] = -np.inf
         self.is_finished = True
-        is_kept = self.total - share <= self.losses.may_lose[0]
+        is_kept = self.total - share <= self.losses.may_lose[WHOLE]
         return self._with_forced([np.flatnonzero(is_kept)[:, None]])
 
     def _tasks(self, spare: "list[_Task]") -> "Iterator[_Task]":
@@ -315,8 +317,9 @@ class SetWalk:
                     task = _Task(self)
                 task.begin_at(scout.walk)
                 yield task
-                scout.walk.where[0] -= 1
-                scout.walk.where[1] = 0
+                # The scout goes back up, as if it had been behind the node itself.
+                scout.walk.at[0].depth -= 1
+                scout.walk.at[0].is_new = 0
 
 
 class _Task:
@@ -335,7 +338,7 @@ class _Task:
     """
 
     def __init__(self, owner: SetWalk) -> None:
-        from .walk_kernels import Walk
+        from .walk_kernels import Walk, build_position
 
         self.owner = owner
         self.is_done = False
@@ -346,20 +349,20 @@ class _Task:
         (n_poses, n_words) = owner.covers.covers.shape
         self.out = np.empty((constants.OUT_SETS, n_units), dtype=np.int64)
         self.walk = Walk(
-            where=np.array([0, 1, 0, 0, 0]),
+            at=build_position(),
             may_lose=owner.losses.may_lose,
             chosen=np.zeros(n_units, dtype=np.int64),
-            once=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            gone=np.zeros((n_units + 1, n_words), dtype=np.uint64),
-            lost=np.zeros(n_units + 1),
+            covered=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            covered_twice=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            given_up=np.zeros((n_units + 1, n_words), dtype=np.uint64),
+            weight_given_up=np.zeros(n_units + 1),
             is_open=np.ones((n_units + 1, n_poses), dtype=bool),
             room=np.tile(owner.capacity, (n_units + 1, 1)),
             queue=np.zeros((n_units, n_poses), dtype=np.int64),
             n_queued=np.zeros(n_units, dtype=np.int64),
             position=np.zeros(n_units, dtype=np.int64),
             gain=np.zeros(n_poses),
-            beside=np.zeros(n_poses),
+            gain_beside=np.zeros(n_poses),
             table=np.zeros((8 * n_words, 256)),
             used=np.zeros(8 * n_words, dtype=np.int64),
             best=np.zeros(n_units, dtype=np.int64),
@@ -367,12 +370,20 @@ class _Task:
 
     def begin_at(self, walk: "Walk") -> None:
         """Begin behind the node that another walk stands at."""
-        depth = int(walk.where[0])
-        self.is_done = self.is_walked = False
-        self.walk.where[:] = depth, 1, 0, 0, depth
-        self.walk.chosen[:depth] = walk.chosen[:depth]
-        for name in ("once", "twice", "gone", "lost", "is_open", "room"):
-            getattr(self.walk, name)[depth] = getattr(walk, name)[depth]
+        from .walk_kernels import build_position
+
+        mine = self.walk
+        depth = int(walk.at[0].depth)
+        self.is_done = False
+        self.is_walked = False
+        mine.at[:] = build_position(depth)
+        mine.chosen[:depth] = walk.chosen[:depth]
+        mine.covered[depth] = walk.covered[depth]
+        mine.covered_twice[depth] = walk.covered_twice[depth]
+        mine.given_up[depth] = walk.given_up[depth]
+        mine.weight_given_up[depth] = walk.weight_given_up[depth]
+        mine.is_open[depth] = walk.is_open[depth]
+        mine.room[depth] = walk.room[depth]
 
     def go_on(self) -> "tuple[_Task, list[IntArray]]":
         """Spell out for a while what was found, then walk on."""
@@ -384,7 +395,8 @@ class _Task:
         while self.waiting and not stop.is_over:
             found += self._spell_out(self.waiting.pop())
         if not self.waiting and not self.is_walked:
-            self.walk.where[2] = 0
+            at = self.walk.at[0]
+            at.n_found = 0
             state = grow(
                 owner.covers,
                 self.walk,
@@ -394,15 +406,12 @@ class _Task:
                 self.out,
             )
             self.is_walked = state == DONE
-            self.waiting = [
-                np.sort(classes) for classes in self.out[: self.walk.where[2]]
-            ]
+            self.waiting = [np.sort(classes) for classes in self.out[: at.n_found]]
         self.is_done = self.is_walked and not self.waiting
         return self, found
 
     def _spell_out(self, classes: IntArray) -> list[IntArray]:
-        """Sets of poses, one of each class, that lose little: blocks of (n, n_units).
-        """
+        """Sets of poses, one of each class, that lose little: blocks of (n, n_units)."""
         from .walk_kernels import spell_out
 
         owner = self.owner
@@ -629,12 +638,10 @@ class Tied(NamedTuple):
         True if the value is proven.
     """
 
-    sets: (
-        IntArray | None
-    )  # (n, n_units): all of them; None: too many, or not all were looked at
-    value: float  # the best that was found
-    limit: float  # no set exceeds it
-    is_finished: bool  # whether the value is proven
+    sets: IntArray | None
+    value: float
+    limit: float
+    is_finished: bool
 
 
 class TieSearch:
@@ -725,8 +732,7 @@ class TieSearch:
         return self._tied(limit, is_proven or is_finished, sets)
 
     def _come_near(self, deadline: Deadline, limit: float) -> float:
-        """Upper bound ever nearer to the best, until a walk for all should end in time.
-        """
+        """Upper bound ever nearer to the best, until a walk for all should end in time."""
         near = self.near
         while near > 0.0 and self.best + near < limit and not deadline.is_over:
             began_s = now_s()

@@ -5,7 +5,7 @@ that bound all sets, the walk, and what the sets that it meets lose on the
 windows. Bits along rows, poses or frames are 64-bit words, lowest bit first.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -109,10 +109,11 @@ def cover_rows(
             if frame == before:  # neighbours are often asked for the same
                 continue
             before = frame
-            for word in range(columns.shape[1]):
-                coverers[row, word] |= (
-                    columns[frame, word] if frame >= 0 else ~np.uint64(0)
-                )
+            if frame >= 0:
+                for word in range(columns.shape[1]):
+                    coverers[row, word] |= columns[frame, word]
+            else:
+                coverers[row] = ~np.uint64(0)
 
 
 # ---------- prices
@@ -397,40 +398,131 @@ class Covers(NamedTuple):
         How often a pose may be chosen: it stands for its class.
     """
 
-    covers: WordArray  # (n_poses, n_row_words): rows that each pose covers
-    coverers: WordArray  # (n_rows, n_pose_words): poses that cover each row
-    rows: ByteArray  # (n_poses, n_bytes): `covers` by bytes, lowest bits first
-    weight: FloatArray  # (n_rows,)
-    price: FloatArray  # (n_rows,): at most the weight
-    site: IntArray  # (n_poses,)
-    copies: IntArray  # (n_poses,): how often a pose may be chosen
+    covers: WordArray
+    coverers: WordArray
+    rows: ByteArray
+    weight: FloatArray
+    price: FloatArray
+    site: IntArray
+    copies: IntArray
+
+
+POSITION = np.dtype(
+    (
+        np.record,
+        [
+            ("depth", np.int64),
+            ("is_new", np.int64),
+            ("n_found", np.int64),
+            ("work", np.int64),
+            ("base", np.int64),
+        ],
+    )
+)
+"""Where a walk stands: one record that its kernels change.
+
+depth
+    Units that are chosen so far: the depth of the node at hand.
+is_new
+    1 if the node at hand has not been looked at yet, else 0.
+n_found
+    Sets that were written since the walk was last told to go on.
+work
+    Bytes that the walk has looked at.
+base
+    Depth of the node behind which the walk began; it ends when it leaves it.
+"""
+
+# What sets may lose, by what is left of them.
+WHOLE = 0  # all units work
+ON_FAILURE = 1  # as many have failed as may
+
+
+def build_position(depth: int = 0) -> np.recarray[Any, Any]:
+    """Position of a walk that begins at a node of some depth: one record, (1,)."""
+    position = np.recarray(1, dtype=POSITION)
+    position[0] = (depth, 1, 0, 0, depth)
+    return position
 
 
 class Walk(NamedTuple):
-    """Where a walk stands; arrays have a place for each depth."""
+    """A walk through sets of classes, and its nodes from the root to the one at hand.
 
-    # (5,): depth; whether its node is new; sets found; bytes looked at; depth behind
-    # which the walk began.
-    where: IntArray
-    # (2,): weight of rows that all units, and all but the failed, may lose
+    A node of depth d has d chosen units, which the nodes above it queued::
+
+        depth 0   no unit             queue[0] = 4 9 7        position[0] = 2
+                                                 |
+                                      chosen[0] = 9
+                                                 |
+        depth 1   unit 9              queue[1] = 2 8          position[1] = 1
+                                                 |
+                                      chosen[1] = 2
+                                                 |
+        depth 2   units 9, 2          not looked at yet: is_new = 1
+
+    A node asks for the row that fewest of its candidates cover, its *hardest* row,
+    and queues the candidates that cover it, the best first. Each one that is tried
+    is the unit of a node below, and is no candidate any more when the walk comes
+    back: no set is met twice. When the queue is through, nothing that is left
+    covers the hardest row: the row is given up, and the node asks for the next one.
+    A node ends when what is given up weighs too much, or no candidate is left.
+
+    Row d of the arrays below is the node of depth d on the way to the one at hand.
+
+    Attributes
+    ----------
+    at : (1,) record
+        Where the walk stands, see :data:`POSITION`.
+    may_lose : (2,) float
+        Weight of rows that all units, ``WHOLE``, and all but the failed,
+        ``ON_FAILURE``, may lose.
+    chosen : (n_units,) int
+        Unit that leads from the node of each depth to the one below.
+    covered : (n_units + 1, n_row_words) uint64
+        Rows that a chosen unit covers.
+    covered_twice : (n_units + 1, n_row_words) uint64
+        Rows that two of them do: these stay covered when one fails.
+    given_up : (n_units + 1, n_row_words) uint64
+        Rows that nothing covers any more.
+    weight_given_up : (n_units + 1,) float
+        What those weigh.
+    is_open : (n_units + 1, n_poses) bool
+        Candidates.
+    room : (n_units + 1, n_sites) int
+        Units that each site can still carry.
+    queue : (n_units, n_poses) int
+        Candidates that are tried, one after the other.
+    n_queued : (n_units,) int
+        How many those are.
+    position : (n_units,) int
+        Place in the queue of the next one.
+    gain, gain_beside : (n_poses,) float
+        Working space: what each candidate gains, and next to a unit that fails.
+    table : (n_bytes, 256) float
+        Working space of :func:`weigh_bytes`.
+    used : (n_bytes,) int
+        Working space of :func:`weigh_bytes`.
+    best : (n_units,) int
+        Working space of :func:`drop_hopeless`.
+    """
+
+    at: np.recarray[Any, Any]
     may_lose: FloatArray
-    chosen: IntArray  # (n_units,)
-    once: WordArray  # (n_units + 1, n_row_words): rows that a unit covers
-    twice: WordArray  # the same, that two do
-    gone: WordArray  # the same, that nothing covers any more
-    lost: FloatArray  # (n_units + 1,): what those weigh
-    is_open: BoolArray  # (n_units + 1, n_poses): candidates
-    room: IntArray  # (n_units + 1, n_sites)
-    queue: (
-        IntArray  # (n_units, n_poses): candidates that are tried, one after the other
-    )
-    n_queued: IntArray  # (n_units,)
-    position: IntArray  # (n_units,)
-    gain: FloatArray  # (n_poses,): working space
-    beside: FloatArray  # (n_poses,): working space
-    table: FloatArray  # (n_bytes, 256): working space
-    used: IntArray  # (n_bytes,): working space
-    best: IntArray  # (n_units,): working space
+    chosen: IntArray
+    covered: WordArray
+    covered_twice: WordArray
+    given_up: WordArray
+    weight_given_up: FloatArray
+    is_open: BoolArray
+    room: IntArray
+    queue: IntArray
+    n_queued: IntArray
+    position: IntArray
+    gain: FloatArray
+    gain_beside: FloatArray
+    table: FloatArray
+    used: IntArray
+    best: IntArray
 
 
 @kernel
@@ -438,13 +530,15 @@ def add_gains(
     covers: Covers, weight: FloatArray, rows: WordArray, walk: Walk, gain: FloatArray
 ) -> float:
     """Add to each candidate's gain what it covers of some rows; return their weight."""
-    is_open = walk.is_open[walk.where[0]]
+    at = walk.at[0]
+    is_open = walk.is_open[at.depth]
     n_used = weigh_bytes(weight, rows, walk.table, walk.used)
     for pose in range(len(gain)):
         if is_open[pose]:
             gain[pose] += weight_of(covers.rows[pose], walk.table, walk.used, n_used)
-            walk.where[3] += n_used
-    walk.where[3] += 64 * n_used
+            at.work += n_used
+    at.work += 64 * n_used
+    # Rows that are set, 64 at a time.
     total = 0.0
     for word in range(len(rows)):
         left = rows[word]
@@ -510,9 +604,9 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     The hardest row is the one which fewest candidates cover; -1 if all rows are
     covered. `rows`, (n_row_words,), becomes the rows that are open.
     """
-    depth = walk.where[0]
-    once = walk.once[depth]
-    gone = walk.gone[depth]
+    depth = walk.at[0].depth
+    covered = walk.covered[depth]
+    given_up = walk.given_up[depth]
     candidates = np.zeros(covers.coverers.shape[1], dtype=np.uint64)
     for pose in range(walk.is_open.shape[1]):
         if walk.is_open[depth, pose]:
@@ -523,14 +617,14 @@ def give_up_rows(covers: Covers, walk: Walk, rows: WordArray) -> int:
     for row in range(len(covers.weight)):
         word = row >> 6
         mask = np.uint64(1) << np.uint64(row & 63)
-        if (once[word] | gone[word]) & mask:
+        if (covered[word] | given_up[word]) & mask:
             continue
         n_covering = 0
         for place in range(len(candidates)):
             n_covering += count_bits(candidates[place] & covers.coverers[row, place])
         if n_covering == 0:
-            gone[word] |= mask
-            walk.lost[depth] += covers.weight[row]
+            given_up[word] |= mask
+            walk.weight_given_up[depth] += covers.weight[row]
             continue
         rows[word] |= mask
         if n_covering < fewest:
@@ -546,42 +640,46 @@ def look_at_node(covers: Covers, walk: Walk, n_failures: int) -> bool:
     Candidates that cannot help are dropped. Those queued cover the row that fewest
     cover, best first; when all of them have been tried, that row is lost.
     """
-    depth = walk.where[0]
-    left = len(walk.chosen) - depth
+    depth = walk.at[0].depth
+    n_more = len(walk.chosen) - depth
+    may_lose = walk.may_lose
     is_open = walk.is_open[depth]
     gain = walk.gain
-    beside = walk.beside
-    rows = np.empty(walk.once.shape[1], dtype=np.uint64)
+    beside = walk.gain_beside
+    # What is given up already, and which row the node asks for.
+    rows = np.empty(walk.covered.shape[1], dtype=np.uint64)
     hardest = give_up_rows(covers, walk, rows)
-    walk.n_queued[depth] = walk.position[depth] = 0
-    lost = walk.lost[depth]
-    if lost > walk.may_lose[0]:
+    walk.n_queued[depth] = 0
+    walk.position[depth] = 0
+    lost = walk.weight_given_up[depth]
+    if lost > may_lose[WHOLE]:
         return False
+    # All units work: those to come must gain what may not be lost, by the prices of
+    # rows, which say more, and by their weights.
     total = 0.0
     for weight in (covers.price, covers.weight):
         gain[:] = 0.0
         total = lost + add_gains(covers, weight, rows, walk, gain)
-        if not drop_hopeless(gain, is_open, left, total - walk.may_lose[0], walk.best):
+        need = total - may_lose[WHOLE]
+        if not drop_hopeless(gain, is_open, n_more, need, walk.best):
             return False
     if n_failures > 0:
-        # Units fail that are still to come; or one of those chosen, and others to come.
-        need = total - walk.may_lose[1]
-        if not drop_hopeless(gain, is_open, left - n_failures, need, walk.best):
+        # The units that fail are all still to come ..
+        need = total - may_lose[ON_FAILURE]
+        if not drop_hopeless(gain, is_open, n_more - n_failures, need, walk.best):
             return False
+        # .. or one of them is chosen: the rows that it alone covers are open again.
+        n_working = n_more - n_failures + 1
         for number in range(depth):
             of_unit = covers.covers[walk.chosen[number]]
             for word in range(len(rows)):
-                rows[word] = of_unit[word] & ~walk.twice[depth, word]
+                rows[word] = of_unit[word] & ~walk.covered_twice[depth, word]
             beside[:] = gain
-            need = (
-                total
-                + add_gains(covers, covers.weight, rows, walk, beside)
-                - walk.may_lose[1]
-            )
-            if not drop_hopeless(
-                beside, is_open, left - n_failures + 1, need, walk.best
-            ):
+            of_rows = add_gains(covers, covers.weight, rows, walk, beside)
+            need = total + of_rows - may_lose[ON_FAILURE]
+            if not drop_hopeless(beside, is_open, n_working, need, walk.best):
                 return False
+    # Candidates that cover the hardest row, in the order of what they gain.
     queue = walk.queue[depth]
     n_queued = 0
     is_any = False
@@ -629,33 +727,36 @@ def grow(
     """
     n_poses = walk.is_open.shape[1]
     n_units = len(walk.chosen)
-    begun = walk.where[3]
-    base = walk.where[4]
-    while walk.where[0] >= base:
-        depth = walk.where[0]
-        if walk.where[3] - begun > max_work:
+    at = walk.at[0]
+    begun = at.work
+    base = at.base
+    while at.depth >= base:
+        depth = at.depth
+        if at.work - begun > max_work:
             return PAUSED
-        if walk.where[1] == 1:
+        if at.is_new == 1:
             if depth == stop:
                 return AT_STOP
-            walk.where[1] = 0
+            at.is_new = 0
             if not look_at_node(covers, walk, n_failures):
-                walk.where[0] -= 1
+                at.depth -= 1
                 continue
         place = walk.position[depth]
         if place == walk.n_queued[depth]:
-            walk.where[1] = 1  # none of these candidates any more
+            at.is_new = 1  # none of these candidates any more
             continue
         pose = walk.queue[depth, place]
         walk.chosen[depth] = pose
         if depth + 1 == n_units:
-            if walk.where[2] == len(out):
+            # The set is complete.
+            if at.n_found == len(out):
                 return FULL
-            out[walk.where[2]] = walk.chosen
-            walk.where[2] += 1
+            out[at.n_found] = walk.chosen
+            at.n_found += 1
             walk.position[depth] += 1
             walk.is_open[depth, pose] = False
             continue
+        # A node below, at which the pose is chosen.
         walk.position[depth] += 1
         after = depth + 1
         walk.is_open[after] = walk.is_open[depth]
@@ -669,16 +770,17 @@ def grow(
             for other in range(n_poses):
                 if covers.site[other] == here:
                     walk.is_open[after, other] = False
-        for word in range(walk.once.shape[1]):
+        for word in range(walk.covered.shape[1]):
             of_pose = covers.covers[pose, word]
-            walk.twice[after, word] = walk.twice[depth, word] | (
-                walk.once[depth, word] & of_pose
+            before = walk.covered[depth, word]
+            walk.covered_twice[after, word] = walk.covered_twice[depth, word] | (
+                before & of_pose
             )
-            walk.once[after, word] = walk.once[depth, word] | of_pose
-        walk.gone[after] = walk.gone[depth]
-        walk.lost[after] = walk.lost[depth]
-        walk.where[0] = after
-        walk.where[1] = 1
+            walk.covered[after, word] = before | of_pose
+        walk.given_up[after] = walk.given_up[depth]
+        walk.weight_given_up[after] = walk.weight_given_up[depth]
+        at.depth = after
+        at.is_new = 1
     return DONE
 
 
@@ -701,10 +803,10 @@ class Losses(NamedTuple):
     """
 
     chains: Chains
-    lost: FloatArray  # (n_chains, longest + 1): by the first live window of each chain
-    order: IntArray  # (n_chains,): chains at which sets fail come earlier the next time
-    may_lose: FloatArray  # (2,): in all; and without any one of the units
-    base: WordArray  # (n_words,): frames that are in every set
+    lost: FloatArray
+    order: IntArray
+    may_lose: FloatArray
+    base: WordArray
 
 
 @kernel
@@ -722,14 +824,13 @@ def can_keep(bits: WordArray, losses: Losses, with_failures: bool) -> bool:
                 for word in range(len(union)):
                     union[word] |= bits[unit, word]
         if failed == n_units:
-            may = may_lose[0]
+            may = may_lose[WHOLE]
         else:
-            may = may_lose[1]
+            may = may_lose[ON_FAILURE]
         rank = look_through(union, chains, order, lost, may, first)
         if rank < len(order):
-            before = (
-                rank // 2
-            )  # nearer to the front, not all the way: some fail by chance
+            # Nearer to the front, not all the way: some fail by chance.
+            before = rank // 2
             order[rank], order[before] = order[before], order[rank]
             return False
     return True
@@ -748,10 +849,9 @@ class Classes(NamedTuple):
         Frames that the poses of each class see together.
     """
 
-    member: IntArray  # poses, class after class
-    # (n_classes + 1,): members of class k are start[k] .. start[k + 1] - 1
+    member: IntArray
     start: IntArray
-    words: WordArray  # (n_classes, n_words): what all poses of each class see
+    words: WordArray
 
 
 @kernel
